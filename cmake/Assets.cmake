@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-# embed_texts(<target> <function> <file>...): compiles text files into a target. They are
-# returned by a function of namespace relidar without arguments, as std::span<const
-# std::pair<std::string_view, std::string_view>> of file names without folder and texts.
-# Files that call the function must declare it.
+# embed_texts(<target> <function> <file>...): compiles text files into a target. Generates
+# the function relidar::<function>(). It returns pairs of file name (without folder) and
+# text as std::span<const std::pair<std::string_view, std::string_view>>. Files that call
+# the function must declare it.
 function(embed_texts target function)
     set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${ARGN})
     set(rows "")

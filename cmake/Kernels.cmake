@@ -51,8 +51,8 @@ function(add_kernel path)
     endforeach()
 endfunction()
 
-# kernel_params.hpp: the parameter struct that each shader declares, so that using a
-# kernel with another struct does not compile.
+# Generates kernel_params.hpp. It gives each kernel the parameter struct that its shader
+# declares. Code that uses a kernel with another struct does not compile.
 function(_relidar_list_params)
     file(GLOB_RECURSE shaders CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/shaders/*.comp)
     set(rows "")

@@ -36,8 +36,9 @@ function(relidar_unity target)
         set_source_files_properties(${source} PROPERTIES UNITY_GROUP ${group_${folder}})
     endforeach()
     set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_MODE GROUP)
-    # g++ warns about classes with members of types from an anonymous namespace, because
-    # the main file here is a different file.
+    # In a unity build, g++ warns about classes with members of types from an anonymous
+    # namespace, because these types are defined in an included file. The warning is of no
+    # use here.
     target_compile_options(${target} PRIVATE $<$<COMPILE_LANG_AND_ID:CXX,GNU>:-Wno-subobject-linkage>)
 endfunction()
 

@@ -9,7 +9,8 @@ set(CMAKE_CXX_FLAGS_INIT -Wno-psabi)   # Omits notes about objects that GCC 9 co
 set(CMAKE_LIBRARY_ARCHITECTURE aarch64-linux-gnu)
 cmake_path(SET CMAKE_SYSROOT NORMALIZE ${CMAKE_CURRENT_LIST_DIR}/../build/arm64/sysroot)
 set(CMAKE_CROSSCOMPILING_EMULATOR qemu-aarch64-static -L ${CMAKE_SYSROOT})
-# The build uses programs of this machine, for example glslang and protoc.
+# The build runs programs of the build machine, for example glslang and protoc. CMake must
+# therefore not search for programs in the sysroot.
 set(CMAKE_FIND_ROOT_PATH_MODE_PROGRAM NEVER)
 set(CMAKE_FIND_ROOT_PATH_MODE_LIBRARY ONLY)
 set(CMAKE_FIND_ROOT_PATH_MODE_INCLUDE ONLY)

@@ -4,8 +4,8 @@
 #ifndef RELIDAR_INCLUDED_BASE_COMPENSATED_GLSL
 #define RELIDAR_INCLUDED_BASE_COMPENSATED_GLSL
 
-/// Adds x to `sum` with Kahan summation: the rounding error is stored in
-/// `rounding_error`, and the next call corrects the sum by it.
+/// Adds `value` to `sum` with Kahan summation. The rounding error is stored in
+/// `rounding_error`, and the next call subtracts it again.
 void add_with_compensation(inout float sum, inout float rounding_error, float value) {
     precise float y = value - rounding_error;
     precise float t = sum + y;

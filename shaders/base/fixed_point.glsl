@@ -9,13 +9,13 @@ layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer Fix
 
 const float kFixedSteps = 1048576.0, kFixedWord = 4294967296.0;
 
-/// Returns -x for a 64-bit number of two words (two's complement).
+/// Returns -value for a 64-bit number of two words (two's complement).
 uvec2 negate(uvec2 value) { return uvec2(~value.x + 1u, ~value.y + uint(value.x == 0u)); }
 
-/// Adds x to a sum. The sum is a fixed-point number of two words in `sums`, the low word
-/// first. x must be finite and its absolute value below 1e12.
+/// Adds `value` to a sum. The sum is a fixed-point number of two words in `sums`, the low
+/// word first. `value` must be finite, with an absolute value below 1e12.
 void add_fixed(Uints sums, uint entry, float value) {
-    // Converts |x| to a fixed-point number with a low and a high word. This is exact,
+    // Converts |value| to a fixed-point number with a low and a high word. This is exact,
     // because a float has only 24 significant bits.
     float steps = trunc(abs(value) * kFixedSteps), high = floor(steps / kFixedWord);
     uvec2 amount = uvec2(uint(steps - high * kFixedWord), uint(high));

@@ -17,8 +17,8 @@ uint get_thread_index() {
     return gl_GlobalInvocationID.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x + gl_GlobalInvocationID.x;
 }
 
-/// Returns the number of threads of the launch. A kernel whose number of elements only
-/// the device knows uses it as the stride of its loop.
+/// Returns the number of threads of the launch. If only the device knows the number of
+/// elements, a kernel uses the number of threads as the stride of its loop.
 uint get_thread_count() { return gl_NumWorkGroups.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x; }
 
 /// Returns the index of this workgroup over both dimensions of the launch.

@@ -29,7 +29,7 @@ uvec2 sum_earlier_subgroups(uvec2 sum, out uvec2 total) {
     return before;
 }
 
-/// Returns the sum of x over all threads before this thread. Every thread of the
+/// Returns the sum of `value` over all threads before this thread. Every thread of the
 /// workgroup must call this function.
 /// @param total output: sum over all threads
 uvec2 compute_exclusive_sum(uvec2 value, out uvec2 total) {

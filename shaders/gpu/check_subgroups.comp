@@ -32,8 +32,8 @@ void main() {
     params.results.at[first + 9u] = before.x;
     params.results.at[first + 10u] = total.x;
     uint in_branch = 0u;
-    // Half of the lanes take this branch, and the sum must include only them. The branch
-    // comes last, because the lanes may not reconverge after it.
+    // Half of the lanes take this branch, and the sum must include only these lanes. The
+    // branch comes last, because the lanes may not reconverge after it.
     if (odd) in_branch = subgroupAdd(x);
     params.results.at[first + 8u] = in_branch;
 }

@@ -4,7 +4,8 @@
 // 4, reduction a).
 //
 // One thread per surfel of any model. On CPUs, the kernel processes only surfels in a
-// list (list_touched.comp), because lanes without a gradient take as long as the others.
+// list (list_touched.comp), because lanes without a gradient take as long as lanes with a
+// gradient.
 //
 // Input: surfels, d_records, models, more_rows, view_origins, phases, rows, n_listed.
 // Output: d_surfels (sh only if SH are evaluated per surfel), touched, d_view.

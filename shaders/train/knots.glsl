@@ -6,7 +6,7 @@
 
 PoseKnot interpolate_knot(PoseKnots knots, RayPlace place) {
     PoseKnot a = knots.at[place.left];
-    // The next pose may not exist if its weight is 0.
+    // If the next pose has the weight 0, it may not exist.
     if (place.s == 0.0) return a;
     PoseKnot b = knots.at[place.left + 1u];
     return PoseKnot(mix(a.position, b.position, place.s), mix(a.translation, b.translation, place.s),

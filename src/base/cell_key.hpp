@@ -10,7 +10,7 @@
 namespace relidar {
 
 /// Returns the key of the cubic grid cell that contains a point. A key has 21 bits per
-/// axis. Keys are unique only for cells within 2^20 cells of the origin.
+/// axis, so only the keys of cells within 2^20 cells of the origin are unique.
 /// @param point_m [3] metres
 /// @param cell_size_m edge length of the cells, metres
 inline std::uint64_t compute_grid_cell_key(const glm::dvec3& point_m, double cell_size_m) {

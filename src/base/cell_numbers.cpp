@@ -38,8 +38,8 @@ std::vector<ItemIndicesByPart> partition_items_by_key(std::span<const std::uint6
 ItemCellIndices assign_cell_numbers(std::span<const std::uint64_t> cell_key_per_item) {
     const std::vector<ItemIndicesByPart> blocks = partition_items_by_key(cell_key_per_item);
     ItemCellIndices numbers{std::vector<std::uint32_t>(cell_key_per_item.size()), 0};
-    // First stores, for each item, the index of the first item in the same cell. At the
-    // end, this index is replaced by the number of the cell.
+    // At first, this array holds, for each item, the index of the first item in the same
+    // cell. At the end, these indices are replaced by the numbers of the cells.
     std::vector<std::uint32_t>& first = numbers.of;
     parallel_for(kParts, [&](int part) {
         std::unordered_map<std::uint64_t, std::uint32_t> table;

@@ -14,8 +14,8 @@ std::vector<std::string_view> split_csv_cells(std::string_view line);
 
 /// Returns the index of each known column in the header, or -1 if the column is missing.
 /// @param location_for_errors file and line of the header, for error messages
-/// @throws DataError for an unknown column, because a misspelt column would otherwise be
-/// read as 0. The message suggests the most similar name
+/// @throws DataError for an unknown column. Otherwise the values of a misspelt column
+/// would be read as 0. The message suggests the most similar name
 /// @throws DataError for a duplicate column
 std::vector<int> find_column_indices(const std::vector<std::string_view>& header_cells,
                                      const std::vector<std::string>& known_columns,

@@ -24,14 +24,14 @@ struct RangeImageRays {
     }
 };
 
-/// compute_incidence_cosine() compares a pixel with the pixels this many columns to the
-/// left and right.
+/// Distance in columns between a pixel and its left or right neighbour, with which
+/// compute_incidence_cosine() compares the pixel.
 inline constexpr std::size_t kIncidenceColumns = 4;
 
 /// Returns the cosine of the angle of incidence at pixel `pixel_index`. Uses the points
 /// one row above and below, and four columns left and right. A distance of four columns
-/// reduces the effect of range noise. Returns a negative value if a point is missing or
-/// on another surface.
+/// reduces the effect of range noise. Returns a negative value if one of these points is
+/// missing or on another surface.
 inline double compute_incidence_cosine(const RangeImageRays& image, std::size_t pixel_index) {
     constexpr std::size_t kColumns = kIncidenceColumns;
     // Maximum relative difference between the ranges of two pixels on the same surface.

@@ -23,7 +23,7 @@ std::string describe_json_value(const nlohmann::json& value) {
     return "found " + (text.size() <= 60 ? text : text.substr(0, 57) + "...");
 }
 
-/// Appends all numbers of nested lists to `get_numbers`.
+/// Appends all numbers of nested lists to `numbers`.
 /// @return the first invalid value: neither a number nor a list, or nested too deeply.
 /// Null if all values are valid
 const nlohmann::json* collect_nested_numbers(const nlohmann::json& value, int max_depth,

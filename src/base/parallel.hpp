@@ -12,27 +12,28 @@
 
 namespace relidar {
 
-/// Returns the number of threads that can run a parallel loop of the calling thread, at
-/// least 1.
+/// Returns the number of threads that would run a parallel loop of the calling thread.
+/// The number is at least 1.
 std::size_t get_max_concurrency();
 
-/// Runs task(i) for every i in [0, count), on the calling thread and on idle threads of
+/// Runs task(i) for every i in [0, n_tasks), on the calling thread and on idle threads of
 /// oneTBB. Tasks start in ascending order of i. A task may start another parallel loop.
-/// While it waits for the inner loop, its thread runs no tasks of other loops.
+/// While the task waits for this inner loop, its thread runs no tasks of other loops.
 ///
 /// If a task throws, no further task starts. After all started tasks have ended, the
 /// exception with the smallest i is rethrown, so that the error message does not depend
 /// on timing.
 void parallel_for(int n_tasks, const std::function<void(int)>& task);
 
-/// Returns the number of items in a block, the unit of work of a thread. Blocks are large
-/// enough that the cost of starting them is small. Each thread gets several blocks.
+/// Returns the number of items in a block, which one thread processes at a time. Blocks
+/// are large enough that the cost of starting them is small. Each thread gets several
+/// blocks.
 inline std::size_t compute_block_size(std::size_t n_items) {
     constexpr std::size_t kSmallest = 128, kLargest = 4096, kBlocksPerThread = 8;
     return std::clamp(n_items / (kBlocksPerThread * get_max_concurrency()), kSmallest, kLargest);
 }
 
-/// Divides [0, count) into ranges of `range_size` items, and runs task(begin, end) for
+/// Divides [0, n_items) into ranges of `range_size` items, and runs task(begin, end) for
 /// each range in parallel. The last range may be shorter.
 template <class Task>
 void parallel_for_ranges(std::size_t n_items, std::size_t range_size, const Task& task) {
@@ -41,7 +42,7 @@ void parallel_for_ranges(std::size_t n_items, std::size_t range_size, const Task
     });
 }
 
-/// Runs task(i) for every i in [0, count) in parallel. Each thread processes blocks of
+/// Runs task(i) for every i in [0, n_items) in parallel. Each thread processes blocks of
 /// consecutive items.
 template <class Task>
 void parallel_for_in_blocks(std::size_t n_items, const Task& task) {
@@ -50,7 +51,7 @@ void parallel_for_in_blocks(std::size_t n_items, const Task& task) {
     });
 }
 
-/// Computes a sum over [0, count) in parallel. Each range of `range_size` items has a
+/// Computes a sum over [0, n_items) in parallel. Each range of `range_size` items has a
 /// partial sum. Partial sums are added in the order of the ranges, so that the result
 /// does not depend on the number of threads.
 /// @param compute_range_sum function (begin, end) -> Sum. Sums are added with operator+=

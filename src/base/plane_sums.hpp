@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits a plane to points that are added one by one. d is a point relative to an origin:
-//   mean = sum d / n,   covariance = sum d d^T / n - mean mean^T,   the normal is the axis of least variance
+// Fits a plane to points that are added one by one. d is a point relative to an origin.
+// The normal of the plane is the axis of least variance.
+//   mean = sum d / n,   covariance = sum d d^T / n - mean mean^T
 #pragma once
 
 #include <Eigen/Eigenvalues>
@@ -22,8 +23,8 @@ struct PointMomentSums {
     glm::dvec3 sum{0.0}, squares{0.0}, products{0.0};
 
     /// Adds a point to the sums.
-    /// @param point_relative_to_origin point minus an origin near all points. Squares of
-    /// large coordinates would lose precision
+    /// @param point_relative_to_origin point minus an origin near all points. Without
+    /// this subtraction, the squares of large coordinates would lose precision
     void add_point(const glm::dvec3& point_relative_to_origin) {
         n += 1.0;
         sum += point_relative_to_origin;

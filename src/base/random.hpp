@@ -22,7 +22,6 @@ inline std::uint64_t hash_integer_pair(std::uint64_t first, std::uint64_t second
     return hash_integer(hash_integer(first) ^ (second * 0xD6E8FEB86659FD93ull));
 }
 
-/// Random number generator.
 class Random {
 public:
     explicit Random(std::uint64_t seed) : state_(hash_integer(seed)) {}
@@ -41,7 +40,6 @@ public:
         return min_value + (max_value - min_value) * draw_uniform();
     }
 
-    /// Returns a random number with a standard normal distribution.
     double draw_standard_normal() {
         const double radius = std::sqrt(-2.0 * std::log(1.0 - draw_uniform()));
         return radius * std::cos(6.283185307179586 * draw_uniform());

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Counts the dots in each key of a TOML text, without quoted texts and comments. In
+// Counts the dots in each key of a TOML text, except in quoted texts and comments. In
 // multi-line texts, the count may be too high but never too low.
 #include "base/toml_depth.hpp"
 

@@ -11,8 +11,8 @@ namespace relidar {
 /// part of a key and destroys the tables recursively. Therefore a key with forty thousand
 /// dots would overflow the stack. Keys of our settings have two parts.
 /// @param file_name file name for the error message
-/// @throws DataError if a key has more than 8 parts, or brackets are nested more than 8
-/// deep
+/// @throws DataError if a key has more than 8 parts, or if brackets are nested more than
+/// 8 deep
 void check_toml_nesting_depth(std::string_view toml_text, const std::string& file_name);
 
 }  // namespace relidar

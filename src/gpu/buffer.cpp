@@ -54,7 +54,8 @@ void check_memory_budget(const Device::Impl& device, std::size_t size_bytes, con
             to_mib(size_bytes), description, to_mib(device.allocated), to_mib(device.memory_limit_bytes)));
     if (size_bytes < kLarge) return;
     gpu::MemoryBudget budget = gpu::query_memory_budget(device.physical);
-    // Without VK_EXT_memory_budget, the driver does not report used memory (n_used is 0).
+    // Without VK_EXT_memory_budget, the driver does not report the used memory, so n_used
+    // is 0.
     budget.n_used = std::max(budget.n_used, device.allocated.load());
     if (budget.n_bytes > 0 && size_bytes > budget.get_free_bytes())
         throw_allocation_error(device, size_bytes, description,
@@ -159,9 +160,10 @@ VkResult Device::Impl::bind_sparse_memory(VkBuffer buffer,
 
 Buffer::Impl::~Impl() {
     if (!handle) return;
-    // Usually the owner of a buffer has waited for the commands that use it. An exception
-    // skips this wait, so the destructor waits for submitted commands. If a stream still
-    // has recorded commands, which it may submit, the buffer is freed later.
+    // Usually the owner of a buffer has waited for the commands that use the buffer. An
+    // exception skips this wait, so the destructor waits for submitted commands here. A
+    // stream may also have recorded commands and submit them later. Then the buffer is
+    // freed later.
     if (std::uncaught_exceptions() > 0) {
         const std::lock_guard lock(device->orphans_mutex);
         if (device->n_recording > 0) {

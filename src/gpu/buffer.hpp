@@ -29,8 +29,8 @@ struct Buffer::Impl {
     Impl& operator=(const Impl&) = delete;
 
 private:
-    /// Allocates the memory of the buffer, in one piece or in pieces of at most
-    /// `max_piece_bytes`.
+    /// Allocates the memory of the buffer. The first function allocates one piece, the
+    /// second function pieces of at most `max_piece_bytes`.
     VkResult allocate_memory(const VkMemoryRequirements& needs);
     VkResult allocate_memory_pieces(const VkMemoryRequirements& needs, std::uint64_t max_piece_bytes);
 };

@@ -26,8 +26,8 @@ double measure_compare_and_swap_error(Device& device, std::uint32_t n_threads, d
 /// Returns the subgroup sizes that kernels can request, of 4 to 64 lanes.
 std::vector<int> list_subgroup_sizes(const Device& device);
 
-/// Tests subgroup operations, and a sort that uses them, with DeviceInfo::subgroup_size
-/// lanes per subgroup.
+/// Tests subgroup operations with DeviceInfo::subgroup_size lanes per subgroup. Also
+/// tests a sort that uses these operations.
 /// @return text about the first wrong result. Empty if all results are right
 std::string describe_subgroup_failure(Device& device);
 

@@ -158,8 +158,8 @@ std::vector<DeviceInfo> describe_physical_devices(const std::vector<VkPhysicalDe
     return infos;
 }
 
-/// Returns the index of the requested device. If none is requested, prefers GPUs to CPUs,
-/// and among GPUs those with ray queries.
+/// Returns the index of the requested device. If none is requested, prefers GPUs to CPU
+/// devices, and GPUs with ray queries to GPUs without them.
 int choose_device_index(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     if (infos.empty())
         throw DeviceError(
@@ -201,8 +201,8 @@ void check_traversal_support(const DeviceInfo& info, RayTracingBackend traversal
             "cannot open device {} ({}) with software traversal: it lacks these required features: "
             "{}; use --traversal auto",
             info.index, info.name, info.why_not_software));
-    // SwiftShader cannot run the tracing kernels. It is accepted, because tests run all
-    // other kernels on it.
+    // SwiftShader cannot run the tracing kernels. It is accepted anyway, because tests
+    // run all other kernels on it.
     const bool runs_the_rest = gpu::is_swiftshader(info);
     if (traversal == RayTracingBackend::automatic &&
         choose_best_traversal(info) == RayTracingBackend::automatic && !runs_the_rest)
@@ -244,8 +244,8 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     check_traversal_support(impl_->info, options.traversal);
     impl_->traversal = options.traversal == RayTracingBackend::automatic ? choose_best_traversal(impl_->info)
                                                                          : options.traversal;
-    // If no traversal method works, selects the software tree, whose constructor then
-    // throws an error with the reason.
+    // If no traversal method works, selects the software tree. The constructor of the
+    // software tree then throws an error with the reason.
     if (impl_->traversal == RayTracingBackend::automatic) impl_->traversal = RayTracingBackend::software;
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = options.memory_limit_bytes;
@@ -282,7 +282,7 @@ void Device::Impl::open_device(const std::filesystem::path& cache_folder) {
 namespace {
 
 /// Feature structs of Vulkan extensions, with all features enabled.
-/// create_logical_device() requests only those that the device supports.
+/// create_logical_device() requests only the features that the device supports.
 struct ExtensionFeatures {
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
@@ -397,7 +397,7 @@ void Device::Impl::read_device_limits() {
     largest_buffer = {sizes.maxBufferSize, "maxBufferSize"};
     if (info.memory_bytes && info.memory_bytes < largest_buffer.n_bytes)
         largest_buffer = {info.memory_bytes, "the device memory"};
-    // lavapipe reports a limit of 2 GiB for sparse buffers, but larger ones work.
+    // lavapipe reports a limit of 2 GiB for sparse buffers, but larger buffers work.
     const std::uint64_t sparse_bytes = properties.properties.limits.sparseAddressSpaceSize;
     if (binds_sparse && sparse_bytes < largest_buffer.n_bytes && !info.driver.starts_with("llvmpipe"))
         largest_buffer = {sparse_bytes, "sparseAddressSpaceSize"};

@@ -39,9 +39,9 @@ std::string get_result_name(VkResult result);
 struct VulkanInstance {
     VkInstance handle = VK_NULL_HANDLE;
     VkDebugUtilsMessengerEXT messenger = VK_NULL_HANDLE;
-    /// Destroys the debug messenger of this instance. Stored here, because volk's global
-    /// function pointer becomes null if an instance without the extension is opened
-    /// later.
+    /// Function that destroys the debug messenger of this instance. It is stored here
+    /// because volk's global function pointer becomes null if an instance without the
+    /// extension is opened later.
     PFN_vkDestroyDebugUtilsMessengerEXT destroy_messenger = nullptr;
     std::atomic<std::size_t> n_messages{0};
 
@@ -65,7 +65,6 @@ void set_object_name(VkDevice device, VkObjectType type, Handle handle, const st
     vkSetDebugUtilsObjectNameEXT(device, &info);
 }
 
-/// Returns true if the physical device supports the extension `name`.
 bool has_extension(VkPhysicalDevice physical, const char* name);
 
 /// Collects the names of features that a device lacks, for an error message.
@@ -76,8 +75,8 @@ struct Missing {
     }
 };
 
-/// Optional device features that guarantee the behaviour of subgroups. Kernels rely on
-/// this behaviour even on devices without these features.
+/// Optional device features that guarantee the behaviour of subgroups. Kernels need this
+/// behaviour, and they also run on devices that do not guarantee it.
 struct OptionalFeatures {
     /// True if a kernel can request subgroups of exactly DeviceInfo::subgroup_size lanes.
     bool subgroup_size = false;
@@ -112,8 +111,8 @@ std::string list_features_missing_for_networks(const VkPhysicalDeviceSubgroupPro
 /// Sharing saves time because trainings and renderers create dozens of kernels. The CPU
 /// driver lavapipe needs 10 ms for each pipeline, even if its code is cached.
 ///
-/// A GPU's driver needs seconds to compile without a cache. Therefore a thread starts to
-/// compile a pipeline as soon as its kernel is created.
+/// A GPU's driver needs seconds to compile a pipeline that is not in its cache. Therefore
+/// a thread starts to compile a pipeline as soon as its kernel is created.
 struct ComputePipelines {
     struct CompiledPipeline {
         VkResult result;
@@ -155,7 +154,8 @@ struct Device::Impl {
         const char* name;
     };
     /// Maximum size of an array, and maximum size of one memory allocation. If
-    /// `binds_sparse` is true, a larger array consists of several allocations.
+    /// `binds_sparse` is true, an array larger than largest_allocation consists of
+    /// several allocations.
     DriverMemoryLimit largest_buffer{}, largest_allocation{};
     std::unique_ptr<gpu::DeviceMemoryAllocator> memory;
     std::unique_ptr<gpu::BufferTransfers> transfers;
@@ -163,11 +163,11 @@ struct Device::Impl {
     gpu::ComputePipelines pipelines;
     gpu::LaunchTimeLimit launch_limit;
     std::mutex queue_mutex;
-    /// Layout of all compute pipelines: push constants with two device addresses, those
-    /// of the parameter struct and of `nothing`.
+    /// Layout of all compute pipelines. The push constants are two device addresses: the
+    /// address of the parameter struct and the address of `nothing`.
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;
-    /// Buffer of zeros. Its address replaces the address of an array that a kernel launch
-    /// leaves out.
+    /// Buffer of zeros. If a kernel launch leaves out an array, the kernel gets the
+    /// address of this buffer instead.
     std::unique_ptr<Buffer::Impl> nothing;
     std::uint64_t memory_limit_bytes = 0;  ///< Maximum size of all arrays in bytes. 0 means no limit.
     bool compile_only = false;
@@ -177,7 +177,7 @@ struct Device::Impl {
     /// True if every kernel must request subgroups of DeviceInfo::subgroup_size lanes,
     /// because the device failed the test with the driver's default size.
     bool forced_lanes = false;
-    ForcedBehaviour forced;  ///< Behaviour that a test selects instead of the default.
+    ForcedBehaviour forced;  ///< Behaviour that a test has selected instead of the default.
     /// If true (GPU), pipelines are compiled when their kernels are created. If false
     /// (CPU), each pipeline is compiled at its first launch.
     bool compiles_ahead = false;
@@ -189,8 +189,8 @@ struct Device::Impl {
     std::atomic<std::uint64_t> peak{0};
     /// Number of streams with commands that are recorded but not submitted yet.
     std::atomic<int> n_recording{0};
-    /// Buffer whose owner was destroyed by an exception while a stream had recorded
-    /// commands. It is freed later, because these commands may use it.
+    /// Buffer that was kept because an exception destroyed its owner while a stream had
+    /// recorded commands. These commands may use the buffer, so it is freed later.
     struct OrphanedBuffer {
         VkBuffer handle;
         std::vector<gpu::MemorySuballocation> memory;
@@ -219,11 +219,11 @@ struct Device::Impl {
     /// destructors call this function. A lost device does no more work.
     void wait_idle() noexcept;
     /// Binds pieces of memory to a sparse buffer, one after another. Waits until the
-    /// queue has done this.
+    /// queue has bound all pieces.
     VkResult bind_sparse_memory(VkBuffer buffer, const std::vector<gpu::MemorySuballocation>& pieces);
     void free_buffer(const OrphanedBuffer& buffer) noexcept;
-    /// Frees the buffers that were kept after exceptions (Orphan), unless a stream still
-    /// has recorded commands.
+    /// Frees the buffers that were kept after exceptions (OrphanedBuffer). Does nothing
+    /// if a stream still has recorded commands.
     void free_orphaned_buffers();
 };
 

@@ -20,12 +20,12 @@ namespace {
 /// Copies `n_vectors` vectors several times. Returns the duration of the fastest copy in
 /// seconds.
 ///
-/// Alternates between a copy kernel and the driver's copy command, because either can be
-/// faster. A GPU's driver may use only a part of the GPU. A CPU's driver moves larger
-/// pieces than kernel threads do.
+/// Alternates between a copy kernel and the driver's copy command, because either of them
+/// can be faster. A GPU's driver may use only a part of the GPU. A CPU's driver moves
+/// larger pieces than kernel threads do.
 ///
-/// A GPU raises its clock only under load, so the copies run without pauses. A CPU runs
-/// each kind of copy only once, because each copy takes seconds there.
+/// A GPU raises its clock only under load, so the copies run without pauses. A CPU device
+/// runs each kind of copy only once, because each copy takes seconds there.
 double measure_copy_seconds(Device& device, std::size_t n_vectors) {
     const Array<glm::vec4, shared::CopySource> from(device, n_vectors, "source of a test copy");
     const Array<glm::vec4, shared::CopyTarget> to(device, n_vectors, "target of a test copy");
@@ -64,7 +64,7 @@ std::optional<double> measure_copy_bytes_per_s(Device& device) {
         try {
             return 2.0 * static_cast<double>(n_bytes) /
                    measure_copy_seconds(device, n_bytes / sizeof(glm::vec4));
-            // The array does not fit into memory, so the loop tries a smaller one.
+            // The array does not fit into memory, so the loop tries a smaller array.
         } catch (const OutOfDeviceMemory&) {}
     }
     return std::nullopt;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads device options from environment variables. The library ignores these variables
-// unless a program calls this function.
+// Reads device options from environment variables. The library ignores these variables if
+// the program does not call this function.
 #include <relidar/gpu/device.hpp>
 
 #include <charconv>

@@ -13,8 +13,7 @@ namespace relidar {
 /// reported. Returns 0 if validation is disabled.
 std::size_t count_validation_messages(const Device& device);
 
-/// Behaviour of a device that a test can select, although the device would choose another
-/// one.
+/// Behaviour of a device that a test can select instead of the default of the device.
 struct ForcedBehaviour {
     /// If true, each ray tests every surfel instead of searching an acceleration
     /// structure.
@@ -26,8 +25,8 @@ struct ForcedBehaviour {
     std::optional<int> side_by_side = std::nullopt;
 };
 
-/// While this scope object exists, objects that are created on the device have the given
-/// behaviour. Used by tests.
+/// While an object of this class exists, all objects that are created on the device have
+/// the given behaviour. Used by tests.
 class ForcedBehaviourScope {
 public:
     ForcedBehaviourScope(Device& device, const ForcedBehaviour& ways);

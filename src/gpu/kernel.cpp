@@ -35,8 +35,8 @@ std::span<const std::uint32_t> find_embedded_spirv(std::string_view name) {
 constexpr std::array<std::string_view, 3> kReconverging{"diff/accel/bvh_cluster", "diff/backward/trace",
                                                         "gpu/check_subgroups"};
 
-/// Returns true for lavapipe up to version 25.0. In these versions, a load in a branch
-/// does nothing if no lane takes the branch.
+/// Returns true for lavapipe up to version 25.0. In these versions, a load in a branch is
+/// skipped if no lane takes the branch.
 bool has_safe_loads_in_branches(const std::string& driver_name) {
     int major = 0, minor = 0;
     const std::size_t version = driver_name.find("Mesa ");
@@ -125,9 +125,8 @@ std::string make_pipeline_key(std::string_view name, const std::vector<Specialis
     return key;
 }
 
-/// Limits the number of pipelines that are compiled at the same time. While this object
-/// exists, it occupies one of the allowed compilations. The constructor waits for a free
-/// one.
+/// Limits the number of pipelines that are compiled at the same time. Each object of this
+/// class occupies one slot. The constructor waits until a slot is free.
 class CompilerSlot {
 public:
     explicit CompilerSlot(std::counting_semaphore<>& compilers) : compilers_(compilers) {

@@ -39,8 +39,8 @@ struct SpecialisationConstant {
 };
 
 /// Whether a kernel requires full subgroups, with exactly DeviceInfo::subgroup_size
-/// active lanes. Kernels that compute thread indices from subgroups require them, because
-/// some compilers choose smaller subgroups.
+/// active lanes. Kernels that compute thread indices from subgroups require full
+/// subgroups, because some compilers choose smaller subgroups.
 enum class SubgroupRequirement { any, full };
 
 /// Returns the name of the parameter struct of a kernel. Returns an empty text if the
@@ -54,8 +54,8 @@ constexpr std::string_view find_params_struct_name(std::string_view kernel_name)
 /// Returns the name of a struct without its namespaces.
 template <class Struct>
 consteval std::string_view get_struct_name() {
-    // Text of the compiler that contains the name, for example "... [with Struct =
-    // relidar::shared::AdamParams; ...]".
+    // The compiler's text for this function contains the name, for example "... [with
+    // Struct = relidar::shared::AdamParams; ...]".
     std::string_view text = __PRETTY_FUNCTION__;
     const std::size_t begin = text.find("Struct = ") + 9;
     text = text.substr(begin, text.find_first_of(";]", begin) - begin);
@@ -63,12 +63,12 @@ consteval std::string_view get_struct_name() {
 }
 
 /// Compute pipeline on a device. Equal kernels (same name and constants) share one
-/// pipeline. The workgroup size is the device's default unless a constant sets it.
+/// pipeline. If no constant sets the workgroup size, it is the device's default.
 class KernelBase {
 public:
-    /// Creates a kernel. A GPU pipeline is compiled immediately by another thread, a CPU
-    /// pipeline at the first launch. If the driver rejects it, the first launch throws a
-    /// DeviceError.
+    /// Creates a kernel. On a GPU, another thread starts to compile the pipeline
+    /// immediately. On a CPU device, the first launch compiles it. If the driver rejects
+    /// the kernel, the first launch throws a DeviceError.
     /// @param name name of an embedded kernel
     KernelBase(Device& device, std::string_view name,
                const std::vector<SpecialisationConstant>& constants = {},
@@ -88,8 +88,8 @@ private:
     void compile_without_running();
 };
 
-/// Name of a kernel, for example "stage/stem". Does not compile if the kernel of this
-/// name has another parameter struct than Params.
+/// Name of a kernel, for example "stage/stem". Compilation fails if the parameter struct
+/// of the kernel with this name is not Params.
 template <class Params>
 class KernelName {
 public:
@@ -126,8 +126,8 @@ public:
         : KernelBase(device, std::string(name.text()) + variant.suffix, constants, subgroups) {}
 };
 
-/// Returns true if neighbouring threads should read neighbouring addresses. This is
-/// faster on a GPU, because a subgroup then loads complete cache lines. On a CPU it is
+/// Returns true if neighbouring threads should read neighbouring addresses. On a GPU this
+/// is faster, because a subgroup then loads complete cache lines. On a CPU device it is
 /// faster if each thread reads consecutive addresses.
 bool prefers_coalesced_access(const Device& device);
 /// Returns true if a test has disabled the acceleration structure, so that rays must test

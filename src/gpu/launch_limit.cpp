@@ -17,17 +17,17 @@ double KernelSpeed::estimate_dispatch_s(std::uint32_t n_groups) const { return s
 
 bool KernelSpeed::should_measure_dispatch(double dispatch_s, std::uint32_t n_groups) {
     constexpr std::uint64_t kFirst = 8, kEvery = 64;
-    // Small launches are not measured, because their fixed cost would make the kernel
-    // look slow. If all dispatches of a kernel are small, they are measured, because it
-    // may have become faster.
+    // Small dispatches are not measured, because their fixed cost would make the kernel
+    // look slow. Exception: a slow kernel has only small dispatches. They are measured,
+    // because the kernel may have become faster.
     if (n_groups < std::min(kUnknownGroups / 4, choose_groups_per_dispatch(dispatch_s) / 2)) return false;
     const std::uint64_t n = n_dispatches_++;
     return n < kFirst || n % kEvery == 0;
 }
 
 void KernelSpeed::add_measured_dispatch(std::uint32_t n_groups, double seconds) {
-    // The slowest recent launch counts, because a kernel may be slower in another scene.
-    // Each new measurement reduces the weight of older ones.
+    // Uses the slowest of the recent launches, because a kernel may be slower in another
+    // scene. Each new measurement reduces the weight of older measurements.
     constexpr double kForget = 0.9;
     s_per_group_ = std::max(seconds / n_groups, kForget * s_per_group_);
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Limits the duration of a dispatch, because drivers and operating systems reset a GPU if
-// a dispatch takes seconds. Splits a large launch into several dispatches. Earlier
-// launches of the same kernel give the expected duration.
+// a dispatch takes seconds. Splits a large launch into several dispatches. The expected
+// duration is computed from earlier launches of the same kernel.
 #pragma once
 
 #include <atomic>
@@ -12,9 +12,9 @@
 
 namespace relidar::gpu {
 
-/// Measured speed of a kernel on a device. Several threads may share an object. It has no
-/// lock, because every launch reads it. If two threads add measurements simultaneously,
-/// one can be lost.
+/// Measured speed of a kernel on a device. Several threads may share an object. The
+/// object has no lock, because every launch reads it. If two threads add measurements
+/// simultaneously, one measurement can be lost.
 class KernelSpeed {
 public:
     /// Number of workgroups per dispatch for a kernel whose speed is unknown.
@@ -39,7 +39,7 @@ private:
 /// Measured speeds of all kernels of a device.
 class LaunchTimeLimit {
 public:
-    /// Target duration of a dispatch and of a submission, in seconds. Half of the
+    /// Target duration of a dispatch and of a submission, in seconds. It is half of the
     /// duration that drivers allow, because speeds vary. 0 = no limit.
     double piece_s = 0.0;
 

@@ -14,8 +14,8 @@ namespace relidar::gpu {
 
 namespace {
 
-// Alignment of all buffers in bytes. Acceleration structures need this alignment, which
-// is the largest.
+// Alignment of all buffers in bytes. Acceleration structures need this alignment. All
+// other buffers need less.
 constexpr std::uint64_t kAlignment = 256;
 
 /// Returns the memory properties to request, best first.
@@ -94,8 +94,8 @@ DeviceMemoryAllocator::~DeviceMemoryAllocator() {
 }
 
 /// Returns the size of a memory block that several buffers share. It is smaller for a
-/// small heap, for example of 256 MiB if the host can access only a part of the device
-/// memory.
+/// small heap. For example, a heap has 256 MiB if the host can access only a part of the
+/// device memory.
 std::uint64_t DeviceMemoryAllocator::get_shared_block_bytes(std::uint32_t memory_type) const {
     const std::uint64_t heap_bytes =
         properties_.memoryHeaps[properties_.memoryTypes[memory_type].heapIndex].size;
@@ -103,9 +103,8 @@ std::uint64_t DeviceMemoryAllocator::get_shared_block_bytes(std::uint32_t memory
     return heap_bytes ? std::min(kBlockBytes, heap_bytes / 16) : kBlockBytes;
 }
 
-/// Returns the memory types that satisfy the requirements, best first. Only small
-/// parameter buffers may use device memory that the host can access, because there may be
-/// little of it.
+/// Returns the memory types that satisfy the requirements, best first. Device memory that
+/// the host can access may be scarce. Therefore only small parameter buffers may use it.
 std::vector<std::uint32_t> DeviceMemoryAllocator::list_memory_types(const VkMemoryRequirements& needs,
                                                                     BufferPurpose use) const {
     std::vector<std::uint32_t> suitable_types;
@@ -154,8 +153,8 @@ VkResult DeviceMemoryAllocator::allocate_from_new_block(const VkMemoryRequiremen
                                                         std::optional<MemorySuballocation>& piece) {
     const std::uint64_t shared = get_shared_block_bytes(memory_type);
     VkResult result = VK_SUCCESS;
-    // Tries to allocate a block for several buffers first, and then only the required
-    // size.
+    // Tries to allocate a block that several buffers can share. If this fails, tries to
+    // allocate only the required size.
     for (const std::uint64_t n_bytes : {needs.size > shared / 2 ? needs.size : shared, needs.size}) {
         result = add_block(memory_type, n_bytes);
         if (result == VK_SUCCESS && (piece = allocate_from_existing_block(needs, memory_type)))
@@ -190,7 +189,7 @@ VkResult DeviceMemoryAllocator::map_block(MemoryBlock& block) {
 }
 
 /// Releases the memory of a buffer. Keeps one empty block of each memory type. Otherwise
-/// short-lived buffers would repeatedly allocate and free a block.
+/// short-lived buffers would repeatedly allocate and free the same block.
 void DeviceMemoryAllocator::release_piece(const MemorySuballocation& piece) {
     const std::lock_guard lock(mutex_);
     piece.block->free.release_range(piece.offset, piece.n_bytes);

@@ -19,7 +19,7 @@
 namespace relidar::gpu {
 
 /// Purpose of a buffer, which determines its Vulkan memory type. All buffers except those
-/// for `device` stay mapped and are host-coherent.
+/// with the purpose `device` stay mapped and are host-coherent.
 enum class BufferPurpose {
     device,  ///< Arrays that kernels read and write.
     /// Parameters that the host writes and kernels read. In device memory if the host can

@@ -26,8 +26,8 @@ struct PipelineCacheHeader {
     std::uint64_t hash = 0;
 };
 
-/// Returns a hash (FNV-1a) with which damaged cache files are detected. A damaged file
-/// may crash the driver, because drivers check only the header of their data.
+/// Returns a hash (FNV-1a) that detects damaged cache files. A damaged file could crash
+/// the driver, because drivers check only the header of their data.
 std::uint64_t compute_hash(std::string_view bytes) {
     std::uint64_t hash = 0xcbf29ce484222325u;
     for (const char byte : bytes) hash = (hash ^ static_cast<unsigned char>(byte)) * 0x100000001b3u;

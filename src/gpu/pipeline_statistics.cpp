@@ -34,8 +34,8 @@ void read_pipeline_statistics(VkDevice device, VkPipeline pipeline, PipelineStat
     check_vulkan_result(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, executables.data()),
                         "vkGetPipelineExecutablePropertiesKHR");
     if (n == 0) return;
-    // Some drivers (Intel) compile one executable per subgroup size. The last one has the
-    // largest subgroups.
+    // Some drivers (Intel) compile one executable per subgroup size. The last executable
+    // has the largest subgroups.
     statistics.subgroup_size = static_cast<int>(executables[n - 1].subgroupSize);
     VkPipelineExecutableInfoKHR program{VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_INFO_KHR};
     program.pipeline = pipeline;

@@ -14,8 +14,8 @@
 namespace relidar {
 namespace {
 
-// Number of threads of the kernel that sums the counts of each digit: 128 to 2048
-// subgroups for 256 digits.
+// Number of threads of the kernel that sums the counts of each digit. They form 128 to
+// 2048 subgroups for 256 digits.
 constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;
 
 }  // namespace

@@ -26,12 +26,12 @@ public:
     std::uint32_t capacity() const { return capacity_; }
 
     /// Returns the number of passes that sort keys of `key_bits` bits, 8 bits per pass.
-    /// If it is odd, the result is in the second set of arrays.
+    /// If the number is odd, the result is in the second set of arrays.
     static std::uint32_t count_passes(std::uint32_t key_bits) {
         return key_bits > 8 ? (key_bits + 7) / 8 : 1;
     }
     /// Submits kernels that sort keys by their low `key_bits` bits. Equal keys keep their
-    /// order. Overwrites both sets.
+    /// order. Overwrites both sets of arrays.
     /// @param input keys to sort. The order array of this set is not read
     /// @param n_keys address of the number of keys. If null, the number equals the
     /// capacity. Keys beyond the capacity are ignored

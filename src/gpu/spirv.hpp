@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads SPIR-V modules and edits them when they are loaded. Execution modes are added
-// here because they depend on the device, and because glslang may not know their GLSL
-// extensions. Parameters are marked read-only here because the GLSL qualifier affects too
-// many variables (shaders/base/kernel.glsl).
+// here because they depend on the device, and because glslang may not know the GLSL
+// extensions for them. Parameters are marked read-only here because the GLSL qualifier
+// would affect too many variables (shaders/base/kernel.glsl).
 #pragma once
 
 #include <cstdint>
@@ -37,14 +37,15 @@ std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> wor
 std::vector<std::uint32_t> make_parameters_read_only(std::span<const std::uint32_t> words);
 
 /// Returns a copy of a SPIR-V module that loads all parameters once, at the start of the
-/// kernel. Used only for the CPU driver lavapipe, which otherwise repeats loads in loops
-/// and branches for each lane. Compilers of GPUs choose a better time for each load.
+/// kernel. Used only for the CPU driver lavapipe. It would otherwise repeat the loads for
+/// each lane in loops and branches. Compilers of GPUs choose a better time for each load.
 std::vector<std::uint32_t> hoist_parameter_loads(std::span<const std::uint32_t> words);
 
 /// Returns a copy of a module in which the compiler cannot prove that array indices are
-/// uniform. Used for lavapipe after 25.0, which executes uniform loads even in a branch
-/// that no lane takes. The index is then arbitrary, so the load may crash. Non-uniform
-/// loads run only for active lanes.
+/// uniform, that is, equal in all lanes. Used for versions of lavapipe after 25.0. They
+/// execute a load with a uniform index even in a branch that no lane takes. The index can
+/// then have any value, so the load may crash. A load with a non-uniform index runs only
+/// for active lanes.
 ///
 /// Call this function before hoist_parameter_loads(), which moves the loads of
 /// parameters.
@@ -52,7 +53,7 @@ std::vector<std::uint32_t> make_indices_nonuniform(std::span<const std::uint32_t
 
 /// Returns a copy of a SPIR-V module without branches that depend only on specialisation
 /// constants. Unreachable blocks stay in the module. lavapipe then compiles large kernels
-/// faster, because it would remove these branches only after inlining all functions.
+/// faster. It would remove these branches too, but only after inlining all functions.
 /// @param constants values by id. Other constants keep their default value
 std::vector<std::uint32_t> remove_constant_branches(std::span<const std::uint32_t> words,
                                                     const std::map<std::uint32_t, std::uint32_t>& constants);
@@ -61,7 +62,6 @@ std::vector<std::uint32_t> remove_constant_branches(std::span<const std::uint32_
 /// byte offsets.
 std::vector<std::uint32_t> list_parameter_address_offsets(std::span<const std::uint32_t> words);
 
-/// Returns the ids of the module's specialisation constants.
 std::set<std::uint32_t> list_specialisation_constant_ids(std::span<const std::uint32_t> words);
 
 }  // namespace relidar::gpu

@@ -27,7 +27,8 @@ public:
     void append_address_offsets(std::uint32_t type_id, std::uint32_t start_offset,
                                 std::vector<std::uint32_t>& offsets) const {
         const auto type_entry = types_.find(type_id);
-        // Numbers and vectors contain no address. The map does not list them.
+        // Numbers and vectors contain no address, so the map has no entry for their
+        // types.
         if (type_entry == types_.end()) return;
         const SpirvInstruction t = type_entry->second;
         switch (t[0] & 0xffffu) {

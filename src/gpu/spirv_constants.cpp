@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Removes branches whose conditions depend only on specialisation constants. Evaluates
 // the operations that our kernels use in conditions: 32-bit constants, equality and
-// logical operators. The driver handles other conditions. Keeps a branch if its removal
-// requires moving blocks.
+// logical operators. Other conditions are left to the driver. Keeps a branch if its
+// removal requires moving blocks.
 #include <algorithm>
 #include <map>
 #include <optional>
@@ -145,8 +145,9 @@ public:
     }
 
     /// Returns true if the branch from block `source_block` to block `successor` can be
-    /// removed. Blocks behind it become unreachable. They must not be predecessors in a
-    /// phi instruction, and must not end or continue an enclosing loop.
+    /// removed. Blocks that can be reached only through this branch become unreachable.
+    /// They must not be predecessors in a phi instruction, and must not end or continue
+    /// an enclosing loop.
     /// @param merge_block block in which both paths of the branch join
     bool can_remove_branch(std::uint32_t source_block, std::uint32_t successor,
                            std::uint32_t merge_block) const {

@@ -68,8 +68,8 @@ private:
     std::uint32_t next_, uint_ = 0, entry_ = 0, push_ = 0, lane_ = 0, block_ = 0, block_pointer_ = 0;
     std::uint32_t input_pointer_ = 0, private_pointer_ = 0, push_pointer_ = 0, zero_ = 0, constant_0_ = 0,
                   constant_1_ = 0, constant_255_ = 0;
-    /// Types of pointers to device memory, and values that are the address of the
-    /// parameter block, as SPIR-V ids.
+    /// Ids of types that are pointers to device memory, and ids of values that contain
+    /// the address of the parameter block.
     std::set<std::uint32_t> storage_pointers_, parameters_;
     bool is_new_lane_ = false, decorated_ = false, declared_ = false, in_entry_ = false, filled_ = false;
 

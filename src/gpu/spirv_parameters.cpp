@@ -3,8 +3,10 @@
 // push constant become loads of private variables, which the entry point fills first.
 // Recognises code as glslang writes it without optimisation:
 //
-//   %chain = OpAccessChain %address_in_push %push %int_0      %block = OpLoad %pointer_to_block %chain
-//   %place = OpAccessChain %pointer %block %int_0 %int_k ...  %value = OpLoad %type %place Aligned n
+//   %chain = OpAccessChain %address_in_push %push %int_0
+//   %block = OpLoad %pointer_to_block %chain
+//   %place = OpAccessChain %pointer %block %int_0 %int_k ...
+//   %value = OpLoad %type %place Aligned n
 #include <map>
 #include <optional>
 #include <set>
@@ -118,7 +120,7 @@ public:
     }
 
     /// Appends SPIR-V instructions that load one parameter from its private variable.
-    /// @param function_code receives the instructions
+    /// @param code receives the instructions
     /// @param path member indices of the parameter
     /// @param result_id id of the loaded value
     void append_parameter_load(SpirvWords& code, std::uint32_t type_id, const MemberPath& path,
@@ -171,8 +173,8 @@ private:
     std::map<std::uint32_t, std::uint32_t> private_pointer_, storage_pointer_, index_;
     SpirvWords globals_, decorations_;
 
-    /// Returns the alignment of a type in bytes. Returns nullopt unless the type is a
-    /// number, vector or address.
+    /// Returns the alignment of a number, vector or address in bytes. Returns nullopt for
+    /// any other type.
     std::optional<std::uint32_t> get_type_alignment(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
         switch (t[0] & 0xffffu) {

@@ -120,8 +120,8 @@ void Stream::Impl::store_lane_command(const std::string& name, VulkanCommandReco
 }
 
 /// Records the commands of all lanes (concurrent sequences), step by step. Each step has
-/// a single pair of timestamps. More timestamps would make its commands wait for each
-/// other.
+/// a single pair of timestamps. With more timestamps, the commands of a step would have
+/// to wait for each other.
 void Stream::Impl::record_stored_lane_commands() {
     std::size_t n_steps = 0;
     for (const CommandSequence& one : lanes) n_steps = std::max(n_steps, one.size());
@@ -231,9 +231,9 @@ std::uint64_t Stream::Impl::store_parameters(const KernelBase& kernel, const voi
     return store_host_bytes(params.data(), n_bytes).address;
 }
 
-/// Launch of a kernel. Its workgroups form rows and columns, because Vulkan limits their
-/// number in one dimension. A launch that would take too long is split into dispatches of
-/// consecutive rows.
+/// Launch of a kernel. Its workgroups form rows and columns, because Vulkan limits the
+/// number of workgroups in one dimension. A launch that would take too long is split into
+/// dispatches of consecutive rows.
 struct Stream::Impl::Dispatch {
     VkPipeline pipeline;
     std::array<std::uint64_t, 2> pushed;
@@ -257,11 +257,11 @@ Stream::Impl::Dispatch make_dispatch(VkPipeline pipeline, const std::array<std::
     constexpr std::uint32_t kMaxGroups = 65535;
     const std::uint32_t columns =
         std::max(std::min({n_groups, kMaxGroups, groups_per_piece}), (n_groups - 1) / kMaxGroups + 1);
-    // All rows have the same number of workgroups, so that few workgroups are
-    // superfluous.
+    // Gives all rows the same number of workgroups, so that the launch has few
+    // superfluous workgroups.
     const std::uint32_t rows = (n_groups - 1) / columns + 1, even_columns = (n_groups - 1) / rows + 1;
-    // A launch that is short enough, or must not be split, is a single dispatch with all
-    // rows.
+    // A launch that is short enough, or that must not be split, is recorded as a single
+    // dispatch with all rows.
     const std::uint32_t rows_per_piece =
         groups_per_piece >= n_groups ? rows : std::max(1u, groups_per_piece / even_columns);
     return {pipeline, push_constants, rows, even_columns, rows_per_piece};

@@ -53,8 +53,8 @@ struct Stream::Impl {
         VkCommandPool pool = VK_NULL_HANDLE;
         /// Command buffer that commands are currently recorded to.
         VkCommandBuffer commands = VK_NULL_HANDLE;
-        /// Command buffers of the submission. A long submission has several, which are
-        /// submitted one after another. They are reused by later submissions.
+        /// Command buffers of the submission. A long submission has several command
+        /// buffers, which are submitted one after another. Later submissions reuse them.
         std::vector<VkCommandBuffer> buffers;
         std::size_t n_buffers = 0;  ///< Number of command buffers of the current recording.
         VkQueryPool queries = VK_NULL_HANDLE;
@@ -97,9 +97,9 @@ struct Stream::Impl {
     std::array<SubmissionSlot, kSlots> slots;
     std::size_t current = 0;
     bool recording = false;  ///< True if commands were recorded but not submitted yet.
-    int n_concurrent = 0;    ///< Number of open Concurrent scopes.
-    /// True if commands were recorded in the open Concurrent scope, so that a barrier
-    /// must follow at its end.
+    int n_concurrent = 0;    ///< Number of open ConcurrentLaunchScope objects.
+    /// True if commands were recorded in the open ConcurrentLaunchScope, so that a
+    /// barrier must follow at the end of the scope.
     bool owes_barrier = false;
     /// Concurrent command sequences (lanes) of the current ConcurrentSequenceScope scope.
     std::vector<CommandSequence> lanes = {};
@@ -121,7 +121,7 @@ struct Stream::Impl {
     /// if there is none.
     VkCommandBuffer get_command_buffer();
     /// Records a command with timestamps, and a barrier after it. In a
-    /// ConcurrentSequenceScope scope, only stores the command;
+    /// ConcurrentSequenceScope, only stores the command, and
     /// record_stored_lane_commands() records it later.
     /// @param name name of the command in the measured times
     template <class Recorded>
@@ -152,7 +152,6 @@ struct Stream::Impl {
     Address<T> store_host_values(const std::vector<T>& values) {
         return Address<T>(store_host_bytes(values.data(), values.size() * sizeof(T)).address);
     }
-    /// Records a copy of host bytes to a device buffer.
     void record_buffer_write(const Buffer& buffer, const void* bytes, std::size_t n_bytes);
     /// Records a copy from a device buffer to host-readable memory, which stays alive
     /// until the submission is complete.
@@ -171,7 +170,7 @@ private:
     std::uint64_t store_parameters(const KernelBase& kernel, const void* bytes, std::size_t n_bytes);
     void store_lane_command(const std::string& name, VulkanCommandRecorder command);
     /// Records a barrier, so that later commands see earlier device writes. In a
-    /// Concurrent scope, only the end of the scope records a barrier.
+    /// ConcurrentLaunchScope, only the end of the scope records a barrier.
     void request_memory_barrier();
     void record_memory_barrier();
     /// Writes the timestamp before a command.

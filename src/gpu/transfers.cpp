@@ -73,8 +73,8 @@ void BufferTransfers::copy(const Buffer::Impl& source, const Buffer::Impl& targe
     copy_and_wait(source.handle, target.handle, {0, 0, n_bytes});
 }
 
-/// Copies and waits until the copy is complete. No barrier is needed before it, because
-/// every submission of a stream ends with a barrier.
+/// Copies and waits until the copy is complete. Before the copy, no barrier is needed,
+/// because every submission of a stream ends with a barrier.
 void BufferTransfers::copy_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region) {
     if (!done_) create_command_buffer();
     check_vulkan_result(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");

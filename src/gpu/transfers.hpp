@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blocking copies between host and device, for code that need not be fast. The first copy
-// creates the command buffer and a staging buffer per direction. Thread-safe.
+// Blocking copies between host and device, for code whose speed does not matter. The
+// first copy creates the command buffer and a staging buffer per direction. Thread-safe.
 #pragma once
 
 #include <memory>
@@ -19,7 +19,6 @@ public:
 
     void upload(const Buffer::Impl& target, const void* data, std::size_t n_bytes, std::size_t offset_bytes);
     void download(const Buffer::Impl& source, void* data, std::size_t n_bytes, std::size_t offset_bytes);
-    /// Copies the first `n_bytes` bytes of the buffer `source` to the buffer `target`.
     void copy(const Buffer::Impl& source, const Buffer::Impl& target, std::size_t n_bytes);
 
 private:

@@ -26,7 +26,7 @@ std::string& get_injected_faults() {
 }
 
 /// Test results of devices that could not be stored in a file. The key consists of the
-/// device, the driver and the faults that a test has forced.
+/// device, the driver and the faults that a test has injected.
 struct UnsavedTestResults {
     std::mutex mutex;
     std::map<std::string, DeviceTestResults> by_device;
@@ -36,11 +36,11 @@ UnsavedTestResults& get_unsaved_check_results() {
     return results;
 }
 
-/// Test results that a Trusting object has set for this thread, or null.
+/// Test results that a ScopedDeviceTestResults object has set for this thread, or null.
 thread_local const DeviceTestResults* fixed_trust = nullptr;
 
 /// Returns the text of the file with a device's test results. A file is accepted only if
-/// it equals this text exactly, so that damaged files are ignored.
+/// its content equals this text exactly, so that damaged files are ignored.
 std::string format_check_results(const std::string& driver, const DeviceTestResults& trust) {
     return fmt::format(
         "relidar {} checked this device at its first use. Delete this file to repeat the check.\n"
@@ -96,8 +96,8 @@ DeviceTestResults get_device_check_results(const Device::Impl& device, const Dev
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(device.physical, &properties);
     std::filesystem::path path;
-    // Results with faults that a test has forced must not affect later runs, so they are
-    // not stored.
+    // Results are not stored if a test has injected faults, because these results must
+    // not affect later runs.
     if (!options.pipeline_cache.empty() && get_injected_faults().empty())
         path = options.pipeline_cache / ("check_" + make_device_key(properties) + ".txt");
     const auto is_complete = [&](const std::optional<DeviceTestResults>& trust) {

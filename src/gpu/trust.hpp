@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides which methods of a device give correct results. The results of this check are
-// stored next to the pipeline cache.
+// Decides which methods of a device give correct results, from the results of a device
+// check. The results are stored next to the pipeline cache.
 #pragma once
 
 #include <filesystem>
@@ -14,12 +14,13 @@ namespace relidar::gpu {
 
 /// Returns the results of the device check. Reads the results from the cache folder if a
 /// valid file exists. Runs the check if the file is missing, damaged, or from another
-/// version of the driver or of relidar. If the results cannot be stored in a file, the
-/// process remembers them. Trusts every method if the program has set no check.
+/// version of the driver or of relidar. If the results cannot be stored in a file, they
+/// are kept in memory until the process ends. If the program has set no check, every
+/// method counts as correct.
 DeviceTestResults get_device_check_results(const Device::Impl& device, const DeviceOptions& options);
 
-/// Replaces the methods that failed the device test by others, and prints one line for
-/// each. Call this function before the device is opened.
+/// Replaces the methods that failed the device test by other methods, and prints one line
+/// for each. Call this function before the device is opened.
 void apply_device_check_results(Device::Impl& device, const DeviceTestResults& trust);
 
 /// Makes parts of the device test fail, for tests. The names are separated by commas:

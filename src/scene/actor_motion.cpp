@@ -9,14 +9,14 @@
 namespace relidar {
 namespace {
 
-// A beam may point up to this many radians to the side of the azimuth that the LiDAR head
-// faces.
+// Maximum angle in radians between the azimuth of a beam and the azimuth that the LiDAR
+// head faces.
 constexpr double kBeside_rad = 0.17;
-// Margin on each side of the azimuth range that a box covers, as a share of half the
-// range. The sensor and the box move during the scan.
+// Margin on each side of the azimuth range that a box covers, as a share of half this
+// range. The margin is needed because the sensor and the box move during the scan.
 constexpr double kBesideShare = 0.25;
-// The time span of an actor's motion is extended by this share, because real LiDAR heads
-// deviate from the nominal firing times.
+// The time span of an actor's motion is lengthened by this share, because real LiDAR
+// heads deviate from the nominal firing times.
 constexpr double kBeyond = 0.02;
 // Assumed maximum difference between a firing time and the reference time of a sweep, if
 // the firing times of the LiDAR are unknown.
@@ -70,8 +70,8 @@ double compute_half_azimuth_width_rad(const Pose& sensor_from_box, const glm::dv
 }
 
 /// Returns the time interval in which the rotating LiDAR head faces a box, so that its
-/// rays can hit the box. Returns the full sweep if this interval is unknown or not inside
-/// the sweep.
+/// rays can hit the box. If this interval is unknown or extends beyond the sweep, returns
+/// the time interval of the full sweep.
 TimeSpan compute_facing_time_span(const LidarSequence& sequence, const PoseTrack& world_from_box,
                                   const glm::dvec3& half_size_m, const SweepTiming& sweep) {
     const TimeSpan all = compute_sweep_time_span(sequence, sweep);
@@ -97,8 +97,8 @@ InstancePose compute_box_pose_in_sweep(const LidarSequence& sequence, const Pose
                                        const glm::dvec3& half_size_m, const SweepTiming& sweep) {
     const TimeSpan span = compute_facing_time_span(sequence, world_from_box, half_size_m, sweep);
     const double half_s = 0.5 * (span.last_s - span.first_s), middle_s = 0.5 * (span.first_s + span.last_s);
-    // Without a rolling shutter, all rays fire at one time. The actor then has a
-    // velocity, but no motion during the sweep.
+    // If all rays fire at the same time, the actor has a velocity, but it does not move
+    // during the sweep.
     const bool moves = half_s > 0.0;
     const TimeSpan measured = moves ? span : TimeSpan{middle_s - kVelocityStep_s, middle_s + kVelocityStep_s};
     const Pose first = world_from_box.interpolate_pose(measured.first_s),

@@ -27,14 +27,15 @@ namespace relidar {
 
 namespace {
 
-/// margin added around a labelled box, because labels fit loosely
+/// Margin added around a labelled box, because some labelled boxes are too small.
 constexpr double kPointMargin_m = 0.1;
 /// Height of the lowest part of a box. Points in this part are removed, because they
 /// belong to the ground.
 constexpr double kGround_m = 0.15;
 constexpr std::string_view kEveryClass = "all";
 
-/// Adds the returns of one scan that lie inside boxes, in the coordinates of the box.
+/// Adds the returns of one scan that lie inside boxes. Converts each return to the frame
+/// of its box.
 void append_box_returns_of_frame(const LidarSequence& sequence, const LidarFrame& frame,
                                  const std::vector<BoxTrack>& boxes, bool include_second_returns,
                                  const std::vector<WalkedDistanceTrack>& walked_distances,
@@ -155,8 +156,8 @@ void pad_with_random_samples(std::vector<LidarSample>& samples, std::size_t min_
 }
 
 /// Selects at most `actor_points` samples of an actor from the points in its box. If
-/// there are fewer, adds random points. If the box has fewer than `actor_min_points`,
-/// adds none.
+/// there are fewer, adds random points. Adds no random points if the box has fewer than
+/// `actor_min_points` points.
 std::vector<LidarSample> limit_and_pad_samples(std::vector<LidarSample> samples, const BoxTrack& box,
                                                const SceneInitialisationOptions& options) {
     samples = select_one_sample_per_voxel(samples, std::size_t(options.actor_points));
@@ -176,7 +177,7 @@ ObservedBoxSurface find_observed_box_surface(const BoxTrack& box, const std::vec
 
 struct ActorInitContext {
     const SceneInitialisationOptions& options;
-    double incidence;  ///< coefficient `incidence` of IntensityResponse
+    double incidence;  ///< strength of the dependence on the incidence angle (IntensityResponse)
     std::vector<std::string>* notes;
     const ProgressReporter& progress;
 };
@@ -209,8 +210,8 @@ void append_actor_to_scene(Scene& scene, const BoxTrack& box, const std::vector<
 }
 
 /// Returns the distance in metres that an actor has walked at the start of a new track.
-/// Takes the distance at the nearest recorded pose, and adds the way to the new pose.
-/// Steps are animated by this distance, so they match the position.
+/// This is the distance at the nearest recorded pose plus the distance from there to the
+/// new pose. The animation of the actor's steps depends on this distance.
 double compute_walked_distance_at_start_m(const BoxTrack& box, const PoseTrack& new_track) {
     const Pose& at = new_track.pose.front();
     const auto compute_distance_m = [&](const Pose& pose) {
@@ -223,8 +224,8 @@ double compute_walked_distance_at_start_m(const BoxTrack& box, const PoseTrack& 
            glm::dot(at.translation - nearest->translation, ahead);
 }
 
-/// Returns the poses of the background and of all actors. `find_track` maps the name of
-/// an actor to its track. An actor is absent if `find_track` returns null.
+/// Returns the poses of the background and of all actors. `find_track` returns the track
+/// of the actor with a given name, or null if the actor is absent.
 template <class TrackOf>
 std::vector<InstancePose> compute_instance_poses_in_sweep(const Scene& scene, const LidarSequence& sequence,
                                                           const SweepTiming& sweep,

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Generates a deterministic synthetic street of surfels and the rays of its sensor
-// (docs/method.md section 2). Draws the same numbers in the same order as
-// ../shared/bench/scene_gen.py does with numpy. The random generator is numpy's legacy
-// RandomState: MT19937 with an integer seed and 53-bit uniform numbers. The polar method
-// makes two normal numbers per call, and the second is kept for the next call.
+// (docs/method.md section 2). Draws the same random numbers in the same order as the
+// Python generator ../shared/bench/scene_gen.py. The random generator is numpy's legacy
+// RandomState: MT19937 with an integer seed and 53-bit uniform numbers. Normal numbers
+// come from the polar method, which makes two numbers at a time.
 #include "scene/benchmark_street.hpp"
 
 #include <algorithm>

@@ -15,13 +15,13 @@ namespace relidar {
 namespace {
 
 constexpr double kBoxPatch_m = 0.3;
-// The ground hides the lowest part of a vertical side. Patches below this share of the
-// height are ignored.
+// Lowest part of a vertical side of a box, as a share of its height. Patches in this part
+// are ignored, because the ground hides them.
 constexpr double kHiddenHeight = 0.2;
-// Minimum number of mirrored pairs of patches from which the symmetry of an actor is
-// measured.
+// Minimum number of mirrored pairs of surface patches. With fewer pairs, the symmetry of
+// an actor is not measured.
 constexpr std::size_t kFewestPairs = 3;
-// Upper limit for the number of pairs of surface patches along an axis (a box of 120 m).
+// Maximum number of pairs of surface patches along an axis, enough for a box of 120 m.
 constexpr double kMostPairs = 200.0;
 
 /// Returns the number of patches along a length. The number is even, so that the symmetry

@@ -27,18 +27,18 @@ constexpr double kSameSurface_m = 0.07;
 constexpr double kResting = 0.75;
 // Maximum number of frames that are searched to decide whether a position is static.
 constexpr std::size_t kCompared = 64;
-// Minimum number of surfels for each frame. In a long log, an equal share of the actor's
-// surfels would be too small.
+// Minimum number of surfels for each frame. In a log with many frames, an equal share of
+// the actor's surfels would be too small.
 constexpr std::size_t kInFrame = 200;
 // Minimum number of frames with points of an actor. With fewer frames, the actor is
 // modelled as rigid.
 constexpr std::size_t kFewestChanging = 3;
-// Minimum distance that an actor must walk in the log, because an actor that stands still
-// is modelled as rigid. Lower limit for the distance walked between two frames.
+// Minimum distance that an actor must walk in the log. Otherwise it is modelled as rigid.
+// The second constant is the minimum distance between two frames.
 constexpr double kFewestWalked_m = 0.5, kSmallestSpacing_m = 0.02;
-// The recorded motion is repeated after its end. This gap separates its last frame from
-// its first frame, so that both are never visible together. The unit is the distance
-// between two frames.
+// A recorded motion is repeated. This is the gap between its last frame and its repeated
+// first frame, so that both are never visible together. The unit is the distance between
+// two frames.
 constexpr double kFramesBetween = 3.0;
 
 /// Samples of one frame.
@@ -71,8 +71,9 @@ SamplesByFrame group_samples_by_frame(const std::vector<LidarSample>& samples) {
     return frames;
 }
 
-/// Estimates how the surface around a sample moves, in metres per frame. This shift moves
-/// the points around the sample onto the points of two earlier and two later frames.
+/// Estimates how the surface around a sample moves, in metres per frame. Finds the shift
+/// that moves the points around the sample onto the points of neighbouring frames. Uses
+/// two earlier and two later frames.
 /// @param frame_index index of the sample's frame
 glm::vec3 estimate_surface_shift_per_frame(const SamplesByFrame& frames, std::size_t frame_index,
                                            const std::vector<LidarSample>& samples,
@@ -88,8 +89,8 @@ glm::vec3 estimate_surface_shift_per_frame(const SamplesByFrame& frames, std::si
     for (float x = -kFarthest_m; x < kFarthest_m + 0.5f * kStep_m; x += kStep_m)
         for (float z = -kHighest_m; z < kHighest_m + 0.5f * kStep_m; z += kStep_m) {
             const glm::vec3 shift(x, 0.0f, z);
-            // Adds a small cost that grows with the shift. If several shifts fit equally
-            // well, the smallest is chosen.
+            // Adds a small cost that grows with the shift, so that the smallest shift is
+            // chosen if several shifts fit equally well.
             double sum = 1e-3 * double(glm::length(shift));
             for (std::size_t f = frame_index - std::min<std::size_t>(frame_index, 2);
                  f < std::min(frame_index + 3, frames.size()); ++f) {
@@ -104,7 +105,7 @@ glm::vec3 estimate_surface_shift_per_frame(const SamplesByFrame& frames, std::si
     return best;
 }
 
-/// Smooths the shifts. Each shift is replaced by the median of the shifts at the nearest
+/// Smooths the shifts. Replaces each shift by the median of the shifts at the nearest
 /// samples, separately for each axis.
 std::vector<glm::vec3> smooth_shifts_by_median(const std::vector<LidarSample>& samples,
                                                const std::vector<glm::vec3>& shifts) {
@@ -125,8 +126,8 @@ std::vector<glm::vec3> smooth_shifts_by_median(const std::vector<LidarSample>& s
     return medians;
 }
 
-/// Makes one surfel for each sample. `gaits` says when the surfel is visible and how it
-/// moves while the actor walks.
+/// Makes one surfel for each sample. `gaits` contains for each surfel when it is visible
+/// and how it moves while the actor walks.
 Surfels make_surfels_with_gait(const std::vector<LidarSample>& samples,
                                const std::vector<GaitPhaseWindow>& gaits,
                                const SceneInitialisationOptions& options, double incidence_coefficient) {
@@ -150,9 +151,9 @@ std::vector<char> mark_static_samples(const std::vector<LidarSample>& samples, c
     return is_static;
 }
 
-/// Makes the surfels that represent an actor in one frame. The farther the actor walks
-/// from the position of this frame, the more transparent they become. The curve is a
-/// Gaussian whose standard deviation is the distance between two frames.
+/// Makes the surfels that represent an actor in one frame. They become more transparent
+/// as the actor walks away from its position in this frame. The opacity is a Gaussian
+/// whose standard deviation is the distance between two frames.
 Surfels make_surfels_of_frame(const SamplesByFrame& frames, std::size_t frame_index,
                               const std::vector<LidarSample>& samples,
                               const std::vector<LidarSample>& changing_samples, double period_m,

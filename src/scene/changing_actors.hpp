@@ -16,17 +16,18 @@ namespace relidar {
 struct DeformingActorSurfels {
     Surfels surfels;
     double period_m = 0.0;       ///< Walked distance after which the motion repeats.
-    std::string why_rigid = {};  ///< Reason why there are no such surfels; empty if there are some.
+    std::string why_rigid = {};  ///< reason why the actor has no such surfels; empty if it has some
 };
-/// Makes surfels that are visible only around the time of their frame. They move as the
-/// points of the neighbouring frames do. If most frames have a point at a position, the
-/// surfel there is always visible and at rest.
+/// Makes surfels that are visible only around the time of their frame. They move like the
+/// points of the neighbouring frames. At positions where most frames have a point, the
+/// surfels are always visible and do not move.
 /// @param samples  points in the frame of the box, each with the distance that the actor
 /// had walked
-/// @param max_surfels  maximum number of surfels, but at least 200 per frame are allowed
+/// @param max_surfels  maximum number of surfels; each frame may still have 200 surfels
 /// @param progress called during the work; if it throws an exception, the function stops
 /// @return surfels and their period. The result is empty, with period 0, if there are
-/// fewer than three frames. It is also empty if the actor walks less than half a metre.
+/// fewer than three frames. It is also empty if the actor walks less than half a
+/// metre.
 DeformingActorSurfels make_surfels_of_changing_actor(const std::vector<LidarSample>& samples,
                                                      const SceneInitialisationOptions& options,
                                                      double incidence_coefficient, std::size_t max_surfels,

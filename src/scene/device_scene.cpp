@@ -34,8 +34,9 @@ void check_primitives_match(PrimitiveType scene_primitive, const ImageFormationM
 }
 
 void check_scene_layout(const Scene& scene) {
-    // Checks that the surfels of each model follow those of the previous model. The
-    // kernels need this order, because they find the model of a surfel by binary search.
+    // Checks that the surfels of each model directly follow the surfels of the previous
+    // model. The kernels need this order, because they find the model of a surfel by
+    // binary search.
     std::size_t next = 0;
     for (const SurfelModel& model : scene.models) {
         if (model.first != next)
@@ -57,8 +58,7 @@ void check_scene_layout(const Scene& scene) {
 
 std::vector<SpecialisationConstant> make_activation_kernel_constants(bool stage_harmonics) {
     std::vector<SpecialisationConstant> all{{SpecialisationConstantId::STAGED, stage_harmonics ? 1u : 0u}};
-    // Limits a workgroup to 64 threads, so that it needs only 4.4 kB of shared memory. It
-    // then has one or two subgroups, depending on the device.
+    // Limits a workgroup to 64 threads, so that it needs only 4.4 kB of shared memory.
     if (stage_harmonics) all.push_back({SpecialisationConstantId::WORKGROUP_SIZE, 64u});
     return all;
 }
@@ -131,8 +131,8 @@ struct DeviceScene::Impl {
     float alpha_min = ImageFormationModel{}.alpha_min;
     Kernel<shared::ActivateParams> activate;
     Kernel<shared::ActivateVjpParams> activate_vjp;
-    /// List of the surfels that have a gradient. Exists only if the kernels do not stage
-    /// the spherical harmonics in shared memory.
+    /// List of the surfels that have a gradient. Not used by kernels that keep spherical
+    /// harmonics in shared memory.
     std::optional<TouchedSurfelList> list;
 
     Impl(Device& device, const Scene& scene, bool stage_harmonics)
@@ -152,8 +152,8 @@ struct DeviceScene::Impl {
     std::uint32_t count_models() const { return static_cast<std::uint32_t>(layout.models.size()); }
 
     /// Stores the poses of all instances, and returns the instance table for the device.
-    /// An entry holds the transform from world to model, the motion, and the range of
-    /// surfels. An absent instance has no surfels.
+    /// Each entry has the transform from world to model, the motion, and the range of
+    /// surfels. The surfel range of an absent instance is empty.
     std::vector<shared::InstanceEntry> store_poses_and_make_table(
         const std::vector<InstancePose>& instance_poses) {
         if (instance_poses.size() != layout.instances.size())
@@ -295,8 +295,8 @@ void DeviceScene::set_models(const std::vector<SurfelModel>& models) {
     RELIDAR_ASSERT_LE(std::size_t(n), impl_->records.size());
     impl_->layout.models = models;
     impl_->parameters.n = n;
-    // The number of instances does not change, so the new tables are as long as the old
-    // tables. They can be uploaded into the same buffers.
+    // Uploads the new tables into the existing buffers. They fit, because the number of
+    // instances does not change.
     impl_->placements = InstanceGradientRows(impl_->layout, n);
     impl_->models.upload(make_model_table(impl_->layout, impl_->placements));
     impl_->more_rows.upload(impl_->placements.more);

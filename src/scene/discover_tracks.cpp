@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds tracks of moving objects without labels. Clusters the returns at positions that
-// are empty in other frames. Links the clusters from frame to frame, and fits boxes to
-// the linked clusters. Keeps a box only if other frames prove that it moved.
+// Finds tracks of moving objects without labels. Clusters the returns at positions where
+// other frames observe empty space. Links the clusters from frame to frame, and fits
+// boxes to the linked clusters. Keeps a box only if other frames prove that it moved.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>
@@ -23,7 +23,7 @@ namespace relidar {
 namespace {
 
 // Margins in metres around the boxes of people and of vehicles. A second track inside the
-// margin may be a part of the same object.
+// margin is treated as a part of the same object.
 constexpr double kFragment_m = 0.5, kVehicleFragment_m = 1.0;
 // minimum number of points of a moving object per frame, after static points are removed
 constexpr std::size_t kFewestPoints = 5;
@@ -31,10 +31,11 @@ constexpr double kLongest_m = 20.0, kWidest_m = 3.2, kTallest_m = 4.5;
 constexpr double kSlowest_mps = 0.4, kFastest_mps = 50.0;
 constexpr double kVehicle_m = 1.2;  // objects that are at least this long are vehicles, not people
 // Minimum distance that a moving object must travel, as a multiple of the longer side of
-// its box. A static object can seem to move by less, because its visible part changes.
+// its box. A static object can seem to travel a shorter distance, because its visible
+// part changes.
 constexpr double kMinTravelPerSize = 0.9;
 constexpr double kStraightness = 0.5;  // minimum ratio of net motion to path length
-// Maximum turn of a vehicle: radians per metre of its path, plus a constant angle. A
+// Maximum rotation of a vehicle: radians per metre of its path, plus a constant angle. A
 // vehicle cannot turn on the spot.
 constexpr double kMaxRotationPer_m = 0.4, kMaxExtraRotation_rad = 0.5;
 
@@ -54,8 +55,8 @@ BoxTravel compute_track_travel(const PoseTrack& track) {
     return travel;
 }
 
-/// Returns true if the size, the speed and the motion of a box are plausible. The box
-/// must move farther than a changing view of a static object can explain.
+/// Returns true if the size, the speed and the motion of a box are plausible. Requires a
+/// motion larger than the apparent motion of a static object whose visible part changes.
 bool is_plausible_moving_box(const BoxTrack& box) {
     const std::vector<double> speeds = compute_speeds_mps(box);
     const double fastest = speeds.empty() ? 0.0 : std::ranges::max(speeds),
@@ -67,7 +68,7 @@ bool is_plausible_moving_box(const BoxTrack& box) {
     return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m &&
            fastest > kSlowest_mps && fastest < kFastest_mps && travel.net_m > kMinTravelPerSize * longest &&
            travel.net_m > kStraightness * travel.path_m &&
-           // `moves()` rejects a track whose only motion is a jump across a gap in time.
+           // `is_moving()` is false if the only motion is a jump across a gap in time.
            !turns_on_the_spot && box.is_moving();
 }
 
@@ -89,9 +90,9 @@ std::optional<BoxTrack> fit_box_if_motion_proven(const VisibilityChecker& visibi
     return result;
 }
 
-/// Extends a labelled box to the times before and after its labels. Uses only those parts
-/// of the track in which other frames prove that the object moved. Returns nothing if
-/// there is no such part.
+/// Extends a labelled box to the times before and after its labels. Uses only the parts
+/// of the track in which other frames prove that the object moved. Returns nothing if no
+/// part has such a proof.
 std::optional<BoxTrack> extend_labelled_track_if_proven(const VisibilityChecker& visibility,
                                                         MoverTrack& track, const BoxTrack& labelled_box) {
     const BoxTrack box = extend_labelled_box(track, labelled_box);
@@ -183,8 +184,8 @@ std::vector<BoxTrack> fit_boxes_of_proven_movers(VisibilityChecker& visibility,
     return gather_boxes_of_all_processes(group, tracks, proven_boxes, share.begin, sequence);
 }
 
-/// Returns true if two boxes belong to the same object. This is the case if the centre of
-/// `inner_box` is inside `outer_box`, plus a margin, for more than half of the time.
+/// Returns true if two boxes belong to the same object. For more than half of the time,
+/// the centre of `inner_box` must be inside `outer_box`, enlarged by a margin.
 bool is_mostly_inside_box(const BoxTrack& inner_box, const BoxTrack& outer_box) {
     const double margin =
         std::max(outer_box.size_m.x, outer_box.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
@@ -199,8 +200,8 @@ bool is_mostly_inside_box(const BoxTrack& inner_box, const BoxTrack& outer_box) 
 
 bool is_extension_of_label(const BoxTrack& box) { return !box.id.empty(); }
 
-/// Removes duplicate boxes of an object. Keeps the box with the most observations, or a
-/// box that extends a label. Boxes of different labels are never duplicates.
+/// Removes duplicate boxes of an object. Keeps a box that extends a label, or otherwise
+/// the box with the most observations. Boxes of different labels are never duplicates.
 std::vector<BoxTrack> remove_duplicate_boxes(std::vector<BoxTrack> boxes) {
     std::ranges::stable_sort(boxes, [](const BoxTrack& first, const BoxTrack& second) {
         return std::pair(is_extension_of_label(first), first.world_from_box.time_s.size()) >
@@ -215,9 +216,9 @@ std::vector<BoxTrack> remove_duplicate_boxes(std::vector<BoxTrack> boxes) {
     return unique_boxes;
 }
 
-/// Returns true if a box should be fitted to a track. The track must be an unlabelled
-/// object that moves, or a labelled object that was also observed outside the time of its
-/// labels.
+/// Returns true if a box should be fitted to a track. The track must belong to an
+/// unlabelled object that moves, or to a labelled object that was also observed outside
+/// the time of its labels.
 bool should_fit_box(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
     if (track.label == kNoLabel)
         return is_moving_track(track) && !is_fixed_to_vehicle(track, world_from_vehicle);
@@ -243,10 +244,9 @@ std::vector<BoxTrack> discover_movers_of_lidar(int lidar_index, const LidarSeque
     return remove_duplicate_boxes(fit_boxes_of_proven_movers(visibility, tracks, sequence, progress, group));
 }
 
-/// Adds the boxes that another LiDAR found. If both LiDARs found the same object, prefers
-/// the box that extends a label. Otherwise keeps the existing box, unless the new box has
-/// more than 1.5 times as many observations. In this case the first LiDAR lost the
-/// object.
+/// Adds the boxes that another LiDAR found. If both LiDARs found the same object, keeps
+/// the box that extends a label. If neither or both extend a label, keeps the existing
+/// box. However, a new box with more than 1.5 times as many observations replaces it.
 void merge_boxes_of_lidars(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> boxes_of_other_lidar) {
     for (BoxTrack& other : boxes_of_other_lidar) {
         const auto is_same = [&](const BoxTrack& b) {
@@ -269,8 +269,8 @@ void merge_boxes_of_lidars(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> b
 std::vector<BoxTrack> discover_tracks(const LidarSequence& sequence, const std::vector<int>& train_positions,
                                       const ProgressReporter& progress, const ProcessGroup& group) {
     std::vector<BoxTrack> boxes;
-    // Processes each LiDAR separately. If two LiDARs scan at the same time, joint
-    // processing would add an object twice to one track.
+    // Processes each LiDAR separately. If two LiDARs scanned at the same time, a joint
+    // search would add an object twice to one track.
     for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
         merge_boxes_of_lidars(boxes,
                               discover_movers_of_lidar(lidar, sequence, train_positions, progress, group));

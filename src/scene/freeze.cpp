@@ -81,9 +81,9 @@ void rotate_sh_coefficients(const ShRotation& rotation_matrix, float* coefficien
     std::ranges::copy(rotated_coefficients, coefficients);
 }
 
-/// Moves a surfel of a walking actor to its position at the given phase of the walk. If
-/// the surfel was recorded at another phase, reduces its opacity
-/// (shaders/scene/gaussian/gait.glsl).
+/// Moves a surfel of a walking actor to its position at a phase of the walk. Reduces its
+/// opacity if the surfel was recorded at another phase. Same formulas as
+/// shaders/scene/gaussian/gait.glsl.
 void apply_gait_to_surfel(Surfels& surfels, std::size_t surfel_index, double gait_phase) {
     const GaitPhaseWindow& gait = surfels.gait[surfel_index];
     const double angle = 2.0 * kPi * (gait_phase - double(gait.phase)), sharpness = double(gait.sharpness);

@@ -27,9 +27,9 @@ namespace relidar {
 
 namespace {
 
-// A point is removed if the frames that look through it are at least this share of the
-// frames that hit it. A share of 1 would keep objects that stood still for part of the
-// log.
+// A point is removed if enough frames look through its position. Their number must be at
+// least this share of the number of frames that have a return there. The share is below
+// 1, to also remove objects that stood still for part of the log.
 constexpr double kGoneShare = 0.25;
 
 /// Running sums of the samples in one voxel.
@@ -55,8 +55,8 @@ struct CellHash {
 };
 
 /// Returns the points of one frame in the world frame, with the direction of each ray.
-/// Skips points inside the boxes `excluded_boxes`, because these objects have models of
-/// their own.
+/// Skips points inside `excluded_boxes`, because the objects in these boxes get separate
+/// models.
 std::vector<LidarSample> collect_background_samples(const LidarSequence& sequence, const LidarFrame& frame,
                                                     const std::vector<BoxTrack>& excluded_boxes,
                                                     const SceneInitialisationOptions& options) {
@@ -89,8 +89,8 @@ std::vector<glm::vec3> list_sensor_positions(const LidarSequence& sequence,
 }
 
 /// Returns the voxel that contains a point. The edge of a voxel is `voxel_m`. If
-/// `voxel_growth` is positive, the edge is doubled for points far from all sensor
-/// positions.
+/// `voxel_growth` is positive, points far from all sensor positions get larger voxels.
+/// Each level doubles the edge.
 VoxelCell find_voxel_cell(const glm::vec3& point_m, const NearestPointFinder<float>& sensor_positions,
                           const SceneInitialisationOptions& options) {
     int level = 0;

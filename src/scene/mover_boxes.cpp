@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Fits a box to each track of a moving object. Uses the end of the object that faces the
-// sensor, because only this end is reliably visible.
+// sensor, because it is the only end that the sensor reliably sees.
 #include "scene/mover_boxes.hpp"
 
 #include <algorithm>
@@ -13,21 +13,22 @@
 namespace relidar {
 namespace {
 
-// Number of times that the box is fitted. The first path is curved wrongly where other
-// sides of the object become visible. The following fits correct the path.
+// Number of times that the box is fitted. In the first fit, the path is wrong where other
+// sides of the object become visible. The later fits correct the path.
 constexpr int kRounds = 3;
-// The top of an object is its highest return within this many seconds before and after.
-// The road height changes little in this time.
+// The top of an object is its highest return within this many seconds before and after a
+// frame. The height of the road changes little in this time.
 constexpr double kTop_s = 1.0;
 constexpr double kMargin_m = 0.1;  // added around the points of a box
-// Boxes are extended downwards by this length, because the lowest part of each box is
-// treated as ground (actors.cpp).
+// Boxes are extended downwards by this length, because actors.cpp treats the lowest part
+// of each box as ground.
 constexpr double kGroundOfBox_m = 0.15;
 constexpr double kSpeedOver_s = 0.5;
-// The offset between a labelled box and the visible points is computed from this many
-// labelled observations.
+// Number of labelled observations from which the offset between a labelled box and the
+// visible points is computed.
 constexpr std::size_t kLabelsPerEnd = 10;
-// If the sensor is farther outside the box than this, only the near end is visible.
+// If the sensor is at least this far outside the box, it sees only the near end of the
+// object.
 constexpr double kBeside_m = 0.5;
 
 /// Position and heading of an object on the ground. They define the frame of the object.
@@ -77,7 +78,7 @@ std::vector<GroundPose> compute_ground_poses_at_frames(const MoverTrack& track,
     return compute_ground_poses_along(positions);
 }
 
-/// Interval that the points of an observation cover along an axis. Ignores the outermost
+/// Interval that the points of an observation cover along an axis, without the outermost
 /// 0.5 % of the points at each end.
 struct AxisInterval {
     double low, high;
@@ -90,8 +91,8 @@ AxisInterval compute_extent_along(const MoverCluster& cluster, const glm::dvec3&
     return {values[cut], values[values.size() - 1 - cut]};
 }
 
-/// Returns half the visible length of an object. Measures the length along the axis of
-/// each observation, and uses the 90th percentile.
+/// Returns half the visible length of an object. Measures the length in each observation
+/// along its axis, and uses the 90th percentile.
 double estimate_visible_half_length_m(const MoverTrack& track, const std::vector<glm::dvec3>& axes) {
     std::vector<double> lengths;
     for (std::size_t k = 0; k < axes.size(); ++k) {
@@ -102,8 +103,8 @@ double estimate_visible_half_length_m(const MoverTrack& track, const std::vector
     return 0.5 * lengths[lengths.size() * 9 / 10];
 }
 
-/// Returns the centre of an object along an axis, for each observation. The centre is
-/// half the size of the object behind its visible end, which faces the sensor.
+/// Returns the position of an object's centre along an axis, for each observation. The
+/// visible end faces the sensor. The centre is half the object's size behind this end.
 std::vector<double> compute_centres_along(const MoverTrack& track, const std::vector<glm::dvec3>& axes,
                                           double half_size_m) {
     std::vector<double> centres;
@@ -134,8 +135,9 @@ std::vector<double> compute_top_heights_m(const MoverTrack& track) {
     return result;
 }
 
-/// Returns the position of the object in each observation. Computes the horizontal centre
-/// from the end that faces the sensor. The height is the top of the object.
+/// Returns the position of the object in each observation. Its horizontal position is the
+/// centre, which is computed from the end that faces the sensor. Its height is the top of
+/// the object.
 /// @param size_m length and width; if null, the visible size is used
 std::vector<glm::dvec3> estimate_positions_from_visible_end(const MoverTrack& track,
                                                             const std::vector<GroundPose>& ground_poses,
@@ -183,8 +185,8 @@ BoxCorners compute_bounding_corners(const MoverTrack& track, const std::vector<G
 struct TypicalObjectSize {
     const char* name;
     double length_m, width_m;
-    /// minimum length and width of an object whose sides are all visible; a smaller box
-    /// shows only one side
+    /// Minimum length and width of an object whose sides are all visible. If a box is
+    /// smaller, only one side of the object was visible.
     double least_length_m, least_width_m;
 };
 constexpr TypicalObjectSize kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist", 1.8, 0.6, 1.4, 0.0},
@@ -193,8 +195,7 @@ constexpr TypicalObjectSize kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist",
 // car if they walk side by side.
 constexpr double kDrives_mps = 2.5;
 constexpr double kTruck_m = 2.5;  // objects taller than this are trucks
-// An object that is narrower than the first value and taller than the second is a
-// cyclist.
+// Maximum width and minimum height of an object that counts as a cyclist.
 constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;
 
 /// Returns the kind of an object of which only the rear, the front or a side is visible.
@@ -207,8 +208,8 @@ const TypicalObjectSize* classify_object_by_size(const glm::dvec3& size_m, doubl
     return size_m.x < kind->least_length_m && size_m.y < kind->least_width_m ? nullptr : kind;
 }
 
-/// Returns on which side of a box the sensor was most of the time, along one axis. The
-/// result is -1 or 1. Returns 0 if the sensor was next to the box or on both sides.
+/// Returns the side of a box on which the sensor was in more than three quarters of the
+/// observations, along one axis: -1 or 1. Returns 0 if no side has so many observations.
 double compute_sensor_side_sign(const BoxTrack& box, const MoverTrack& track, int axis) {
     std::ptrdiff_t low = 0, high = 0;
     for (std::size_t k = 0; k < track.observations.size(); ++k) {

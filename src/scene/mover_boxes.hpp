@@ -15,9 +15,9 @@ namespace relidar {
 /// frame. Therefore the size of the box is the largest visible extent over the track.
 BoxTrack fit_box_to_track(const MoverTrack& track);
 
-/// Enlarges a box away from the sensor if only one side of the object was visible. The
-/// new size is the typical size of a car, a truck or a cyclist. Stores the name of this
-/// kind in the box. Leaves other boxes unchanged.
+/// Enlarges a box if only one side of its object was visible. Extends the box in the
+/// direction away from the sensor, to the typical size of a car, a truck or a cyclist.
+/// Stores the name of this kind in the box. Does not change other boxes.
 void enlarge_box_to_typical_size(BoxTrack& box, const MoverTrack& track);
 
 /// Adds poses to a labelled box for the times when the object was observed without a

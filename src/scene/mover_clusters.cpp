@@ -18,38 +18,39 @@ namespace relidar {
 namespace {
 
 constexpr double kMaxRange_m = 40.0;  // beyond this range, a person has only one or two returns
-// Edge length of a grid cell. All returns in a cell get the same decision whether they
-// belong to a moving object.
+// Edge length of a grid cell. The program decides for each cell, not for each return,
+// whether the returns in it belong to a moving object.
 constexpr double kCell_m = 0.2;
 // Edge length of a square on the ground. Points above neighbouring squares belong to the
 // same object.
 constexpr double kSquare_m = 0.3;
-// Maximum distance between two neighbouring squares of an object, in squares. This is 0.6
-// to 0.9 m.
+// Maximum distance between two neighbouring squares of an object, as a number of squares.
+// Returns in such squares are 0.6 to 0.9 m apart.
 constexpr int kReach = 2;
 constexpr double kMinPoints = 12;  // minimum number of moved returns in a cluster
 constexpr double kMaxLength_m = 14.0;
-// A cell counts as moved if the frames that find it empty are at least this share of the
-// frames that find it occupied. The share is low, because a vehicle hides the space
-// behind it.
+// Minimum ratio of the frames that find a cell empty to the frames that find the cell
+// occupied, for a cell that counts as moved. The ratio is low, because a vehicle hides
+// the space behind it.
 constexpr double kMinEmptyShare = 0.25;
-// A static object is usually seen in more frames than this. If fewer frames have a return
-// in a cell, the program cannot decide whether the object there moved.
+// A static object is usually visible in more frames than this. If at most this many
+// frames have a return in a cell, the program cannot decide whether the object there
+// moved.
 constexpr int kTooFewFrames = 3;
-// Points that are lower than the lowest moved point of a cluster by more than this belong
-// to the ground.
+// Points more than this below the lowest moved point of a cluster belong to the ground.
 constexpr double kGroundBelow_m = 0.05;
 // Vertical gap without points that separates two objects. At 29 m, beams that are two
 // degrees apart leave a gap of this size.
 constexpr double kGapAbove_m = 1.0;
 constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a cluster
-// Minimum number of frames that are processed together. Larger groups are faster, because
-// cells at the border between two groups are computed twice.
+// Minimum number of consecutive frames that are processed as one group. Large groups are
+// faster, because cells at the border between two groups are computed twice.
 constexpr std::size_t kStretch = 200;
 
 /// Motion state of a grid cell. `moved` means that other frames find the cell empty.
 /// `rarely_observed` means that too few frames observe the cell, for example at the end
-/// of a log. Such a cell becomes part of an object only next to `moved` cells.
+/// of a log. A rarely observed cell becomes part of an object only if it is next to a
+/// `moved` cell.
 enum class CellMotionState : char { rests, rarely_observed, moved };
 
 /// One return of a frame.
@@ -66,9 +67,9 @@ struct LabelledBox {
     int label;  ///< kNoLabel if the box is static
 };
 
-/// Returns the labelled boxes at a given time. A moving box is returned only while it has
-/// labels. A static box is returned at all times. If an object is parked during its
-/// labels, it was also parked before and after them.
+/// Returns the labelled boxes at a given time. A moving box is returned only during the
+/// time of its labels. A static box is returned at all times, because the object was
+/// probably parked there before and after its labels.
 std::vector<LabelledBox> find_labelled_boxes_at(const LidarSequence& sequence, double time_s) {
     std::vector<LabelledBox> boxes;
     for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {
@@ -167,8 +168,8 @@ std::pair<double, double> find_object_height_range(std::vector<double> heights_m
     return {heights_m[best] - kGroundBelow_m, heights_m[best + n_best - 1] + kGapAbove_m};
 }
 
-/// Groups returns that are close to each other in the view from above. If the motion of a
-/// return is unknown, it joins a group only next to a moved return.
+/// Groups returns that are close to each other in the view from above. A return whose
+/// motion is unknown joins a group only if it is next to a moved return.
 std::vector<MoverCluster> cluster_moved_returns(const std::vector<MoverReturn>& returns) {
     std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;
     const auto square_of = [](const glm::dvec3& point) {
@@ -234,7 +235,7 @@ namespace {
 
 using ClustersByFrame = std::vector<std::vector<MoverCluster>>;  // [frames]
 
-/// Returns the clusters of points on moving objects in some consecutive frames.
+/// Returns the clusters of points on moving objects in consecutive frames.
 ClustersByFrame find_clusters_in_frames(const LidarSequence& sequence, std::span<const int> frame_indices,
                                         VisibilityChecker& visibility) {
     std::vector<FrameMoverReturns> frames(frame_indices.size());
@@ -262,7 +263,6 @@ ClustersByFrame find_clusters_in_frames(const LidarSequence& sequence, std::span
     return clusters;
 }
 
-/// Collects the clusters of all frames from all processes of the group.
 ClustersByFrame gather_clusters_of_all_processes(const ProcessGroup& group,
                                                  const ClustersByFrame& local_clusters) {
     if (group.size == 1) return local_clusters;

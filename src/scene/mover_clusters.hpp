@@ -13,9 +13,9 @@ namespace relidar {
 
 inline constexpr int kNoLabel = -1;
 
-/// Points of one object in one frame: a moving object without a label, or the inside of a
-/// moving labelled box. One type is used for both, because a track can continue before
-/// and after the labels of an object.
+/// Points of one object in one frame: a moving object without a label, or the points
+/// inside a moving labelled box. Both use the same type, because a track can continue
+/// before and after the labels of an object.
 struct MoverCluster {
     double time_s = 0.0;               ///< mean firing time of its returns
     glm::dvec3 centre_m{0.0};          ///< mean position of its returns, world
@@ -29,10 +29,10 @@ struct MoverCluster {
 };
 
 /// Finds the clusters of points on moving objects in the given frames. Splits a long log
-/// into sections, which the processes of a process group share.
+/// into sections, and distributes the sections among the processes of a process group.
 /// @param frame_indices indices of the frames, ascending
-/// @param visibility tells what these frames observe at a point
-/// @return [positions] clusters of each frame, identical in all processes
+/// @param visibility what these frames observe at a point
+/// @return [frames] clusters of each frame, identical in all processes
 std::vector<std::vector<MoverCluster>> find_mover_clusters(const LidarSequence& sequence,
                                                            const std::vector<int>& frame_indices,
                                                            VisibilityChecker& visibility,

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Counts the frames that support and that contradict the motion of an object. A static
-// object has returns at its position whenever the position is visible. A moving object
-// leaves the position empty. One empty observation is not enough, because beams also pass
-// through glass, between leaves and past edges.
+// Counts the frames that show that an object moved, and the frames that show that it did
+// not move. A static object has returns at its position whenever the position is visible.
+// A moving object leaves the position empty. One empty observation is not enough, because
+// beams also pass through glass, between leaves and past edges.
 #include "scene/mover_evidence.hpp"
 
 #include <algorithm>
@@ -13,13 +13,13 @@ namespace {
 // Two returns closer than this can belong to the same static object, because poses and
 // ranges have errors.
 constexpr double kSamePosition_m = 0.2;
-// Margin around the tracked box. Frames in which the enlarged box covers a point are not
-// used for this point.
+// Margin around the tracked box. If the enlarged box contains a point in a frame, this
+// frame is not used for the point.
 constexpr double kClear_m = 0.4;
 // At least this share of the returns of a track must be proven to lie on a moving object.
 constexpr double kMinMovedReturnShare = 0.25;
-// Other frames confirm or disprove the motion of some returns. At least this share of
-// these returns must be confirmed.
+// Minimum share of returns that are proven to lie on a moving object, among the returns
+// whose position other frames observe.
 constexpr double kMinConfirmedShare = 0.85;
 constexpr double kMinMovedFrameShare =
     0.5;  // motion must be proven in at least this share of a track's frames

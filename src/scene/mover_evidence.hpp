@@ -11,10 +11,10 @@
 namespace relidar {
 
 /// Number of frames which show that the object at a position has moved, and number of
-/// frames which show that it stayed.
+/// frames which show that it has not moved.
 struct MotionEvidence {
-    /// Number of frames with a return at the position although the tracked object is
-    /// elsewhere. Something else occupies the position.
+    /// Number of frames in which something else is at this position. They have a return
+    /// at the position while the tracked object is elsewhere.
     std::size_t n_occupied_frames = 0;
     std::size_t n_empty_frames = 0;  ///< frames that observe an empty space at the position
     void operator+=(const MotionEvidence& other) {
@@ -24,7 +24,7 @@ struct MotionEvidence {
     bool is_proven_static() const { return n_occupied_frames > 0 && n_occupied_frames >= n_empty_frames; }
     bool is_proven_moving() const { return n_empty_frames > kMuchMore * n_occupied_frames; }
     /// Motion is proven if `n_empty_frames` is more than this factor times
-    /// `n_occupied_frames`. `n_occupied_frames` can be above zero for a moving object,
+    /// `n_occupied_frames`. For a moving object, `n_occupied_frames` can be above zero,
     /// because other objects pass behind or near it.
     static constexpr std::size_t kMuchMore = 3;
 };
@@ -41,15 +41,15 @@ struct TrackMotionEvidence {
     std::size_t n_frames = 0, n_moved_frames = 0;
     void operator+=(const TrackMotionEvidence& other);
     /// Returns true if the frame counts prove that the object moves. At nearly all
-    /// positions of a moving object, other frames observe empty space. For a static
-    /// object, they observe empty space only at its edges. The counts prove little for a
-    /// box that hardly moves.
+    /// positions of a moving object, other frames observe empty space. At a static
+    /// object, other frames observe empty space only at its edges. The counts prove
+    /// little if the box hardly moves.
     bool is_proven_moving() const;
 };
 
 /// Counts the frames that show whether the object at a point moved. Skips frames in which
-/// the box of the track covers the point. Before the track begins, uses the first pose of
-/// the box. After the track ends, uses the last pose.
+/// the box of the track contains the point. Before the track begins, uses the first pose
+/// of the box. After the track ends, uses the last pose.
 /// @param point_m [3] world
 /// @param box box of the track to which the return at this point belongs
 MotionEvidence collect_motion_evidence(const VisibilityChecker& visibility, const glm::dvec3& point_m,

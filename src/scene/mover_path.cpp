@@ -22,11 +22,12 @@ constexpr double kJerk = 0.2;
 // path.
 constexpr double kFarFromPath_m = 0.3;
 constexpr int kPathRounds = 3;
-// The heading is the direction of a chord. The chord reaches this far along the path in
-// each direction. An error of 3 cm at both ends rotates the chord by less than a degree.
+// The heading is the direction of a chord of the path. The chord connects the points at
+// this distance before and after a position. If both ends have an error of 3 cm, the
+// chord rotates by less than a degree.
 constexpr double kChord_m = 1.5;
-// If the chord is shorter than this share of its longer half, the path turns back. Then
-// only the earlier half of the chord gives the heading.
+// If the chord is shorter than this share of its longer half, the path turns back at the
+// position. Then only the half before the position gives the heading.
 constexpr double kTurnsBack = 0.3;
 
 /// State of the Kalman filter. Each column is a world axis. The rows are position,
@@ -87,8 +88,8 @@ std::vector<KinematicState> run_kalman_smoother(const std::vector<double>& times
     return path;
 }
 
-/// Walks along the path from one of its positions. Returns the first point at the
-/// distance kChord_m, or the end of the path.
+/// Follows the path from one of its positions. Returns the first point at the distance
+/// kChord_m from this position, or the end of the path.
 /// @param index_step 1 for later positions, -1 for earlier positions
 glm::dvec2 find_chord_end_point(const std::vector<glm::dvec3>& path_m, std::size_t start_index,
                                 int index_step) {

@@ -27,8 +27,8 @@ std::vector<KinematicState> smooth_path(const std::vector<double>& times_s,
                                         const std::vector<glm::dvec3>& positions_m);
 
 /// Returns the heading in radians at each position of a path on the ground. The heading
-/// is the direction from the point 1.5 m back on the path to the point 1.5 m ahead.
-/// Because it is measured by distance, a stopped object keeps its last heading.
+/// is the direction from the point 1.5 m earlier on the path to the point 1.5 m later. An
+/// object that stops therefore keeps its last heading.
 /// @param path_m [positions]
 /// @return [positions]
 std::vector<double> compute_path_headings_rad(const std::vector<glm::dvec3>& path_m);

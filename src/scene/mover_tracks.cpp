@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Links clusters to tracks by their predicted positions. Joins tracks of the same object
-// that exist at the same time or follow each other.
+// Links clusters to tracks by their predicted positions. Joins tracks of the same object,
+// either at the same time or one after the other.
 #include "scene/mover_tracks.hpp"
 
 #include <algorithm>
@@ -15,7 +15,7 @@
 namespace relidar {
 namespace {
 
-// longest time without a matching cluster before a track is interrupted
+// maximum time without a matching cluster before a track is interrupted
 constexpr double kMaxGap_s = 0.35;
 constexpr double kLongestGap_s = 1.5;  // maximum gap across which two parts of a track are joined
 constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations before and after a gap
@@ -23,15 +23,15 @@ constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations before 
 // the next frame, kFar for the prediction across a gap.
 constexpr std::size_t kNext = 4, kFar = 10;
 constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that has been observed only once
-// Maximum distance between an object and its predicted position: a constant, plus a
-// distance for each second since the object was last seen.
+// Maximum distance between an object and its predicted position: a constant in metres,
+// plus this many metres for each second since the last observation.
 constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;
-// Maximum error of a predicted position per second of a gap. The positions on both sides
-// of the gap are predicted.
+// Maximum error of a predicted position, per second of a gap between two tracks. One
+// prediction starts before the gap and one after the gap.
 constexpr double kOverGap_mps = 0.8;
-// largest allowed difference between the speeds before and after a gap
+// maximum difference between the speeds before and after a gap
 constexpr double kOtherSpeed_mps = 2.0;
-// The number of returns of an object may change at most by this factor between two
+// Maximum factor by which the number of returns of an object may change between two
 // frames.
 constexpr double kMaxRatio = 8.0;
 constexpr std::size_t kMinObservations = 6;
@@ -40,8 +40,8 @@ constexpr double kMinPath_m = 0.6;
 // small.
 constexpr double kMinStraightness = 0.5;
 constexpr double kEgoVehicleRadius_m = 4.0, kMaxRelativeMotion_m = 0.3;
-// Minimum size of a vehicle part. Larger parts can be joined to one vehicle. Smaller
-// parts can be people who walk together, so they are not joined.
+// Minimum size of a vehicle part. Only larger parts are joined to one vehicle, because
+// smaller parts can be people who walk together.
 constexpr double kVehiclePart_m = 1.2;
 constexpr double kBesides_m = 1.5;  // maximum distance between the parts of one vehicle
 // Largest allowed standard deviation of the offset between two parts of one vehicle. The
@@ -78,9 +78,9 @@ double compute_match_cost(const MoverTrack& track, const MoverCluster& cluster) 
            gate;
 }
 
-/// Returns how badly a cluster matches a track, which may have a label. While the object
-/// has a label, only clusters with the same label match. A value above 1 means that the
-/// cluster is another object.
+/// Returns how badly a cluster matches a track. A value above 1 means that the cluster
+/// belongs to another object. While the tracked object has a label, only clusters with
+/// the same label match.
 double compute_match_cost(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
                           const LidarSequence& sequence) {
     if (track.label == kNoLabel) return compute_match_cost(track, cluster);
@@ -90,8 +90,8 @@ double compute_match_cost(const MoverTrack& track, const MoverCluster& cluster, 
                : compute_match_cost(track, cluster);
 }
 
-/// Builds tracks frame by frame. A track is open if a cluster of the next frame can
-/// continue it.
+/// Builds tracks frame by frame. A track is open while a cluster of the next frame can
+/// still continue it.
 class OpenTrackSet {
 public:
     explicit OpenTrackSet(const LidarSequence& sequence) : sequence_(sequence) {}
@@ -205,9 +205,9 @@ bool are_tracks_of_same_vehicle(const MoverTrack& track, const MoverTrack& other
     return variance.x + variance.y < kRigid_m * kRigid_m;
 }
 
-/// Returns how badly one track continues another track after a gap. Predicts the position
-/// across the gap from both sides. A value above 1 means that the tracks are different
-/// objects.
+/// Returns how badly a later track continues an earlier track after a gap. Predicts the
+/// position across the gap from each track. A value above 1 means that the tracks belong
+/// to different objects.
 double compute_match_cost_over_gap(const MoverTrack& earlier_track, const MoverTrack& later_track) {
     if (earlier_track.label != kNoLabel && later_track.label != kNoLabel) return 2.0;
     if (std::min(earlier_track.observations.size(), later_track.observations.size()) < kEndsOfGap) return 2.0;
@@ -230,7 +230,8 @@ struct TrackPairMatch {
     double mismatch;
     std::size_t before, after;
 };
-// Returns the pairs of tracks that may be joined across a gap, sorted from best to worst.
+// Returns the pairs of tracks that may be parts of the same object, with a gap in time
+// between them. The pairs are sorted from best to worst match.
 // @param tracks sorted by their first frames
 std::vector<TrackPairMatch> find_track_pairs_over_gaps(const std::vector<MoverTrack>& tracks) {
     std::vector<TrackPairMatch> fits;

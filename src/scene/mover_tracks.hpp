@@ -17,9 +17,8 @@ struct MoverObservation {
     MoverCluster cluster;
 };
 
-/// All observations of one object in the order of the frames. A labelled object can also
-/// be observed before and after its labels. Its track then contains both kinds of
-/// observations.
+/// All observations of one object, in the order of the frames. The track of a labelled
+/// object also contains observations from before and after its labels.
 struct MoverTrack {
     std::vector<MoverObservation> observations;
     int label = kNoLabel;  ///< index in LidarSequence::boxes, or kNoLabel
@@ -30,9 +29,9 @@ struct MoverTrack {
     std::vector<double> get_observation_times() const;
 };
 
-/// Links the clusters of consecutive frames to tracks. Links the best match of each frame
-/// first. While an object has a label, the label decides which clusters are linked.
-/// Before and after the labels, the predicted position decides.
+/// Links the clusters of consecutive frames to tracks. In each frame, links the best
+/// matches first. While an object has a label, the label decides which clusters are
+/// linked. Before and after the labels, the predicted position decides.
 /// @param clusters_per_frame [frames]
 std::vector<MoverTrack> link_clusters_to_tracks(
     const std::vector<std::vector<MoverCluster>>& clusters_per_frame,

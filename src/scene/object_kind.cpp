@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Maps the class names of datasets to a few kinds of objects. The datasets are KITTI,
-// KITTI-360, Waymo, Argoverse 2 and nuScenes. A class name that several of them use has
-// the same meaning in all of them. Therefore one table serves all datasets.
+// KITTI-360, Waymo, Argoverse 2 and nuScenes. One table serves all datasets, because a
+// shared class name has the same meaning in each of them.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>

@@ -23,7 +23,7 @@ constexpr float kSh0 = 0.28209479177387814f;  ///< SH constant of degree 0
 constexpr double kSh1 = 0.4886025119029199;
 constexpr int kScaleNeighbours = 3;
 /// Minimum width of a gap between scan lines, as a multiple of the distance between
-/// neighbours on a line. Randomly distributed points have narrower gaps.
+/// neighbours on a line. Gaps between randomly distributed points are narrower.
 constexpr double kGap = 2.5;
 
 /// Adapter that gives nanoflann access to the samples.
@@ -52,11 +52,11 @@ struct NeighbourPlane {
 };
 
 /// Fits a plane to neighbouring points. The normal is the eigenvector of the smallest
-/// eigenvalue. The points of a single scan line do not determine the rotation about the
-/// line. In this case, the function chooses the normal that faces the sensor most. If the
+/// eigenvalue. If all points lie on one scan line, the rotation about the line is
+/// unknown. The function then chooses the normal that faces the sensor most. If the
 /// points form no surface, the normal points to the sensor. With another normal, the
-/// surfel could be edge-on to the sensor. Rays of the next scan would then miss the
-/// surfel and hit the background.
+/// surfel could be edge-on to the sensor, so that rays of the next scan would miss the
+/// surfel.
 NeighbourPlane fit_plane(const std::vector<LidarSample>& samples,
                          const std::vector<std::size_t>& neighbour_indices, const glm::dvec3& view_direction,
                          double max_flatness) {
@@ -89,8 +89,7 @@ NeighbourPlane fit_plane(const std::vector<LidarSample>& samples,
             is_surface};
 }
 
-/// Returns a unit vector perpendicular to a normal. The angle selects one of these
-/// vectors by rotating it about the normal.
+/// Returns a unit vector perpendicular to a normal, rotated about the normal by an angle.
 glm::dvec3 make_perpendicular_direction(const glm::dvec3& normal, double angle_rad) {
     const glm::dvec3 helper = std::abs(normal.x) < 0.9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0);
     const glm::dvec3 x = glm::normalize(glm::cross(helper, normal));
@@ -98,7 +97,7 @@ glm::dvec3 make_perpendicular_direction(const glm::dvec3& normal, double angle_r
 }
 
 /// Returns the rotation (w, x, y, z) whose first and third columns are `x_axis` and
-/// `draw_standard_normal`.
+/// `normal`.
 glm::vec4 make_quaternion_from_axes(const glm::dvec3& x_axis, const glm::dvec3& normal) {
     const glm::dquat q = glm::quat_cast(glm::dmat3(x_axis, glm::cross(normal, x_axis), normal));
     return {float(q.w), float(q.x), float(q.y), float(q.z)};
@@ -123,15 +122,16 @@ ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
                                   const glm::dvec3& normal) {
     // number of nearest neighbours that lie on the same scan line as the point
     constexpr std::size_t kOnLine = 4;
-    // Minimum cosine of the angle between `across` and the direction to a neighbour. A
-    // neighbour at a larger angle is not on the next scan line.
+    // Minimum cosine of the angle between `across` and the direction to a neighbour. At a
+    // larger angle, the neighbour is not a point of the next scan line.
     constexpr double kAcross = 0.7071;
-    // maximum distance of a neighbour from the plane: a share of its distance from the
-    // point, plus a constant
+    // maximum distance of a neighbour from the plane: a share of the distance between
+    // neighbour and point, plus a constant
     constexpr double kSlope = 0.1, kNoise_m = 0.05;
     const glm::dvec3 point(samples[neighbour_indices[0]].position),
         x = make_perpendicular_direction(normal, 0.0), y = glm::cross(normal, x);
-    // Averages directions of lines. Doubling each angle makes opposite directions equal.
+    // Averages the directions of lines. Doubles each angle, because opposite directions
+    // mean the same line.
     double even = 0.0, odd = 0.0;
     for (std::size_t j = 1; j < std::min(neighbour_indices.size(), kOnLine + 1); ++j) {
         const glm::dvec3 d = glm::dvec3(samples[neighbour_indices[j]].position) - point;
@@ -157,11 +157,10 @@ glm::dvec3 draw_random_direction(Random& random) {
 }
 
 /// Sets the SH coefficients of degrees 0 and 1. They encode the intensity a (1 - q (1 -
-/// cos)) with cos = -n . d, where d is the direction of a ray towards the surface. At a
-/// grazing angle, the sample determines the albedo a poorly. Therefore the cosine has a
-/// lower limit.
-/// @param draw_standard_normal zero if unknown; then the intensity is the same from all
-/// directions
+/// cos)) with albedo a and cos = -n . d, where d is the direction of a ray towards the
+/// surface. The cosine has a lower limit, because the albedo is inaccurate at grazing
+/// angles.
+/// @param normal zero if unknown; then the intensity is the same from all directions
 void set_intensity_harmonics(float* sh_coefficients, const LidarSample& sample, const glm::dvec3& normal,
                              double incidence_coefficient) {
     constexpr double kGrazing = 0.1;
@@ -204,10 +203,10 @@ struct SurfelPlacement {
     ScanLineGap gap;
 };
 
-/// Finds the plane and the scan-line distances at a sample from its nearest neighbours.
-/// If all neighbours lie on one scan line or on one side of a gap, searches again with
-/// more neighbours. Points of a single line do not determine the rotation of the plane
-/// about this line.
+/// Finds the plane and the distances to the neighbouring scan lines at a sample. Uses its
+/// nearest neighbours. If all neighbours lie on one scan line or on one side of a gap,
+/// repeats the search with more neighbours. One line does not determine the rotation of
+/// the plane about the line.
 SurfelPlacement estimate_surface_at(const Tree& tree, const std::vector<LidarSample>& samples,
                                     std::size_t sample_index, std::vector<std::size_t> nearest_indices,
                                     const SceneInitialisationOptions& options) {
@@ -225,8 +224,8 @@ SurfelPlacement estimate_surface_at(const Tree& tree, const std::vector<LidarSam
         widen();
         const NeighbourPlane wider =
             fit_plane(samples, nearest_indices, samples[sample_index].view, options.flatness);
-        // Uses only the normal of the wider plane. That plane is too coarse for the
-        // position of the surfel.
+        // Uses the normal of the plane through more neighbours, but keeps the position of
+        // the sample, because this plane is too coarse for positions.
         if (wider.is_surface) placement.plane = {samples[sample_index].position, wider.normal, true, true};
     }
     if (!placement.plane.is_surface) return placement;
@@ -237,7 +236,7 @@ SurfelPlacement estimate_surface_at(const Tree& tree, const std::vector<LidarSam
     return placement;
 }
 
-/// Computes all parameters of surfel i from its sample and the samples nearby.
+/// Computes all parameters of surfel `index` from its sample and the nearby samples.
 void compute_surfel_parameters(Surfels& surfels, std::size_t index, const std::vector<LidarSample>& samples,
                                const Tree& tree, const SceneInitialisationOptions& options,
                                double incidence_coefficient) {
@@ -295,7 +294,8 @@ Surfels make_surfels_from_points(const std::vector<LidarSample>& samples,
 std::vector<LidarSample> select_one_sample_per_voxel(const std::vector<LidarSample>& samples,
                                                      std::size_t max_count,
                                                      std::vector<std::uint32_t>* selected_indices) {
-    // edge length of a voxel; the jitter of labelled boxes blurs smaller details
+    // Edge length of a voxel. The jitter of labelled boxes blurs details smaller than a
+    // voxel.
     constexpr double kVoxel_m = 0.06;
     std::unordered_set<std::uint64_t> occupied_voxels;
     std::vector<std::uint32_t> first;

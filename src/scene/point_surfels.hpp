@@ -15,12 +15,12 @@ struct LidarSample {
     glm::vec3 position;
     float intensity;
     glm::vec3 view;         ///< unit vector from the sensor to the point
-    float walked_m = 0.0f;  ///< distance that the actor had walked (WalkedDistance)
+    float walked_m = 0.0f;  ///< distance that the actor had walked
     int frame = 0;          ///< index in the log of the point's frame; used only for actors
 };
 
-/// Calls work(WorldReturn) for each return of a frame, ray by ray.
-/// @param include_second_returns if true, the second returns are included
+/// Calls `work` with each return of a frame (as a WorldReturn), ray by ray.
+/// @param include_second_returns if true, also calls `work` with second returns
 template <class Work>
 void for_each_return(const LidarSequence& sequence, const LidarFrame& frame, bool include_second_returns,
                      const Work& visit_return) {
@@ -34,8 +34,8 @@ void for_each_return(const LidarSequence& sequence, const LidarFrame& frame, boo
     }
 }
 
-/// Makes one surfel for each sample, sorted in kd-tree order. If normals are estimated,
-/// the initial intensity depends on the angle of incidence.
+/// Makes one surfel for each sample. The surfels are sorted in kd-tree order. If normals
+/// are estimated, the initial intensity depends on the angle of incidence.
 /// @param samples must not be empty
 /// @param incidence_coefficient strength of this dependence (IntensityResponse)
 /// @param sample_order output [n]: the index of each surfel's sample

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the nearest samples of an actor among the samples of a frame or of a phase.
+// Finds the nearest samples of an actor in one frame, or in one phase of its walk.
 // Private to scene.
 #pragma once
 

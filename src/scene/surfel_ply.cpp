@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes and reads surfels as PLY files in the layout that tools for 3D Gaussian
-// splatting use. Parameters that these tools know keep their names and activations. A
-// surfel is stored as a flat Gaussian. The LiDAR channels are additional properties, so
-// that relidar can read a file that was edited in such a tool. The reader checks every
-// number of the header against the file size before the number is used.
+// Writes and reads surfels as PLY files in the layout of tools for 3D Gaussian splatting.
+// Parameters that these tools use keep their usual names and activations. A surfel is
+// stored as a flat Gaussian. The LiDAR channels are additional properties, so that
+// relidar can read a file after editing in such a tool. The reader compares each number
+// in the header with the file size before it uses the number.
 #include <relidar/base/files.hpp>
 #include <relidar/scene/surfel_ply.hpp>
 
@@ -27,7 +27,8 @@ namespace {
 
 constexpr std::uint32_t kColours = 3;
 constexpr std::uint32_t kRest = kShCoefficients - 1;
-// Logarithm of a surfel's thickness in metres, for viewers that draw ellipsoids.
+// Logarithm of the thickness of a surfel in metres. Viewers that draw ellipsoids need a
+// thickness.
 const float kFlat = std::log(1e-4f);
 constexpr std::string_view kEndOfHeader = "\nend_header";  // a Unix or a Windows line end must follow
 constexpr std::size_t kMaxPlyHeader = 65536;
@@ -37,8 +38,8 @@ constexpr std::size_t kMaxModels = 1u << 24;
 
 const auto& [kGait, kMean, kRotation, kLogScale, kOpacityLogit, kSh, kLogScaleW] = kParameterGroups;
 
-/// A property of the PLY file. It holds a surfel parameter, or a value that only other
-/// tools need. The second and the third colour repeat the values of the first colour.
+/// A property of the PLY file: a surfel parameter, or a value that only other tools need.
+/// The second and the third colour repeat the values of the first colour.
 struct PlyProperty {
     std::string name;
     const SurfelParameterGroup* group = nullptr;  ///< parameter group of the property, or null
@@ -99,8 +100,8 @@ float get_property_value(const PlyProperty& property, const Surfels& surfels, st
     return 0.0f;
 }
 
-/// Stores the value of a PLY property in surfel `surfel_index`, or in `model_index` if
-/// the property is the index of the model.
+/// Stores the value of a PLY property in surfel `surfel_index`. If the property is the
+/// index of the model, stores the value in `model_index` instead.
 /// @param property a property that the reader uses
 void set_property_value(const PlyProperty& property, Surfels& surfels, std::size_t surfel_index,
                         std::uint32_t& model_index, float value) {
@@ -110,8 +111,8 @@ void set_property_value(const PlyProperty& property, Surfels& surfels, std::size
             surfels)[surfel_index * property.group->count_floats() + property.index] = value;
 }
 
-/// Layout of the records in a PLY file, parsed from its header. Holds the number of
-/// records, and the name and byte offset of each property.
+/// Layout of the records in a PLY file, parsed from its header: the number of records,
+/// and the name and byte offset of each property.
 struct PlyRecordLayout {
     std::size_t count = 0;
     std::size_t stride = 0;

@@ -115,7 +115,7 @@ Scene replace_background(const Scene& scene, const Surfels& background) {
     other.blocks.clear();
     other.surfels = background.reorder(compute_kd_tree_order(background.mean));
     other.models.front().count = n;
-    // Subtracts modulo 2^32. The result is therefore also right if the new background is
+    // Subtracts modulo 2^32. The sum is therefore correct even if the new background is
     // smaller than the old background.
     for (std::size_t i = 1; i < other.models.size(); ++i) other.models[i].first += n - before;
     other.surfels.append(scene.surfels.slice(before, scene.surfels.size() - before));

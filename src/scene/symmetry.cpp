@@ -8,11 +8,11 @@ namespace {
 // An object without a class counts as a vehicle if it is at least this long. Cyclists are
 // shorter.
 constexpr double kShortestVehicle_m = 3.0;
-// Maximum difference between the left and the right side of a symmetric object. If a box
-// is loose, its middle is not the plane of symmetry, so the difference is larger than
-// zero.
+// Maximum difference between the left and the right side of a symmetric object. The
+// difference is not zero if the box is too large, because the middle of the box is then
+// not the plane of symmetry.
 constexpr double kMostAsymmetry_m = 0.15;
-/// Indices of the spherical harmonics that are odd in y. They are the harmonics with a
+/// Indices of the spherical harmonics that are odd in y, which means that they have a
 /// negative order.
 constexpr int kOddInY[] = {1, 4, 5, 9, 10, 11};
 
@@ -27,8 +27,8 @@ Surfels mirror_left_right(Surfels surfels) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         surfels.mean[i].y *= -1.0f;
         if (surfels.bends) surfels.gait[i].swing.y *= -1.0f;
-        // Mirrors the quaternion (w, x, y, z). A mirrored rotation has a mirrored axis
-        // and the opposite direction of rotation.
+        // Mirrors the quaternion (w, x, y, z). The mirrored rotation has a mirrored axis
+        // and turns in the opposite direction.
         glm::vec4& q = surfels.rotation[i];
         q = {q[0], -q[1], q[2], -q[3]};
         for (int channel = 0; channel < kShChannels; ++channel)

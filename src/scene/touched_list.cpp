@@ -44,8 +44,8 @@ Address<std::uint32_t, shared::TouchedCount> TouchedSurfelList::get_touched_coun
 }
 
 std::size_t TouchedSurfelList::choose_thread_count(std::size_t max_rows) const {
-    // Uses fewer threads on a CPU than on a GPU, because each CPU thread should process
-    // more surfels.
+    // Uses fewer threads on a CPU than on a GPU, so that each thread processes more
+    // surfels.
     const bool is_cpu = !prefers_coalesced_access(impl_->device);
     return std::min(max_rows, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
 }

@@ -17,7 +17,7 @@ namespace relidar {
 namespace {
 
 constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns = 1024;
-// Number of cells of a range image per ray along a row. With this ratio, the six cells
+// Number of columns of a range image per ray of a row. With this ratio, the six cells
 // around a point contain four or five returns.
 constexpr double kCellsPerRay = 4.0 / 3.0;
 constexpr double kBeyond_rad = 0.002;  // margin at the outermost beams, about the width of a beam
@@ -25,8 +25,8 @@ constexpr int kMinReturns = 3;  // the 2 x 3 cells around a point must contain a
 // Number of azimuth sectors of a sweep. One sensor position is used per sector, because
 // the sensor moves only millimetres to centimetres within one sector.
 constexpr int kSectors = 64;
-// A point is empty in a frame if the returns around it are farther away by more than this
-// multiple of the error margin.
+// A frame observes empty space at a point if the returns around the point are farther
+// away. The difference of the ranges must exceed this multiple of the error margin.
 constexpr double kBehind = 1.5;
 // Edge length of a square tile of the ground. All points of a tile are looked up in the
 // same frames.
@@ -34,8 +34,8 @@ constexpr double kTile_m = 8.0;
 // Maximum distance between the sensor and a tile of the ground. At a larger distance, a
 // person has only one or two returns.
 constexpr double kMaxTileDistance_m = 40.0;
-// If no sensor is within kMinComparedRange_m of a tile, frames are used that are at most
-// this factor farther away than the nearest frame.
+// If no sensor was close to a tile of the ground, uses the nearest sensor, and sensors
+// that are at most this factor farther away.
 constexpr double kHardlyFarther = 1.25;
 constexpr std::size_t kMostViews = 64;
 
@@ -43,8 +43,8 @@ double compute_elevation_rad(const glm::vec3& direction) {
     return std::asin(std::clamp(double(direction.z), -1.0, 1.0));
 }
 
-/// Returns the elevations of the rows of a scan, descending. If the rays have no rows,
-/// returns evenly spaced elevations over the field of view.
+/// Returns the elevations of the rows of a scan, descending. If the rays are not ordered
+/// in rows, returns evenly spaced elevations over the field of view.
 std::vector<double> compute_row_elevations_rad(const RayTable& rays) {
     std::vector<double> rows;
     if (rays.rows > 1) {
@@ -140,7 +140,7 @@ std::vector<float> BeamGrid::compute_nearest_ranges_m(const Scan& scan) const {
 
 VisibilityChecker::VisibilityChecker(const LidarSequence& sequence, const std::vector<int>& positions)
     : sequence_(sequence), positions_(positions) {
-    // If a LiDAR has none of these frames, its grid stays empty and is never read.
+    // A LiDAR without any of these frames keeps an empty grid, which is never read.
     grids_.resize(sequence.lidars.size());
     std::vector<char> has_grid(grids_.size());
     for (const int position : positions) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides what each frame observes at a point. A frame "sees" a point if a return lies at
-// the point. A frame "sees through" a point if the returns above and below lie well
-// behind the point. A point that frames see through belongs to a moving object without a
-// label (docs/method.md section 6).
+// Decides what each frame observes at a point. A frame observes a return if a return lies
+// at the point. A frame observes empty space if the returns above and below lie well
+// behind the point. If frames observe empty space at a point, the point belongs to a
+// moving object (docs/method.md section 6).
 #pragma once
 
 #include <cstdint>
@@ -16,9 +16,9 @@ namespace relidar {
 
 enum class PointVisibility : char { unknown, occupied, empty };
 
-/// Grid of the directions of a LiDAR. The rows follow the beams, because beams can be
-/// unevenly spaced. Evenly spaced rows could contain no beam. Points between two beams
-/// would then be compared with the wrong returns.
+/// Grid of the directions of a LiDAR. Each row has the elevation of a beam, because beams
+/// can be unevenly spaced. In a grid with evenly spaced rows, some rows would contain no
+/// beam.
 class BeamGrid {
 public:
     BeamGrid() = default;  ///< Makes an empty grid.
@@ -49,10 +49,9 @@ private:
 };
 
 /// Range images of selected frames. Looks up a point in at most 64 frames, to limit the
-/// time per point. Uses frames whose sensor was within 40 m, or almost as near as the
-/// nearest sensor. These frames are evenly spaced in time. create_range_images() creates
-/// the images that the given points need. Therefore a process that handles a part of a
-/// log creates only the images of this part.
+/// time per point. Uses frames whose sensor was within 40 m of the point, or almost as
+/// near as the nearest sensor. The selected frames are evenly spaced in time.
+/// create_range_images() creates only the images that the given points need.
 class VisibilityChecker {
 public:
     /// Selects the frames that observe each tile of the ground. Creates no range images
@@ -71,9 +70,9 @@ public:
     struct VisibilityVotes {
         int n_occupied = 0;
         int n_empty = 0;
-        /// Returns true if enough frames observe empty space at the point. At least two
-        /// frames must do so. Their number must also be at least `min_vote_ratio` times
-        /// the number of frames that have a return at the point.
+        /// Returns true if at least two frames observe empty space at the point. Their
+        /// number must also be at least `min_vote_ratio` times the number of frames that
+        /// have a return at the point.
         bool is_empty_space(double min_vote_ratio) const {
             return n_empty >= 2 && double(n_empty) >= min_vote_ratio * double(n_occupied);
         }
@@ -83,8 +82,7 @@ public:
     /// @param point_m [3] world
     VisibilityVotes count_visibility_votes(const glm::vec3& point_m) const;
 
-    /// Returns the frames near a point, ascending. The point is looked up in these
-    /// frames.
+    /// Returns the frames in which a point is looked up, ascending.
     /// @param point_m [3] world
     /// @return indices into the positions given to the constructor
     const std::vector<std::uint32_t>& find_views_near(const glm::dvec3& point_m) const;
@@ -110,7 +108,7 @@ private:
         std::vector<float> range_m;
     };
     /// Range of a point, and the ranges of the returns around it in the range image of a
-    /// frame. These returns lie in 6 cells: 3 neighbours in each of the two nearest rows.
+    /// frame. Uses six cells of the image: three cells in each of the two nearest rows.
     struct NeighbourRanges {
         double range_m = 0.0;
         float returned_m[6];

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compiles every pipeline of the program by constructing the objects that training and
-// rendering use. Needs neither a log nor a GPU. Developers run it to read the statistics
+// rendering use. Needs neither a log nor a GPU. Developers use it to read the statistics
 // of a driver's shader compiler.
 #include "train/compile_pipelines.hpp"
 
@@ -23,7 +23,7 @@ struct KernelSetting {
     const char* value;
 };
 
-// Settings that change a kernel. For each row, the kernels are compiled with the preset
+// Settings that change a kernel. Each row is compiled separately, with the preset
 // `default` and this one setting. Add a row for each new specialisation constant.
 constexpr KernelSetting kSettings[] = {{"image.sh_direction", "ray"},
                                        {"image.sh_direction", "surfel"},
@@ -51,7 +51,7 @@ void compile_training_pipelines(Device& device, const LidarSequence& street, con
     const ScanRenderer renderer(device, scene, config, street);
 }
 
-/// Compiles all variants of the ray traversal. A running program uses only one variant,
+/// Compiles all variants of the ray traversal. A running program uses only one of them,
 /// which depends on the type of the device.
 void compile_traversal_variants(Device& device, const LidarSequence& street) {
     const Config config = make_preset("default");
@@ -102,8 +102,8 @@ void compile_all_pipelines(Device& device, const std::function<void(const std::s
         compile_network_pipelines(device, options);
     }
     report("kernels that add gradients of hits in a fixed order");
-    // Compiles the sort kernels of BackwardPass, which creates them only for its first
-    // batch.
+    // Compiles the sort kernels directly, because BackwardPass creates them only for its
+    // first batch.
     const RadixSort by_row(device, 1, 1);
 }
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Copies the losses and the overflow counters of iterations from the device to the host.
 // The device stores one row of losses for each iteration. A report covers up to 64
-// iterations. The host requests the copy without waiting, and reads it a few iterations
-// later (readback_lag.hpp).
+// iterations. The host requests the copy without waiting, and reads the copy a few
+// iterations later (readback_lag.hpp).
 #pragma once
 
 #include <array>
@@ -28,11 +28,11 @@ struct TrainLogLine {
 
 /// Counters on the device. Each report copies the counters and resets them to 0.
 struct DeviceHitCounters {
-    /// [1] number of rays whose traversal was cut off at the maximum number of passes
-    /// (ForwardPass::pass_cap_count)
+    /// [1] number of rays whose traversal stopped at the maximum number of passes
+    /// (ForwardPass::get_truncated_ray_count)
     const Array<std::uint32_t>* pass_cap = nullptr;
-    /// [1] largest number of ray-surfel hits in one iteration (BackwardPass::most_hits);
-    /// null if not needed
+    /// [1] largest number of ray-surfel hits in one iteration
+    /// (BackwardPass::get_device_max_hit_count); null if not needed
     const Array<std::uint32_t>* most_hits = nullptr;
     std::uint64_t hit_capacity = 0;
     /// [1] number of rays with more hits than can be stored
@@ -54,7 +54,7 @@ public:
     void add_iteration(int step, int frame_number) { iterations_.push_back({step, frame_number}); }
     bool is_full() const { return iterations_.size() == kRows; }
     /// Starts to copy all losses and counters since the last report to the host. Does not
-    /// wait. Call it after add_iteration(), at most once per iteration.
+    /// wait. Call this function after add_iteration(), at most once per iteration.
     /// @param log_line  log line that ends with these iterations, if any
     void record_report_readback(Stream& stream, const DeviceHitCounters& counts,
                                 const std::optional<TrainLogLine>& log_line);
@@ -63,8 +63,7 @@ public:
     struct IterationGroupReport {
         int first_step, last_step;
         std::uint32_t pass_cap, most_hits, overfull;
-        /// capacity of the hit buffer, and stored hits per ray, when
-        /// record_report_readback() was called
+        /// values of DeviceHitCounters when record_report_readback() was called
         std::uint64_t hit_capacity;
         std::uint32_t stored_hits_per_ray;
     };
@@ -72,8 +71,8 @@ public:
     /// Waits if the device has not finished the report.
     /// @throws DataError naming iteration, frame and term if a loss is not finite
     std::optional<IterationGroupReport> read_oldest_report(Stream& stream, int max_step);
-    /// Returns the log lines of the reports that read_oldest_report() has returned, and
-    /// removes them here.
+    /// Returns the log lines of the reports that were read with read_oldest_report().
+    /// Removes the lines from this object.
     std::vector<TrainLogLine> take_log_lines() { return std::exchange(lines_, {}); }
 
     template <class Visitor>

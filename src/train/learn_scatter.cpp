@@ -2,7 +2,7 @@
 // Fits the random scatter of measured intensities for each LiDAR of a log. Renders some
 // training frames along their measured rays, and compares rendered with measured
 // intensities. Training frames can be used, because their residuals are about as large as
-// the residuals of held-out frames.
+// the residuals of held-out frames, which do not train the scene.
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>

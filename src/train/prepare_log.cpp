@@ -48,8 +48,8 @@ bool has_usable_poses(const LidarSequence& sequence, const Config& config) {
     return config.dataset.poses != kNoPoses && sequence.has_poses;
 }
 
-/// How much the registration changed the poses of a log: median and maximum of the shift
-/// and of the rotation.
+/// How much the registration changed the poses of a log: median and maximum of the
+/// translation and of the rotation.
 struct PoseCorrectionStatistics {
     double median_m = 0.0, most_m = 0.0, median_deg = 0.0, most_deg = 0.0;
 
@@ -107,8 +107,8 @@ std::string describe_loop_closures(const RegistrationResult& registration) {
         registration.n_loop_closures, registration.largest_loop_error_m);
 }
 
-// Maximum fraction of scans whose registration may fail. One failed scan is always
-// allowed.
+// Maximum fraction of scans whose registration may fail. However, one failed scan is
+// always allowed.
 constexpr double kMostLost = 0.05;
 
 /// Prints which scans could not be registered.
@@ -135,7 +135,7 @@ void report_unregistered_scans(const LidarSequence& sequence, const Registration
 }
 
 /// Estimates the vehicle poses by registering the scans of the log with each other.
-/// @return a registration; its `done` is set if it has new poses
+/// @return registration; `done` is true if it has new poses
 RegistrationResult register_log_scans(LidarSequence& sequence, const TrainTestSplit& split,
                                       const Config& config, const LogPreparationCallbacks& session) {
     RegistrationResult registration;
@@ -165,7 +165,7 @@ RegistrationResult register_log_scans(LidarSequence& sequence, const TrainTestSp
     if (const std::string warning = corrections.make_warning_if_large();
         has_usable_poses(sequence, config) && !warning.empty()) {
         session.report_line(warning);
-        sequence.notes.push_back(warning);  // stored as a note, so that the command `info` shows it
+        sequence.notes.push_back(warning);  // the command `info` prints notes
     }
     report_unregistered_scans(sequence, registration, config, session);
     return registration;
@@ -275,8 +275,8 @@ std::string describe_box(const BoxTrack& box) {
         glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds);
 }
 
-/// Describes a labelled object that was also observed without a label: its id, and the
-/// numbers of frames before and after the labels.
+/// Describes a labelled object that was also observed without a label. The text has its
+/// id, and the numbers of frames before and after the labels.
 std::string describe_label_extension(const BoxTrack& box) {
     std::vector<std::string> sides;
     if (box.n_before > 0) sides.push_back(fmt::format("{} frames before the first label", box.n_before));
@@ -334,8 +334,8 @@ void refine_moving_box_poses(LidarSequence& sequence, const TrainTestSplit& spli
 RegistrationOptions make_registration_options(const LidarSequence& sequence, const Config& config) {
     RegistrationOptions options;
     options.use_pose_motion = has_usable_poses(sequence, config);
-    // Without vehicle poses, the motion of a box in the world is unknown. All boxes are
-    // then treated as moving.
+    // Treats all boxes as moving if vehicle poses are unknown, because the motion of a
+    // box in the world is then also unknown.
     for (const BoxTrack& box : sequence.boxes)
         if (!options.use_pose_motion || box.is_moving()) options.movers.push_back(box);
     return options;

@@ -9,8 +9,8 @@ namespace relidar {
 
 /// Number of iterations after which the host reads the report of an iteration. At this
 /// time, the stream waits for that iteration anyway, because it reuses the command
-/// buffer. Therefore reading needs no additional wait. Training is repeatable, because
-/// the number is constant.
+/// buffer. Reading the report then needs no additional wait. The number is constant, so
+/// that training is repeatable.
 inline constexpr int kReadbackLag = static_cast<int>(Stream::Impl::kSlots);
 
 }  // namespace relidar

@@ -29,8 +29,8 @@ struct TrainingStepTimes {
     double compute_idle_ms() const { return wall_ms - kernels_ms; }  ///< time in which no kernel runs
 };
 
-/// Maximum number of timed steps, because the times of all kernel launches are kept in
-/// memory.
+/// Maximum number of timed steps. It is limited because the times of all kernel launches
+/// are kept in memory.
 inline constexpr int kMostTimedSteps = 500;
 
 /// Continues training from the scene of a run and measures the time of each step. Uses

@@ -25,8 +25,9 @@ double measure_seconds_since(Clock::time_point start) {
     return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
-/// Returns the options for the initial scene. A single drop logit starts with the
-/// difference of the usual two logits, for the same ray-drop probability (M6).
+/// Returns the options for the initial scene. A surfel can have one drop logit instead of
+/// two. The single logit then starts with the difference of the two logits, which gives
+/// the same ray-drop probability (docs/method.md M6).
 SceneInitialisationOptions make_initialise_options(const Config& config) {
     SceneInitialisationOptions options = config.init;
     options.seed = config.train.seed;
@@ -46,7 +47,8 @@ Scene make_initial_scene(const LidarSequence& sequence, const TrainTestSplit& sp
     return scene;
 }
 
-/// Prints the moving boxes without surfels. Training ignores the returns in these boxes.
+/// Prints the moving boxes without surfels. Training ignores the returns inside these
+/// boxes.
 void report_masked_boxes(const Scene& scene, const LidarSequence& sequence, const Config& config,
                          const TrainSession& session) {
     const std::vector<BoxTrack> masked = find_boxes_without_model(scene, sequence, config.init);
@@ -57,7 +59,8 @@ void report_masked_boxes(const Scene& scene, const LidarSequence& sequence, cons
                     masked.size(), format_box_list(masked)));
 }
 
-/// Prints how many training frames are kept in device memory, unless all are kept.
+/// Prints how many training frames are kept in device memory. Prints nothing if all are
+/// kept.
 void report_resident_frames(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
     if (frames.count_resident_frames() == frames.get_all_frames().size() || !session.note) return;
     session.note(fmt::format(
@@ -66,9 +69,9 @@ void report_resident_frames(const TrainingFrames& frames, const Config& config, 
         frames.count_resident_frames(), frames.get_all_frames().size(), config.train.frame_memory_mib));
 }
 
-/// Turns the refinement of the sensor's poses off if all training frames belong to one
-/// sweep. Nothing constrains the pose of a single sweep, so its pose and the scene would
-/// drift away from the poses of the other sweeps.
+/// Turns the refinement of sensor poses off if all training frames belong to one sweep.
+/// Nothing constrains the pose of a single sweep, so this pose would drift away from the
+/// poses of the other sweeps.
 Config disable_useless_pose_refinement(Config config, const LidarSequence& sequence,
                                        const TrainTestSplit& split, const Scene& initial,
                                        const TrainSession& session) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains the actors of a scene in blocks a second time, in front of the joined
-// background. Uses only the rays near the boxes of actors and the surfels along these
-// rays. Therefore many blocks fit into one training. An actor that drives through several
-// blocks then learns from all of them in random order.
+// Trains the actors of a scene in blocks (parts of a large scene) a second time, in front
+// of the joined background. Uses only the rays near the boxes of actors and the surfels
+// along these rays, so that many blocks fit into one training. An actor that drives
+// through several blocks then learns from all of them in random order.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -18,19 +18,18 @@
 namespace relidar {
 namespace {
 
-// Margin around the box of an actor, so that rays that pass just beside the actor are
-// also used.
+// Margin around the box of an actor. Rays inside the margin are also used.
 constexpr double kBeside_m = 0.5;
 constexpr double kSweep_m = 0.2;  // maximum distance that a sensor moves while its beam crosses an actor
 constexpr double kAlong_m = 2.0;  // maximum distance that a sensor moves during half a sweep
-// Radius of a surfel in standard deviations. Farther out, the surfel is too transparent
-// to matter.
+// Radius of a surfel in standard deviations. At a larger distance, the surfel is nearly
+// transparent.
 constexpr double kReach_sigmas = 3.5;
-// Maximum total number of surfels in the scene blocks that are loaded for one training.
-// Of these blocks, only the surfels near actors are used.
+// Maximum number of surfels in the scene blocks that are loaded for one training. The
+// training uses only the surfels near actors.
 constexpr std::size_t kTogether = 1'500'000;
-// Rays are skipped if the sensor itself drops them with a higher probability than this,
-// because they carry no information about actors.
+// Maximum probability that the sensor itself drops a ray. Rays with a higher probability
+// are skipped, because they carry no information about actors.
 constexpr float kBlind = 0.5f;
 
 /// An actor in one sweep, and the sensor position at the time when the LiDAR head faces
@@ -46,8 +45,8 @@ struct ActorSighting {
     bool is_box_hit_by_ray(const WorldRay& ray, double time_offset_s) const {
         return is_enlarged_box_hit_by_ray(ray, time_offset_s, kBeside_m);
     }
-    /// Returns true if a ray to the actor's box can also hit this sphere, in front of the
-    /// actor or behind it.
+    /// Returns true if a ray to the actor's box can also hit this sphere. The sphere can
+    /// be in front of the actor or behind it.
     bool can_ray_also_hit_sphere(const glm::dvec3& centre_m, double radius_m) const {
         const double driven_length_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
         return is_enlarged_box_hit_by_ray({sensor_m, glm::normalize(centre_m - sensor_m)},
@@ -83,8 +82,8 @@ struct ActorTrainingSection {
     std::set<std::size_t> blocks;
 };
 
-/// Returns the track of each LiDAR. The result should be reused, because each track has
-/// as many poses as the log has sweeps.
+/// Returns the track of each LiDAR. Callers should keep the result, because each track
+/// has as many poses as the log has sweeps.
 std::vector<PoseTrack> list_sensor_tracks(const LidarSequence& sequence) {
     std::vector<PoseTrack> tracks;
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
@@ -161,7 +160,8 @@ Scan select_rays_near_actors(const TrainedRun& run, const LidarFrame& frame,
     return scan;
 }
 
-/// Returns the part of the log for one section. Its frames contain only rays near actors.
+/// Returns the part of the log that trains one section. Its frames contain only rays near
+/// actors.
 LidarSequence make_log_of_section(const TrainedRun& run, const ActorTrainingSection& section,
                                   const std::vector<PoseTrack>& sensor_tracks) {
     std::vector<LidarFrame> frames(section.frames.size());
@@ -201,7 +201,7 @@ Surfels select_surfels_along_rays(const Surfels& surfels,
 }
 
 /// Scene in which the actors of one section of the log are trained. `extent_m` is the
-/// mean extent of its background blocks.
+/// mean extent of the section's background blocks.
 struct SectionScene {
     Scene scene;
     double extent_m = 1.0;
@@ -233,11 +233,11 @@ Config make_actor_training_config(const Config& config, std::size_t n_frames) {
         std::min<std::size_t>(std::size_t(config.blocks.actor_epochs) * n_frames, 1'000'000'000));
     t.rays_per_iteration = 0;
     t.only_touched = true;
-    t.sensor_drop = false;  // not needed, because select_rays_near_actors() has already removed these rays
+    t.sensor_drop = false;  // select_rays_near_actors() has removed such rays
     t.refine_poses = "none";
     t.sh_degree_start = c.image.sh_degree;
     c.densify.strategy = DensifyStrategy::none;
-    c.loss.intensity_ssim = 0.0f;  // off, because this loss compares neighbouring pixels of an image
+    c.loss.intensity_ssim = 0.0f;  // this loss compares neighbouring pixels of an image
     return c;
 }
 

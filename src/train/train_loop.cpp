@@ -48,12 +48,12 @@ bool FrameSampler::has_valid_state(std::size_t n_frames) const {
 namespace {
 
 /// Learning rate of the higher spherical harmonics, relative to the rate of the constant
-/// coefficient. The factor is a twentieth, as in 3D Gaussian splatting. The rate is low
-/// because few views observe how the intensity depends on the direction.
+/// coefficient. The value is a twentieth, as in 3D Gaussian splatting. It is low because
+/// few views observe how the intensity depends on the direction.
 constexpr double kShRestFactor = 0.05;
 
-// Number of iterations between two checks of how much the acceleration structure has
-// grown.
+// Number of iterations between two measurements of how much the acceleration structure
+// has grown.
 constexpr int kGrowthEvery = 32;
 
 LearningRates compute_learning_rates(const TrainConfig& config, double extent_m, int step) {
@@ -72,9 +72,7 @@ LearningRates compute_learning_rates(const TrainConfig& config, double extent_m,
 
 /// Returns the learning rate of the surfel positions for each model, relative to the rate
 /// of the background. The rate is proportional to the extent of the model. Steps suitable
-/// for a street would move an actor's surfels out of its box. The paper's rate is used if
-/// surfels are cloned and split by fractions of this extent, as in the paper. A dense
-/// initialisation uses a tenth of the paper's rate.
+/// for a street would move an actor's surfels out of its box.
 /// @return [models] factors
 std::vector<float> compute_position_rate_factors(const Scene& layout, double background_extent_m) {
     std::vector<float> factors;
@@ -86,14 +84,14 @@ std::vector<float> compute_position_rate_factors(const Scene& layout, double bac
     return factors;
 }
 
-/// Returns the degree of the spherical harmonics that is active in a training step. The
-/// image model can limit the degree further.
+/// Returns the degree of the spherical harmonics that a training step uses. The image
+/// model can limit this degree further.
 int get_active_sh_degree(const TrainConfig& config, int step) {
     return config.sh_degree_start + std::max(step - 1, 0) / std::max(1, config.sh_degree_interval);
 }
 
-/// Describes how often the acceleration structures are refitted to the moving surfels.
-/// Between two refits, a margin around the surfels' boxes prevents missed hits.
+/// Defines how often the acceleration structures are refitted to the moving surfels. A
+/// margin around the surfels' boxes prevents missed hits between two refits.
 struct TreeRefitSchedule {
     int every = 1;  ///< iterations between two refits
     AccelOptions accel;
@@ -101,21 +99,22 @@ struct TreeRefitSchedule {
 
 /// Returns the refit interval and the margins. In one iteration, a surfel moves by
 /// millimetres and grows by a few per cent. A surfel that has just become visible can
-/// outgrow the margin. Rays hit it again after the next refit. If most surfels are fixed,
-/// the interval is longer, because refitting for few trained surfels would take most of
-/// the time. Without per-surfel harmonics, every iteration refits, because only a refit
-/// updates the hit records.
+/// outgrow the margin, until the next refit. If most surfels are fixed, the interval is
+/// longer, because refitting for few trained surfels would take most of the time. If
+/// spherical harmonics are evaluated per ray, every iteration refits, because only a
+/// refit updates the surfel records.
 TreeRefitSchedule choose_tree_refit_options(const Config& config, std::uint32_t n_fixed_surfels) {
     if (config.image.sh_direction == ShDirection::ray) return {};
     if (n_fixed_surfels > 0) return {4, {.margin_scale = 1.1f, .margin_m = 0.01f}};
     return {2, {.margin_scale = 1.05f, .margin_m = 0.003f}};
 }
 
-/// Returns true if the acceleration structures must be refitted in this step. Refits in
-/// every step while the learning rate is so high that surfels could outgrow the margin.
+/// Returns true if the acceleration structures must be refitted in this step. They are
+/// refitted in every step while the learning rate is so high that surfels could outgrow
+/// the margin.
 bool should_refit_tree(const TreeRefitSchedule& refit_options, const TrainConfig& config, int step) {
     // Share of the tree's margin that surfels may use by growing before a refit. The
-    // remainder is needed because rising opacity also enlarges surfels.
+    // other part of the margin is needed because rising opacity also enlarges surfels.
     constexpr double kShare = 0.9;
     const double growth = (refit_options.every - 1) * compute_learning_rates(config, 1.0, step).log_scale;
     return growth > kShare * std::log(refit_options.accel.margin_scale) ||
@@ -132,7 +131,7 @@ RendererOptions make_renderer_options(const Config& config, const TrainingFrames
 
 /// Returns the maximum scale of each surfel, proportional to its initial scale. Surfels
 /// close to each other start small and need little growth. Surfels far apart must be able
-/// to close the holes between them.
+/// to fill the gaps between them.
 std::vector<float> compute_max_log_scales(const Surfels& surfels, double max_growth_factor) {
     std::vector<float> bounds;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
@@ -145,7 +144,7 @@ std::vector<float> compute_max_log_scales(const Surfels& surfels, double max_gro
 }
 
 /// Returns true if every surfel gets a gradient in each iteration, even if no ray hits
-/// it. The box loss has this effect, because it depends only on the surfels.
+/// the surfel. This is so with the box loss, because it depends only on the surfels.
 bool has_dense_gradients(const Config& config) {
     return config.loss.box > 0.0f && !config.train.only_touched;
 }
@@ -212,16 +211,16 @@ TrainLoop::TrainLoop(Device& device, const LidarSequence& sequence, const TrainT
     for (std::size_t i = 0; i < frames_.get_all_frames().size(); ++i)
         frames_[i].placed = compute_instance_poses(
             initial, sequence, get_sweep_moment(sequence.frames[std::size_t(frames_[i].position)]));
-    // Limits the size of surfels. With densification, large surfels are split, so no
-    // limit is needed.
+    // Limits the size of surfels if there is no densification. Densification splits large
+    // surfels, so it needs no limit.
     if (config.densify.strategy == DensifyStrategy::none)
         adam_.set_max_log_scales(device, compute_max_log_scales(initial.surfels, config.train.max_growth));
 }
 
 TrainLoop::~TrainLoop() {
     try {
-        // Waits for the device, because it may still use the arrays if training ended
-        // with an exception.
+        // Waits, because the device may still use the arrays if training ended with an
+        // exception.
         stream_.submit_and_wait();
     } catch (const Error&) {
         // Ignores the error, because it was already reported. A lost device no longer
@@ -334,20 +333,21 @@ void TrainLoop::increase_hit_capacity_if_needed(const IterationReports::Iteratio
             "{} hits, expected at most {}; use fewer rays per iteration (train.rays_per_iteration)",
             report.first_step, report.last_step, report.most_hits, report.hit_capacity));
     if (report.most_hits <= differentiable_.backward_pass().get_hit_capacity() / 2) return;
-    // The capacity for hits changes now. Requests the report of the steps so far, because
-    // they used the old capacity.
+    // Requests the report of the steps so far before the capacity changes, because they
+    // used the old capacity.
     request_report(last_step_, false);
-    // Doubles the reserved space before the number of hits exceeds it.
+    // Reserves memory for twice the reported number of hits, so that later steps can have
+    // more hits.
     differentiable_.backward_pass().reserve_hit_memory(stream_, 2 * std::uint64_t(report.most_hits));
 }
 
 void TrainLoop::increase_hits_kept_per_ray(const IterationReports::IterationGroupReport& report) {
-    // Ignores reports from before the last increase of the hits per ray.
+    // Ignores reports of steps before the last increase of the hits per ray.
     if (report.stored_hits_per_ray != renderer_.get_stored_hits_per_ray() || hit_memory_exhausted_) return;
     const std::uint32_t n_hits = recommend_stored_hits_per_ray(report.stored_hits_per_ray, report.overfull);
     if (n_hits == report.stored_hits_per_ray) return;
-    // The number of hits per ray changes now. Requests the report of the steps so far,
-    // because they used the old number.
+    // Requests a report of the steps so far before the number of hits per ray changes.
+    // These steps used the old number.
     request_report(last_step_, false);
     try {
         renderer_.set_stored_hits_per_ray(n_hits);
@@ -389,16 +389,16 @@ void TrainLoop::restore_state(const Checkpoint& checkpoint) {
 }
 
 RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSequence& sequence) {
-    // Number of rays in a batch of one frame. In a full log, each bin of the drop table
-    // then gets hundreds of rays.
+    // Number of rays in a batch of one frame. Each bin of the drop table then gets
+    // hundreds of rays in a full log.
     constexpr std::uint32_t kRays = 20000;
-    // Minimum number of rays per bin of the drop table. A short log may need all its rays
-    // for this.
+    // Minimum number of rays per bin of the drop table. To get so many rays, a short log
+    // may use all of them.
     constexpr std::size_t kRaysPerBin = 20;
     Config some_rays = config_;
     some_rays.train.rays_per_iteration = kRays;
-    // Turns the image loss off, because it needs a window of columns. Without it, a batch
-    // contains rays of all directions.
+    // Turns the image loss off, because it would restrict a batch to a window of columns.
+    // A batch without windows has rays of all directions.
     some_rays.loss.intensity_ssim = 0.0f;
     BatchSampler batches(device, some_rays, frames_.get_all_frames());
     RayDropCounts counts(sequence);
@@ -407,8 +407,8 @@ RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSe
     const std::size_t rays_of_frame =
         kRaysPerBin * counts.get_bin_count() / std::max<std::size_t>(1, frames_.get_all_frames().size());
     for (std::size_t k = 0; k < frames_.get_all_frames().size(); ++k) {
-        // The last iteration moved the surfels, so the tree is refitted before the first
-        // frame.
+        // Refits the tree before the first frame, because the last iteration moved the
+        // surfels.
         const TrainingFrameData& frame = upload_and_place_frame(k, k == 0);
         if (k + 1 < frames_.get_all_frames().size()) frames_.prefetch_frame(k + 1);
         const std::uint32_t first = batches.draw_first_column(frame, sampler_.get_random_generator());
@@ -425,8 +425,9 @@ RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSe
 
 void TrainLoop::count_dropped_rays(RayDropCounts& counts, const LidarSequence& sequence,
                                    const TrainingFrameData& frame, const SampledBatch& batch) {
-    // A ray hits a solid surface if its blending weight is above this value. Other rays
-    // are not counted, except in blind directions, for which no surface was trained.
+    // Minimum blending weight of a ray that hits a solid surface. Only such rays are
+    // counted. In blind directions all rays are counted, because no surface was trained
+    // there.
     constexpr float kSolid = 0.9f;
     const LidarFrame& sweep = sequence.frames[std::size_t(frame.position)];
     const RayDropTable& observed = frames_.get_mask_rules().observed_drops;

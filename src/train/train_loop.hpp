@@ -29,7 +29,7 @@ public:
     FrameSampler(std::size_t n, std::uint64_t seed);
     std::size_t draw_next_frame();
     /// Returns the frame that draw_next_frame() will return. Returns nothing at the end
-    /// of an epoch, because the order of the next epoch is not drawn yet.
+    /// of an epoch, because the order of the next epoch is still unknown.
     std::optional<std::size_t> peek_next_frame() const;
     Random& get_random_generator() { return random_; }
 
@@ -63,8 +63,8 @@ public:
     TrainLoop& operator=(const TrainLoop&) = delete;
 
     /// Records and submits the GPU commands of one iteration. Normally waits only for an
-    /// earlier submission. Waits longer for densification. Also waits longer if a batch
-    /// has more rays or hits than all earlier batches, or if too many rays have more hits
+    /// earlier submission. Waits longer for densification, or if a batch has more rays or
+    /// hits than all earlier batches. Also waits longer if too many rays have more hits
     /// than can be stored.
     /// @param step  counts from 1
     /// @param ends_log_line  true if a log line ends with this iteration
@@ -77,11 +77,11 @@ public:
     /// Waits for all submitted iterations and reads their reports.
     /// @throws DataError if a loss of these iterations was not finite
     void wait_for_iterations();
-    /// Completes training after the last iteration. Waits for all iterations, then
-    /// applies the pending pose updates.
+    /// Completes training: waits for all iterations, then applies the pending pose
+    /// updates.
     void complete_training();
-    /// Writes the complete training state into a checkpoint. First waits for all
-    /// submitted iterations.
+    /// Waits for all submitted iterations, and writes the complete training state into a
+    /// checkpoint.
     /// @throws DataError if a loss of these iterations was not finite
     void save_state(Checkpoint& checkpoint);
     /// Restores the state from a checkpoint. The loop must have been created with the
@@ -150,9 +150,8 @@ private:
             visit(std::string("densify/report/") + name, densified_.*count);
     }
 
-    /// Sets up one frame for this step: its rays, the poses of its instances, and the
-    /// surfel intensities seen from its sensor position. Records the GPU commands for
-    /// this.
+    /// Records GPU commands that prepare one frame for this step: its rays, the poses of
+    /// its instances, and the surfel intensities from its sensor position.
     const TrainingFrameData& prepare_frame_for_step(std::size_t frame_index, int step);
     /// Uploads a frame if it is not on the device, and moves the instances to their poses
     /// in this frame.
@@ -169,7 +168,7 @@ private:
     /// @throws DeviceError if a deterministic step exceeded the capacity
     void increase_hit_capacity_if_needed(const IterationReports::IterationGroupReport& report);
     /// Increases the number of hits that are stored per ray if too many rays had more
-    /// hits, because these rays must be traced twice.
+    /// hits. Such rays are slow, because they must be traced twice.
     void increase_hits_kept_per_ray(const IterationReports::IterationGroupReport& report);
     /// Counts the rays of a batch for which the scene predicts a return, and how many
     /// were dropped.

@@ -157,7 +157,8 @@ TEST(ParallelReduce, AddsPartsInTheirOrder) {
     EXPECT_EQ(parallel_reduce(0, 3, [](std::size_t, std::size_t) { return 1; }), 0);
 }
 
-/// Rounding makes a sum of floats depend on the order of its terms.
+/// Rounding makes a sum of floats depend on the order of its terms. The result must
+/// nevertheless be the same for any number of threads.
 TEST(ParallelReduce, IsTheSameForAnyNumberOfThreads) {
     constexpr std::size_t kItems = 100003, kPart = 128;
     std::vector<float> values;

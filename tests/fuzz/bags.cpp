@@ -424,7 +424,7 @@ void read_ousters(std::string_view input, const fs::path&) {
     read_turns(log, views);
 }
 
-/// First bytes and size of a packet of a sensor product whose packets consist of blocks.
+/// First bytes and size of a packet of a LiDAR product. Its packets consist of blocks.
 struct BlockPacket {
     std::string_view head;
     std::size_t bytes;

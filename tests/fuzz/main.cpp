@@ -64,7 +64,8 @@ Harness chosen;
     fs::create_directories(folder);
     std::size_t n = 0;
     for (const std::string& seed : chosen.seeds(get_scratch_folder())) {
-        // does not catch exceptions, because a rejected seed is of little use
+        // does not catch exceptions, because the reader must accept the seeds of this
+        // harness
         if (chosen.seeds_are_good) chosen.read(seed, get_scratch_folder());
         put(folder / ("seed_" + std::to_string(n++)), seed);
     }

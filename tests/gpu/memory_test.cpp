@@ -121,9 +121,9 @@ VKAPI_ATTR void VKAPI_CALL small_budget(VkPhysicalDevice physical,
         else memory->memoryProperties.memoryHeaps[i].size = 60 << 20;
 }
 
-/// An array that exceeds the memory budget must not reach the driver, because the driver
-/// may end the process or move the memory of other programs. The error must name the size
-/// and the free memory.
+/// An array that exceeds the memory budget must be rejected before the driver is called.
+/// The driver could end the process or move the memory of other programs. The error must
+/// name the size and the free memory.
 TEST_F(GpuMemory, ArrayThatExceedsTheBudgetIsRefused) {
     if (device().allocated_bytes() > (8 << 20)) GTEST_SKIP() << "another test uses much memory";
     real_memory_properties = std::exchange(vkGetPhysicalDeviceMemoryProperties2, small_budget);

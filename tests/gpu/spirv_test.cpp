@@ -129,8 +129,8 @@ std::pair<int, int> count_parameter_loads(std::span<const std::uint32_t> words) 
     return n;
 }
 
-/// Parameters must be loaded at the start of the module, unless a value that only the
-/// device has indexes them.
+/// Parameters must be loaded at the start of the entry point. The only exceptions are
+/// array elements whose index is computed on the device.
 TEST(SpirvParameters, AreReadWhereAModuleBegins) {
     int n_before = 0, n_later = 0;
     for (const EmbeddedKernel& kernel : embedded_kernels()) {

@@ -30,8 +30,8 @@ using Words = std::vector<std::uint32_t>;
 
 class StreamTest : public test::DeviceTest {};
 
-/// Each launch must receive its parameters. Launch i copies word i, computed as the sum
-/// of this single word (gpu/scan_write).
+/// Each launch must receive its own parameters. Launch i runs the kernel gpu/scan_write
+/// to copy word i, as the sum of this single word.
 TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     // more submissions than slots, so that memory is reused
     constexpr std::uint32_t kWords = 1 << 18, kLaunches = 5000, kSubmissions = 5;
@@ -342,8 +342,8 @@ TEST_F(CutLaunches, ArraysOutliveAnException) {
     EXPECT_EQ(device().allocated_bytes(), allocated);
 }
 
-/// The weight of an earlier slow launch must decrease over time, so that it does not cut
-/// all later launches.
+/// A launch that was slow must count less over time, so that it does not cause all later
+/// launches to be cut.
 TEST(LaunchLimit, ForgetsOldSpeeds) {
     gpu::LaunchTimeLimit limit;
     EXPECT_FALSE(limit.has_time_limit());

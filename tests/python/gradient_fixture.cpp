@@ -40,7 +40,7 @@ public:
 private:
     struct Column {
         std::vector<double> values;
-        /// Numbers per row. 0 stands for a single number per row and no second axis.
+        /// Numbers per row. 0 means a single number per row, without a second axis.
         std::size_t width = 0;
     };
     std::map<std::string, Column> columns_;

@@ -106,8 +106,8 @@ class Render(TestCase):
         time = run().times[3]
         default = run().render(time=time)
         self.assert_same(run().render(time=time, pose=run().trajectory)["range"], default["range"])
-        # The tracks of the boxes place the actors like the run does, except actors that
-        # are absent at this time.
+        # The tracks of the boxes give the same poses of actors as the run. present()
+        # leaves out actors that are absent at this time.
         given = run().render(time=time, actors=present(run(), time))
         self.assertGreater(np.mean(given["instance"] == default["instance"]), 0.99)
         self.assertTrue(np.any(given["instance"] > 0))

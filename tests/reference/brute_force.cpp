@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements exhaustive traversal, the reference for all hit providers
+// Implements the traversal that all other traversals are compared with
 // (docs/architecture.md section 6). Intersects each surfel of each instance with the
-// canonical function (M1, M2) and sorts the hits by key.
+// formulas of M1 and M2 and sorts the hits by key.
 #include <algorithm>
 #include <stdexcept>
 

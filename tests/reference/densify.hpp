@@ -47,7 +47,7 @@ glm::dvec3 sample_point(const DensifiedSurfel& surfel, const glm::dvec2& z, doub
 
 /// Distributes the copies 0 ... n_new - 1 to surfels. Each copy is computed separately.
 /// Copy j belongs to the first surfel whose cumulative weight c satisfies c n_new + phase
-/// >= (j + 1) W.
+/// >= (j + 1) W, where W is the sum of all weights.
 /// @return number of copies of each surfel
 std::vector<std::uint32_t> count_copies(const std::vector<std::uint32_t>& weight, std::uint32_t n_new,
                                         std::uint32_t phase);

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements traversal with Embree on a two-level scene of proxy triangle pairs (M3). The
-// filter callback is called for every triangle along the ray, evaluates the canonical
-// function (M1, M2) and keeps the nearest `chunk` keys. Embree's t is only used to
-// shorten the ray, with a margin of twice the largest proxy. This is safe because both
-// hits lie on the same ray inside the same proxy. Moving models are not part of the
-// top-level scene. Each moving model has a separate scene that is traced with the ray in
-// the model's frame at the ray's time.
+// Implements traversal with Embree on a two-level scene with two bounding triangles per
+// surfel (M3). For every triangle along the ray, the filter callback intersects the
+// surfel (M1, M2) and keeps the nearest `chunk` hits. Embree's t only shortens the ray,
+// with a margin of twice the largest triangle pair. This is safe because the ray hits
+// triangle and surfel inside the same pair. Each moving model has a separate scene
+// outside the top-level scene. The ray is traced there in the model's frame at the ray's
+// time.
 #if __has_include(<embree4/rtcore.h>)
 #include <embree4/rtcore.h>
 #else
@@ -94,8 +94,8 @@ struct EmbreeFilter::State {
     std::vector<FloatRecord> records;
     std::vector<FloatRows> rows;
     std::vector<Placement> instances;
-    // an Embree scene per instance, which is simple, because tests have few instances of
-    // a model
+    // an Embree scene for each instance, although instances may share a model; this is
+    // simple, and tests have few instances
     std::vector<ModelScene> models;
     double t_margin = 1e-3;
     Device device{rtcNewDevice("threads=1,set_affinity=0")};

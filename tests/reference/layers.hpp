@@ -66,8 +66,8 @@ struct NormGradient {
     ImageBatch from;
     std::vector<double> beta, gamma;  ///< [channels]
 };
-/// Returns the derivatives of normalise(), including the derivatives through the mean and
-/// the variance, which depend on `from`.
+/// Returns the derivatives of normalise(). Mean and variance depend on `from`, so the
+/// derivatives include this dependence.
 NormGradient backpropagate_normalisation(const ImageBatch& from, const NormLayer& layer,
                                          const ImageBatch& d_to);
 

@@ -33,8 +33,8 @@ double dot(const std::vector<double>& a, const std::vector<double>& b) {
     return sum;
 }
 
-/// Compares `actual` with central differences of the inner product <asked, value()> with
-/// respect to each element of `values`. The function value() reads `values`.
+/// Compares `actual` with central differences of the inner product <requested, value()>
+/// with respect to each element of `values`. The function value() reads `values`.
 void expect_derivative(std::vector<double>& values, const std::vector<double>& actual,
                        const std::vector<double>& requested,
                        const std::function<std::vector<double>()>& value) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Implements the loss terms of the reference (docs/method.md section 5; M6). The
-// cross-entropy uses softplus, so that extreme logits neither overflow nor lose their
-// derivative. With x = drop - hit, it is ln(1 + e^x) - y x, and its derivative is beta -
-// y.
+// cross-entropy uses softplus, because extreme logits would otherwise overflow or have no
+// derivative. With x = drop - hit, the cross-entropy is ln(1 + e^x) - y x, and its
+// derivative is beta - y.
 #include "loss.hpp"
 
 #include <algorithm>

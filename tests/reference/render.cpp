@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Implements the forward pass of the reference: shading of a hit (M1, M2, SH) and
-// blending from near to far (M4, M5). Blends in chunks like a GPU, or over the complete
-// list of hits. Both versions differ only in how hits are fetched.
+// blending from near to far (M4, M5). Fetches hits in chunks like a GPU, or uses the
+// complete list of hits. The blending is the same.
 #include "render.hpp"
 
 #include <algorithm>

@@ -33,12 +33,12 @@ struct BlendedValues {
 /// also contains the final transmittance T_N.
 struct Pixel : BlendedValues {
     double transmittance = 1.0;  ///< T_N, after the last blended surfel
-    /// t of the surfel that reduces the transmittance T from above 0.5 to 0.5 or less. It
-    /// is 0 if no surfel does.
+    /// Distance t of the surfel at which the transmittance T falls from above 0.5 to 0.5
+    /// or less. It is 0 if T never falls so far.
     double median_depth = 0.0;
     std::uint32_t hits = 0;  ///< number of blended surfels
-    /// Instance of the surfel of median_depth. Without median_depth, instance of the
-    /// nearest blended surfel. -1 if no surfel was blended.
+    /// Instance of the surfel that determines median_depth. If median_depth is 0,
+    /// instance of the nearest blended surfel. -1 if no surfel was blended.
     std::int64_t instance = -1;
     /// Sum of w n, where n is the unit normal of the surfel in the world frame, on the
     /// side that faces the sensor.
@@ -80,7 +80,7 @@ BlendedValues values_of(const Settings& settings, const Ray& ray, const ShadedHi
 BlendedValues compute_slopes(const Settings& settings, const Ray& ray, const ShadedHit& hit);
 ShadedHit shade_hit(const World& world, const Settings& settings, const Ray& ray, const Hit& hit);
 
-/// Renders a ray and fetches `chunk` hits at a time.
+/// Renders a ray. Fetches its hits in groups of `chunk` hits.
 /// @param blended if not null, receives the blended hits in order
 Pixel render(const World& world, const HitProvider& provider, const Settings& settings, const Ray& ray,
              int chunk, std::vector<ShadedHit>* blended = nullptr);

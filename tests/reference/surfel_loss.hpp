@@ -21,8 +21,8 @@ struct BoxedSurfel {
     std::optional<double> log_scale_w{};  ///< third scale of a 3D Gaussian
 };
 
-/// Returns sum_xyz max(0, |mean| / half - 1) + sum over scales of max(0, scale / largest
-/// - 1). Adds scale * derivative to `gradient`.
+/// Returns sum over x, y, z of max(0, |mean| / half - 1), plus sum over scales of max(0,
+/// scale / largest - 1). Adds `scale` times the derivative to `gradient`.
 double compute_box_loss(const BoxedSurfel& surfel, const Box& box, double scale, BoxedSurfel& gradient);
 
 }  // namespace relidar::reference

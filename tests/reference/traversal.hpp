@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Defines the traversal contract of docs/architecture.md section 6 in C++: "at most
-// `chunk` surfels strictly after a key, ascending by (t, instance, surfel), each at most
-// once". BruteForce tests every surfel. EmbreeFilter gets candidates from Embree through
-// the proxies of M3. Both use the canonical function of surfel.hpp, in float (ids
-// comparable with the GPU) or in double.
+// Defines in C++ what a method to find hits must return (docs/architecture.md section 6):
+// "at most `chunk` surfels strictly after a key, ascending by (t, instance, surfel), each
+// at most once". BruteForce tests every surfel. EmbreeFilter gets candidates from Embree
+// through bounding triangles (M3). Both compute intersections with surfel.hpp, in float
+// (ids comparable with the GPU) or in double.
 #pragma once
 
 #include <cstdint>
@@ -68,8 +68,8 @@ public:
 };
 
 /// Returns all hits of a ray, fetched `chunk` at a time.
-/// @throws std::logic_error if the provider violates the contract: too many hits,
-/// unsorted, or not after the key
+/// @throws std::logic_error if the provider returns too many hits, unsorted hits, or hits
+/// that are not behind the previous hits
 std::vector<Hit> list_all_hits(const HitProvider& provider, const Ray& ray, int chunk);
 
 enum class Precision { float_record, double_record };

@@ -57,8 +57,8 @@ protected:
         }
         return surfels;
     }
-    /// Returns a surfel as it is in the scene of on_device(), for example at its phase of
-    /// the gait.
+    /// Returns a surfel as on_device() places it in the scene. A surfel of a walking
+    /// actor has moved with its limb.
     reference::Surfel in_scene(const reference::Surfel& surfel, std::size_t index) const {
         return bends() && index >= kOfBackground ? reference::move_to_phase(surfel, kPhase) : surfel;
     }
@@ -104,9 +104,9 @@ std::vector<double> compute_record(const reference::Surfel& surfel, const glm::d
 /// of exp and division, the rounding of a rotation matrix, and 2e-6 of summed values.
 std::vector<double> compute_record_tolerance(const reference::Surfel& surfel,
                                              const std::vector<double>& expected) {
-    // An element of the matrix uses q / |q| twice in each of two products. q / |q| has
-    // the error of an inverse square root (2 units) and of 6 roundings. The sum of the
-    // products is at most 1. Twice the sum and 1 are added.
+    // An element of the rotation matrix is twice a sum of two products of q / |q|. On the
+    // diagonal, it is 1 minus this value. Each factor has the error of an inverse square
+    // root (2 units) and of 6 roundings. The sum of the products is at most 1.
     constexpr double kElement =
         2.0 * 2.0 * (2.0 * test::kUnit + 6.0 * test::kRounding) + 4.0 * test::kRounding;
     const double log_scale[] = {surfel.log_scale.x, surfel.log_scale.y, surfel.log_scale_w.value_or(0.0)};
@@ -174,7 +174,8 @@ TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
         EXPECT_EQ(records[i].opacity == 0.0f, i == 5 || i == 99) << "surfel " << i;
 }
 
-/// Returns random record gradients, with zeros for every third surfel.
+/// Returns random gradients of intersection records. Every third surfel has the gradient
+/// 0.
 std::vector<float> make_record_gradients(std::size_t count) {
     std::mt19937_64 random(3);
     std::normal_distribution<float> normal;
@@ -287,9 +288,8 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     }
 }
 
-/// Compares the derivatives over a list of touched surfels with the derivatives over all
-/// surfels. More surfels are marked than have a gradient. Unmarked surfels must not be
-/// read.
+/// Compares the derivatives over a list of marked surfels with the derivatives over all
+/// surfels. Some marked surfels have no gradient. Unmarked surfels must not be read.
 TEST_P(Activate, VjpOverAListIsThatOverAll) {
     const std::vector<reference::Surfel> surfels = make_some_surfels();
     const auto n = static_cast<std::uint32_t>(surfels.size());
@@ -331,8 +331,8 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
 
 class TouchedRows : public test::DeviceTest {};
 
-/// Checks that the list contains exactly the rows with a gradient, each row once. Tests
-/// several numbers of rows.
+/// Checks that the list contains exactly the surfels with a gradient, each surfel once.
+/// Tests several numbers of surfels.
 TEST_F(TouchedRows, AreListed) {
     const Kernel<shared::ListTouchedParams> kernel(device(), "scene/list_touched");
     std::mt19937 random(3);

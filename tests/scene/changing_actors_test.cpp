@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests surfels that are visible only around the time of their frame (docs/method.md
-// M14).
+// Tests actors that change their shape. Each surfel of such an actor is visible only
+// around the time of its frame (docs/method.md M14).
 #include "scene/changing_actors.hpp"
 
 #include <cmath>

@@ -167,8 +167,9 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     }
 }
 
-/// Adds a second LiDAR to the log. In the first case, it has few returns on the objects.
-/// In the second case, it has the same returns as the first LiDAR.
+/// All objects must be discovered if any LiDAR of the log observes them. The second LiDAR
+/// has all returns. The first LiDAR has few returns on the objects in the first case, and
+/// all returns in the second case.
 TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
     for (const bool first_frame_is_complete : {false, true}) {
         Street street = make_street_without_labels();

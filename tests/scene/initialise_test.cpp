@@ -52,8 +52,9 @@ TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
     }
 }
 
-/// Renders flat ground of a single albedo, from a height of 2 m. The intensity is 0.4
-/// (0.3 + 0.7 cos), which SH degree 1 represents exactly.
+/// Initial surfels must become darker at grazing incidence. The scan shows flat ground of
+/// a single albedo from a height of 2 m. Its intensity is 0.4 (0.3 + 0.7 cos), which SH
+/// degree 1 represents exactly.
 TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
     LidarSequence ground;
     for (int b = 0; b < 64; ++b) ground.lidars[0].sensor.beams.push_back({.elevation_rad = -0.5 - 0.01 * b});
@@ -151,9 +152,9 @@ TEST(Initialise, AStreetThatStandsStillStays) {
     }
 }
 
-/// The lower beams of a VLP-32C are up to 9 degrees apart. The ground between two of
-/// these beams is nearer than the return of the upper beam. Nevertheless, the upper ray
-/// is no proof that this ground does not exist.
+/// Ground between uneven beams must not be removed as moving. The lower beams of a
+/// VLP-32C are up to 9 degrees apart. The ground between two beams is nearer than the
+/// return of the upper beam, although the upper ray did not pass through this ground.
 TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
     const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_uneven_beams.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";

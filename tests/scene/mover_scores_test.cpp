@@ -31,7 +31,7 @@ constexpr double kInside_m = 0.3;
 constexpr double kLarger_m = 0.8;
 constexpr double kDriftStep_m = 0.03, kDriftMargin_m = 1.0;  // drift of inaccurate poses
 
-/// Returns [things] the number of training frames in which each object has enough
+/// Returns for each of the `things` the number of training frames in which it has enough
 /// returns.
 std::vector<std::size_t> list_frames_that_see(const LidarSequence& log, const std::vector<int>& train,
                                               const std::vector<BoxTrack>& things) {

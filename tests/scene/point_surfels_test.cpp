@@ -89,8 +89,8 @@ TEST(PointSurfels, AreRoundByThemselves) {
     for (const glm::vec2& scale : surfels.log_scale) EXPECT_EQ(scale.x, scale.y);
 }
 
-/// Uses a random point in the inner half of each cell, which has the same distribution as
-/// points averaged over voxels.
+/// Surfels must be round if points are evenly spaced. Each cell has a random point in its
+/// inner half, like points that are averaged over voxels.
 TEST(PointSurfels, AreRoundWherePointsAreEven) {
     Random random(2);
     std::vector<LidarSample> samples;
@@ -107,8 +107,9 @@ TEST(PointSurfels, AreRoundWherePointsAreEven) {
     EXPECT_LT(stretched / double(samples.size()), 0.02);
 }
 
-/// Lines are 1.5 m apart, so that the 24 nearest neighbours of a point belong to a single
-/// line. Only a wider search shows that the ground is level.
+/// The search must widen if the nearest points lie on a single line. Lines are 1.5 m
+/// apart, so that the 24 nearest neighbours of a point belong to one line. Only a wider
+/// search shows that the ground is level.
 TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
     SceneInitialisationOptions options = make_standard_options();
     options.max_gap_m = 2.0;
@@ -130,8 +131,8 @@ TEST(PointSurfels, DoNotReachToAnotherSurface) {
     EXPECT_LT(disc.along_x, 1.6);
 }
 
-/// No ray observed the space above the uppermost line. Training could therefore not
-/// correct a disc that extends into this space.
+/// A disc must not extend above the uppermost line. No ray observed this space, so
+/// training could not correct the disc.
 TEST(PointSurfels, DoNotReachBeyondTheLastLine) {
     const std::vector<LidarSample> samples =
         make_lines_at({-1.5, -1.0, -0.5, 0.0}, [](double) { return 0.0; });

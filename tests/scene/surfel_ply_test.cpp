@@ -21,7 +21,8 @@ namespace {
 
 using SurfelPly = TemporaryFolder;
 
-// 3 + 3 + 3 + 45 + 1 + 3 + 4 properties of the splatting layout, then 16 + 16 + 1
+// Properties per surfel: 3 + 3 + 3 + 45 + 1 + 3 + 4 of the layout of 3D Gaussian
+// Splatting, then 16 + 16 + 1 of relidar
 constexpr std::size_t kProperties = 95;
 
 /// Returns three models with values of all magnitudes and both zeros. A model is empty.
@@ -157,8 +158,8 @@ TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {
     }
 }
 
-/// Simulates an external tool that cropped the scene, changed the order, removed the
-/// normals and added a property.
+/// A file that an external tool has edited must be readable. The tool cropped the scene,
+/// changed the order, removed the normals and added a property.
 TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
     const Scene scene = make_some_scene();
     write_surfel_ply(folder / "a.ply", scene);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests walking actors (docs/method.md M14). Compares the walked distance with the exact
-// distance, and rendered walkers with the exact street at held-out times, also at a
-// different walking speed.
+// Tests walking people, whose limbs move with the walked distance (docs/method.md M14).
+// Compares the walked distance with the exact distance. Compares rendered people with the
+// exact street at times that did not train the scene, also at a different walking speed.
 #include <algorithm>
 #include <cmath>
 #include <set>

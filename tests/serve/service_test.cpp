@@ -203,9 +203,9 @@ TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
     EXPECT_THAT(values<std::uint16_t>(scan.points().ring()), testing::Contains(2));
 }
 
-/// The wall faces the sensor, so its normal is -x of the world, in the frame of the
-/// points. Points without an image are computed on the device. Points with an image are
-/// computed on the host. Both must be equal.
+/// Requests points without an image, which the device computes, and points with an image,
+/// which the host computes. Both must be equal. The wall faces the sensor, so its normal
+/// is -x of the world, in the frame of the points.
 TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
     start();
     v1::RenderLidarRequest request = make_standing_request();
@@ -238,7 +238,9 @@ TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
     }
 }
 
-/// The sensor drives towards the wall at 20 m/s.
+/// The sensor drives towards the wall at 20 m/s. In a motion-compensated log, points of
+/// the log's sensor must have time 0. Points of another sensor must have their firing
+/// times.
 TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
     relidar::TrainedRun run = make_small_run(folder / "small");
     run.sequence.rolling_shutter = false;
@@ -287,8 +289,8 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
     }
 }
 
-/// Uses a network that predicts a return for every ray, and a sensor for which most rays
-/// hit nothing.
+/// The image and the points must have the same number of returns. Uses a network that
+/// predicts a return for every ray, and a sensor for which most rays hit nothing.
 TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
     relidar::TrainedRun run = make_small_run(folder / "small");
     run.config.refine.enabled = true;
@@ -311,7 +313,8 @@ TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
     }
 }
 
-/// The car drives away from the sensor. A copy of the car is behind the wall.
+/// The response must contain the boxes of the request, with the number of points in each
+/// box. The car drives away from the sensor. A copy of the car is behind the wall.
 TEST_F(Service, BoxesAreThoseOfTheRequestAndCountItsPoints) {
     start();
     v1::SpawnActorsRequest spawn;

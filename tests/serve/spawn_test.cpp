@@ -235,7 +235,7 @@ TEST_F(Spawn, WhatMakesNoSenseIsRefusedByNameAndChangesNothing) {
     EXPECT_THAT(values<std::int32_t>(scan_of(request).points().instance()), testing::Contains(2));
 }
 
-/// The class of a spawned asset is that of its file, a vehicle (1).
+/// A spawned asset must have the class that its file states, here vehicle (1).
 TEST_F(Spawn, AnAssetHasItsClass) {
     channels = "class";
     start();

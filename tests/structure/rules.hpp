@@ -14,7 +14,8 @@ using Violations = std::vector<std::string>;
 
 /// Checks the includes of each file. A file may include only files of its module ("room")
 /// and of the modules before it in the list in include_rules.cpp. It must include other
-/// modules through public headers. A reader must not include a different reader.
+/// modules through public headers. The reader of a dataset must not include the reader of
+/// another dataset.
 Violations check_include_edges(const SourceTree& tree);
 /// Checks that headers of external libraries are included only in folders that may use
 /// the library.
@@ -35,9 +36,9 @@ Violations check_kernels(const SourceTree& tree);
 /// pointer.
 Violations check_bare_pointers(const SourceTree& tree);
 
-/// Checks that no source of the library or its tools tests the type of a primitive.
-/// Differences between primitives are columns of relidar/scene/primitives.h, so that a
-/// new primitive needs no further changes.
+/// Checks that no source of the library or its tools tests the type of a primitive
+/// (surfel or 3D Gaussian). Differences between primitives are columns of
+/// relidar/scene/primitives.h, so that a new primitive needs no further changes.
 Violations check_primitive_questions(const SourceTree& tree);
 
 /// Checks the lengths of files, functions and lines, and the numbers of arguments.

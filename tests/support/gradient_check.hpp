@@ -2,8 +2,8 @@
 // Compares gradients with central differences, row by row. A row is a parameter of a
 // surfel (mean [3], rotation [4], ...). The error of a row is |difference - analytic|
 // divided by the row's norm. The table reports the worst row of each group and the number
-// of nonzero rows. Both parts of the gradient chain in docs/architecture.md section 9 use
-// it.
+// of nonzero rows. The tests of the reference's gradients and of the device's gradients
+// use this file (docs/architecture.md section 9).
 #pragma once
 
 #include <algorithm>

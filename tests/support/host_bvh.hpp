@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Builds a two-level tree in the layout of shared/bvh.h on the host. Splits recursively
 // at the median object. Tests can thus check the traversal without the device's tree
-// builder. The boxes are computed on the device (diff/accel/proxies).
+// builder. The kernel diff/accel/proxies computes the boxes.
 #pragma once
 
 #include <memory>

@@ -29,8 +29,8 @@ public:
     WorkInFlight(const WorkInFlight&) = delete;
     WorkInFlight& operator=(const WorkInFlight&) = delete;
 
-    /// Number of destroyed buffers, and number of those that were destroyed between a
-    /// submission and the next wait for it.
+    /// Number of destroyed buffers. n_destroyed_in_flight() counts those that were
+    /// destroyed between a submission and the next wait for it.
     int n_destroyed() const { return now().n_destroyed; }
     int n_destroyed_in_flight() const { return now().n_destroyed_in_flight; }
     int n_submissions() const { return now().n_submissions; }

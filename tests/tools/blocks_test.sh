@@ -103,7 +103,7 @@ stopped() {
     rm -rf stopped
     "$relidar" train street --out stopped --blocks 30m "${settings[@]}" --quiet 2>err &
     pid=$!
-    # within half a second after this, held-out scans are aligned with the scene
+    # waits for scene.json; within half a second, the program then aligns held-out scans
     while kill -0 $pid 2>/dev/null && [[ ! -e stopped/scene.json ]]; do :; done
     kill -INT $pid
     wait $pid

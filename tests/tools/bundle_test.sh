@@ -37,7 +37,7 @@ if grep -q '^VERSION_CODENAME=bookworm$' /etc/os-release; then
     is_at_most "$(newest GLIBCXX "$build/tools/relidar/relidar")" 3.4.30 || fail "the program needs GLIBCXX $(newest GLIBCXX "$build/tools/relidar/relidar"), expected 3.4.30 or older"
 fi
 
-# The archive: its own C library must have every version that the other files need.
+# The archive: its C library must provide every version that the other files need.
 RELIDAR_GZIP=1 "$root/tools/dev/bundle" "$PWD/bundle.tar.gz" >bundle.log || fail "no archive: $(cat bundle.log)"
 tar xzf bundle.tar.gz
 defined=$(readelf -V relidar/lib/system/libc.so.6 | sed -n 's/.*Name: GLIBC_\([0-9.]*\)$/\1/p' | sort -uV)
@@ -56,8 +56,8 @@ LD_DEBUG=files RELIDAR_C_LIBRARY=bundle relidar/bin/relidar --version >files.log
 grep -qF "calling init: $PWD/relidar/lib/system/libc.so.6" files.log || fail "RELIDAR_C_LIBRARY=bundle did not use the C library of the archive"
 ! RELIDAR_C_LIBRARY=none relidar/bin/relidar --version >/dev/null 2>&1 || fail "RELIDAR_C_LIBRARY=none was accepted, expected exit code 2"
 
-# On an old machine, the loader of the machine does not find something that the archive
-# has. This library exists only in the archive, so that this machine appears to be old.
+# Simulates an old machine, whose program loader lacks a library that the archive has. The
+# added library exists only in the archive.
 cp relidar/lib/system/libdl.so.2 relidar/lib/system/libold.so
 patchelf --set-soname libold.so relidar/lib/system/libold.so
 patchelf --add-needed libold.so relidar/libexec/relidar

@@ -395,8 +395,8 @@ points_of() { grep -am1 "^POINTS" "$1" | cut -d" " -f2; }
 # Prints the largest difference between the numbers of two .bin scans.
 difference() { paste <(od -An -v -t f4 -w4 "$1") <(od -An -v -t f4 -w4 "$2") | awk 'NF != 2 { most = 1e9 } { d = $1 - $2; if (d < 0) d = -d; if (d > most) most = d } END { print most + 0 }'; }
 
-# Tests the network that corrects ray-drop. It is part of a run, is used if it fits the
-# sensor, and can be turned off.
+# Tests the network that corrects ray-drop. A run must contain the network. The network
+# must be used if it fits the sensor, and --no-refine must turn it off.
 ray_drop() {
     good info run
     says "^ray drop +corrected .* [0-9]+ .*native"
@@ -716,8 +716,8 @@ damaged_runs() {
     absent x
 }
 
-# Tests the output, the rejected arguments and the end of the viewer. tests/view tests its
-# server and page.
+# Tests the output of the viewer, rejected arguments, and the exit after Ctrl-C.
+# tests/view tests its server and page.
 viewing() {
     good view --help
     if ! grep -q -- "--port" out; then

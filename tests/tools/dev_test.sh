@@ -50,10 +50,10 @@ exists numbers/bench.json
 for key in forward_mrays_per_s backward_mrays_per_s hits_per_ray bytes_per_surfel accel_bytes_per_surfel copy_bytes_per_s median_over_floor; do
     check "bench.json lacks $key" grep -Eq "\"$key\": [0-9]*[1-9.]" numbers/bench.json
 done
-# Expected bytes, computed by hand. Surfels: 2000 x 58 floats, of which 3 arrays are read
-# and written, a mark for each surfel, and gradients of the marked surfels. Records: 64 B
-# from 40 B and 3 x 16 harmonics. Rays: 1024 with 36 B rendered, 12 B measured and 20 B of
-# gradients.
+# Expected bytes, computed by hand. Surfels: 2000 x 58 floats. Adam reads and writes 3
+# arrays of them, and reads a mark for each surfel and the gradients of marked surfels.
+# Records: 64 B from 40 B and 3 x 16 harmonics. Rays: 1024 with 36 B rendered, 12 B
+# measured and 20 B of gradients.
 with_gradient=$(sed -n 's/.*"surfels_with_gradient": \([0-9]*\).*/\1/p' numbers/bench.json)
 check "bench.json: no surfel has a gradient, or more than there are" test "$with_gradient" -gt 0 -a "$with_gradient" -le 2000
 for floor in "diff/optimizer/adam\": $((2000 * (6 * 232 + 4) + with_gradient * 232))" "scene/activate\": 592000" "diff/loss/image_loss\": 69632"; do

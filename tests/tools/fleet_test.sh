@@ -15,7 +15,7 @@ fleet=$(realpath "$tests/../../tools/examples/fleet")
 work=${2:-$(mktemp -d)}
 rm -rf "$work" && mkdir -p "$work" && work=$(realpath "$work") && cd "$work" || exit 1
 source "$tests/checks.sh"
-# removes variables of the program that may run this test
+# removes environment variables that Slurm, Kubernetes or make set if they run this test
 unset SLURM_ARRAY_TASK_ID JOB_COMPLETION_INDEX MAKEFLAGS
 
 has() { check "$1 lacks: $2" grep -Fq -- "$2" "$1"; }
@@ -96,8 +96,8 @@ kubernetes() {
     has called.txt "train $work/fleet/logs/b --out $work/fleet/runs/b --preset default --quiet --resume"
 }
 
-# Settings that train on these streets within a second. Eight rows are not enough to
-# register a scan.
+# Settings that train on these streets within a second. Poses are not refined, because
+# eight rows are not enough to register a scan.
 train="--preset quick --set train.iterations=2 --set train.refine_poses=none --set refine.enabled=false"
 train+=" --set init.actor_min_points=10 --set init.unlabelled_movers=removed --set dataset.test_every=5"
 
@@ -135,8 +135,8 @@ makefile() {
     cd ..
 }
 
-# Snakemake must do the same with the runs of make. tools/dev/setup does not install it,
-# because Debian's package depends on 76 other packages.
+# Snakemake must do the same as make, on the runs that make has trained. tools/dev/setup
+# does not install Snakemake, because Debian's package depends on 76 other packages.
 snakefile() {
     command -v snakemake >/dev/null || { echo "note: no snakemake, the Snakefile is not run"; return; }
     cd make && rm -r "done" scores.* || exit 1

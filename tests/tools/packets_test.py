@@ -615,7 +615,8 @@ def test_recorded_again(data):
         again = WORK / "recorded.pcap"
         run("convert", data / name, "--out", again, "--force", "--set", "dataset.max_range_m=200", "--set", "dataset.poses=none")
         packets, written = read_bag_packets(data / name), read_capture(again)
-        # A log lacks the second return of a ray whose first return is below the minimum range.
+        # A log lacks the second return of a ray whose first return is below the minimum
+        # range.
         least, most_different = (26, 60) if "qt64" in name else (0, 0)
         check_blocks(name, packets, written, n_blocks, 4, least, dual=True, most_different=most_different)
         for packet in (packets[0], written[1]) if "qt128" in name else ():

@@ -29,9 +29,9 @@ rm -rf "$work" && mkdir -p "$work/street" && cd "$work" || exit 1
 failures=0
 fail() { printf 'FAILED: %s\n' "$*"; failures=$((failures + 1)); }
 
-# check NAME "SUBFOLDER=TOPIC=FRAME ..." FLAGS... -- ONLY_FLAGS...: renders NAME in each of
-# $frames (the sensor frame, deskewed, the world) with FLAGS. Renderings with recordings
-# also use ONLY_FLAGS. Then reads the recordings.
+# check NAME "SUBFOLDER=TOPIC=FRAME ..." FLAGS... -- ONLY_FLAGS...: renders NAME in each
+# of $frames (the sensor frame, deskewed, the world) with FLAGS. Renderings with
+# recordings also use ONLY_FLAGS. Then reads the recordings.
 frames=("sensor" "deskewed --deskew" "world --frame world")
 check() {
     local name=$1 sensors=$2 flags=() recording=() frame code
@@ -83,8 +83,8 @@ check bend "$rig" --trajectory bend.csv --times 0.2:1:0.1 --sensor rig.json --of
 check rig_of_log "$rig" --frames 3:6 --sensor rig.json
 check merged "$alone" --trajectory bend.csv --times 0.2:0.4:0.1 --sensor rig.json --merge --channels normal
 
-# Tests a log of several LiDARs. They are mounted in base_link, and topics have their
-# names.
+# Tests a log of several LiDARs. The LiDARs are mounted in base_link, and each topic
+# contains the name of its LiDAR.
 mkdir two && printf 'seed = 5\nn_frames = 6\nrig = "../rig.json"\n' >two/street.toml
 train two run_of_two
 run=run_of_two

@@ -72,7 +72,7 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
         EXPECT_GE(n, strategy == DensifyStrategy::none ? 1u : result.log.front().n_surfels * 11 / 10);
         std::printf("strategy %d: %u surfels, loss %.5f\n", int(strategy), n, loss[strategy]);
     }
-    // The measured ratios are 0.90 and 0.97. They depend on rates, length and seed.
+    // Requires only a lower loss, because the ratio depends on rates, length and seed.
     EXPECT_LT(loss[DensifyStrategy::adaptive], loss[DensifyStrategy::none]);
 }
 

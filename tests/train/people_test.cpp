@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests people as actors. On held-out frames, a person must have about as many returns as
-// in the log. Masked objects must be reported.
+// Tests people as actors. On frames that did not train the scene, a person must have
+// about as many returns as in the log. Objects that are left out of training must be
+// reported.
 #include <cstdio>
 #include <map>
 #include <utility>
@@ -38,8 +39,8 @@ BoxTrack raise_above_ground(BoxTrack box) {
     return box;
 }
 
-/// Uses the median range, because the mean range would move up to a quarter of the points
-/// behind such a narrow object.
+/// Compares median ranges, because mean ranges would lie behind such a narrow object for
+/// up to a quarter of the points.
 TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
     const LidarSequence street = make_synthetic_street({.seed = 3,
                                                         .n_frames = 20,

@@ -167,8 +167,8 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
     }
 }
 
-/// Minimises a quadratic function around exact corrections, evaluated by interpolation at
-/// two times per frame.
+/// Adam must find given corrections as the minimum of a quadratic function. The
+/// correction of a held-out frame must be interpolated between its neighbours.
 TEST(TrackCorrectionOf, AQuadraticBowl) {
     PoseTrack track;
     std::mt19937_64 random(3);

@@ -28,8 +28,8 @@ public:
     ProcessGroup of(int rank) {
         return {rank, size_, [this, rank](const std::string& own) { return gather(std::size_t(rank), own); }};
     }
-    /// Returns [size] the number of bytes that each process (rank) contributed to the
-    /// parts to which all processes contribute.
+    /// Returns for each process (rank) the number of bytes that it contributed. Counts
+    /// only results to which all processes contribute.
     std::vector<std::size_t> shared_bytes() const {
         std::vector<std::size_t> bytes(std::size_t(size_), 0);
         for (const auto& [turn, part] : parts_)

@@ -193,7 +193,8 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
     }
 }
 
-/// A resumed training estimates the corrections of the log again, with the same bits.
+/// A resumed training estimates the corrections of the log again. They must have the same
+/// bits.
 TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.005, 1));
     const LidarSequence original_street = street;

@@ -127,9 +127,10 @@ TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
     EXPECT_GT(at_the_bound, last.size() / 100);
 }
 
-/// Training with a single drop logit must start at the same ray-drop probability as
-/// training with two logits, and it must learn. Hit logits must stay 0, during training
-/// and in the saved scene.
+/// Tests training with a single drop logit per ray instead of a hit logit and a drop
+/// logit. Training must start at the same ray-drop probability as with two logits. The
+/// loss of ray drops must decrease. Hit logits must stay 0, during training and in the
+/// saved scene.
 TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
     const LidarSequence street = make_synthetic_street(make_small_street());
     const TrainTestSplit split = split_frames(street, 10);
@@ -268,8 +269,8 @@ TEST(Targets, RaysOfMovingBoxesAreUnknown) {
     EXPECT_LE(double(masked_rest), 0.05 * double(rest));
 }
 
-/// The rays that hit a moving car have targets if the car is an actor. Otherwise they are
-/// masked as long as the car has labels.
+/// Rays that hit a moving car must have targets if the car is an actor. Otherwise they
+/// must be masked as long as the car has labels.
 TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
     LidarSequence street = make_synthetic_street(make_small_street());
     const std::vector<BoxTrack> original_boxes = street.boxes;

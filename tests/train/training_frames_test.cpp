@@ -166,8 +166,8 @@ TEST_F(FramesInTurn, AFrameWithoutRaysIsNamed) {
     EXPECT_THAT(message, test::Names("frame 1 ... " + log.name + " ... rays"));
 }
 
-/// Includes the features that read a frame twice: refined poses, and sensor drops after
-/// the last step.
+/// Both ways to store frames must train the same scene, bit by bit. Includes the features
+/// that read a frame twice: refined poses, and sensor drops after the last step.
 TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
     const LidarSequence log =
         make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .moving_cars = true});

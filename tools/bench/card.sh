@@ -98,7 +98,8 @@ median() {
 }
 number() { awk -v name="^ *\"$2\":" '$0 ~ name {gsub(/[",]/, "", $2); print $2; exit}' "$1"; }
 
-# scene surfels rays | build forward backward iteration MiB of the other tracer
+# Results of the other tracer. Columns: scene, surfels, rays, times in ms (build, forward,
+# backward, iteration), and memory in MiB.
 readonly kPeer="
 A 100000 waymo 3.2 12.2 16.1 36.1 1195
 A 100000 kitti 3.3 8.8 11.2 27.2 1199
@@ -159,7 +160,8 @@ bench() {
     file=$out/B_400000_kitti.json
     [[ ! -e $file ]] || awk -v wall="$(median "$file" iteration_wall)" 'BEGIN {printf "\n30 000 iterations at KITTI size (B 400k, 66 x 1030, wall clock of an iteration %.2f ms): %.1f minutes; reference implementation 30 to 50 minutes; goal 3 minutes\n", wall, wall * 30000 / 60000}'
 
-    # Finds the best chunk and walk: forward and backward pass of the two largest cases.
+    # Measures the forward and backward pass of the two largest cases, for several chunk
+    # sizes and with a lane or a subgroup per ray (--walk).
     printf '\n%-30s %12s %12s   (ms)\n' 'chunk, walk' 'forward' 'backward'
     for scene in B A; do
         for chunk in 16 32 64; do

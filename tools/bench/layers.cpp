@@ -2,10 +2,10 @@
 // relidar_bench_layers measures 3x3 convolutions of the ray-drop network on the device
 // and compares them with oneDNN on the host. It measures the forward pass and the
 // derivatives by the input and by the weights. Both libraries run alternately in one
-// process. oneDNN chooses its memory layouts. Its inputs already have these layouts and
-// the padding columns that close the image to a ring. The program prints wall times and
-// processor times. Processor times do not include GPU time. Set OMP_WAIT_POLICY=passive,
-// so that waiting threads of oneDNN use no processor time while the device is measured.
+// process. The inputs of oneDNN already have its memory layout, and padding columns that
+// close the image to a ring. Prints wall times and processor times, which do not include
+// GPU time. Set OMP_WAIT_POLICY=passive, so that waiting threads of oneDNN use no
+// processor time.
 #include <onednn_primitive.hpp>
 
 #include <cmath>

@@ -60,7 +60,7 @@ ScanRanges extract_return_ranges(const Scan& scan) {
 
 /// Compares the second return of ray `ray_index` with the exact scan, and counts the
 /// result.
-/// @param exact_returns exact scan; its second returns have at least a tenth of the
+/// @param exact_returns exact scan, whose second returns have at least a tenth of the
 /// beam's light
 void add_second_return_to_score(RigScanScore& score, const ScanRanges& rendered_returns,
                                 const ScanRanges& exact_returns, std::size_t ray_index) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the options of the synthetic street on which a run was trained.
+// Reads which synthetic street a run was trained on.
 #pragma once
 
 #include <string>

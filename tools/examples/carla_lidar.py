@@ -135,7 +135,7 @@ class CarlaLidar:
         return points
 
     def render(self, others):
-        # Every sweep begins at the time when the log begins.
+        # Requests every sweep for the time at which the log begins.
         begin_s = self.scene.begin_s - self.history[0][0]
         path = [v1.TimedPose(time_s=begin_s + t, pose=pose_message(sensor)) for t, sensor, _ in self.history]
         tracks = [v1.ActorTrack(name=self.traffic.names[id], poses=[

@@ -34,7 +34,7 @@ struct RunBeingEdited {
     }
 
     /// Applies an edit to the run and adds it to the history of the run.
-    /// @param kept_part text that describes the edit in scene.json
+    /// @param description text that describes the edit in scene.json
     RunBeingEdited& apply_edit(const std::string& description,
                                const std::function<SceneWithLog(SceneWithLog)>& edit) {
         // Applies the edit to a copy, so that the run does not change if the edit fails.

@@ -17,7 +17,7 @@ struct LoadedLog {
     Config config;
 };
 
-/// The following functions return the frames and poses of a log.
+/// These functions return the frames and poses of a log.
 pybind11::object make_frame_time_array(
     const LidarSequence& sequence);  ///< Returns the frame times, [frames] float64.
 pybind11::object make_frame_number_array(

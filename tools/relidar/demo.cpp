@@ -44,7 +44,7 @@ Config make_demo_config(const DemoOptions& options, const fs::path& street_folde
     Config config = make_preset("quick");
     set_config_value(config, "train.seed", options.seed);
     // The preset is made for 64 beams. This sensor has 32 beams, so the gaps between its
-    // points are wider and need another factor.
+    // points are wider and need larger surfels.
     config.init.scale_factor = 0.6;
     // fewer iterations than in preset `quick`, so that the demo takes one to two minutes
     // on two processor cores

@@ -5,8 +5,9 @@
 
 namespace relidar::cli {
 
-/// Returns true if mpirun or a batch system started this process as one of several.
-/// Otherwise MPI is not initialised, because MPI may not be set up on this machine.
+/// Returns true if mpirun or a batch system started this process as one of several. A
+/// process that was started alone must not initialise MPI, because MPI may not be set up
+/// on this machine.
 inline bool is_launched_by_mpi() {
     // Names of environment variables that hold the number of processes. Open MPI sets the
     // first variable. MPICH and Intel MPI set the second variable. Slurm may set either

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Creates and locks output folders. A folder is checked before long work starts. If the
-// work fails, the folder is removed unless it contains files.
+// work fails, an empty folder is removed.
 #pragma once
 
 #include <chrono>
@@ -95,8 +95,7 @@ class RunOutputFolder {
 public:
     /// Checks the content of the folder, creates the folder if it does not exist, and
     /// locks it.
-    /// @throws UsageError if the folder contains files that `existing_run_policy` does
-    /// not allow
+    /// @throws UsageError if `existing_run_policy` does not allow the files in the folder
     /// @throws DataError if another process has locked the folder, or if the folder
     /// cannot be created
     RunOutputFolder(const std::filesystem::path& path, ExistingRunPolicy existing_run_policy);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Runs a program that consists of several commands. Parses the command line and prints
-// the help. If a command fails, prints the error on stderr in one line and returns an
-// exit code (see error.hpp).
+// the help. If a command fails, prints the error on stderr in one line and returns the
+// exit code of the error (ExitCode in error.hpp).
 #pragma once
 
 #include <string>

@@ -30,8 +30,8 @@ std::vector<std::string> list_option_names(const CLI::App& command) {
     return names;
 }
 
-/// Rewrites the parser message "Could not convert: --device = x", because it does not
-/// name the expected value. All other messages stay as they are.
+/// Replaces the parser message "Could not convert: --device = x" by a message that also
+/// names the expected value. All other messages stay as they are.
 std::string rewrite_conversion_error(const std::string& parser_message) {
     const std::string start = "Could not convert: ", middle = " = ";
     const std::size_t at = parser_message.find(middle);

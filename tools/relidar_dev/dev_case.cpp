@@ -78,8 +78,8 @@ std::size_t find_word_index(const char* option_name, const std::string& option_v
     return std::size_t(match - allowed_values.begin());
 }
 
-/// Parse the values of options. The words are listed in the order of the enumerations
-/// Proxy, Walk and HitSortMethod.
+/// These functions convert words of the command line to values of an enumeration. The
+/// words are listed in the order of the enumeration.
 /// @throws UsageError if a word is unknown
 ProxyShape parse_proxy_shape(const BenchCaseOptions& choice) {
     return choice.proxy.empty()

@@ -39,8 +39,8 @@ struct DevCase : BenchCase {
     bool keeps_more_hits = true;
 };
 
-/// Return the options for building the acceleration structure, and for tracing rays
-/// through it.
+/// These functions return the options to build the acceleration structure, and to trace
+/// rays through it.
 AccelOptions make_accel_options(const DevCase& bench_case);
 TraceOptions make_benchmark_trace_options(const DevCase& bench_case);
 

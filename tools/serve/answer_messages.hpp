@@ -28,7 +28,7 @@ void write_scene(const std::string& scene_name, const TrainedRun& run, v1::Scene
 
 /// Writes the recorded poses of a LiDAR and of actors, in the world frame of the dataset.
 /// @param actor_names names of actors; if the list is empty, all actors are written
-/// @throws Refusal if an actor is unknown
+/// @throws RejectedRequest if an actor is unknown
 void write_tracks(const TrainedRun& run, int lidar_index,
                   const google::protobuf::RepeatedPtrField<std::string>& actor_names,
                   v1::GetTracksResponse& message);

@@ -26,8 +26,9 @@ struct LatencySample {
     std::size_t rays, points;
 };
 
-/// Returns a percentile of the values, for example the median if `fraction` is 0.5. It is
-/// the smallest value that at least this share of the values does not exceed.
+/// Returns a percentile of the values, for example the median if `fraction` is 0.5. The
+/// result is the smallest value for which at least this share of the values is less or
+/// equal.
 double compute_percentile(std::vector<double> values, double fraction) {
     std::sort(values.begin(), values.end());
     const auto rank = std::size_t(std::ceil(fraction * double(values.size())));

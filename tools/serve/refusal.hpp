@@ -23,13 +23,13 @@ private:
 };
 
 /// Rejects a request because one of its fields has an invalid value.
-/// @throws Refusal always
+/// @throws RejectedRequest always
 [[noreturn]] void throw_invalid_field(const std::string& field_name, const std::string& found_value,
                                       const std::string& expected_value);
 
 /// Rejects a request because it contains an unknown name.
 /// @param known_names valid names; the error message may suggest a similar one
-/// @throws Refusal always
+/// @throws RejectedRequest always
 [[noreturn]] void throw_unknown_name(const std::string& field_name, const std::string& name,
                                      const std::vector<std::string>& known_names);
 

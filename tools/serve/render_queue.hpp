@@ -37,9 +37,9 @@ public:
     /// Index of the scene to render. A request for the same scene may be submitted before
     /// the previous request has finished. Without a value, the request runs alone.
     std::optional<std::size_t> scene = {};
-    /// get_queued_time_ms() is the time between run() and submit_to_device().
-    /// get_render_time_ms() is the time from submit_to_device() until the response is
-    /// ready.
+    /// get_queued_time_ms() is the time between run_request_and_wait() and
+    /// submit_to_device(). get_render_time_ms() is the time from submit_to_device() until
+    /// the response is ready.
     double get_queued_time_ms() const { return compute_milliseconds_between(queued_at_, submitted_at_); }
     double get_render_time_ms() const { return compute_milliseconds_between(submitted_at_, finished_at_); }
 

@@ -16,11 +16,11 @@
 namespace relidar::serve {
 
 /// Reserves a slot in the queue of the render thread.
-/// @throws Refusal if the queue is full
+/// @throws RejectedRequest if the queue is full
 RenderQueue::QueueSlot reserve_slot_or_throw(RenderQueue& queue);
 
 /// Ends a call whose client has disconnected or whose deadline has passed.
-/// @throws Refusal always
+/// @throws RejectedRequest always
 [[noreturn]] void throw_cancellation(const grpc::ServerContext& context);
 
 /// A request that a gRPC client has sent.
@@ -30,8 +30,8 @@ public:
         : scenes_(scenes), context_(context) {}
     bool is_cancelled() const override;
     /// Runs the request on the render thread and waits for the response.
-    /// @throws Refusal if the client has disconnected, if the deadline has passed, or if
-    /// the run cannot be read
+    /// @throws RejectedRequest if the client has disconnected, if the deadline has
+    /// passed, or if the run cannot be read
     void run_or_throw_cancellation(RenderQueue::QueueSlot& slot);
 
 protected:

@@ -53,8 +53,8 @@ std::vector<std::string> list_actor_names(const std::vector<VisibleActor>& actor
 }
 
 /// Reads the names and poses of the actors in a request.
-/// @throws Refusal if the poses of an actor end long before the scan or begin long after
-/// it
+/// @throws RejectedRequest if the poses of an actor end long before the scan or begin
+/// long after it
 std::vector<RequestedActor> read_actor_requests(const v1::ActorTracks& message, double scan_time_s) {
     std::vector<RequestedActor> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {

@@ -73,32 +73,32 @@ public:
 
     /// Returns the index of the scene with this name.
     /// @param field_name name of the field in the request, for error messages
-    /// @throws Refusal if the scene is unknown
+    /// @throws RejectedRequest if the scene is unknown
     std::size_t find_scene_index(const std::string& scene_name,
                                  const std::string& field_name = "scene") const;
     /// Returns the index of the LiDAR with this name. For an empty name, returns 0.
     /// @param field_name name of the field in the request, for error messages
-    /// @throws Refusal if the LiDAR is unknown
+    /// @throws RejectedRequest if the LiDAR is unknown
     int find_lidar_index(std::size_t scene_index, const std::string& lidar_name,
                          const std::string& field_name = "lidar") const;
     /// Caches a sensor that a client has described.
     /// @return a handle, with which later requests select this sensor, and the sensor
-    /// @throws Refusal if the description is invalid
+    /// @throws RejectedRequest if the description is invalid
     std::pair<std::string, std::shared_ptr<const SimulatedSensor>> cache_uploaded_sensor(
         const v1::SensorSpec& spec);
     /// Reads a request to add actors to a scene. Returns these actors.
-    /// @throws Refusal if a name is invalid, or if an actor or asset is unknown
+    /// @throws RejectedRequest if a name is invalid, or if an actor or asset is unknown
     std::vector<ActorToSpawn> read_actors_to_spawn(const v1::SpawnActorsRequest& message,
                                                    std::size_t scene_index) const;
     /// Reads a request for a scan and checks all fields.
-    /// @throws Refusal that names the first invalid field
+    /// @throws RejectedRequest that names the first invalid field
     RenderRequest read_lidar_request(const v1::RenderLidarRequest& message);
     /// Reads a request for several sensors on one vehicle. Returns one scan request per
     /// sensor.
     std::vector<RenderRequest> read_rig_request(const v1::RenderRigRequest& message);
     /// Sets the actors that are visible in a scan. All other actors of the scene are
     /// hidden.
-    /// @throws Refusal if an actor is unknown or appears twice
+    /// @throws RejectedRequest if an actor is unknown or appears twice
     void add_actors_to_request(const std::vector<RequestedActor>& actor_requests,
                                RenderRequest& render_request) const;
 

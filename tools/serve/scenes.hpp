@@ -24,7 +24,7 @@ public:
     /// Loads each run once to check it and to measure its size on the device.
     /// @param memory_bytes device memory for all scenes together; if it is exceeded, the
     /// least recently used scene is unloaded
-    /// @param get_asset_catalogue assets that clients can add; must outlive this object
+    /// @param assets assets that clients can add; must outlive this object
     /// @throws DataError if a run cannot be read, or if a single run needs more memory
     SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes,
              const AssetCatalogue& assets);
@@ -39,8 +39,8 @@ public:
     /// Adds actors to a scene. If the scene has too few free slots, it is loaded again
     /// with more slots.
     /// @return the slots of the actors, in the order of the requests
-    /// @throws Refusal if a name is in use, if an asset does not fit, or if the device
-    /// memory is too small; the scene is then unchanged
+    /// @throws RejectedRequest if a name is in use, if an asset does not fit, or if the
+    /// device memory is too small; the scene is then unchanged
     std::vector<SpawnedActorRegistry::SpawnSlot> spawn_actors(std::size_t scene_index,
                                                               const std::vector<ActorToSpawn>& actors);
 

@@ -17,14 +17,14 @@ inline constexpr std::size_t kMostRaysOfScan = std::size_t(1) << 20;
 
 /// Reads the description of a sensor.
 /// @param field_name name of the field in the request, for error messages
-/// @throws Refusal that names the first invalid field
+/// @throws RejectedRequest that names the first invalid field
 SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& field_name);
 
 /// Returns the built-in sensor with this name. The names "native" and "" mean the sensor
 /// of the log. File names are rejected, because clients must not read files of the
 /// server.
 /// @param run run without surfels
-/// @throws Refusal if the name is unknown or the sensor has too many rays
+/// @throws RejectedRequest if the name is unknown or the sensor has too many rays
 SimulatedSensor find_named_sensor(const std::string& sensor_name, const TrainedRun& run, int lidar_index);
 
 /// Firing times of the first and the last ray, in seconds relative to the time of the

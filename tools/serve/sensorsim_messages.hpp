@@ -26,20 +26,19 @@ public:
     /// Creates a reader for requests of sensorsim.proto.
     /// @param outlines runs without surfels, one per scene of `reader`; `outlines` and
     /// `reader` must outlive this object
-    /// @param pose_order says whether a pose applies its rotation or its translation
-    /// first
+    /// @param order says whether a pose applies its rotation or its translation first
     SensorsimReader(const std::vector<TrainedRun>& outlines, const RequestReader& reader,
                     PoseTransformOrder order)
         : outlines_(outlines), reader_(reader), order_(order) {}
 
     /// Returns the index of the scene with this name.
-    /// @throws Refusal if the scene is unknown
+    /// @throws RejectedRequest if the scene is unknown
     std::size_t find_scene_index(const std::string& scene_id) const {
         return reader_.find_scene_index(scene_id, "scene_id");
     }
     /// Reads a request for a scan. The sensor fires its first ray at the start of the
     /// requested time interval and its last ray at the end.
-    /// @throws Refusal that names the first invalid field
+    /// @throws RejectedRequest that names the first invalid field
     RenderRequest read_lidar_request(const sensorsim::LidarRenderRequest& message);
 
 private:
@@ -63,13 +62,13 @@ private:
 void write_points(const LidarPoints& points, sensorsim::LidarRenderReturn& message);
 
 /// Writes the actors of the run, with their classes, sizes and poses, into the response.
-/// @throws Refusal if a track starts before time 0
+/// @throws RejectedRequest if a track starts before time 0
 void write_actor_tracks(const TrainedRun& run, PoseTransformOrder pose_order,
                         sensorsim::DynamicObjectTracks& message);
 
 /// Writes the trajectories of the log's vehicle and LiDARs into the response.
-/// @throws Refusal if the log starts before time 0, because the messages cannot store
-/// negative times
+/// @throws RejectedRequest if the log starts before time 0, because the messages cannot
+/// store negative times
 void write_recorded_trajectories(const TrainedRun& run, PoseTransformOrder pose_order,
                                  sensorsim::AvailableTrajectories& message);
 

@@ -56,11 +56,11 @@ public:
     /// Assigns a slot to each actor. If a model has no free slot, its number of slots is
     /// doubled, but at most 8 slots are added.
     /// @return the slots in the order of the requests
-    /// @throws Refusal if a name is in use or the maximum number of slots is reached;
-    /// then nothing changes
+    /// @throws RejectedRequest if a name is in use or the maximum number of slots is
+    /// reached; then nothing changes
     std::vector<SpawnSlot> occupy_slots(std::size_t scene_index, const std::vector<ActorToSpawn>& actors);
     /// Removes the named actors and makes their slots free again.
-    /// @throws Refusal if a name is unknown; then nothing changes
+    /// @throws RejectedRequest if a name is unknown; then nothing changes
     void release_slots(std::size_t scene_index, const std::vector<std::string>& actor_names);
     /// Reverts occupy_slots(). Removes the actors and the slots that occupy_slots() has
     /// added.

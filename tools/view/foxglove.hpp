@@ -25,7 +25,7 @@
 
 namespace relidar::view {
 
-/// Callbacks that send messages to clients. Only play() calls them.
+/// Callbacks that send messages to clients. Only send_next_scan_if_due() calls them.
 struct FoxgloveSendCallbacks {
     std::function<void(ClientId, std::string)> text;
     /// Sends the binary messages of one scan.

@@ -65,8 +65,8 @@ nlohmann::json convert_pose_to_matrix_json(const Pose& pose);
 
 /// Encodes a simulated scan, a measured scan, or both as one binary message.
 /// @param header JSON header of the message, without the key "arrays"
-/// @param simulated_scan, measured arrays of each scan, or null. The names of measured
-/// arrays begin with "real_".
+/// @param simulated_scan, measured_scan arrays of each scan, or null; the names of
+/// measured arrays begin with "real_"
 std::string encode_scan_message(nlohmann::json header, const ScanColumns* simulated_scan,
                                 const ScanColumns* measured_scan);
 

@@ -51,8 +51,8 @@ std::optional<http::status> find_status_of_parse_error(const boost::system::erro
 HttpSession::HttpSession(boost::asio::ip::tcp::socket socket, WebServerState& hub)
     : hub_(hub), counted_(hub), stream_(std::move(socket)), timer_(hub.io) {}
 
-/// Starts a timer that cancels the current read or write if it takes longer than
-/// `max_duration`.
+/// Starts a timer. If the current read or write takes longer than `max_duration`, the
+/// timer cancels it.
 void HttpSession::start_timeout(std::chrono::milliseconds max_duration) {
     late_ = false;
     timer_.expires_after(max_duration);

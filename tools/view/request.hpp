@@ -72,7 +72,7 @@ struct SensorFile {
 /// Requests the pose of an actor that stands on the ground where the user has clicked.
 struct GroundPoseRequest {
     std::string of;
-    std::string from;            ///< See ActorEdits::Copy.
+    std::string from;            ///< See ActorEdits::ActorCopy.
     std::array<double, 2> at{};  ///< Clicked position x and y in relidar's world frame.
 };
 

@@ -78,7 +78,7 @@ bool is_identity(const Pose& pose) {
 class UploadedFile {
 public:
     /// Writes a text to a new temporary file.
-    /// @param extension extension of the file, ".csv" or ".json"
+    /// @param ending extension of the file, ".csv" or ".json"
     UploadedFile(const std::string& text, const std::string& ending) {
         std::string pattern = (std::filesystem::temp_directory_path() / "relidar-sensor-XXXXXX").string();
         if (mkdtemp(pattern.data()) == nullptr)

@@ -35,7 +35,7 @@ struct TabCache {
 class BrowserScanRenderer {
 public:
     /// Creates the scanner of a run.
-    /// @param get_other_runs other runs, whose actors the user can insert into this run
+    /// @param others other runs, whose actors the user can insert into this run
     BrowserScanRenderer(TrainedRun run, OtherRunsByName others, Device& device);
 
     const TrainedRun& get_run() const { return run_; }
@@ -66,7 +66,7 @@ private:
     RecordedScans real_;
     std::optional<ScanRenderer> renderer_;
     /// Copied and moved actors in the scene of the current renderer, as listed by
-    /// list_models_as_dicts().
+    /// list_edits_changing_surfels().
     std::vector<std::pair<std::string, std::string>> rendered_;
     /// Number of recorded times of each kernel at the previous call of
     /// make_kernel_times_json().

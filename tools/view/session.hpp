@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Connects many browser tabs to one renderer. Messages arrive on the server's thread.
-// Only the thread that calls work() uses the device. Each tab receives only the newest
-// scan that it has requested. Tabs are served in turn.
+// Only the thread that calls run_next_job() uses the device. Each tab receives only the
+// newest scan that it has requested. Tabs are served in turn.
 #pragma once
 
 #include <chrono>
@@ -23,10 +23,10 @@ namespace relidar::view {
 
 using TabId = std::uint64_t;
 
-/// Callbacks that send responses to browser tabs. Only work() calls them. Texts are JSON
-/// objects with a "kind": hello (BrowserScanRenderer::describe), log {state, why}, sensor
-/// {name, rows, columns, rays}, ground {of, from, at}, saved {folder}, error {about,
-/// text}
+/// Callbacks that send responses to browser tabs. Only the thread that calls
+/// run_next_job() calls them. Texts are JSON objects with a "kind": hello
+/// (BrowserScanRenderer::describe_run_as_json), log {state, why}, sensor {name, rows,
+/// columns, rays}, ground {of, from, at}, saved {folder}, error {about, text}
 struct TabSendCallbacks {
     std::function<void(TabId, std::string)> text;
     /// Sends a binary message in the format of frame.hpp to a browser tab.

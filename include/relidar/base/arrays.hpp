@@ -12,12 +12,13 @@
 
 namespace relidar {
 
-/// N-dimensional array of an npz or safetensors file. The values are row-major and
-/// little-endian.
+/// N-dimensional array of an npz or safetensors file. The values are stored row by row,
+/// in little-endian byte order.
 struct NamedArray {
     std::string name;
     /// Element type, named as in numpy without the byte order: f4 f8 f2, i1 i2 i4 i8, u1
-    /// u2 u4 u8 or b1. npz files may also use S<bytes> and U<letters>.
+    /// u2 u4 u8 or b1. Arrays of npz files may also hold text, with the types S<bytes>
+    /// and U<letters>.
     std::string dtype;
     std::vector<std::size_t> shape;
     std::vector<std::byte> bytes;
@@ -28,7 +29,7 @@ struct NamedArray {
     /// match the shape
     std::vector<float> convert_to_floats() const;
     /// Returns the values converted to double. Use this function for times and large
-    /// coordinates, because float is not precise enough for them.
+    /// coordinates, because single precision (float) is too coarse for them.
     std::vector<double> convert_to_doubles() const;
 };
 
@@ -36,7 +37,7 @@ struct NamedArray {
 const NamedArray* find_array(const std::vector<NamedArray>& arrays, std::string_view name);
 
 /// Creates a named array from float, double, int32 or uint16 values.
-/// @throws DataError if `count_elements` is not the product of the shape
+/// @throws DataError if `count` is not the product of the shape
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values,
                       std::size_t count);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values,

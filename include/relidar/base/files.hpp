@@ -13,8 +13,8 @@ namespace relidar {
 
 /// Writes a file atomically. Calls `write_content` with a temporary path in the same
 /// folder, flushes the temporary file to disk and renames it. The folder must exist. If
-/// `final_path` is a symbolic link, the target of the link is written. A target that is
-/// not a regular file (a folder, /dev/null) is rejected.
+/// `path` is a symbolic link, the target of the link is written. A target that is not a
+/// regular file (a folder, /dev/null) is rejected.
 /// @throws DataError if the folder cannot be written or the disk is full. The temporary
 /// file is then removed. A DataError or standard exception from `write_content` is
 /// rethrown as a DataError that names the path. Other relidar errors are passed on

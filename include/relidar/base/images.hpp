@@ -49,7 +49,7 @@ Image apply_colour_map(const std::vector<float>& values, int rows, int columns, 
 /// Stacks images of equal width vertically, separated by a thin line.
 /// @param vertical_scale vertical magnification of each image, because a LiDAR row covers
 /// a larger angle than a column
-/// @throws UsageError if stretch is below 1
+/// @throws UsageError if `vertical_scale` is below 1
 /// @throws DataError if the widths differ
 Image stack_images_vertically(const std::vector<Image>& images, int vertical_scale = 1);
 /// Writes an image as a PNG file. encode_png() does not write a file, but returns the

@@ -21,9 +21,10 @@
     struct name {                \
         std::uint64_t value = 0; \
     }
-// Adds the meaning of the data to a pointer type, for example RELIDAR_OF(Floats,
-// LossTerms) terms. Pointers with equal element type but different meaning are then
-// different types in C++. In GLSL the type is simply Floats.
+// Adds a name for the content of the data to a pointer type, for example
+// RELIDAR_OF(Floats, LossTerms) terms. In C++, pointers with different content names are
+// different types, even if their element types are equal. In GLSL the type is simply
+// Floats.
 #define RELIDAR_OF(pointer, meaning) pointer::Of<struct meaning>
 namespace relidar {
 template <class T, class Meaning = void>
@@ -31,8 +32,8 @@ class Array;
 class Stream;
 
 /// Device address of an array of T, 8 bytes. `Meaning` names the content of the array.
-/// Only Array<T, Meaning> creates addresses other than null. An assignment requires the
-/// same T and the same Meaning, so that a kernel cannot get the wrong array.
+/// Addresses other than null are created only by Array<T, Meaning>. An assignment
+/// requires the same T and the same Meaning, so that a kernel cannot get the wrong array.
 template <class T, class Meaning = void>
 class Address {
 public:
@@ -41,8 +42,8 @@ public:
 
     Address() = default;
     friend bool operator==(const Address&, const Address&) = default;
-    /// Returns this device address with another Meaning, the name of the array's content.
-    /// No other function converts between meanings.
+    /// Returns the same device address, but with another name for the content of the
+    /// array (Meaning). Only this function changes the name.
     template <class Other>
     Of<Other> cast_meaning() const {
         return Of<Other>(value_);
@@ -53,8 +54,8 @@ private:
     friend class Address;
     template <class, class>
     friend class Array;
-    // Stream may create addresses, because it stores the parameters of each kernel
-    // launch. Such an address is valid for one submission.
+    // Stream is a friend because it creates addresses of the memory that holds the
+    // parameters of a kernel launch. Such an address is valid for one submission.
     friend class Stream;
     explicit Address(std::uint64_t value) : value_(value) {}
     std::uint64_t value_ = 0;
@@ -82,7 +83,7 @@ using uint = std::uint32_t;
 #define RELIDAR_HANDLE(name) RELIDAR_POINTER(name, uint)
 #define RELIDAR_OF(pointer, meaning) pointer
 // Shaders never convert an address to a 64-bit integer, because some devices lack 64-bit
-// integers. Shaders convert between pointer types through uvec2, because some compilers
+// integers. To convert between pointer types, shaders use uvec2, because some compilers
 // (SwiftShader) cannot cast pointers directly.
 #endif
 

@@ -54,8 +54,8 @@ inline glm::dquat make_rotation(double yaw_rad, double pitch_rad, double roll_ra
 /// respect to v and w.
 using Twist = std::array<double, 6>;
 
-/// Returns the pose after a small motion (v, w): rotation exp([w]x) R and translation T +
-/// v.
+/// Returns the pose after a small motion (v, w). The rotation R becomes exp([w]x) R, and
+/// the translation T becomes T + v.
 inline Pose apply_twist(const Pose& pose, const Twist& twist) {
     const glm::dvec3 v(twist[0], twist[1], twist[2]), w(twist[3], twist[4], twist[5]);
     const double angle = glm::length(w);

@@ -13,12 +13,12 @@ namespace relidar {
 
 /// Group of processes that execute the same steps in the same order. A slow step is split
 /// into parts. Each process computes some of the parts and then receives the results of
-/// all parts. The split does not depend on the number of processes.
+/// all parts. The number of processes does not affect how a step is split.
 struct ProcessGroup {
     int rank = 0, size = 1;
-    /// Function that concatenates the bytes of all processes in rank order and returns
-    /// the result to each process. The function waits until all processes have called it.
-    /// If size is 1, this function is not called.
+    /// Function that joins the bytes of all processes in the order of their ranks and
+    /// returns the result to each process. The function waits until all processes have
+    /// called it. If `size` is 1, this function is not called.
     std::function<std::string(const std::string& bytes)> all_gather = {};
 
     bool is_first_process() const { return rank == 0; }
@@ -28,7 +28,7 @@ struct ProcessGroup {
     };
     /// Returns the contiguous range of parts, out of `n_parts`, that this process
     /// computes. The numbers of parts of any two processes differ by at most one. The
-    /// first process has at least one part if count > 0.
+    /// first process has at least one part if n_parts > 0.
     PartRange compute_assigned_range(std::size_t n_parts) const {
         const auto first_of = [&](int of) {
             return (n_parts * std::size_t(of) + std::size_t(size - 1)) / std::size_t(size);

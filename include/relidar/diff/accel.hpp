@@ -30,14 +30,15 @@ enum class ProxyShape { automatic, triangles, boxes };
 
 struct AccelOptions {
     ProxyShape proxy = ProxyShape::automatic;
-    /// Factor and length by which the shape around a surfel is enlarged. Without this
-    /// margin, rounding errors of the driver's intersection test could lose hits.
+    /// Each shape around a surfel is scaled by margin_scale and then enlarged by
+    /// margin_m. Without this margin, rounding errors of the driver's intersection test
+    /// could lose hits.
     float margin_scale = 1.002f;
     float margin_m = 1e-4f;
-    /// Conditions for rebuilding a tree instead of refitting its boxes. A tree is rebuilt
-    /// after `rebuild_every` refits (0 = never). The software tree is also rebuilt if its
-    /// measured traversal cost exceeds `rebuild_growth` times the cost after the last
-    /// build.
+    /// Conditions for rebuilding a tree. Otherwise the boxes of the tree are only
+    /// refitted. A tree is rebuilt after `rebuild_every` refits (0 = never). The software
+    /// tree is also rebuilt if its measured traversal cost exceeds `rebuild_growth` times
+    /// the cost after the last build.
     int rebuild_every = 1000;
     float rebuild_growth = 1.3f;
 };

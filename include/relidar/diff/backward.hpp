@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Backward pass of the renderer. It traces the rays of a batch again, front to back, and
-// computes the gradient of every parameter (Eq. 9).
+// computes the gradient of every parameter (paper, Eq. 9).
 #pragma once
 
 #include <cstdint>
@@ -33,16 +33,16 @@ struct GradientSelection {
 struct DeviceGradients {
     SurfelArrays surfels;  ///< dL/d(parameter) of every surfel, in the layout of Surfels.
     /// Gradients with respect to the surfel records,
-    /// [DeviceScene::count_gradient_rows(),16]. A surfel record is the 16 floats of a
-    /// surfel that tracing kernels read.
+    /// [DeviceScene::count_gradient_rows(),16]. A surfel record is the 16 floats that
+    /// tracing kernels read for one surfel.
     Array<float, shared::RecordGradients> records;
     /// Flags, [n]: 1 for each surfel that gets a gradient from this batch, otherwise 0.
     Array<std::uint32_t, shared::TouchedSurfels> touched;
     /// If true, surfels that get no gradient from this batch have gradients of zero. If
     /// false, their gradients are undefined, and the Adam optimiser treats them as zero.
     bool zero_untouched = true;
-    /// dL/d(origin) and dL/d(direction) of every ray, [n_rays,6], world frame. Empty
-    /// unless GradientSelection::rays is set.
+    /// dL/d(origin) and dL/d(direction) of every ray, [n_rays,6], world frame. Empty if
+    /// GradientSelection::rays is false.
     Array<float, shared::DeviceRayGradients> rays;
 
     /// Pose gradients of the instances, [instances,6]: dL/d(v, w) at 0. v is a
@@ -51,20 +51,20 @@ struct DeviceGradients {
     /// about its origin. Row 0 belongs to the background, whose pose is never refined. A
     /// row is exactly 0 if the instance is absent or no ray with a gradient hits it. With
     /// ShDirection::surfel, SH directions contribute only to the first instance of a
-    /// model, because the SH are evaluated for that instance. Empty unless
-    /// GradientSelection::poses is set.
+    /// model, because the SH are evaluated for that instance. Empty if
+    /// GradientSelection::poses is false.
     ///
     /// An instance that moves during the sweep has the pose P(t) = (R(t), T(t)). R is the
     /// rotation of the pose that was set. The gradient is the exact derivative of one
-    /// correction that moves the model by the same amount in its own axes at all times of
-    /// the sweep: P(t) becomes P(t) * (exp([R^T w]x), R^T v). The gradient does not
-    /// describe a change of the velocity or the turn rate.
+    /// correction: P(t) becomes P(t) * (exp([R^T w]x), R^T v). This correction moves the
+    /// model by the same amount in its own axes at all times of the sweep. The gradient
+    /// does not describe a change of the velocity or the turn rate.
     Array<float, shared::InstancePoseGradients> poses;
     /// Pose gradient of the sensor, [6]: dL/d(v, w) at 0. All rays of the batch move as
     /// one rigid body: origin' = c + exp([w]x) (origin - c) + v and direction' =
     /// exp([w]x) direction. The centre c = view_origin_m moves with the rays. With a
-    /// rolling shutter, all rays of the frame share this one correction. Empty unless
-    /// GradientSelection::poses is set.
+    /// rolling shutter, all rays of the frame share this one correction. Empty if
+    /// GradientSelection::poses is false.
     ///
     /// The gradient is exact if no instance moves during the sweep. For a moving
     /// instance, all its rays are treated as if the instance had the pose that was set.
@@ -89,8 +89,8 @@ struct DeviceGradients {
 
 /// Method for summing the gradients of all hits of a surfel.
 ///
-///   atomics    Each hit adds atomically to its surfel. The order of the additions
-///              and thus the last digits differ between runs.
+///   atomics    Each hit adds its gradient atomically to the sum of the surfel. The order
+///              of the additions, and thus the last digits, differ between runs.
 ///   gather     Each hit writes a record. The records are sorted by surfel and summed
 ///              in ray order. Runs on one device are bit-equal if all records fit and
 ///              no model has more than two instances.
@@ -126,7 +126,7 @@ public:
     void set_sh_degree(int degree);
     /// Returns the largest number of hits of any batch so far, [1] on the device. The
     /// caller may reset it to 0. Null with GradientReduction::atomics. If a batch has
-    /// more than get_hit_capacity() hits, the additional hits are summed with atomics, so
+    /// more hits than get_hit_capacity(), the additional hits are summed with atomics, so
     /// that runs are not bit-equal.
     const Array<std::uint32_t>* get_device_max_hit_count() const;
     std::uint64_t get_hit_capacity() const;

@@ -6,10 +6,11 @@
 #define RELIDAR_INCLUDED_DIFF_BLENDED_VALUES_H
 
 /// VALUE(name, built, value of a hit, input, slope, meaning) describes one float that a
-/// ray blends from its hits. It is the sum of w * c over all hits, where w is the weight
-/// of a hit (docs/method.md M4, M5). A vector has one line per component.
+/// ray blends from its hits: the sum of w * c over all hits. w is the weight of a hit
+/// (docs/method.md M4, M5), and c is the value of a hit. A vector has one line per
+/// component.
 ///
-///   built           condition on specialisation constants. If it is false, the value stays 0.
+///   built           condition on specialisation constants. If false, the value stays 0.
 ///   value of a hit  GLSL expression for c. It uses `hit` and its `channels` (intensity,
 ///                   hit logit, drop logit).
 ///   input           quantity that c depends on: d_t, d_channel.x, .y or .z. The backward
@@ -26,8 +27,8 @@
     VALUE(hit_logit, true, channels.y, d_channel.y, 1.0, "sum of w times hit logit") \
     VALUE(drop_logit, true, channels.z, d_channel.z, 1.0, "sum of w times drop logit, + transmittance")
 
-// Blended values that are copied to the host as arrays with one value per ray. The host
-// can also provide their gradients.
+// Blended values that are copied to the host as arrays with one value per ray. A loss on
+// the host can provide their gradients.
 #define RELIDAR_IMAGE_VALUES(VALUE)                                                        \
     VALUE(depth, true, hit.t, d_t, 1.0, "sum of w times distance, not normalised, metres") \
     RELIDAR_CHANNEL_VALUES(VALUE)

@@ -15,8 +15,9 @@ RELIDAR_SHARED_BEGIN
 
 /// Tree node with at most 8 child slots, 80 bytes. Along each axis, the bounds of a
 /// child's box are origin + q 2^(e - 127), with q = 0..255 rounded outward. A slot holds
-/// an inner node if its bit in inner_mask is set. It holds a leaf if its count is above
-/// 0. Otherwise the slot is empty and has an inverted box (low 255, high 0).
+/// an inner node if its bit in inner_mask is set. A slot holds a leaf if its leaf has at
+/// least one entry. Otherwise the slot is empty and has an inverted box (low 255, high
+/// 0).
 struct BvhNode {
     vec3 origin;  // Lower corner of the node's box, metres.
     // Exponents e of the quantisation steps 2^(e - 127): x in bits 0-7, y in bits 8-15, z
@@ -45,13 +46,13 @@ RELIDAR_POINTER(BvhNodes, BvhNode);
 RELIDAR_HANDLE(TlasHandle);  // Handle of the driver's top-level acceleration structure.
 
 // Bit of the ray query's cull mask for all instances that do not move during the sweep.
-// Instances that move use the higher bits.
+// Moving instances use the higher bits.
 #define RELIDAR_STANDING_MASK 1u
 #define RELIDAR_MOVING_MASKS 7u  // Number of cull mask bits for moving models.
 
-/// Instance that moves during a sweep. The driver's structure stores it at one pose only.
-/// A separate ray query searches this instance, with a ray that is moved to compensate
-/// the motion.
+/// Instance that moves during a sweep. The driver's acceleration structure stores the
+/// instance at one pose only. A separate ray query searches this instance, with a ray
+/// that is moved to compensate for the motion.
 struct MovingInstance {
     uint instance;
     uint model;

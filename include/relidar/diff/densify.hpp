@@ -65,8 +65,8 @@ public:
               std::uint32_t n_frames, std::uint64_t seed);
     ~Densifier();
 
-    /// Returns true unless the strategy is DensifyStrategy::none. An inactive densifier
-    /// does nothing and has no statistics.
+    /// Returns false if the strategy is DensifyStrategy::none. The densifier then does
+    /// nothing and has no statistics.
     bool is_densification_enabled() const;
     /// Records GPU commands that add the gradients of a batch to the statistics of the
     /// surfels.
@@ -78,9 +78,9 @@ public:
     /// keep their order. A copied surfel is stored next to its original. Surviving
     /// surfels keep their Adam moments. New surfels, and surfels with a changed opacity
     /// or scale, start with zero moments. All statistics are reset. The function waits
-    /// for the GPU once, to read the new number of surfels of each model. Afterwards,
-    /// Gradients and Accel must be created again, because they still have the old number
-    /// of surfels.
+    /// for the GPU once, to read the new number of surfels of each model. Afterwards, the
+    /// caller must create the gradient arrays and the acceleration structure again,
+    /// because they still have the old number of surfels.
     ///
     /// Insufficient memory is not an error. In that case, no more surfels are added, and
     /// the report contains one note about it.

@@ -31,16 +31,15 @@ struct DensifyOptions {
     /// Threshold for the mean norm of dL/d(mean position), 1/m. A surfel with a larger
     /// norm is cloned or split. The loss L is a mean over the rays of a frame.
     double gradient_threshold = 2e-4;
-    /// Size limit between cloning and splitting, relative to the extent of the model. A
-    /// surfel with a large gradient is cloned if it is smaller, and split if it is
-    /// larger.
+    /// Size limit, relative to the extent of the model. A surfel with a large gradient is
+    /// cloned if it is smaller than the limit, and split if it is larger.
     double clone_extent_share = 2e-4;
-    /// Minimum opacity. Surfels with a lower opacity are removed. If
-    /// ImageFormationModel::alpha_min, the opacity limit of ray tracing, is larger, it is
-    /// used instead.
+    /// Minimum opacity. Surfels with a lower opacity are removed. Rays ignore surfels
+    /// below the opacity ImageFormationModel::alpha_min, so the larger of the two limits
+    /// is used.
     double min_opacity = 0.003;
-    /// Maximum scale of a surfel, relative to the extent of the model. Larger surfels are
-    /// removed after step `large_from`.
+    /// Maximum scale of a surfel, relative to the extent of the model. After step
+    /// `large_from`, larger surfels are removed.
     double max_extent_share = 0.01;
     int large_from = 3000;  ///< Step after which surfels that are too large are removed.
     /// Number of steps between opacity resets, up to step `until`. 0 = never.
@@ -58,14 +57,15 @@ struct DensifyOptions {
 struct DensifyReport {
     std::uint32_t before = 0, after = 0;
     std::uint32_t added = 0;  ///< Number of added surfels. Each clone or split adds one surfel.
-    /// Numbers of surfels whose gradients are large enough for cloning or splitting.
-    /// Fewer surfels are added (`added`) if max_surfels is reached or memory is short.
+    /// Numbers of surfels whose gradients are large enough for cloning or splitting. The
+    /// number of added surfels can be lower, if max_surfels is reached or memory is
+    /// short.
     std::uint32_t clones = 0, splits = 0;
     /// Number of removed surfels by reason: value not finite, low opacity, large scale,
     /// outside the actor's box.
     std::uint32_t invalid = 0, faint = 0, large = 0, outside = 0;
     /// Message that there is too little memory for more surfels. Only the first report
-    /// about this problem contains it. Empty otherwise.
+    /// about this problem contains the message. Empty otherwise.
     std::string note;
 
     std::uint32_t count_removed_surfels() const { return invalid + faint + large + outside; }

@@ -1,14 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Differentiable renderer. It renders rays from the parameters of a scene, and it
-// computes gradients of the parameters from gradients of the rendered rays. Training
-// steps use it in one of two ways:
-//
-//   on the device  renderer().place(), renderer().record_forward(), losses write
-//                  get_last_rendered_batch().upstream, record_backward_pass(), Adam::step
-//                  with gradients(). No
-//                  call blocks.
-//   on the host    renderer().place(), renderer().forward(rays), backward(rendered_gradients).
-//                  Inputs and outputs are host arrays, for custom losses in any language.
+// computes gradients of the parameters from gradients of the rendered rays. There are two
+// ways to write a training step. On the device, no call waits for the GPU:
+//   prepare_view() and record_forward_pass() of renderer(), losses that write
+//   get_last_rendered_batch().upstream, record_backward_pass(), Adam::record_adam_step().
+// On the host, with arrays, for custom losses in any language:
+//   prepare_view() and render_rays() of renderer(), then compute_gradients().
 #pragma once
 
 #include <functional>
@@ -30,8 +27,8 @@ struct GradientOptions {
 };
 
 /// Gradients of the loss with respect to the rendered values of every ray. Each
-/// differentiable array of Rendering has an array here. An empty array means gradients of
-/// zero.
+/// differentiable array of RenderedRayValues has an array here. An empty array means
+/// gradients of zero.
 struct RenderedGradients {
     /// Gradients with respect to depth (1/m), weight, intensity, hit_logit and drop_logit
     /// of each ray, [n].
@@ -72,9 +69,9 @@ public:
     Renderer& renderer();
     const Renderer& renderer() const;
 
-    /// Computes the gradients of a loss over the rays that Renderer::forward() rendered
-    /// last. Waits for the GPU. Poses, view and parameters must not have changed since
-    /// then.
+    /// Computes the gradients of a loss over the rays that Renderer::render_rays()
+    /// rendered last. Waits for the GPU. Poses, view and parameters must not have changed
+    /// since then.
     /// @param rendered_gradients dL/d(rendered), arrays with one entry per ray, or empty
     /// arrays
     /// @throws UsageError if nothing was rendered before
@@ -91,11 +88,12 @@ public:
     DeviceGradients& gradients();
     BackwardPass& backward_pass();
 
-    /// Calls `apply_surfel_change`, which adds or removes surfels. Frees all memory that
+    /// Calls `change_surfels`, which adds or removes surfels. Frees all memory that
     /// depends on the number of surfels before the call, and allocates it again after the
-    /// call. Waits until the stream is idle. The caller must call Renderer::place() next.
-    /// @param apply_surfel_change its argument is the number of bytes per surfel that
-    /// will be allocated again
+    /// call. Waits until the stream is idle. The caller must call
+    /// Renderer::prepare_view() next.
+    /// @param change_surfels its argument is the number of bytes per surfel that will be
+    /// allocated again
     void apply_surfel_change(const std::function<void(double reserved_bytes_per_surfel)>& change_surfels);
 
 private:

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Forward pass of the renderer. It renders range, intensity and ray-drop logits of rays
-// (Eq. 2-4).
+// (paper, Eq. 2-4).
 #pragma once
 
 #include <cstdint>
@@ -28,16 +28,16 @@ struct RenderedRayValues {
     /// 0.5.
     std::vector<float> median_depth;
     std::vector<std::uint32_t> hits;  ///< Number of blended surfels.
-    /// Object that the ray hits, as an index into Scene::instances. -1 without hits. The
-    /// surfel at which the transmittance falls below 0.5 determines the object, so a
-    /// faint surfel in front does not count. If the transmittance stays above 0.5, the
-    /// nearest blended surfel counts.
+    /// Object that the ray hits, as an index into Scene::instances. -1 without hits. It
+    /// is the object of the surfel at which the transmittance falls below 0.5, so a faint
+    /// surfel in front does not count. If the transmittance stays above 0.5, it is the
+    /// object of the nearest blended surfel.
     std::vector<std::int32_t> instance;
     /// Sum of w n over the hits, world frame. w is the weight of a hit, and n is the unit
-    /// normal that faces the sensor. Empty unless TraceOptions::normals is set.
+    /// normal that faces the sensor. Empty if TraceOptions::normals is false.
     std::vector<glm::vec3> normal;
     /// Mean distance of the surface with the largest total weight along the ray, metres.
-    /// 0 without hits. Empty unless TraceOptions::mode_gap_m is set.
+    /// 0 without hits. Empty if TraceOptions::mode_gap_m is not set.
     std::vector<float> mode_depth;
     std::size_t size() const { return depth.size(); }
 };
@@ -49,11 +49,11 @@ public:
                 const TraceOptions& options);
     ~ForwardPass();
     /// Records GPU commands that trace and render a batch. Before this call, the same
-    /// stream must contain two steps: DeviceScene::activate(), which computes the surfel
-    /// records, and an update of the acceleration structure.
+    /// stream must contain two steps: DeviceScene::compute_surfel_records(), and an
+    /// update of the acceleration structure.
     /// @param rendered_rays  output, [>= n_rays]
-    /// @param stored_hits      output: hits for the backward pass of the same batch. Null
-    /// = the backward pass traces the rays again
+    /// @param stored_hits  output: hits for the backward pass of the same batch. Null =
+    /// the backward pass traces the rays again
     /// @param surfaces  output, [>= n_rays], required if
     /// TraceOptions::has_surface_outputs()
     void record_forward_pass(Stream& stream, const DeviceScene& scene, const AccelerationStructure& accel,
@@ -141,7 +141,7 @@ public:
     /// @throws DeviceError if a ray has too many hits to be traced completely
     RenderedRayValues render_rays(const WorldRays& rays);
     /// Records GPU commands that render rays on the device. The ray array must stay valid
-    /// until the stream has finished. get_last_rendered_batch() then contains the
+    /// until the stream has finished. After that, get_last_rendered_batch() contains the
     /// results.
     void record_forward_pass(const RayBatch& rays);
     /// Returns the last rendered batch. Its pointer to the rays is null before the first
@@ -184,7 +184,7 @@ public:
     const DeviceScene& scene() const;
     AccelerationStructure& accel();
     const ForwardPass& forward_pass() const;
-    const glm::vec3& view_origin_m() const;  ///< View origin of the last prepare_view() or move().
+    const glm::vec3& view_origin_m() const;  ///< View origin of the last prepare_view() or move_instances().
 
     /// Releases the acceleration structure. Must be called before surfels are added or
     /// removed. create_acceleration_structure() creates a new acceleration structure

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training losses and their derivatives with respect to the rendered values of rays (Eq.
-// 10-11). Terms with weight 0 are not computed. Each term is a mean over pixels, points
-// or surfels, so the weights do not depend on the batch size.
+// Training losses and their derivatives with respect to the rendered values of rays
+// (paper, Eq. 10-11). Terms with weight 0 are not computed. Each term is a mean over
+// pixels, points or surfels, so the weights do not depend on the batch size.
 #pragma once
 
 #include <array>
@@ -28,7 +28,7 @@ using shared::DeviceTarget;
 struct ImageShape {
     std::uint32_t rows = 0;
     std::uint32_t columns = 0;
-    bool circular = false;  ///< True for a full sweep. The first column is then next to the last one.
+    bool circular = false;  ///< True for a full sweep: the first and the last column are neighbours.
 
     bool has_image_layout() const { return rows > 0; }
 };
@@ -80,15 +80,15 @@ struct SurfelGradients {
 class Loss {
 public:
     virtual ~Loss() = default;
-    /// Records GPU commands for the terms that compare rendered with measured rays. They
-    /// run between the forward and the backward pass.
-    /// @param rendered rays to compare. The loss adds its gradients to `upstream`. Only
-    /// ImageLoss, the first loss, overwrites `upstream`.
+    /// Records GPU commands for the terms that compare rendered with measured rays. The
+    /// commands run between the forward and the backward pass.
+    /// @param rendered rays to compare. The loss adds its gradients to the array
+    /// `upstream` of these rays. Only ImageLoss, the first loss, overwrites this array.
     /// @param terms row to which the loss adds its terms
     virtual void record_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                                    const LossTermRow& terms);
-    /// Records GPU commands for the terms that depend directly on the parameters, not on
-    /// rendered rays. Called after the backward pass.
+    /// Records GPU commands for the terms that depend directly on the surfel parameters,
+    /// not on rendered rays. Called after the backward pass.
     /// @param terms row to which the loss adds its terms
     virtual void record_regularisation_losses(Stream& stream, const DeviceScene& scene,
                                               const SurfelGradients& gradients, const LossTermRow& terms);
@@ -101,12 +101,12 @@ std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights
                                                std::uint32_t max_rays_per_batch);
 
 /// Computes depth, intensity and ray-drop losses per pixel. If intensity_ssim > 0, also
-/// computes the structural similarity (SSIM) of the intensities, without dropped and
-/// unknown pixels. The batch must then be an image.
+/// computes the structural similarity (SSIM) of the intensities. Dropped and unknown
+/// pixels are left out. For SSIM, the batch must be an image.
 class ImageLoss final : public Loss {
 public:
     /// Creates the image loss.
-    /// @param max_rays_per_batch number of rays of the largest batch, used only for SSIM
+    /// @param n_rays number of rays of the largest batch, used only for SSIM
     ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays = 0);
     ~ImageLoss() override;
     void record_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
@@ -133,15 +133,15 @@ private:
 class ChamferLoss final : public Loss {
 public:
     /// Creates the Chamfer loss.
-    /// @param max_rays_per_batch number of rays of the largest batch
+    /// @param n_rays number of rays of the largest batch
     ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
     ~ChamferLoss() override;
     void record_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                            const LossTermRow& terms) override;
-    /// Returns two arrays. The first contains, for each simulated point of the last
-    /// batch, the nearest measured point. The second contains the nearest simulated point
-    /// of each measured point. Points are given by their ray's index; ~0 means no point.
-    /// Waits for the GPU.
+    /// Returns two arrays of ray indices, which stand for the points of these rays. The
+    /// first array has the nearest measured point of each simulated point of the last
+    /// batch. The second array has the nearest simulated point of each measured point. ~0
+    /// means no point. Waits for the GPU.
     std::array<std::vector<std::uint32_t>, 2> download_nearest_point_indices() const;
 
 private:
@@ -152,7 +152,7 @@ private:
 /// Computes the negative log-likelihood of the measured ranges (docs/method.md M12), a
 /// mean over returned rays:
 ///   likelihood = -ln(f + (1 - f) S),  S = sum_i w_i k(t_i)
-/// Here k is the RangeKernel centred at the measured range, and f is likelihood_floor.
+/// k is the RangeLikelihoodKernel centred at the measured range. f is likelihood_floor.
 /// The batch must be rendered with TraceOptions::likelihood and with the same targets.
 class LikelihoodLoss final : public Loss {
 public:
@@ -167,8 +167,8 @@ private:
 };
 
 /// Penalises actor surfels that extend beyond the box of their actor. mu is the mean
-/// position of a surfel in the box frame, h is Model::half_size_m, and s is a standard
-/// deviation of the surfel:
+/// position of a surfel in the box frame, h is SurfelModel::half_size_m, and s is a
+/// standard deviation of the surfel:
 ///
 ///   box  mean over actors' surfels of
 ///        sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Weights and options of the training loss (Eq. 10-11). relidar/diff/loss.hpp computes
-// the loss.
+// Weights and options of the training loss (paper, Eq. 10-11). relidar/diff/loss.hpp
+// computes the loss.
 #pragma once
 
 #include <array>
@@ -16,8 +16,8 @@ struct LossWeights {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) float setting = standard;
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
-    /// If true, the range term uses the normalised range D / W. If false, it uses the
-    /// blended range D (paper).
+    /// If true, the range term uses the normalised range D / W, where D is the blended
+    /// range and W the blended weight. If false, it uses D (paper).
     bool normalised_depth = false;
     /// Largest error for which the Huber loss of intensities is quadratic. For larger
     /// errors, the loss is linear. 0 = L1 loss (paper).
@@ -27,8 +27,8 @@ struct LossWeights {
     float box_scale_share = 0.2f;
     /// Scale of the spread of measured ranges around the true surface, metres.
     float likelihood_scale_m = 0.05f;
-    /// Fraction of returns that are treated as outliers. An outlier can have any range
-    /// with equal probability.
+    /// Assumed fraction of returns that are outliers. An outlier can have any range with
+    /// equal probability.
     float likelihood_floor = 0.01f;
 
     bool operator==(const LossWeights&) const = default;

@@ -29,11 +29,11 @@ public:
 
     const RayDropNetwork& network() const;
     /// Records GPU commands that evaluate the network for one image.
-    /// @param input_channels [network().inputs, rows, columns] as
-    /// RayDropImage::input_channels
+    /// @param input_channels [network().inputs, rows, columns] in the layout of
+    /// RayDropImage::channels
     /// @return drop probabilities, [rows, columns]. The result becomes invalid when
     /// images of two other shapes have been evaluated.
-    /// @throws DataError if the image is smaller than network().smallest_side()
+    /// @throws DataError if the image is smaller than network().compute_min_image_side()
     const Array<float, shared::DropProbabilities>& record_network_evaluation(
         Stream& stream, int rows, int columns, const Array<float, shared::DropSamples>& input_channels);
 

@@ -36,7 +36,7 @@ public:
     /// Records GPU commands for one optimiser step.
     /// @param touched_flags [n] 1 for each surfel with a gradient. The gradients of other
     /// surfels are treated as zero. Null = all surfels have a gradient
-    /// @param record_adam_step number of the step, counted from 1
+    /// @param step_number number of the step, counted from 1
     /// @param sh_degree active degree of the spherical harmonics. Coefficients of higher
     /// degrees are not changed
     void record_adam_step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
@@ -68,7 +68,7 @@ public:
     /// Records GPU commands for one optimiser step.
     /// @param values [n] changed in place
     /// @param gradients [n] gradients of the values
-    /// @param record_adam_step number of the step, counted from 1
+    /// @param step_number number of the step, counted from 1
     void record_adam_step(Stream& stream, const Array<float>& values, const Array<float>& gradients,
                           double learning_rate, int step_number);
     Array<float>& get_first_moments();

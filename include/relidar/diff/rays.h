@@ -10,8 +10,8 @@
 RELIDAR_SHARED_BEGIN
 
 #define RELIDAR_NO_INSTANCE 0xffffffffu
-// Firing time of a ray that has none. The ray sees each instance at the pose that the
-// instance table stores, without motion.
+// Firing time of a ray whose firing time is unknown. For this ray, each instance has the
+// pose that the instance table stores, without motion.
 #define RELIDAR_NO_TIME 3.0e38f
 
 struct DeviceRay {
@@ -40,9 +40,9 @@ struct RenderedRay {
     float transmittance;  // Transmittance T after the last blended surfel.
     float median_depth;   // Distance t at which T crosses 0.5, metres. 0 if T stays above 0.5.
     uint n_hits;
-    // Instance of the surfel at which the transmittance falls below 0.5. If it stays
-    // above 0.5, the instance of the nearest blended surfel. Without hits,
-    // RELIDAR_NO_INSTANCE.
+    // Instance of the surfel at which the transmittance falls below 0.5. If the
+    // transmittance stays above 0.5, the instance of the nearest blended surfel. Without
+    // hits, RELIDAR_NO_INSTANCE.
     uint instance;
 };
 RELIDAR_POINTER(RenderedRays, RenderedRay);
@@ -54,7 +54,8 @@ struct RayGradient {
 RELIDAR_POINTER(RayGradients, RayGradient);
 #undef RELIDAR_FIELD
 
-/// Normal and distance of the surface that a ray hits. Neither value has a gradient.
+/// Normal and distance of the surface that a ray hits. No gradients of these values are
+/// computed.
 struct RenderedSurface {
     // Sum of w n over the hits, world frame. w is the weight of a hit, and n is the
     // surfel's unit normal that faces the sensor.

@@ -33,8 +33,8 @@ struct RayBatch {
     std::uint32_t stride = 1;
     std::uint32_t n_rays = 0;
     /// Number of columns if the rays form an image in row order, otherwise 0. n_rays must
-    /// be a multiple of it. Neighbouring threads trace tiles of 16 x 2 pixels of an
-    /// image, because these rays visit the same tree nodes. Without an image, threads
+    /// be a multiple of this number. Neighbouring threads trace tiles of 16 x 2 pixels of
+    /// an image, because these rays visit the same tree nodes. Without an image, threads
     /// trace rays in list order.
     std::uint32_t columns = 0;
     /// Measured targets of the rays, with the same indices as `rays`. Used only with
@@ -69,8 +69,8 @@ struct TraceOptions {
     /// a CPU.
     HitSortMethod order = HitSortMethod::automatic;
     /// Initial number of hits that the list of a ray can store, 1..512. The number is
-    /// doubled as long as a ray has more hits. Until then, such a ray is traced in
-    /// chunks.
+    /// doubled as long as any ray has more hits than its list can store. Until then, such
+    /// a ray is traced in chunks.
     int initial_list_capacity = 64;
     /// If true, computes a blended surface normal for each ray. Normals have no gradient.
     bool normals = false;
@@ -91,8 +91,8 @@ struct TraceOptions {
 /// one thread.
 std::size_t count_trace_threads(const RayBatch& batch);
 
-/// First hits of each ray, stored by the forward pass. The backward pass reads these
-/// hits, so that it need not search for them again.
+/// First hits of each ray, stored by the forward pass. The backward pass reads these hits
+/// instead of searching for them again.
 struct StoredRayHits {
     /// Stored hits. The hits of two neighbouring threads alternate in memory,
     /// [ceil(n_threads / 2), hits_per_ray, 2].

@@ -15,11 +15,12 @@ namespace relidar {
 
 /// Method that finds the surfels along a ray. `ray_query` uses the driver's acceleration
 /// structures. `software` uses relidar's own tree, which kernels traverse. `automatic`
-/// selects ray_query on a GPU with ray queries, otherwise software. On a CPU it always
-/// selects software, because software traversal is faster there.
+/// selects ray_query on a GPU that has ray queries, otherwise software. On a CPU device
+/// it always selects software, because software traversal is faster there.
 enum class RayTracingBackend { automatic, ray_query, software };
 
-/// Returns the traversal method named "auto", "ray_query" or "software", in any case.
+/// Returns the traversal method named "auto", "ray_query" or "software". Upper and lower
+/// case are equal.
 /// @throws UsageError for any other name
 RayTracingBackend parse_traversal_method(const std::string& name);
 
@@ -87,8 +88,8 @@ struct DeviceOptions {
     /// Maximum device-local memory that relidar may allocate, bytes. 0 = no limit.
     std::uint64_t memory_limit_bytes = 0;
     /// If true, pipelines are compiled but no kernel runs. Use this option to read the
-    /// driver's statistics of each pipeline (Device::get_pipeline_statistics). It also
-    /// works with a driver that has no hardware.
+    /// driver's statistics of each pipeline (Device::get_pipeline_statistics). The option
+    /// also works with a driver that has no hardware.
     bool compile_only = false;
     /// Folder in which compiled pipelines are cached between processes. If empty, each
     /// process compiles all pipelines.
@@ -126,7 +127,7 @@ public:
     std::uint64_t allocated_bytes() const;
     std::uint64_t peak_allocated_bytes() const;
     /// Returns statistics of all pipelines compiled so far, in the order of compilation.
-    /// Empty unless the device was opened with compile_only.
+    /// Empty if the device was not opened with compile_only.
     const std::vector<PipelineStatistics>& get_pipeline_statistics() const;
 
     struct Impl;

@@ -7,7 +7,7 @@
 namespace relidar {
 
 /// Error for an array that does not fit into the free device memory, or that is larger
-/// than the device allows. The caller may catch it and try a smaller array.
+/// than the device allows. The caller may catch the error and try a smaller array.
 struct OutOfDeviceMemory : DeviceError {
     using DeviceError::DeviceError;
 };

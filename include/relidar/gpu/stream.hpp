@@ -66,8 +66,8 @@ public:
     std::size_t size() const { return n_; }
     /// Returns the device address of entry `first_index`, to be passed to a kernel.
     /// Kernels may load 16 bytes at a time, so the address should be a multiple of 16.
-    /// For any other address, a kernel may use only atomics or indices computed at run
-    /// time.
+    /// With any other address, a kernel may access the array only with atomics or with
+    /// indices computed at run time.
     Address<T> address(std::size_t first_index = 0) const { return address_as<T>(first_index); }
     /// Returns the device address of entry `first_index` as an address of type U, for a
     /// kernel that reads the memory as U. `first_index` counts entries of T.
@@ -105,8 +105,8 @@ private:
 };
 
 /// Device array whose type also names its content, for example Array<float,
-/// shared::LossTerms>. Passing it to a kernel parameter with another content (RELIDAR_OF)
-/// is a compile error. On the host, the class behaves like Array<T>.
+/// shared::LossTerms>. It is a compile error to pass the array to a kernel parameter with
+/// another content (RELIDAR_OF). On the host, the class behaves like Array<T>.
 template <class T, class Meaning>
 class Array : public Array<T> {
 public:
@@ -125,8 +125,8 @@ Address<T, Meaning> get_address(const Array<T, Meaning>* array) {
 }
 
 /// Records GPU commands and submits them to the device. A kernel launch sees the results
-/// of all earlier launches. Exceptions are launches in the same Concurrent scope and in
-/// other lanes of a ConcurrentSequenceScope scope.
+/// of all earlier launches. There are two exceptions: launches in the same
+/// ConcurrentLaunchScope, and launches in other lanes of a ConcurrentSequenceScope.
 class Stream {
 public:
     explicit Stream(Device& device, bool timing = false);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Results of the check that a device passes when it is first used. Also declares the
-// functions that request this check.
+// Results of the test that a device must pass when it is first used. Also declares the
+// functions that request this test.
 #pragma once
 
 #include <functional>
@@ -28,8 +28,8 @@ struct DeviceTestResults {
 /// Functions that Device calls when it opens a device.
 struct DeviceOpenCallbacks {
     /// Tests a device at its first use, and again after an update of its driver. The
-    /// results are stored in the folder of the pipeline cache. Null = no test; all
-    /// methods are used.
+    /// results are stored in the folder of the pipeline cache. If null, no device is
+    /// tested and all methods are used.
     std::function<DeviceTestResults(const DeviceOptions&)> check;
     /// Receives a one-line message for each method that gave wrong results and was
     /// replaced.

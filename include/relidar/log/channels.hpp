@@ -18,8 +18,9 @@ namespace relidar {
 /// cases: sub-rays sample the same laser beam, or points fall into the same cell of a
 /// range image.
 enum class ChannelMergeRule {
-    /// Sub-rays of a beam: value of the sub-ray nearest to the beam axis, among those of
-    /// the strongest return. Points in an image cell: value of the selected point's ray.
+    /// Sub-rays of a beam: value of the sub-ray nearest to the beam axis, among the
+    /// sub-rays of the strongest return. Points in an image cell: value of the selected
+    /// point's ray.
     nearest,
     /// Sub-rays of a beam: mean over the sub-rays of the strongest return, weighted by
     /// their light. Points in an image cell: distance from the image origin to the
@@ -43,11 +44,11 @@ struct ChannelInfo {
     /// True if the values are direction vectors, which must be rotated when the points
     /// are converted to another frame.
     bool turns = false;
-    /// True if the value depends only on the ray. The first and the second return of a
-    /// ray then have the same value.
+    /// True if the value depends only on the ray, so that all returns of a ray have the
+    /// same value.
     bool of_ray = false;
-    /// Value that is stored where the true value is unknown, for example if the ray hits
-    /// nothing, or for second returns.
+    /// Value that is stored where the true value is unknown. Examples: the ray hits
+    /// nothing, or a second return has no separate value.
     double none = 0.0;
     /// True if the channel needs surface normals. Only surfels have normals, so scenes of
     /// 3D Gaussians cannot render this channel.
@@ -58,8 +59,8 @@ struct ChannelInfo {
 /// each ray or point.
 using ChannelValues = std::variant<std::vector<float>, std::vector<std::int32_t>, std::vector<glm::vec3>>;
 
-/// A channel of a scan or a point cloud, with its values. Either relidar renders the
-/// values, or the caller provides them.
+/// A channel of a scan or a point cloud, with its values. The values are rendered by
+/// relidar or provided by the caller.
 struct ScanChannel {
     ChannelInfo info;
     ChannelValues values;
@@ -133,8 +134,8 @@ T get_missing_value(const ChannelInfo& channel) {
 
 /// Appends the value of one return to a channel of points. For a first return, this is
 /// the value of its ray. For a second return, it is the value in `ScanChannel::second`.
-/// If that array is empty, it is the value of the first return (with
-/// `ChannelInfo::of_ray`) or the default value `ChannelInfo::none`.
+/// If that array is empty, it is the value of the first return for a channel with
+/// `ChannelInfo::of_ray`, otherwise the default value `ChannelInfo::none`.
 /// @param return_number  number of the return, starting at 1
 void append_return_value(ScanChannel& point_channel, const ScanChannel& ray_channel, std::size_t ray,
                          int return_number);

@@ -45,7 +45,7 @@ struct SurfaceClassCell {
 };
 /// Edge length of a cell.
 inline constexpr double kClassCell_m = 0.1;
-/// The cells of a log. Each place occurs at most once.
+/// The cells of a log. No two cells have the same position.
 using SurfaceClassMap = std::vector<SurfaceClassCell>;
 
 /// Computes the class map of some scans, in relidar's world frame. Uses the first returns
@@ -57,15 +57,15 @@ using SurfaceClassMap = std::vector<SurfaceClassCell>;
 SurfaceClassMap compute_class_map(const LidarSequence& sequence, const PoseTrack& world_from_vehicle,
                                   const std::vector<int>& frame_indices);
 
-/// Adds the cells of another map. If both maps have a cell at a place, keeps the cell of
-/// the first map.
+/// Adds the cells of another map. If both maps have a cell at the same position, keeps
+/// the cell of `target_map`.
 void merge_class_map(SurfaceClassMap& target_map, const SurfaceClassMap& source_map);
 
 /// Finds the class of a point. Several threads can use the same object.
 class SurfaceClassLookup {
 public:
     /// Builds a search tree of the cells.
-    /// @param target_map  at least one cell
+    /// @param map  at least one cell
     explicit SurfaceClassLookup(const SurfaceClassMap& map);
     ~SurfaceClassLookup();
     /// Returns the class of the nearest cell. Returns `unknown` if the centre of this

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Functions that all dataset readers share. They convert points to scans, and poses and
 // boxes to tracks, and check the result. A dataset reader parses the files of a dataset
-// and fills a Sequence. docs/architecture.md section 3 explains how to add a reader.
+// and fills a LidarSequence. docs/architecture.md section 3 explains how to add a reader.
 #pragma once
 
 #include <cstdint>
@@ -44,16 +44,17 @@ SweepFirings fit_uniform_sweep(const LidarPoints& points, const SpinningSensor& 
 /// A ray with a return keeps its measured direction and starts at the origin of its beam.
 /// A firing without a point becomes a dropped ray with the direction of the sensor model.
 ///
-/// If two first returns belong to one ray, the second return is moved to a free
-/// neighbouring cell. If no such cell is free, only the nearer point is kept. A point
-/// beyond sensor.max_range_m gets a ray only if no other point uses this ray.
-/// remove_returns_outside_limits() removes such points later.
+/// If two first returns belong to one ray, the second of them is moved to a free
+/// neighbouring cell of the image. If no such cell is free, only the nearer point is
+/// kept. A point beyond sensor.max_range_m gets a ray only if no other point uses this
+/// ray. remove_returns_outside_limits() removes such points later.
 ///
-/// The firing time of a ray is the time of its point, or the time of the nearest firing
-/// in that sweep. For points without times, the firing time is computed from a head that
-/// faces forward at time 0. If a sweep has fewer firings than sensor.columns, some
-/// firings are repeated with their returns, because additional dropped rays would be
-/// wrong. Firings next to gaps are repeated first, then firings at the end of the sweep.
+/// The firing time of a ray is the time of its point. A ray without a point gets the time
+/// of the nearest firing in the same sweep. For points without times, the firing time is
+/// computed from a head that faces forward at time 0. If a sweep has fewer firings than
+/// sensor.columns, some firings are repeated with their returns, because additional
+/// dropped rays would be wrong. Firings next to gaps are repeated first, then firings at
+/// the end of the sweep.
 /// @param points  points with rings
 /// @throws UsageError if the points have no rings, if a ring has no beam, or if the
 /// arrays have different lengths
@@ -113,13 +114,13 @@ Pose make_rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation,
                      const std::string& error_location);
 
 /// Appends a frame with an empty scan to the sequence. Also appends the vehicle's pose at
-/// this time, unless a frame of another LiDAR with the same time has already added it.
+/// this time, if no frame of another LiDAR with the same time has added it before.
 LidarFrame& add_frame(LidarSequence& sequence, int frame_number, double time_s,
                       const Pose& world_from_vehicle, int lidar_index = 0);
 
 /// Moves the world origin to the position of the vehicle at the middle pose of the log.
 /// Adjusts all poses, boxes and world_offset_m of the sequence. Coordinates are then
-/// small enough for single precision.
+/// small enough for single precision (float).
 void recentre_sequence(LidarSequence& sequence);
 /// Moves the world origin to a given point. Adjusts all poses, boxes and world_offset_m
 /// of the sequence.

@@ -30,8 +30,8 @@ public:
     };
 
     bool empty() const { return blocks_.empty(); }
-    /// Adds every cell that a line segment crosses. If a coordinate is not finite, no
-    /// cell is added.
+    /// Adds every cell that a line segment crosses. Adds no cell if a coordinate is not
+    /// finite.
     /// @param start_m [3] start of the segment; metres, world frame
     /// @param end_m [3] end of the segment; metres, world frame
     void add_segment(const glm::dvec3& start_m, const glm::dvec3& end_m);
@@ -52,8 +52,8 @@ private:
 /// Returns the space that the rays of some scans have observed. A ray with a return has
 /// observed the space up to its point. For a dropped ray, the result depends on the other
 /// rays of the same firing:
-/// - If there are returns above and below it, the ray has observed the space up to the
-///   nearer of them.
+/// - If there are returns above and below the ray, it has observed the space up to the
+///   nearer of these two returns.
 /// - If the ray is above all returns, it has observed the space up to `max_range_m`.
 /// - Otherwise the ray has observed nothing.
 ///

@@ -159,8 +159,8 @@ Scan cast_rays_into_synthetic_street(const SyntheticOptions& options, const RayT
 Scan cast_beams_into_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
                                       const PoseTrack& world_from_sensor, double time_s);
 
-/// A car of an edited synthetic street. It has the shape of one of the original cars and
-/// follows a track in relidar's world frame.
+/// A car of an edited synthetic street. It has the shape of one of the street's original
+/// cars and follows a track in relidar's world frame.
 struct SyntheticCar {
     std::size_t shapes_of = 0;  ///< id of the original car: BoxTrack::id "0", "1", ...
     /// Track of the car. A sweep contains the car if the track covers the reference time

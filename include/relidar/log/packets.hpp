@@ -20,9 +20,9 @@ namespace relidar {
 
 /// A datagram of a LiDAR.
 struct SensorPacket {
-    /// Time of the packet since 1970. Its definition depends on the product: the time of
-    /// the first firing (Velodyne, QT64), the time after the last firing (other Hesai) or
-    /// the time of the last column (Ouster).
+    /// Time of the packet since 1970. The product determines which time this is. Velodyne
+    /// and Hesai QT64: the time of the first firing. Other Hesai: the time after the last
+    /// firing. Ouster: the time of the last column.
     std::int64_t time_ns = 0;
     std::string bytes;
 };
@@ -59,8 +59,8 @@ std::int64_t get_log_start_unix_ns(const LidarSequence& sequence);
 
 /// Converts the scans of a sensor to packets. A packet holds a fixed number of firings,
 /// so it may contain the end of one scan and the start of the next. An extra packet
-/// without returns follows the last scan and precedes a long gap. With this packet,
-/// drivers detect the end of the scan.
+/// without returns is sent after the last scan and before a long gap. From this packet,
+/// drivers detect the end of a scan.
 class PacketEncoder {
 public:
     /// @param sensor  sensor whose name selects the packet format
@@ -73,8 +73,8 @@ public:
     /// @param scan  scan of the sensor in image order (RayTable)
     /// @param time_s  reference time of the scan; must not be earlier than the time of
     /// the previous scan
-    /// @throws UsageError if the rays have no firing times, if they do not belong to the
-    /// sensor, or if they were fired before the end of the previous scan
+    /// @throws UsageError if the rays have no firing times or do not belong to the
+    /// sensor. Also if a ray was fired before the end of the previous scan
     std::vector<SensorPacket> encode_scan_as_packets(const Scan& scan, double time_s);
     /// Returns the remaining packets. Must be called after the last scan.
     std::vector<SensorPacket> flush_remaining_packets();
@@ -93,7 +93,7 @@ private:
 class PcapWriter {
 public:
     /// Creates the file.
-    /// @param get_udp_port  destination port of the datagrams
+    /// @param port  destination port of the datagrams
     /// @throws DataError if the file cannot be written
     PcapWriter(const std::filesystem::path& file, int port);
     /// @throws DataError if the disk is full

@@ -26,7 +26,7 @@ struct LidarPoints {
     std::vector<float> time_offset_s = {};
     /// [n] number of the return among the returns of the same ray; 1 is the strongest.
     std::vector<std::uint8_t> return_number = {};
-    std::vector<std::uint32_t> firing = {};  ///< [n] index of the point's firing in Sweep::firings.
+    std::vector<std::uint32_t> firing = {};  ///< [n] index of the point's firing in SweepFirings::firings.
     /// [n] index in Scene::instances of the object that the ray hit; -1 if it hit no
     /// object.
     std::vector<std::int32_t> instance = {};

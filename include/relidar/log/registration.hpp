@@ -14,10 +14,10 @@
 namespace relidar {
 
 struct RegistrationOptions {
-    /// Largest pose error, metres, that registration can correct. Registration of a scan
-    /// has failed if its correction differs by more from the corrections of the
-    /// neighbouring scans. Also limits the initial distance between two observations of
-    /// the same surface.
+    /// Largest pose error, metres, that registration can correct. If the corrections of a
+    /// scan and of its neighbours differ by more, the registration of this scan has
+    /// failed. Also limits the initial distance between two observations of the same
+    /// surface.
     double largest_m = 1.0;
     /// True: the motion between consecutive scans is computed from the given poses.
     /// False: it is estimated from the scans alone.
@@ -51,8 +51,8 @@ struct RegistrationResult {
     /// Scans that could not be registered, as indices into world_from_vehicle. The poses
     /// of these scans get the same correction as the neighbouring poses.
     std::vector<std::size_t> lost;
-    /// Median over all training scans of the fraction of points that lie on planes which
-    /// several scans observe.
+    /// Fraction of a scan's points that lie on planes which several scans observe. Median
+    /// over all training scans.
     double on_planes = 0.0;
     /// Number of loop closures. A loop closure aligns the second pass over a road with
     /// the first pass.
@@ -75,8 +75,8 @@ struct RegistrationResult {
 ///   min over all poses and planes (n, d) of  sum over points p of rho(n . p - d)
 ///   rho(r) = r^2 / (1 + r^2 / s^2)
 /// Given poses may therefore drift by metres, or jump. A motion that is common to all
-/// poses cannot be observed. So the mean correction is zero, or, without given motion,
-/// the middle pose is fixed.
+/// poses cannot be observed. Therefore the mean correction is zero. If no motion is
+/// given, the middle pose is fixed instead.
 ///
 /// Held-out scans do not affect the planes or the poses of other scans. The poses of
 /// held-out scans are estimated last, on the planes of the training scans. The result
@@ -86,9 +86,9 @@ struct RegistrationResult {
 /// The processes of a group share the first step. Only the first process computes the
 /// other steps; the other processes return without a result.
 ///
-/// The LiDAR with the most returns is the reference. LiDARs that sweep at the same times
-/// are used together with it: their measurements at one time form a single scan of the
-/// vehicle. All other LiDARs keep their mounting on the vehicle.
+/// The LiDAR with the most returns is the reference. If another LiDAR sweeps at the same
+/// times, its measurements are combined with those of the reference to a single scan of
+/// the vehicle. All other LiDARs keep their mounting on the vehicle.
 /// @throws DataError if no two training scans observe a common surface
 RegistrationResult register_scans(const LidarSequence& sequence, const TrainTestSplit& split,
                                   const RegistrationOptions& options);
@@ -120,7 +120,8 @@ struct ScanAlignment {
 };
 
 /// Aligns one pose of the vehicle with a scene. The scene and all other poses stay fixed:
-///   min over the pose of  sum over points p of rho(n . (p - q)),  rho as in register_scans().
+///   min over the pose of  sum over points p of rho(n . (p - q)),
+///   rho as in register_scans()
 /// q and n are the point and the normal of the surface that the scene shows along the ray
 /// of p. The surfaces are rendered again after each Gauss-Newton step. The function uses
 /// the points of all LiDARs that swept at that time, except points of moving objects.
@@ -138,9 +139,9 @@ struct ActorRegistrationResult {
     double moved_m = 0.0;  ///< median correction of the registered tracks
 };
 
-/// Corrects the poses of each moving box of at least 1.2 m, from the points inside it.
-/// The points of all training frames then lie on common planes in the frame of the box.
-/// The function minimises the error of register_scans(), with a prior that keeps
+/// Corrects the poses of each moving box that is at least 1.2 m long, from the points
+/// inside it. The points of all training frames then lie on common planes in the frame of
+/// the box. The function minimises the error of register_scans(), with a prior that keeps
 /// corrections small and slow. The mean correction is zero. Poses without points, for
 /// example in held-out frames, are interpolated from the nearest registered poses. If the
 /// points of a box fit one constant pose, the box gets that pose.

@@ -40,9 +40,9 @@ struct PairedIntensities {
 /// Model of the random scatter of a LiDAR's intensities: a decision tree whose leaves
 /// hold measured intensities.
 struct IntensityScatterModel {
-    /// Node of the decision tree. It refers to a range of entries in `values`, which are
-    /// measured intensities. The range of an inner node contains the ranges of its
-    /// children.
+    /// Node of the decision tree. Its range of entries in `values` holds the measured
+    /// intensities that belong to the node. The range of an inner node contains the
+    /// ranges of its children.
     struct DecisionTreeNode {
         /// Index of the feature that is compared with the threshold `at`. Features are
         /// numbered from 0 to count_intensity_features() - 1. The value is -1 for a leaf.
@@ -82,8 +82,8 @@ double find_quantisation_step(std::vector<float> values);
 IntensityScatterModel fit_intensity_scatter(std::span<const PairedIntensities> images);
 
 /// Draws random intensities that a sensor could have measured. Processes the rays beam by
-/// beam from top to bottom, because an intensity depends on intensities that were drawn
-/// before.
+/// beam from top to bottom, because an intensity also depends on the intensities of
+/// neighbouring rays that were drawn before.
 /// @param return_flags [rows*columns] 0 for rays without a return
 /// @return [rows*columns] kNoIntensity for rays without a return
 std::vector<float> draw_random_intensities(const IntensityScatterModel& scatter,

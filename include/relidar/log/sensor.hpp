@@ -18,13 +18,13 @@
 namespace relidar {
 
 // Memory for the arrays of rays and scans. A log of 6000 scans needs 30 GB, which is more
-// than most machines have. Arrays beyond a limit are therefore stored in a memory-mapped
+// than most machines have. Therefore, arrays beyond a limit are stored in a memory-mapped
 // file, and the operating system loads only the pages in use. The file is only slightly
 // slower than memory, because scans are written once and then read frame by frame.
 
 /// Limits the memory of scan arrays that are allocated after this call, in this process.
 /// Arrays beyond the limit are stored in an unnamed file, which disappears when the
-/// process ends. The memory is unlimited until this function is called.
+/// process ends. Until this function is called, the memory is unlimited.
 /// @param max_bytes  0: half of the memory of the machine or of the control group,
 /// divided by the number of processes (set_scan_process_count())
 /// @param overflow_folder  folder of the file; the file is created when the first array
@@ -102,7 +102,7 @@ struct RayTable {
     /// Returns the largest divergence in the table, or 0 if all rays are ideal.
     double find_max_divergence_rad() const;
     /// Appends a ray of another table. If this function is called repeatedly, all rays
-    /// must come from the same table. Does not change `rows` and `n_columns`.
+    /// must come from the same table. Does not change `rows` and `columns`.
     void append_ray(const RayTable& source_table, std::size_t ray);
 };
 /// Returns the offsets of the sub-rays that sample the footprint of a beam: [count], in
@@ -132,10 +132,11 @@ struct Beam {
 
     /// Range that the beam measures for a surface. The next four functions convert
     /// between the values of a surface and the measured values:
-    ///   measured range = range of the surface + range_offset,
-    ///   measured intensity = gain * fall * intensity of the surface + offset, clamped to 0..1
-    /// A range of 0 (no return) stays 0. Each conversion can be inverted unless a value
-    /// is clamped.
+    ///   measured range = range of the surface + range_offset_m,
+    ///   measured intensity = intensity_gain * range_factor * intensity of the surface
+    ///                        + intensity_offset, clamped to 0..1
+    /// A range of 0 (no return) stays 0. Each conversion can be inverted if no value is
+    /// clamped.
     /// @param range_factor  factor of the log's IntensityResponse at the range of the
     /// surface
     double to_measured_range(double surface_range_m) const;
@@ -194,10 +195,10 @@ BeamRay compute_beam_ray(const Beam& beam, double head_azimuth_rad);
 /// @return radians, not wrapped to a range
 double compute_head_azimuth(const Beam& beam, const glm::dvec3& point_m);
 
-/// Returns the shift between the firings of a beam and the image columns. It compensates
-/// the beam's azimuth offset, so that all pixels of a column have the same azimuth. Image
-/// column j holds firing (j + shift) mod columns, where shift is the azimuth offset in
-/// columns, rounded.
+/// Returns the shift between the firings of a beam and the image columns. The shift
+/// compensates for the beam's azimuth offset, so that all pixels of a column have the
+/// same azimuth. Image column j holds firing (j + shift) mod columns, where shift is the
+/// azimuth offset in columns, rounded.
 int compute_column_shift(const Beam& beam, int n_columns);
 
 /// Returns the rays of a sweep. At time 0 the head faces forward (azimuth 0). A head that
@@ -210,9 +211,9 @@ RayTable make_rays(const SpinningSensor& sensor);
 inline constexpr std::size_t kMaxRays = std::size_t(1) << 24;
 
 /// Probability that the sensor itself drops a ray, for each beam and azimuth bin (paper
-/// section 3.5). It does not depend on the scene. For example, the vehicle that carries
-/// the sensor blocks some rays. The total drop probability is P(drop) = 1 - (1 - P of the
-/// scene) (1 - P of the sensor).
+/// section 3.5). This probability does not depend on the scene. For example, the vehicle
+/// that carries the sensor blocks some rays. The total drop probability is P(drop) = 1 -
+/// (1 - P of the scene) (1 - P of the sensor).
 struct RayDropTable {
     int channels = 0;
     int bins = 0;  ///< Number of azimuth bins. Bin 0 starts at +180 degrees, and the azimuth decreases.
@@ -259,7 +260,7 @@ RayTable make_rays(const RangeImageGrid& grid);
 std::optional<int> project_to_pixel_index(const RangeImageGrid& grid, const glm::dvec3& point_m);
 
 /// A range image that was made by projecting points onto a grid. If several points fall
-/// into the same pixel, the pixel holds the nearest one.
+/// into the same pixel, the pixel holds the nearest of these points.
 struct ProjectedRangeImage {
     int rows = 0;
     int columns = 0;
@@ -374,10 +375,10 @@ std::optional<SensorPattern> get_non_spinning_pattern(const SensorModel& sensor)
 std::vector<std::string> list_sensor_names();
 /// Returns the built-in sensor with this name, or nothing if no sensor has this name.
 /// @param name  for example "VLP-16" or "kitti360", in upper or lower case
-/// @param n_columns  azimuth steps in a sweep of a spinning sensor; 0: the default of the
+/// @param columns  azimuth steps in a sweep of a spinning sensor; 0: the default of the
 /// sensor
 /// @param rate_hz  rotation rate of a spinning sensor; 0: the default of the sensor
-/// @throws UsageError if `n_columns` or `rate_hz` is set for a sensor that does not spin
+/// @throws UsageError if `columns` or `rate_hz` is set for a sensor that does not spin
 std::optional<SensorModel> find_built_in_sensor(const std::string& name, int columns = 0,
                                                 double rate_hz = 0.0);
 

@@ -19,18 +19,20 @@ inline constexpr double kDefaultMaxRange_m = 80.0;
 /// Returns a sensor by its name or from a file. For a spinning sensor, ":columns[xHz]"
 /// may follow, for example "beams.csv:1024x10".
 ///   NAME       a name of list_sensor_names(), in upper or lower case
-///   FILE.csv   a beam table (parse_beam_table()), or a ray table with a line for each ray, in
-///              firing order. Columns of a ray table: azimuth_deg (positive to the left),
-///              elevation_deg; optional, 0 by default: origin_x_m, origin_y_m, origin_z_m,
-///              time_s, channel, divergence_mrad (full angle of the beam); optional, with
-///              the same value in all lines: min_range_m, default_max_range_m
-///   FILE.npz   a ray table with the array names of a rendered scan: directions [n,3] or
-///              [rows,columns,3], origin, time, ring; divergence (radians, for each ray) or
-///              divergence_mrad (for all rays)
-///   FILE.json  a ray table as lists with the names of FILE.npz, and min_range_m, default_max_range_m;
-///              or the metadata of an Ouster sensor in its old or new format (beam angles,
-///              beam origin offset, columns and rate); or {"<kind>": {...}} as
-///              read_sensor_json() reads it
+///   FILE.csv   a beam table (parse_beam_table()), or a ray table with a line for each
+///              ray, in firing order. Columns of a ray table: azimuth_deg (positive to
+///              the left), elevation_deg; optional, 0 by default: origin_x_m, origin_y_m,
+///              origin_z_m, time_s, channel, divergence_mrad (full angle of the beam);
+///              optional, with the same value in all lines: min_range_m, max_range_m
+///   FILE.npz   a ray table with the array names of a rendered scan: directions [n,3]
+///              or [rows,columns,3], origin, time, ring; divergence (radians, for each
+///              ray) or divergence_mrad (for all rays)
+///   FILE.json  one of three forms:
+///              - a ray table as lists with the names of FILE.npz, and min_range_m,
+///                max_range_m
+///              - the metadata of an Ouster sensor in its old or new format (beam angles,
+///                beam origin offset, columns and rate)
+///              - {"<kind>": {...}} as read_sensor_json() reads it
 /// @param other_known_names  additional names that the caller accepts, for the error
 /// message
 /// @param default_max_range_m  maximum range if the file does not contain one

@@ -34,9 +34,9 @@ struct PoseTrack {
     Pose interpolate_pose(double t_s) const;
     /// Returns the pose at `t_s` of an object that is mounted on the object of this
     /// track. `carrier_from_mounted` is the pose of the mounted object in the frame of
-    /// its carrier. Same as compute_mounted_track(*this, mounted).at(t_s).
+    /// its carrier. Same as compute_mounted_track() followed by interpolate_pose().
     Pose interpolate_mounted_pose(double t_s, const Pose& carrier_from_mounted) const;
-    /// Returns the two entries of the track between which at(t_s) interpolates.
+    /// Returns the two track entries between which interpolate_pose() interpolates.
     /// @throws DataError if the track is empty
     TrackInterpolation find_pose_segment(double t_s) const;
     bool contains_time(double t_s) const {
@@ -80,7 +80,7 @@ struct SweepStart {
     double time_s = 0.0;
 };
 
-/// Computes azimuth and time of a sweep's start from its rays. Returns nothing in these
+/// Computes azimuth and time of a sweep's start from its rays. Returns nothing in three
 /// cases:
 /// - The start is the default: facing backward, half a period before time 0.
 /// - The LiDAR does not spin.
@@ -119,9 +119,9 @@ inline SweepTiming get_sweep_moment(const LidarFrame& frame) {
 }
 
 struct Lidar;
-/// Computes azimuth and time of a sweep's start for any LiDAR. Returns nothing for a
-/// non-spinning LiDAR with an unknown pattern, or if the frame's time is the middle of
-/// the scan.
+/// Computes azimuth and time of a sweep's start for any LiDAR. Returns nothing for the
+/// default of a non-spinning LiDAR: the frame's time is the middle of the scan. Also
+/// returns nothing if its pattern is unknown, or in the cases of the function above.
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar);
 
 /// Standard deviation of a sensor's measured ranges, as a table over the range and the
@@ -141,8 +141,8 @@ struct RangeNoiseTable {
 /// A LiDAR of a log.
 struct Lidar {
     std::string name;  ///< Name in the dataset. Empty if the log has only one LiDAR.
-    /// Nominal sensor. Frames without a scan get the rays of this sensor. If the LiDAR
-    /// does not spin, this sensor has no beams and period 0.
+    /// Nominal sensor. Frames without a scan get the rays of this sensor. For a LiDAR
+    /// that does not spin, this sensor has no beams and period 0.
     SpinningSensor sensor;
     /// Pose of the sensor in the vehicle frame. If the log has a single LiDAR, the pose
     /// is the identity, because the vehicle frame is then the sensor frame.
@@ -169,12 +169,10 @@ RayTable make_nominal_rays(const Lidar& lidar, double time_s);
 /// at each firing of a sweep. Positive is to the left. The value is the median over all
 /// returned rays of the firing. All beams share this value, so it does not reveal which
 /// rays were dropped. Firings with less than three returns are interpolated from their
-/// neighbours. With this correction, the rays of KITTI's HDL-64E agree to 0.01 columns
-/// instead of up to three columns.
+/// neighbours.
 /// @param nominal_rays  make_nominal_rays() of the LiDAR
-/// @return [columns] radians, by firing (compute_column_shift()). Empty if the scan is
-/// not in the order of the nominal rays, if the beams do not rotate together, or if there
-/// is no deviation.
+/// @return [columns] radians, by firing (compute_column_shift()). Empty if the rays are
+/// not in nominal order, if the beams do not rotate together, or without any deviation.
 std::vector<float> measure_azimuth_shifts_rad(const Scan& scan, const SpinningSensor& sensor,
                                               const RayTable& nominal_rays);
 /// Rotates the nominal rays of each firing about the z axis to the measured azimuth.
@@ -196,17 +194,17 @@ struct BoxTrack {
     glm::dvec3 size_m{0.0};  ///< length, width, height
     /// Poses at the times of the frames in which the box was labelled or discovered.
     PoseTrack world_from_box;
-    /// Kind of object, for example a car, whose typical size the box got. Set only for a
-    /// box without a label of which the scans show only one side.
+    /// Kind of object, for example a car, whose typical size was used for the box. Set
+    /// only for a box without a label of which the scans show only one side.
     std::string size_guess = {};
     /// Numbers of poses that discover_tracks() added before the first and after the last
     /// label of the box.
     std::size_t n_before = 0, n_after = 0;
 
     /// Returns true if the object moves, as far as its labels and poses can show this.
-    /// Labels jitter (by 9 cm on KITTI), so positions are averaged over one second, or
-    /// over half of a shorter track. The poses of a log drift while a parked car is
-    /// visible. Therefore an object moves only in one of these cases:
+    /// Labels jitter, so positions are averaged over one second, or over half of a
+    /// shorter track. The poses of a log drift while a parked car is visible. Therefore
+    /// an object moves only in one of these cases:
     /// - An average position is farther from the first average than 2 m, or than half the
     ///   longer side of the box but at least 0.2 m.
     /// - Between two successive averages the object moves faster than 0.5 m/s and by more
@@ -223,9 +221,10 @@ struct BoxTrack {
     bool contains_point(const glm::dvec3& point_m, double t_s, double margin_m) const;
 };
 
-/// Model of the measured intensity as a function of range and angle of incidence. All
-/// beams of a log share it. The factor is 1 at 10 m and perpendicular incidence.
-///   intensity of the mean beam = albedo * compute_range_factor(range) * compute_incidence_factor(cos)
+/// Model of the measured intensity as a function of range and angle of incidence. It is
+/// the same for all beams of a log. The factor is 1 at 10 m and perpendicular incidence.
+///   intensity of the mean beam = albedo * compute_range_factor(range)
+///                                * compute_incidence_factor(cosine)
 struct IntensityResponse {
     /// Ranges in metres, ascending, for which the table has factors. If the table is
     /// empty, the factor is 1 at all ranges.
@@ -251,8 +250,8 @@ struct LidarSequence {
     /// Offset from relidar's world to the dataset's world. Add this vector to coordinates
     /// in relidar's world frame to get coordinates in the dataset's world frame.
     glm::dvec3 world_offset_m{0.0};
-    /// Model of how the intensity depends on range and incidence, for all LiDARs. Without
-    /// an estimate, the intensity does not depend on them.
+    /// Model of how the intensity depends on range and incidence, for all LiDARs. If it
+    /// was not estimated, the intensity does not depend on range and incidence.
     IntensityResponse intensity_response;
     std::string conventions;         ///< a single line for users: frames, units, time reference
     std::vector<std::string> notes;  ///< Messages about data that the log lacks, one line each
@@ -323,10 +322,10 @@ struct WorldRay {
 WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays,
                         std::size_t ray, bool rolling_shutter);
 
-/// Returns the time in a sweep at which the LiDAR faces a point. The LiDAR measures an
-/// object at that point at this time. For a scanning window, it is the time of the column
-/// that contains the point. For a rosette or a table of rays, it is the middle of the
-/// scan, because a rosette covers every direction repeatedly.
+/// Returns the time in a sweep at which the LiDAR faces a point. An object at this point
+/// is measured at this time. For a scanning window, it is the time of the column that
+/// contains the point. For a rosette or a table of rays, it is the middle of the scan,
+/// because a rosette covers every direction repeatedly.
 /// @param point_m [3] metres, sensor frame
 /// @return the `time_s` of the sweep if the sequence has no rolling shutter
 double compute_point_scan_time_s(const LidarSequence& sequence, const glm::dvec3& point_m,
@@ -352,7 +351,7 @@ struct WorldReturn {
     glm::dvec3 point_m;
     glm::dvec3 direction;
     double time_s;
-    float intensity;  ///< intensity of the surface, see SurfaceReturn
+    float intensity;  ///< intensity that the mean beam would measure at 10 m
 };
 /// Returns the end point of a ray in the world frame.
 /// @param ray  index of a returned ray of the frame
@@ -386,11 +385,12 @@ struct IntensityCalibrationResult {
 };
 /// Estimates two models of the intensity by least squares. The first is the dependence on
 /// range and incidence (LidarSequence::intensity_response). The second is the gain and
-/// offset of each beam (Beam). Both are fitted to returns that hit the same 0.1 m of a
-/// surface. A model, or both together, is adopted only if it reduces the error by a
-/// further 5 %. Beams that agree therefore get no gains, and intensities that the sensor
-/// has already compensated get no response. The mean beam has gain 1 and offset 0. So
-/// does a beam that hits no surface point together with other beams. (Not in the paper.)
+/// offset of each beam (Beam). Both models are fitted to returns that hit the same 0.1 m
+/// of a surface. A model, or both models together, is adopted only if it reduces the
+/// error by a further 5 %. Therefore beams with equal responses get no gains, and
+/// intensities that the sensor has already compensated get no response. The mean beam has
+/// gain 1 and offset 0. A beam that shares no surface point with other beams also gets
+/// these values. (Not in the paper.)
 /// @param frame_indices  indices into LidarSequence::frames of the frames to use
 IntensityCalibrationResult calibrate_intensity(LidarSequence& sequence,
                                                const std::vector<int>& frame_indices);
@@ -415,10 +415,10 @@ struct TrainTestSplit {
     std::vector<int> test;
 };
 /// Splits the frames of a log into training and test frames. A test sweep includes the
-/// frames of all LiDARs that share its index. Test sweeps are every `test_every`-th sweep
-/// except the first (10, 20, ... of 0:50 with 10), or the sweeps in `test_frames`. With
-/// `test_every` = 10 on a published part of a dataset, LidarSequence::test_frames are the
-/// test frames.
+/// frames of all LiDARs that have the same index. Test sweeps are every `test_every`-th
+/// sweep except the first (10, 20, ... of 0:50 with 10), or the sweeps in `test_frames`.
+/// With `test_every` = 10 on a published part of a dataset, LidarSequence::test_frames
+/// are the test frames.
 /// @param test_every  0: no test frames
 /// @param test_frames  indices and half-open ranges, "13,26,40:45". If not empty, it is
 /// used instead of `test_every`.

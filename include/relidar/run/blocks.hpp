@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains a long log in blocks. A block is a section of the sensor's trajectory, and it is
-// trained separately with the sweeps that see this section. The trained blocks are then
-// joined to one scene. The backgrounds of the blocks stay in files and are loaded when
-// needed (Scene::blocks). The paper trains a log as one unit and names this as a
-// limitation.
+// Trains a long log in blocks. A block is a section of the sensor's trajectory. It is
+// trained separately, with the sweeps that were recorded in or near this section. The
+// trained blocks are then joined to one scene. The backgrounds of the blocks stay in
+// files and are loaded when needed (Scene::blocks). The paper trains a log as one unit
+// and names this as a limitation.
 #pragma once
 
 #include <filesystem>
@@ -26,7 +26,7 @@ struct TrajectoryBlock {
     /// held-out sweeps.
     std::vector<int> recorded_frames;
     /// Indices of the training frames that train this section: the sweeps recorded in the
-    /// section or within a fixed distance of it (the halo).
+    /// section or near it, within the distance BlockConfig::halo_m.
     std::vector<int> train;
 };
 

@@ -55,7 +55,7 @@ struct DatasetConfig {
 /// rays start at the pose at the time of the scan.
 ///
 ///   automatic  scans of sensors that are not in the log, and scans of the log's sensors
-///              unless the log is motion-compensated
+///              if the log is not motion-compensated
 ///   yes        all rendered scans; training and scores are the same as with automatic
 ///   no         no scan; scans of the log are read without a rolling shutter
 enum class RollingShutter { automatic, yes, no };
@@ -71,7 +71,7 @@ struct SensorConfig {
     /// Quantities to calibrate for each beam before training: "none", "range",
     /// "intensity" or "range,intensity".
     std::string calibrate = "none";
-    /// Number of rays that sample the footprint of each simulated beam: 1, 5 or 9.
+    /// Number of rays that sample the cross-section of each simulated beam: 1, 5 or 9.
     int sub_rays = 1;
     /// Full divergence angle of a simulated beam, milliradians. 0 = value of the sensor.
     double divergence_mrad = 0.0;
@@ -114,7 +114,7 @@ struct TrainConfig {
     /// logits. 1 = equal rates (paper).
     double intensity_factor = 1.0;
     /// Final value of the learning rates relative to their initial value, after
-    /// exponential decay. It applies to all learning rates except that of the mean
+    /// exponential decay. It applies to all learning rates except the rate of the mean
     /// positions. 1 = constant rates (paper).
     double rate_decay = 1.0;
     bool only_touched = false;   ///< If true, Adam skips surfels without a gradient in the current batch.
@@ -125,8 +125,8 @@ struct TrainConfig {
     /// Poses that are optimised together with the scene: "none", "sensor", "actors" or
     /// "sensor,actors".
     std::string refine_poses = "none";
-    /// If true, the scans are registered before the scene is initialised. Pose
-    /// optimisation then starts from the registered poses.
+    /// If true, the poses of the scans are estimated from the scans (registration) before
+    /// the scene is initialised. Pose optimisation then starts from these poses.
     bool pose_register = true;
     /// If true, the poses of held-out scans are corrected after training: the scans are
     /// registered to the trained scene.
@@ -182,8 +182,8 @@ struct RenderConfig {
     /// Range at which the points of point clouds are placed. "median": range at which the
     /// ray's transmittance falls to 0.5. "range": range of the range image.
     std::string points = "median";
-    /// Device memory for caching background blocks, MiB, in addition to the blocks that
-    /// the current scan needs.
+    /// Device memory for caching background blocks, MiB. The memory of the blocks that
+    /// the current scan needs is not counted.
     int memory_mib = 1024;
     bool operator==(const RenderConfig&) const = default;
 };
@@ -212,8 +212,8 @@ struct Config {
     TraceConfig trace;
 
     /// Returns true if a loss compares neighbouring pixels. A training step then renders
-    /// windows of adjacent columns. Otherwise it renders columns that are spread over all
-    /// directions.
+    /// windows of adjacent columns. Otherwise it renders small groups of columns that are
+    /// spread over all directions.
     bool has_neighbour_pixel_loss() const { return loss.intensity * loss.intensity_ssim > 0.0f; }
     bool operator==(const Config&) const = default;
 };

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Functions that edit a dynamic scene. They return an edited copy of the scene and its
-// tracks. A track gives the pose of an instance over time (Eq. 4-5). Edits change only
-// tracks and instances, with one exception: if a vehicle gets another track, its
+// tracks. A track gives the pose of an instance over time (paper, Eq. 4-5). Edits change
+// only tracks and instances, with one exception: if a vehicle gets another track, its
 // unobserved sides are completed by mirrored surfels (add_mirrored_surfels()).
 #pragma once
 
@@ -63,8 +63,8 @@ std::optional<double> measure_ground_clearance(const SceneWithLogView& actor_sce
 /// the level surfels below the box, and the actor is tilted like this plane. The actor's
 /// height above the plane equals its height above the ground in `actor_scene`. If
 /// `actor_scene` has no ground below the box, the bottom of the box is placed on the
-/// plane. Bridges and trees are not ground. Therefore, surfels higher than the log's
-/// sensor plus a quarter of the distance to it are ignored.
+/// plane. Bridges and trees are not ground. Therefore, a surfel is ignored if it is above
+/// the log's sensor by more than a quarter of its distance.
 /// @param actor_scene scene that contains the actor
 /// @throws UsageError naming the position if the background has no level surface below
 /// the start
@@ -74,7 +74,7 @@ NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& driving,
 
 /// Removes an actor and its track. Rays then hit the surfaces behind the actor.
 /// @throws UsageError if no instance has this track. The message suggests the most
-/// similar name. All functions below with a parameter `track` throw the same error.
+/// similar name. All functions below with a parameter `track` throw this error too.
 SceneWithLog remove_track(SceneWithLog driving, const std::string& track);
 
 /// Moves an actor by a constant offset relative to its box (x forward, y left, z up,
@@ -96,7 +96,7 @@ std::string describe_frames_without_actor(const BoxTrack& original_box, const Li
 /// interpolated linearly and rotations by slerp. The actor is absent before the first and
 /// after the last pose.
 /// @param dataset_from_box [>= 2] poses of the box centre in the dataset's world frame,
-/// at times of the log (Frame::time_s)
+/// with times in the time of the log (LidarFrame::time_s)
 /// @throws DataError for fewer than two poses, times that do not increase, or values that
 /// are not finite
 SceneWithLog replace_trajectory(SceneWithLog driving, const std::string& track,
@@ -106,10 +106,10 @@ SceneWithLog replace_trajectory(SceneWithLog driving, const std::string& track,
 /// first copy of track "0" gets the name "0-copy-1".
 SceneWithLog copy_track(SceneWithLog driving, const std::string& track, const NewActorMotion& start);
 
-/// Adds an actor from another scene at the end of the instance list. It keeps its track
-/// name unless the name is in use; then "0" becomes "0-insert-1". Its spherical harmonics
-/// above the new scene's degree are ignored. Its intensities remain those of the sensor
-/// that recorded it.
+/// Adds an actor from another scene at the end of the instance list. The actor keeps its
+/// track name if the name is free. Otherwise "0" becomes "0-insert-1". Its spherical
+/// harmonics above the new scene's degree are ignored. Its intensities are not converted:
+/// they are those of the sensor that recorded the actor.
 SceneWithLog insert_track(SceneWithLog driving, const SceneWithLog& source_scene, const std::string& track,
                           const NewActorMotion& start);
 
@@ -129,13 +129,14 @@ struct ActorModelResolution {
     std::size_t surfels = 0;
 
     /// Returns true if the actor has too few surfels per ray and therefore looks like
-    /// separate blobs. Its training data was recorded from a larger distance.
+    /// separate blobs. The reason is that its training data was recorded from a larger
+    /// distance.
     bool has_too_few_surfels() const { return rays > 8 * surfels; }
 };
 /// Compares the resolution of an actor's model with one LiDAR of the log.
 /// @param lidar_index index in LidarSequence::lidars
-/// @return result with 0 rays if the LiDAR never sees the actor, or if the rays of the
-/// LiDAR are unknown
+/// @return result with 0 rays if no ray of the LiDAR hits the actor, or if the rays of
+/// the LiDAR are unknown
 ActorModelResolution measure_actor_resolution(const SceneWithLog& driving, const std::string& track,
                                               int lidar_index = 0);
 
@@ -144,7 +145,7 @@ ActorModelResolution measure_actor_resolution(const SceneWithLog& driving, const
 /// @param ray_origins [n,3] origins of the rays, sensor frame
 /// @param ray_directions [n,3] directions of the rays, sensor frame
 /// @param box_from_sensor pose of the sensor in the frame of the box
-/// @param box_size_m [3] size of the box, metres
+/// @param size_m [3] size of the box, metres
 ActorModelResolution measure_actor_resolution(std::span<const glm::vec3> ray_origins,
                                               std::span<const glm::vec3> ray_directions,
                                               const Pose& box_from_sensor, const glm::dvec3& size_m,
@@ -174,10 +175,10 @@ struct ScenarioEntity {
 
 /// Reads the entities of an OpenSCENARIO XML 1.x file and their trajectories. Supports
 /// one FollowTrajectoryAction per entity, in Init or in an event of a Story. The
-/// trajectory must be a polyline of WorldPositions with times. The times are absolute, or
-/// relative to an event that a SimulationTimeCondition starts. "$name" refers to a
-/// parameter of the scenario. Missing z, h, p, r are 0. The rotation is R = Rz(h) Ry(p)
-/// Rx(r).
+/// trajectory must be a polyline whose vertices are WorldPosition elements with times.
+/// The times are absolute, or relative to an event that a SimulationTimeCondition starts.
+/// "$name" refers to a parameter of the scenario. Missing z, h, p, r are 0. The rotation
+/// is R = Rz(h) Ry(p) Rx(r).
 /// @throws DataError naming entity and element if a trajectory has any other form, or if
 /// an entity with a trajectory has no BoundingBox
 std::vector<ScenarioEntity> read_openscenario_entities(const std::filesystem::path& path);

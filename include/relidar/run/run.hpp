@@ -1,16 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads and writes run folders, which contain a trained scene. A run can be rendered
-// without its dataset. The files are:
-//
-//   config.toml                    settings
-//   model.safetensors              surfels
-//   drop_network.safetensors       ray-drop network, if one was trained
-//   sweeps.safetensors             head rotation of sweeps with uneven rotation
-//   coverage.safetensors           space that the log has observed
-//   classes.safetensors            classes of the background, if the log has labelled points
-//   intensity_scatter.safetensors  scatter of measured intensities
-//   scene.json                     sensor, frames, poses, boxes, split, units, conventions
-//   log.jsonl, report.html         training log and report
+// without its dataset. The comment of TrainedRun lists the files of a run folder.
 #pragma once
 
 #include <filesystem>
@@ -39,7 +29,17 @@ struct EditHistoryEntry {
 };
 
 /// Contents of a run folder. The folder stores the index and the time of each frame, but
-/// not its scan.
+/// not its scan. The files are:
+///
+///   config.toml                    settings
+///   model.safetensors              surfels
+///   drop_network.safetensors       ray-drop network, if one was trained
+///   sweeps.safetensors             head rotation of sweeps with uneven rotation
+///   coverage.safetensors           space that the log has observed
+///   classes.safetensors            classes of the background; with labelled points only
+///   intensity_scatter.safetensors  scatter of measured intensities
+///   scene.json                     sensor, frames, poses, boxes, split, units
+///   log.jsonl, report.html         training log and report
 struct TrainedRun {
     std::filesystem::path folder;
     Config config;
@@ -62,8 +62,8 @@ struct TrainedRun {
     /// Empty if all poses are those of the log.
     std::string refined_poses{};
 
-    /// Returns the scene and the tracks of its actors as one object for edit functions,
-    /// for example run.replace(remove_track(run.driving(), "0")).
+    /// Returns the scene and the tracks of its actors as one object for edit functions.
+    /// Example: run.replace_driving_scene(remove_track(run.copy_driving_scene(), "0")).
     SceneWithLog copy_driving_scene() const { return {scene, sequence}; }
     void replace_driving_scene(SceneWithLog driving_scene) {
         scene = std::move(driving_scene.scene);
@@ -109,7 +109,7 @@ Scene load_model(const std::filesystem::path& path);
 Surfels load_block_surfels(const SceneBlock& block);
 /// Returns a copy of the scene whose background also contains the surfels of the selected
 /// blocks. All other blocks are left out. The background is sorted in kd-tree order.
-/// @param block_indices indices in Scene::block_indices
+/// @param block_indices indices in Scene::blocks
 /// @throws DataError if a block file is invalid
 Scene load_selected_blocks(const Scene& scene, const std::vector<std::size_t>& block_indices);
 /// Returns a copy of the scene with the surfels of all blocks in memory. Use this copy
@@ -122,10 +122,11 @@ void save_ray_drop_network(const std::filesystem::path& path, const RayDropNetwo
 RayDropNetwork load_ray_drop_network(const std::filesystem::path& path);
 
 /// Converts the models and instances of a scene to JSON text. parse_scene_layout_json()
-/// reads the text.
-/// @param error_location name of the text in messages
-/// @throws DataError naming the field that is missing or does not match the surfels of
-/// the scene
+/// reads this text into a scene that already has its surfels.
+/// @param error_location name of the text in the error messages of
+/// parse_scene_layout_json()
+/// @throws DataError if a field is missing or does not match the surfels of the scene.
+/// The message names the field.
 std::string format_scene_layout_json(const Scene& scene);
 void parse_scene_layout_json(const std::string& text, const std::string& error_location, Scene& scene);
 

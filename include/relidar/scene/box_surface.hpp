@@ -38,10 +38,10 @@ inline constexpr float kUnseenSide = 0.1f;
 /// Returns the names of the unseen sides, for example "rear, left". Returns an empty text
 /// if the log observed all sides.
 std::string format_unobserved_sides(const ObservedSideFractions& observed_fractions);
-/// Returns the minimum cosine between a ray and the normal of a side. Rays that graze the
-/// side more do not count as observations, because their returns form separate streaks.
-/// The limit of the top is lower, because a LiDAR on a car hits other roofs only at
-/// grazing angles.
+/// Returns the minimum cosine between a ray and the normal of a side. Rays at a more
+/// grazing angle do not count as observations, because their returns form separate
+/// streaks. The limit of the top is lower, because a LiDAR on a car hits other roofs only
+/// at grazing angles.
 double get_min_incidence_cosine(BoxSide side);
 
 /// Surface of a box, divided into patches of about 0.3 m. The class stores which patches
@@ -118,8 +118,9 @@ private:
     /// Returns false if the surface patch is near the ground, where patches are ignored.
     bool is_patch_considered(const BoxSurfacePatch& patch) const;
     bool has_observed_patch(const BoxSurfacePatch& patch) const;  ///< returns true if the patch was observed
-    /// Returns two areas of a side in m2: the area of its observed patches (or of its
-    /// mirrored ones), and the area of all patches.
+    /// Returns two areas of a side in m2. The first is the area of its observed patches,
+    /// or of the patches observed only in the mirror image if `mirrored` is true. The
+    /// second is the area of all patches.
     std::array<double, 2> compute_patch_areas(BoxSide side, bool mirrored) const;
     /// Returns the fraction of the complete box surface, by area, that is observed (or
     /// mirrored).

@@ -38,8 +38,9 @@ struct TouchedCount;
 struct ViewGradients;
 }  // namespace shared
 
-/// Arrays on a device with a value for each surfel: its parameters, their gradients or
-/// their Adam moments. Each parameter group has one array, with the layout of Surfels.
+/// Arrays on a device with a value for each surfel. The values are parameters of the
+/// surfels, their gradients or their Adam moments. Each parameter group has one array,
+/// with the layout of Surfels.
 struct SurfelArrays {
     Array<float, shared::Means> mean;
     Array<float, shared::Rotations> rotation;
@@ -126,7 +127,7 @@ struct SurfelParameterGroup {
     constexpr std::uint32_t count_floats() const {
         return row[0] * row[1];
     }  ///< Number of floats per surfel.
-    /// Returns the shape of the array in files: [count], [count,3] or [count,3,16].
+    /// Returns the shape of the array in files: [n], [n,3] or [n,3,16] for n surfels.
     std::vector<std::size_t> get_array_shape(std::size_t n_surfels) const;
 };
 
@@ -229,9 +230,9 @@ public:
     Address<std::uint32_t, shared::TouchedRows> get_touched_rows_address() const;
     Address<std::uint32_t, shared::TouchedCount> get_touched_count_address()
         const;  ///< Number of marked rows, [1].
-    /// Returns the number of threads for a kernel that processes the list. Only the
-    /// device knows the length of the list, so the number is constant, and each thread
-    /// processes several rows if necessary.
+    /// Returns the number of threads for a kernel that processes the list. The host
+    /// cannot read the length of the list without waiting. Therefore the number is
+    /// constant, and each thread processes several rows if necessary.
     /// @param max_rows length of the longest possible list
     std::size_t choose_thread_count(std::size_t max_rows) const;
 
@@ -261,10 +262,9 @@ struct ActivationGradients {
     Array<float, shared::ViewGradients>* d_view = nullptr;
     bool zero_untouched =
         true;  ///< If true, backpropagate_surfel_records() writes zeros for surfels without a gradient.
-    /// If true, `touched_flags` is also an input: 0 marks surfels that cannot have a
-    /// gradient. They are skipped if can_skip_untouched_surfels() is true and
-    /// zero_untouched is false. The entries of d_view for skipped surfels are not
-    /// written.
+    /// If true, `touched` is also an input: 0 marks surfels that cannot have a gradient.
+    /// They are skipped if can_skip_untouched_surfels() is true and zero_untouched is
+    /// false. The entries of d_view for skipped surfels are not written.
     bool touched_is_marked = false;
 };
 
@@ -288,8 +288,8 @@ public:
     /// Waits until the upload is finished.
     void set_instance_poses(const std::vector<InstancePose>& instance_poses);
     /// Records GPU commands that set the poses and motions of all instances. Does not
-    /// wait. An instance may be marked as absent. The acceleration structure uses the new
-    /// poses after its next update() or move().
+    /// wait. An instance may be marked as absent. The acceleration structure has the new
+    /// poses only after its next update (update_bvh() or update_top_level_bvh()).
     void record_instance_poses(Stream& stream, const std::vector<InstancePose>& instance_poses);
     const std::vector<InstancePose>& get_instance_poses() const;
     /// Returns true if the new poses change the walking phase of an actor. The surfel

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Scene of 2D Gaussians (surfels), with a model for the background and for each actor.
-// Instances place the models in the world (Eq. 1, 4, 5). A scene may use 3D Gaussians
-// instead, which have a third scale. Comments about surfels also apply to 3D Gaussians.
+// Instances place the models in the world (paper, Eq. 1, 4, 5). A scene may use 3D
+// Gaussians instead, which have a third scale. Comments about surfels also apply to 3D
+// Gaussians.
 #pragma once
 
 #include <array>
@@ -63,10 +64,11 @@ constexpr const PrimitiveProperties& get_primitive_kind(PrimitiveType primitive)
     return kPrimitives[static_cast<std::size_t>(primitive)];
 }
 
-/// Phase window of a surfel on an actor whose shape changes periodically. p is the phase
-/// of the actor's motion (InstancePose::phase, docs/method.md M14):
-///
-///   opacity exp(sharpness^2 (cos 2 pi (p - phase) - 1)),   mean + swing sin 2 pi (p - phase)
+/// Phase window of a surfel on an actor whose shape changes periodically, like the legs
+/// of a walking person. p is the phase of the actor's motion (InstancePose::phase,
+/// docs/method.md M14):
+///   opacity factor exp(sharpness^2 (cos 2 pi (p - phase) - 1)),
+///   position       mean + swing sin 2 pi (p - phase)
 ///
 /// For a large sharpness, the window is a Gaussian with a standard deviation of 1 / (2 pi
 /// sharpness). If all fields are zero, the surfel is always visible and does not move.
@@ -74,10 +76,10 @@ struct GaitPhaseWindow {
     /// Phase of the actor's motion at which the surfel is most opaque and at its mean
     /// position.
     float phase = 0.0f;
-    /// Determines how quickly the surfel fades at other phases of the motion. 0 = the
-    /// surfel is always visible.
+    /// Sharpness of the window: with a larger value, the surfel fades faster at other
+    /// phases of the motion. 0 = the surfel is always visible.
     float sharpness = 0.0f;
-    glm::vec3 swing{0.0f};  ///< Amplitude of the motion, [3] metres, model frame.
+    glm::vec3 swing{0.0f};  ///< Amplitude of the surfel's motion, [3] metres, model frame.
 };
 
 /// Selects the parameters that the surfels of a scene have.
@@ -126,8 +128,8 @@ struct Surfels {
     void check_array_lengths() const;
 };
 
-/// Converts surfels to another primitive. If the new primitive has a third scale, this is
-/// `relative_thickness` times the geometric mean of the other two.
+/// Converts surfels to another primitive. If the new primitive has a third scale, its
+/// value is `relative_thickness` times the geometric mean of the other two scales.
 void convert_to_primitive(Surfels& surfels, PrimitiveType primitive, double relative_thickness);
 
 /// Contiguous range of the scene's surfels that share one coordinate frame.
@@ -241,14 +243,14 @@ enum class ObjectKind {
     other
 };
 /// Maps a class name of KITTI, KITTI-360, Waymo, Argoverse 2 or nuScenes to a kind.
-/// Returns `source_scene` for an unknown name.
+/// Returns `other` for an unknown name.
 ObjectKind parse_object_kind(std::string_view category);
 /// Returns the name of a kind as used in settings: "vehicle", "cyclist", "person" or
 /// "other".
 const char* get_name(ObjectKind kind);
 
 /// Treatment of moving objects without a label. `background`: their points become
-/// background. `removed`: points that rays of other frames pass through are removed.
+/// background. `removed`: points are removed if rays of other frames pass through them.
 /// `actors`: like `removed`, and objects that are observed long enough become actors.
 enum class UnlabelledMoverPolicy { background, removed, actors };
 
@@ -271,10 +273,10 @@ struct SceneInitialisationOptions {
     /// position and normal of their points (paper).
     double flatness = 1.0;
     double opacity = 0.1;
-    /// Initial hit logit minus initial drop logit of surfels. Their mean is 0.5. The
-    /// initial drop probability of a surface is 1 / (1 + exp(hit_margin)).
+    /// Initial hit logit minus initial drop logit of surfels. The mean of the two logits
+    /// is 0.5. The initial drop probability of a surface is 1 / (1 + exp(hit_margin)).
     double hit_margin = 1.0;
-    /// If true, hit logits start at 0 and drop logits start at -hit_margin. Use it with
+    /// If true, hit logits start at 0 and drop logits start at -hit_margin. For use with
     /// ImageFormationModel::single_drop_logit.
     bool one_logit = false;
     /// Upper bound of the initial standard deviations, metres. Surfels that are stretched
@@ -291,10 +293,11 @@ struct SceneInitialisationOptions {
     /// plane. 1 = spheres, as in 3D Gaussian splatting.
     double thickness = 1.0;
     bool second_returns = false;  ///< If true, second returns of the log also become surfels.
-    /// Treatment of moving objects without a label. The default is the paper's.
+    /// Treatment of moving objects without a label. The default is the method of the
+    /// paper.
     UnlabelledMoverPolicy unlabelled_movers = UnlabelledMoverPolicy::background;
-    /// Moving boxes that become actors: comma-separated class names or kinds (see
-    /// parse_object_kind()). all = every class. Empty = none.
+    /// Moving boxes that become actors: comma-separated class names or kinds
+    /// (parse_object_kind()). all = every class. Empty = none.
     std::string actor_classes = "all";
     /// If true, moving boxes that do not become actors are excluded from training. If
     /// false, they belong to the background (paper).
@@ -304,8 +307,8 @@ struct SceneInitialisationOptions {
     std::string actor_tracks;
     /// Actors whose shape changes, as comma-separated class names or kinds. Empty = none.
     std::string deform = "person,cyclist";
-    /// Maximum number of surfels per actor. An actor whose shape changes may have 200
-    /// surfels per frame.
+    /// Maximum number of surfels per actor. For an actor whose shape changes, the maximum
+    /// is at least 200 surfels per frame.
     int actor_points = 8000;
     /// Minimum number of surfels per actor. Actors with fewer surfels get random points
     /// in their box. 0 = off (paper: 8000).
@@ -329,23 +332,24 @@ struct InstancePose {
     PoseMotion motion{};  ///< Motion during the sweep, relative to world_from_model.
 };
 
-/// Finds moving objects without a label. Groups returns of training frames within 40 m at
-/// positions through which rays of other frames pass. Links the groups over time and fits
-/// upright boxes of constant size, with x along a smooth path. Keeps a box if it is seen
-/// in 6 frames, moves 0.6 m and 0.9 of its size, and is not part of the sensor's vehicle.
-/// If only one side was seen, the box size is a guess (size_guess).
+/// Finds moving objects without a label. Selects the returns of training frames within 40
+/// m that lie where rays of other frames pass through. Groups these returns, links the
+/// groups over time and fits upright boxes of constant size, with x along a smooth path.
+/// Keeps a box if it is seen in 6 frames, moves 0.6 m and 0.9 of its size, and is not
+/// part of the sensor's vehicle. If only one side was seen, the box size is a guess
+/// (BoxTrack::size_guess).
 ///
 /// If a moving object has a label for part of the time, the box keeps the id, class and
-/// size of the label. It gets additional poses before and after the labels (n_before,
-/// n_after) and replaces the labelled box. Other boxes are named mover-0, mover-1, ...
-/// All processes of a group get the same result. Each LiDAR is processed separately. If
-/// several LiDARs saw an object, the first track is kept, unless another track is more
-/// than 1.5 times as long.
+/// size of the label. The box gets additional poses before and after the labels
+/// (n_before, n_after) and replaces the labelled box. Other boxes are named mover-0,
+/// mover-1, ... All processes of a group get the same result. Each LiDAR is processed
+/// separately. If several LiDARs saw an object, the first track is kept. A later track
+/// replaces it only if it is more than 1.5 times as long.
 std::vector<BoxTrack> discover_tracks(const LidarSequence& sequence, const std::vector<int>& train_positions,
                                       const ProgressReporter& progress = {}, const ProcessGroup& group = {});
 
 /// Returns the boxes whose points and rays are kept out of the background: moving boxes
-/// (BoxTrack::moves) and the tracks listed in actor_tracks.
+/// (BoxTrack::is_moving()) and the tracks listed in actor_tracks.
 /// @throws DataError for a box without a size or with a pose that is not finite
 /// @throws UsageError for an unknown track
 std::vector<BoxTrack> list_foreground_boxes(const LidarSequence& sequence,
@@ -408,9 +412,9 @@ Surfels bake_surfels_to_world(const Scene& scene, const std::vector<InstancePose
 /// @return [n] permutation: position i of the sorted array holds point order[i]
 std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& points);
 
-/// Returns the extent of a model in metres, a length for settings that are relative to
-/// the model's size. For an actor: 4 times the diagonal of its box. For any other model:
-/// 3 times the 90th percentile of 2 |p - centre| over its surfels. Without surfels: 1.
+/// Returns the extent of a model in metres. Some settings are relative to this length.
+/// For an actor: 4 times the diagonal of its box. For any other model: 3 times the 90th
+/// percentile of 2 |p - centre| over its surfels. Without surfels: 1.
 double compute_model_extent(const Scene& scene, std::size_t model);
 /// Returns the extent of a box, which is 4 times its diagonal, metres.
 /// @param half_size_m [3] half size of the box, metres

@@ -23,8 +23,8 @@ enum class PrimitiveType;
 ///   opacity               logit
 ///   scale_0..2            ln metres; the third, across a surfel, is ln 1e-4
 ///   rot_0..3              quaternion w x y z
-///   hit_0..15, drop_0..15 coefficients of the two logits; not part of the original layout
-///   model                 index of the model; not part of the original layout
+///   hit_0..15, drop_0..15 coefficients of the two logits; not in the original layout
+///   model                 index of the model; not in the original layout
 ///
 /// Positions are in the frame of the surfel's model, so actors are at the origin.
 /// @throws DataError for the reasons listed at write_file_atomically()

@@ -16,8 +16,8 @@ struct SurfelRecord {
     vec3 mean;      // Centre, metres.
     float opacity;  // Opacity sigma, 0..1.
     vec3 axis_u;    // First axis divided by its standard deviation, a_u / s_u, 1/m.
-    // Intensity of the surfel as seen from the sensor. It and the two logits are set only
-    // with ShDirection::surfel, which evaluates them once per surfel.
+    // Intensity of the surfel as seen from the sensor. The intensity and the two logits
+    // are set only with ShDirection::surfel, which evaluates them once per surfel.
     float intensity;
     vec3 axis_v;  // Second axis divided by its standard deviation, a_v / s_v, 1/m.
     float hit_logit;
@@ -35,7 +35,7 @@ struct ModelEntry {
     uint n_surfels;
     vec3 half_size;       // Half size of the model's box, metres. 0 = the model has no box.
     float half_diagonal;  // Length of half_size, metres.
-    uint first_more;      // Index in the array more_rows for the second instance of the model.
+    uint first_more;      // Index of the model's second instance in the array `more_rows`.
     uint n_more;          // Number of instances of the model after the first one.
 };
 RELIDAR_POINTER(Models, ModelEntry);
@@ -48,14 +48,15 @@ struct InstanceEntry {
     uint first_surfel;  // Index of the model's first surfel in the surfel arrays of the scene.
     uint n_surfels;
     // First row of the instance in the array of record gradients. The first instance of a
-    // model uses the rows of the model's surfels. Rows of further instances follow after
-    // the rows of all surfels.
+    // model uses the rows of the model's surfels. Rows of further instances are stored
+    // after the rows of all surfels.
     uint first_row;
     uint moves;  // 1 if the instance moves during the sweep, otherwise 0.
     // Motion of the model during the sweep, in the axes of the model (docs/method.md
-    // section 4). model_from_world is the pose at the middle of the motion. A ray fired
-    // at time t sees the model moved by clamp(t - middle_s, -half_span_s, half_span_s)
-    // seconds. The struct has 96 bytes, because kernels load it in 16-byte pieces.
+    // section 4). model_from_world is the pose at the middle of the motion. For a ray
+    // fired at time t, the model has moved for clamp(t - middle_s, -half_span_s,
+    // half_span_s) seconds. The struct has 96 bytes, because kernels load it in 16-byte
+    // pieces.
     vec3 velocity;   // Velocity, m/s.
     float middle_s;  // Middle of the motion interval, in seconds after the reference time of the sweep.
     vec3 turn_rate;  // Rotation vector per second, rad/s.

@@ -15,8 +15,8 @@ bool is_vehicle(const BoxTrack& box);
 /// Returns a copy of the surfels, mirrored at the x-z plane: y becomes -y.
 Surfels mirror_left_right(Surfels surfels);
 
-/// Completes a symmetric object: the surfels of an unobserved patch are replaced by
-/// mirrored surfels of the other side, if that was observed. The new surfels are
+/// Completes a symmetric object. Surfels of an unobserved patch are replaced by mirrored
+/// surfels of the other side, if the other side was observed. The new surfels are
 /// appended. Does nothing if both sides were observed and differ by more than 0.15 m.
 /// @return number of surfels that were added
 std::size_t add_mirrored_surfels(Surfels& surfels, ObservedBoxSurface& surface);

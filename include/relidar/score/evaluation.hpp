@@ -20,8 +20,8 @@
 
 namespace relidar {
 
-/// Numbers of rays with a measured return, counted in bins. The bins are over the
-/// measured range and over the error of the rendered range.
+/// Numbers of rays with a measured return, counted in bins of two quantities: the
+/// measured range, and the error of the rendered range.
 struct RangeErrorCounts {
     /// limits of the bins of the real range
     static constexpr std::array<double, 7> kRangeEdges_m{0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0};
@@ -43,7 +43,7 @@ struct RangeErrorCounts {
 struct ActorScore {
     std::string track;     ///< Id of the box.
     std::string category;  ///< Class of the box.
-    MetricValues metrics;  ///< A metric is left out if it is not defined.
+    MetricValues metrics;  ///< Metrics that are not defined are left out.
 };
 
 /// A frame that was rendered with the rays of the real scan, and its metrics.
@@ -51,7 +51,7 @@ struct ScoredFrame {
     int frame = 0;  ///< frame number of the dataset
     int lidar = 0;  ///< index of its LiDAR
     double time_s = 0.0;
-    std::optional<SweepStart> start = {};  ///< start of the sweep, see Frame
+    std::optional<SweepStart> start = {};  ///< azimuth and time of the sweep's start; empty if default
     /// Number of traced rays. It differs from the number of pixels if points are binned
     /// into an image.
     std::size_t n_rays = 0;
@@ -77,8 +77,8 @@ struct MovingBoxPoints {
 };
 
 /// Returns the measured and simulated points in a box that is enlarged by 0.1 m. Skips
-/// the lowest 0.15 m, which contains ground points. To count rays that hit the box, the
-/// box is enlarged by 0.3 m.
+/// the lowest 0.15 m, which contains ground points. Also counts the rays that hit the
+/// box. For these counts, the box is enlarged by 0.3 m.
 /// @param rendered  rendered image
 /// @param point_ranges_m [n] ranges at which the simulated points are placed
 /// @param real  measured image of the same rays

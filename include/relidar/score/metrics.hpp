@@ -69,13 +69,14 @@ struct PixelRegion {
 ///                         positive = dropped
 ///   strict/drop_rmse      sqrt(mean (drop_prob - dropped)^2), all pixels, no threshold
 /// A pixel counts as returned if drop_prob is below the threshold and range_m is above 0.
-/// A metric that is undefined is left out: nothing returned, or an image below 7 x 7
-/// pixels for SSIM or 31 x 31 pixels for LPIPS. The F-score against an empty cloud is 0.
+/// A metric that is undefined is left out. Examples: no pixel is returned, or the image
+/// is below 7 x 7 pixels for SSIM or 31 x 31 for LPIPS. The F-score against an empty
+/// cloud is 0.
 /// @throws DataError if the images differ in shape or contain a value that is not finite
 MetricValues evaluate(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options = {});
 
-/// Computes errors by region, over the pixels with a real return. It uses the rendered
-/// values even if the rendered pixel counts as dropped.
+/// Computes errors by region, over the pixels with a real return. The rendered values are
+/// used even if the rendered pixel counts as dropped.
 ///   <region>/depth_{rmse_m,mae_m,medae_m}, <region>/intensity_{rmse,mae,medae}
 ///                       clamped as in evaluate()
 ///   <region>/returned   fraction of these pixels that also return in the rendered image,
@@ -128,8 +129,8 @@ struct RangeImageComparison {
     const RangeImage* rendered = nullptr;
     const RangeImage* real = nullptr;
     std::vector<PixelRegion> regions;
-    /// [rows*columns] ranges at which the points of `rendered_classes` are placed. Empty
-    /// if points are not scored.
+    /// [rows*columns] ranges at which the points of `rendered` are placed. Empty if
+    /// points are not scored.
     std::vector<float> point_range_m = {};
 };
 /// Computes the metrics of many frames in parallel on all cores. Calls evaluate() and
@@ -139,9 +140,9 @@ struct RangeImageComparison {
 std::vector<MetricValues> evaluate_all(const std::vector<RangeImageComparison>& comparisons,
                                        const MetricOptions& options = {});
 
-/// Motion of points in moving boxes, for baselines. `stay`: points stay where they were
-/// measured. `follow`: points move with their boxes, and are left out if the box has left
-/// the scene.
+/// Motion of points in moving boxes, for baselines. `stay`: points stay at their measured
+/// positions. `follow`: points move with their boxes, and are left out if the box has
+/// left the scene.
 enum class BoxPointMotion { stay, follow };
 
 /// Computes the baseline: moves the returns of the nearest earlier and later training

@@ -28,11 +28,11 @@ struct ActorBox {
 };
 
 /// Returns the boxes of the actors of `format` that at least one ray of a scan would hit.
-/// @param scan with RenderedScan::actor_views, see
-/// ScanRenderer::enable_actor_visibility()
+/// @param scan with RenderedScan::actor_views, which
+/// ScanRenderer::enable_actor_visibility() switches on
 std::vector<ActorBox> find_actor_boxes(const RenderedScan& scan, const ScanOutputOptions& format);
 
-/// Replaces the poses of the boxes of a format by the poses of a ScanRequest. Removes the
+/// Replaces the poses of the boxes in `format` by the poses of a ScanRequest. Removes the
 /// boxes of actors that the request does not contain.
 void replace_actor_box_poses(ScanOutputOptions& format, const ActorTracksByName& dataset_from_actor);
 

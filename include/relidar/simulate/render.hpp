@@ -27,8 +27,8 @@ namespace relidar {
 struct TrainedRun;
 struct MountedSensor;
 
-/// Side of an actor that the log has not observed although rays of the simulated scan
-/// meet it. n_rays is the number of these rays.
+/// Side of an actor that lies on the path of rays of the simulated scan, although the log
+/// has not observed this side. n_rays is the number of these rays.
 struct UnobservedActorSide {
     std::string track;
     BoxSide side;
@@ -39,7 +39,8 @@ struct UnobservedActorSide {
 };
 
 /// Visibility of an actor: numbers of rays that hit it. A ray counts if surfaces absorb
-/// at least half of its light and the drop logits of the surfels predict a return.
+/// at least half of its light and the hit and drop logits of the surfels predict a
+/// return.
 struct ActorVisibility {
     std::string track;
     std::size_t n_rays = 0;  ///< rays that hit the actor first
@@ -51,8 +52,8 @@ struct ActorVisibility {
 /// frame at their own firing times.
 struct RenderedScan {
     /// Range image. The setting `render.range` selects the kind of range. `drop_prob` is
-    /// the softmax of the two drop logits. It is 1 if the ray hit nothing within the
-    /// sensor's range limits.
+    /// computed from the hit and drop logits and the sensor's own drop probability. It is
+    /// 1 if the ray hit nothing within the sensor's range limits.
     RangeImage image;
     /// [n] Median range along the ray, in metres: the distance at which the transmittance
     /// T falls below 0.5. If T never falls below 0.5, the range of the image is used.
@@ -69,23 +70,24 @@ struct RenderedScan {
     /// the sensor has no rolling shutter.
     std::vector<float> time_offset_s;
     std::vector<std::uint16_t> ring;  ///< [n] beam number of the ray; 0 is the highest beam
-    /// Second returns of the rays, computed with median ranges. Empty unless
-    /// `sensor.returns` is 2.
+    /// Second returns of the rays, computed with median ranges. Empty if `sensor.returns`
+    /// is not 2.
     std::vector<AdditionalReturns> second_returns = {};
     /// Optional channels with [n] values each: the channels of the setting
     /// `render.channels`, and `source` if weather is set. A channel that cannot be
-    /// computed is missing, for example "seen" without a Coverage. A caller may append
-    /// channels, which are then joined, binned, merged and written like the others.
+    /// computed is missing, for example "seen" if the run has no coverage. A caller may
+    /// append channels, which are then joined, binned, merged and written like all other
+    /// channels.
     std::vector<ScanChannel> channels = {};
-    /// Share of rays that leave the space which the log observed. A ray counts if the log
-    /// observed less than half of its path. Computed from all rays, or from about a
-    /// thousand. Empty if the run has no coverage.
+    /// Fraction of rays through space that the log did not observe. A ray counts if the
+    /// log observed less than half of its path. Computed from all rays, or from about a
+    /// thousand of them. Empty if the run has no coverage.
     std::optional<double> unseen_share = {};
-    /// Sides of actors that rays of the scan meet although the log has not observed them.
-    /// Set by the command `relidar render`, not by ScanRenderer.
+    /// Unobserved sides of actors that lie on the path of rays of the scan. Set by the
+    /// command `relidar render`, not by ScanRenderer.
     std::vector<UnobservedActorSide> unseen_sides = {};
-    /// Visibility of each actor that at least one ray would hit without occlusion. Empty
-    /// unless ScanRenderer::enable_actor_visibility() was called.
+    /// Visibility of each actor that at least one ray would hit if no other object hid
+    /// it. Empty if ScanRenderer::enable_actor_visibility() was not called.
     std::vector<ActorVisibility> actor_views = {};
     Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
     /// Poses of the sensor during the scan, in the dataset's world frame. The track has a
@@ -99,9 +101,9 @@ struct RenderedScan {
     Pose get_firing_pose(std::size_t ray) const;
 };
 
-/// Finds the unobserved sides of actors that at least five rays of the scan meet. If the
-/// side has no surfels, these rays pass through it. If the side was completed, they hit
-/// mirrored surfels. Uses the poses of the actors in the log.
+/// Finds the unobserved sides of actors that lie on the path of at least five rays of the
+/// scan. If the side has no surfels, these rays pass through it. If the side was
+/// completed, the rays hit mirrored surfels. Uses the poses of the actors in the log.
 std::vector<UnobservedActorSide> find_unobserved_actor_sides(const RenderedScan& scan, const Scene& scene,
                                                              const LidarSequence& sequence);
 
@@ -132,9 +134,9 @@ private:
     std::vector<CachedFiringPose> made_;
 };
 
-/// Limit for the share of rays through space that the log did not observe. The program
-/// prints a warning above this limit. The log's sensor on its recorded path has a share
-/// below 0.01, and a sensor in the next lane a few hundredths.
+/// Limit for the fraction of rays through space that the log did not observe. The program
+/// prints a warning above this limit. The log's sensor on its recorded path has a
+/// fraction below 0.01, and a sensor in the next lane a few hundredths.
 inline constexpr double kMuchUnseen = 0.2;
 
 /// Returns the [n] ranges, in metres, at which the points of a scan are placed. The
@@ -175,7 +177,7 @@ void sample_random_returns(RenderedScan& scan, const RangeNoiseTable& noise,
 
 /// The points of a scan without its other arrays.
 struct RenderedPoints {
-    LidarPoints points;      ///< all returns, see place_points()
+    LidarPoints points;      ///< all returns, in the order of convert_scan_to_points()
     std::size_t n_rays = 0;  ///< number of rays of the scan
     /// Share of the rays through space that the log did not observe. Empty if the run has
     /// no coverage.
@@ -184,7 +186,7 @@ struct RenderedPoints {
 
 /// The sensor to simulate.
 struct SimulatedSensor {
-    RayTable rays;  ///< Rays of a sweep. Empty for a Rosette, because its rays differ in every scan.
+    RayTable rays;  ///< Rays of a sweep. Empty for a rosette, because its rays differ in every scan.
     /// Range grid of the output image. After rendering, the simulated points are
     /// projected into this grid. Empty = the image has one pixel per ray.
     std::optional<RangeImageGrid> grid = {};
@@ -192,8 +194,8 @@ struct SimulatedSensor {
     /// apply only to the log's LiDARs.
     bool is_log_lidar = false;
     /// True if `rays` are the nominal rays of a LiDAR of the log. A scan at the time of a
-    /// recorded sweep then uses the azimuths that were measured in this sweep. If a
-    /// ScanRequest sets the poses, the nominal azimuths are used.
+    /// recorded sweep then uses the azimuths that were measured in this sweep. A scan for
+    /// a ScanRequest uses the nominal azimuths.
     bool follows_sweeps = false;
     /// Calibration of the beams: range offsets, intensity gains and offsets. Empty =
     /// ranges and intensities are not changed.
@@ -205,10 +207,11 @@ struct SimulatedSensor {
     std::string name = "";
     int lidar = 0;  ///< index of the log's LiDAR that this sensor is or replaces
     /// Number of returns per ray: 1 or 2, or 0 to use the setting `sensor.returns`. With
-    /// 2 returns, a ray needs several sub-rays. It gets 9 if the settings ask for only 1.
+    /// 2 returns, a ray needs several sub-rays. If the settings select only 1 sub-ray,
+    /// the ray gets 9.
     int returns = 0;
     /// False: all rays are fired at the scan's reference time, as if the scan were
-    /// motion-compensated. See has_rolling_shutter().
+    /// motion-compensated. has_rolling_shutter() also considers the settings.
     bool rolling_shutter = true;
 };
 
@@ -227,11 +230,10 @@ SimulatedSensor align_sensor_with_sweep(const SimulatedSensor& sensor, std::span
                                         std::span<const Lidar> lidars, double time_s);
 
 /// Returns the sensor that the setting `sensor.grid` selects: a LiDAR of the log, or a
-/// grid. For a grid, the setting `sensor.grid_method` selects one of two methods. Either
-/// the rays of the grid are cast, or the points of the LiDAR are binned into the grid.
-/// The range limits of the LiDAR are intersected with those of the dataset settings. If
-/// only the scans of a LiDAR are known, `rays` is empty and the caller must set the rays
-/// of each scan.
+/// grid. For a grid, `sensor.grid_method` selects the method. Either the rays of the grid
+/// are cast, or the points of the LiDAR are binned into the grid. The range limits of the
+/// LiDAR are intersected with those of the dataset settings. A LiDAR with an unknown scan
+/// pattern has empty `rays`, so the caller must set the rays of each scan.
 SimulatedSensor make_configured_sensor(const Config& config, const LidarSequence& sequence, int lidar = 0);
 /// Returns the sensor with this name or in this file. Possible values: "native" (the
 /// log's LiDAR), a built-in sensor, a sensor file, or a range grid. For the grid
@@ -344,8 +346,8 @@ public:
     /// points are in the sensor's frame at a time of the sensor's path. While the device
     /// renders this scan, the caller can request more scans and collect earlier points.
     /// The device computes the points if the scan has no sub-rays, grid, channels,
-    /// weather or sample. Otherwise place_points() computes the points on the host. Both
-    /// results are bitwise equal.
+    /// weather or sample. Otherwise convert_scan_to_points() computes the points on the
+    /// host. Both results are bitwise equal.
     /// @param points_at_s time of the sensor frame in which the points are expressed
     /// @param mode with `with_next`, the scan is submitted together with the next
     /// request. Scans whose points the device computes are then rendered in parallel.

@@ -41,13 +41,13 @@ enum class PointCoordinateFrame { sensor, world };
 /// Sensor properties that only the format pcap needs.
 struct PacketFormatOptions {
     std::optional<SpinningSensor> sensor;  ///< empty if the sensor does not spin
-    std::string ouster_profile;            ///< see PacketOptions
-    std::int64_t log_start_ns = 0;         ///< see log_start_ns()
+    std::string ouster_profile;            ///< packet format, as in PacketOptions
+    std::int64_t log_start_ns = 0;         ///< Time since 1970 of the log's time 0 (get_log_start_unix_ns()).
 };
 
 /// Options for writing scans, and the metadata that the files contain.
 struct ScanOutputOptions {
-    std::vector<std::string> formats{"npz"};  ///< names of formats, see list_scan_formats()
+    std::vector<std::string> formats{"npz"};  ///< names from list_scan_formats()
     PointCoordinateFrame frame = PointCoordinateFrame::sensor;
     /// Used only for points in the sensor frame. True: all points are in the sensor frame
     /// at the reference time of the scan. False: each point is in the sensor frame at its
@@ -90,8 +90,9 @@ struct ScanOutputOptions {
 /// frame. The simulated sensor has the same poses as the log's sensor.
 ScanOutputOptions make_scan_format(const TrainedRun& run, const SimulatedSensor& sensor);
 /// Returns true if all points of a scan are in one frame: the world frame, or the sensor
-/// frame at one time (in recordings, the time stamp of the message). This is the case if
-/// points are converted to such a frame, or if all rays are fired at the same time.
+/// frame at one time. (In recordings, this is the time stamp of the message.) This is the
+/// case if points are converted to such a frame, or if all rays are fired at the same
+/// time.
 bool has_deskewed_points(const ScanOutputOptions& format);
 /// Sets the topic and the frame id of a sensor in recordings to /lidar/NAME/points and
 /// NAME. In the topic, NAME is converted by make_valid_topic_name(). An empty name gives
@@ -109,24 +110,26 @@ std::string make_valid_topic_name(const std::string& name);
 ///     /tf, /tf_static       foxglove.FrameTransforms
 ///     /actors               foxglove.SceneUpdate with a box for each actor
 ///   rosbag  rosbag.mcap, a bag of ROS 2
-///     topic of each sensor  sensor_msgs/PointCloud2 (x y z intensity time ring, channels)
-///     TOPIC_xyzircaedt      the same with Autoware's point type; only in the sensor frame
+///     topic of each sensor  sensor_msgs/PointCloud2 (x y z intensity time ring,
+///                           channels)
+///     TOPIC_xyzircaedt      the same with Autoware's point type; only in sensor frame
 ///     /tf, /tf_static, /clock
 ///     /odom                 nav_msgs/Odometry
 ///     /actors               vision_msgs/Detection3DArray
 ///     /actors_autoware      autoware_perception_msgs/TrackedObjects
-///   pcap    packets.pcap, or packets_NAME.pcap for each sensor of a rig: the packets that
-///           the sensor sends, see PacketEncoder; with packets.csv or packets.json, the
-///           calibration for its driver
-/// Transforms: world -> base_link (the log's vehicle) on /tf, every 10 ms of a sweep and
-/// at every pose of its path; base_link -> each sensor on /tf_static.
+///   pcap    packets.pcap, or packets_NAME.pcap for each sensor of a rig: the packets
+///           that the sensor sends (PacketEncoder). The file packets.csv or packets.json
+///           has the calibration for its driver.
+/// Transforms on /tf: world -> base_link (the log's vehicle), every 10 ms of a sweep and
+/// at every pose of its path. Transforms on /tf_static: base_link -> each sensor.
 ///
 /// Times: the stamp of a cloud is the time of its first ray, and the times of points are
-/// relative to it. A point in the sensor frame at its own time is converted to the world
-/// by the transforms of that time, or, with ScanOutputOptions::deskew, by the transforms
-/// of the stamp. Each box on /actors has the time at which the sensor faces it. Boxes on
-/// /actors_autoware have the time of the cloud, and velocities. A scan is logged at the
-/// time of its last ray, after the transforms that it needs.
+/// relative to the stamp. With ScanOutputOptions::deskew, the transforms at the time of
+/// the stamp convert all points to the world. Otherwise each point in the sensor frame is
+/// converted by the transforms at its own time. Each box on /actors has the time at which
+/// the sensor faces it. Boxes on /actors_autoware have the time of the cloud, and
+/// velocities. A scan is logged at the time of its last ray, after the transforms that it
+/// needs.
 class ScanRecordingsWriter {
 public:
     /// Creates the recordings in an existing folder. Removes the files that an earlier
@@ -153,7 +156,7 @@ private:
 /// A topic of ScanMessageEncoder.
 struct ScanTopic {
     std::string name, type;     ///< type: name of the Protobuf message
-    std::string schema_base64;  ///< FileDescriptorSet of the message
+    std::string schema_base64;  ///< Protobuf FileDescriptorSet of the message, in base64.
 };
 /// A Protobuf message of a topic.
 struct ScanMessage {
@@ -194,11 +197,11 @@ private:
 ///   exr  the images as float channels, metadata as string attributes
 ///   png  range, intensity and drop probability as a single image, metadata as text
 ///   ply, pcd, bin
-///        points of returned rays (drop_prob < 0.5); ply and pcd also have ring, time,
-///        instance, the scan's channels and, with second returns, return (1 or 2), see
-///        write_ply(); metadata as comments
-/// Recordings contain all scans and are completed after the last one, see
-/// ScanRecordingsWriter.
+///        points of returned rays (drop_prob < 0.5), as write_ply() describes; ply and
+///        pcd also have ring, time, instance, the scan's channels and, with second
+///        returns, return (1 or 2); metadata as comments
+/// Recordings (ScanRecordingsWriter) contain all scans and are completed after the last
+/// scan.
 class ScanFolderWriter {
 public:
     /// Creates the folder if it does not exist. Removes the files of an earlier rendering

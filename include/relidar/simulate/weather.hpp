@@ -121,8 +121,9 @@ double compute_water_reflectance(double cosine);
 /// Returns the light that wet ground returns to the source, divided by the light that dry
 /// ground returns (Lekner and Dorf 1988). Light passes the water surface twice. The
 /// ground scatters light, and total reflection keeps a part of this light in the water
-/// film until it leaves or is absorbed:
-///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - mean of F over a diffuse surface's light) / n^2
+/// film until it leaves or is absorbed. F_mean is the mean of F over the light of a
+/// diffuse surface:
+///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - F_mean) / n^2
 /// @param cosine  cosine of the angle of incidence in air, 0..1
 /// @param albedo  albedo of the dry ground, 0..1
 double compute_wet_reflectance_ratio(double cosine, double albedo);
@@ -141,9 +142,10 @@ double compute_water_film_fraction(double water_depth_mm);
 double compute_sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double angle_to_sun_rad,
                          double albedo, bool sees_sky);
 /// Returns how often noise exceeds a threshold, per metre of range. For Gaussian noise
-/// after a matched filter, the rate is exp(-level^2 / 2) / (2 sqrt(3) tau) per second
-/// (Rice 1945; RCA Electro-Optics Handbook 1974).
-/// @param threshold_sigmas  threshold in standard deviations
+/// after a matched filter, the rate is exp(-level^2 / 2) / (2 sqrt(3) tau) per second.
+/// `level` is the threshold, and tau is the pulse duration (Rice 1945; RCA Electro-Optics
+/// Handbook 1974).
+/// @param threshold_sigmas  threshold in standard deviations of the noise
 double compute_false_return_rate(const WeatherSensorProperties& sensor, double threshold_sigmas);
 
 struct WeatherInput;

@@ -47,16 +47,17 @@ struct TrainProgress {
     DensifyReport densified;
 };
 
-/// Poses that training has corrected (train.refine_poses), for both training and held-out
+/// Poses that training has corrected (train.refine_poses), of both training and held-out
 /// scans.
 ///
 /// prepare_log() registers the poses before training. It registers a held-out scan by
 /// matching its points with the planes of the training scans. Training does not use
 /// held-out scans in any other way. Later, gradients correct a held-out pose only
 /// indirectly. With a rolling shutter, these gradients come from rays of neighbouring
-/// sweeps that were fired between the two poses. Without a rolling shutter, the
-/// corrections of the neighbouring poses are interpolated. Registration of the sensor
-/// also moves all boxes. Gradients change boxes only if refine_poses includes actors.
+/// sweeps that were fired between the held-out pose and the next pose. Without a rolling
+/// shutter, the corrections of the neighbouring poses are interpolated. Registration of
+/// the sensor also moves all boxes. Gradients change boxes only if refine_poses includes
+/// actors.
 struct RefinedPoses {
     PoseTrack world_from_vehicle;
     std::vector<BoxTrack> boxes;
@@ -118,9 +119,10 @@ struct LogPreparationCallbacks {
 };
 
 /// Estimates data that training needs from the start but that the log does not contain.
-/// The settings select the steps, in this order: poses of the sensor
-/// (train.refine_poses), range offsets and intensity responses of its beams
-/// (sensor.calibrate), tracks of moving objects without a label (init.unlabelled_movers).
+/// The settings select the steps, in this order:
+/// - train.refine_poses: poses of the sensor
+/// - sensor.calibrate: range offsets and intensity responses of the sensor's beams
+/// - init.unlabelled_movers: tracks of moving objects without a label
 ///
 /// Uses only training frames, except for the poses of held-out frames. The result is
 /// deterministic, so a resumed training prepares the log again. All processes of a group
@@ -172,8 +174,8 @@ struct HeldOutPoseReport {
 /// at the same time are registered together.
 ///
 /// Does nothing if the settings do not register the sensor (train.refine_poses), or for
-/// 3D Gaussians, which have no normals. Sets TrainedRun::held_out_placed unless it was
-/// stopped. If stopped, no pose changes.
+/// 3D Gaussians, which have no normals. Sets TrainedRun::held_out_placed if it was not
+/// stopped. If it was stopped, no pose changes.
 HeldOutPoseReport place_held_out(Device& device, TrainedRun& run, const HeldOutPoseCallbacks& session = {});
 
 /// Checkpoints, callbacks and stop condition for the training of a ray-drop network.
@@ -279,7 +281,7 @@ void move_result_into_run(TrainedRun& run, TrainResult& result);
 void check_training_resumable(const Checkpoint& checkpoint, const LidarSequence& sequence,
                               const TrainTestSplit& split, const Config& config);
 /// Compares two configs. Returns the name of the first setting whose difference prevents
-/// resuming a training. Returns an empty string if there is none.
+/// resuming a training. Returns an empty string if no difference prevents it.
 std::string find_differing_setting(const Config& config, const Config& other_config);
 /// Returns the training log that is stored in a checkpoint.
 /// @throws DataError if the checkpoint is not a training checkpoint

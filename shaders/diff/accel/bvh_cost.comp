@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the cost of all trees with the surface area heuristic, so that the host
-// rebuilds the trees if the cost has grown. The cost is the sum of two parts: half areas
-// of all nodes, and half areas of all leaves times the cost of testing their surfels. One
-// thread per wide node, one sum per workgroup. Input: wide. Output: partial sums.
+// Computes the cost of all trees with the surface area heuristic. If the cost has grown,
+// the host rebuilds the trees. The cost of a node is half its surface area. The cost of a
+// leaf is half its surface area times the cost of testing its surfels. One thread per
+// wide node, one sum per workgroup. Input: wide. Output: partial sums.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

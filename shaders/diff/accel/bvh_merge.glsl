@@ -11,8 +11,8 @@ struct Subtree {
 };
 
 /// Loads the costs of a subtree for 1 to 7 child slots. costs[k] is the traversal cost if
-/// the subtree may occupy at most k slots of a wide node. A leaf costs the same for all
-/// k.
+/// the subtree may occupy at most k slots of a wide node. A leaf has the same cost for
+/// all k.
 void load_costs(BvhBinary tree, Subtree subtree, out float costs[RELIDAR_BVH_WIDTH]) {
     for (uint k = 1u; k < RELIDAR_BVH_WIDTH; ++k)
         costs[k] = is_leaf(subtree.root) ? subtree.area * SURFEL_COST
@@ -20,7 +20,7 @@ void load_costs(BvhBinary tree, Subtree subtree, out float costs[RELIDAR_BVH_WID
 }
 
 /// Computes the costs of a node from the costs of its children. For each number of child
-/// slots, also decides how many of them the left child gets.
+/// slots, also decides how many of these slots the left child gets.
 void write_node_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float area) {
     float in_left[RELIDAR_BVH_WIDTH], in_right[RELIDAR_BVH_WIDTH];
     load_costs(tree, left, in_left);

@@ -4,9 +4,9 @@
 //
 // Eight lanes of a subgroup process one node, one child per lane. In subgroups of four
 // lanes, each lane processes two children. This balances the work, because nodes differ
-// in their number of surfels. Each group of lanes processes every n-th node without inner
-// children first. The group that finishes the last child of a parent continues with the
-// parent.
+// in their number of surfels. The nodes without inner children are distributed over the
+// groups of lanes and processed first. The group that finishes the last child of a parent
+// continues with the parent.
 //
 // Input: boxes, topology of wide. Output: origin, exponents and child boxes of the nodes,
 // wide.boxes. Memory traffic: at least 28 B read per surfel, 28 B read and 104 B written

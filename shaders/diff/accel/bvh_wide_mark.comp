@@ -4,14 +4,14 @@
 // children that become wide nodes to a queue.
 //
 // One launch processes one level. The last launch is a single workgroup that processes
-// all remaining levels. Threads append to the queue in arbitrary order, but its content
-// does not depend on the order. One thread per wide node in the queue. Input: tree.
-// Output: queue, slots, level_sizes, demands.
+// all remaining levels. Threads append to the queue in arbitrary order, but the set of
+// nodes in the queue is the same in every run. One thread per wide node in the queue.
+// Input: tree. Output: queue, slots, level_sizes, demands.
 //
 // A wide child that fits into its parent is always replaced by its children. Therefore
 // child and parent together have at least 10 slots, and a wide node without wide children
-// has at least 5 surfels. Thus n surfels need at most n / 4 wide nodes besides the root.
-// Memory traffic: at least 12 B read per binary node, 40 B written per wide node.
+// has at least 5 surfels. Thus n surfels need at most n / 4 wide nodes in addition to the
+// root. Memory traffic: at least 12 B read per binary node, 40 B written per wide node.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

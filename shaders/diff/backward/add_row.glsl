@@ -21,8 +21,8 @@ shared float shared_rows[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x * kRowPitc
 shared uint shared_targets[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x : 1u];
 
 /// Returns true if the lanes of a subgroup exchange rows through shared memory. All lanes
-/// must then call add_row() together. In subgroups that are not full, rows are not
-/// exchanged, because nobody would add the floats of the missing lanes.
+/// must then call add_row() together. Subgroups that are not full exchange no rows,
+/// because nobody would add the floats of the missing lanes.
 bool are_rows_exchanged() {
     return COALESCED_ATOMICS != 0u && gl_NumSubgroups * gl_SubgroupSize == gl_WorkGroupSize.x;
 }
@@ -36,8 +36,8 @@ void add_to_row_component(Floats array, uint row, uint index, float amount) {
     else atomic_add(array, 16u * row + index, amount);
 }
 
-/// Adds the rows of all lanes of the subgroup to the array. Does nothing unless lanes
-/// exchange rows. In that case all lanes must call this function together.
+/// Adds the rows of all lanes of the subgroup to the array. Does nothing if lanes do not
+/// exchange rows. If they exchange rows, all lanes must call this function together.
 /// @param row row of this lane, or kNoRow if this lane has no row
 /// @param is_needed bit mask with bit k set if float k has a value. Must be equal in all
 /// lanes

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Repeats the blending of the forward pass to compute how each hit contributes to the
 // loss (docs/method.md M7). Processes the hits in chunks and stores the blended values of
-// one chunk. The sum over the hits behind a hit is then computed back to front. This
-// keeps the precision where 1 / (1 - alpha) is large, unlike a difference of two long
-// sums.
+// one chunk. The sum over all hits behind a hit is then computed back to front. A
+// difference of two long sums would lose precision where 1 / (1 - alpha) is large.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_BLEND_GRADIENT_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_BLEND_GRADIENT_GLSL
 float chunk_transmittance[SLOTS];

@@ -40,9 +40,9 @@ uint add_hit_gradients(TraceScene scene, uint index, uint row) {
 }
 
 /// Adds this block's sum of a row to the result. If the row also has hits in other
-/// blocks, only stores the sum, and kernel backward/gather_heads adds all stored sums of
-/// the row. This limits the number of additions: if two instances share coefficients, two
-/// additions give a repeatable result, but four do not.
+/// blocks, only stores the sum. Kernel backward/gather_heads then adds all stored sums of
+/// the row. Two instances may share SH coefficients. Then one addition per instance gives
+/// a repeatable result, but more additions do not.
 /// @param begins_here true if the row has no hits in earlier blocks
 /// @param goes_on true if the row continues in the next block
 void store_row_sum(uint block, uint row, uint instance, bool begins_here, bool goes_on) {

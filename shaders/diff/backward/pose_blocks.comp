@@ -14,9 +14,9 @@ RELIDAR_PARAMS(PoseBlocksParams);
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1], array.at[row + 2]); }
 
 /// Returns the gradient of a small rotation of the viewing direction. Kernels that
-/// evaluate spherical harmonics per hit store it in floats 7, 11 and 15 of a row. The
-/// caller subtracts it, because a rotation of the model turns the viewing direction the
-/// opposite way.
+/// evaluate spherical harmonics per hit store this gradient in floats 7, 11 and 15 of a
+/// row. The caller subtracts it, because a rotation of the model turns the viewing
+/// direction the opposite way.
 vec3 load_direction_rotation_gradient(uint row) {
     return vec3(params.d_records.at[row + 7], params.d_records.at[row + 11], params.d_records.at[row + 15]);
 }

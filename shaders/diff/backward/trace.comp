@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backward pass of the renderer (Eq. 9; docs/method.md M7, M8). Finds the hits of each
-// ray again, or loads the hits that the forward pass has stored, front to back. Adds the
-// gradient of each hit to its surfel's record gradient, or writes the hit to a list for
-// backward/gather. One thread per ray.
+// Backward pass of the renderer (paper, Eq. 9; docs/method.md M7, M8). Finds the hits of
+// each ray again, or loads the hits that the forward pass has stored, front to back. Adds
+// the gradient of each hit to its surfel's record gradient, or writes the hit to a list
+// for backward/gather. One thread per ray.
 //
 // Input: scene, rendered, upstream, kept, first_hit. Accumulated: d_records, d_sh (if SH
 // are evaluated per hit). Output: touched, d_rays, hits, rows.
@@ -57,8 +57,9 @@ struct BlendedHit {
     float alpha;          // Opacity at the hit (sigma G) before it is clamped.
     float transmittance;  // transmittance before the hit
     float w;              // alpha times transmittance
-    // Derivative of the loss with respect to the blending weight, minus that of the ray's
-    // nearest hit. The subtraction avoids differences of large numbers.
+    // Derivative of the loss with respect to the blending weight, minus the same
+    // derivative for the ray's nearest hit. The subtraction avoids differences of large
+    // numbers.
     float shade;
     float behind;  // Sum of weight times `shade` over all hits behind this hit, including the background.
 };
@@ -149,7 +150,7 @@ void shift_blend_origin(TraceScene scene, Ray ray, RenderedRay final, RayGradien
 
 /// Computes the gradients of a ray.
 /// @param going true if this lane has a ray with a gradient. If lanes exchange gradients,
-/// lanes without one must call this function too
+/// lanes without such a ray must call this function too
 /// @return number of blended hits. It is below final.n_hits if the search missed some
 /// hits of the forward pass
 uint backpropagate_ray(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient gradient,
@@ -163,8 +164,8 @@ uint backpropagate_ray(TraceScene scene, Ray ray, uint ray_index, RenderedRay fi
         uint n = 0u, slot = start + blended;
         float behind = 0.0;
         if (going) {
-            // Stored hits are used only if the full chunk is stored. The chunks, and thus
-            // the sums, then do not depend on the number of stored hits.
+            // Stored hits are used only if all hits of the chunk are stored. The chunks,
+            // and thus the sums, then do not depend on the number of stored hits.
             bool kept = min(blended + CHUNK, final.n_hits) <= params.n_kept;
             if (kept) load_kept_hits(blended, final.n_hits - blended);
             else find_next_hits(scene, ray, after, compute_min_transmittance(scene, state.transmittance));

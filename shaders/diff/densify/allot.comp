@@ -1,18 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 // Distributes n_new copies to growing surfels in proportion to their weights, by
-// systematic sampling. Copy j belongs to the surfel whose interval of the cumulative
-// weights contains (j + 1 - phase / W) W / n_new. Each surfel receives its expected
-// number of copies, rounded up or down. The total is exactly n_new, and the host can
-// compute the total of any range of surfels without a readback. One thread per surfel.
-// Input: weight, cumulative. In place: action. Output: n_rows.
+// systematic sampling. W is the sum of all weights. Copy j belongs to the surfel whose
+// interval of the cumulative weights contains (j + 1 - phase / W) W / n_new. Each surfel
+// receives its expected number of copies, rounded up or down. The total is exactly n_new,
+// and the host can compute the total of any range of surfels without a readback. One
+// thread per surfel. Input: weight, cumulative. In place: action. Output: n_rows.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
 #include "../shared/densify.h"
 RELIDAR_PARAMS(AllotParams);
 
-/// Returns the 64-bit number (high, low) divided by d, rounded down, with binary long
-/// division. high must be less than d, so that the result fits into 32 bits.
+/// Returns the 64-bit number (high, low) divided by `divisor`, rounded down. Uses binary
+/// long division. `high` must be less than `divisor`, so that the result fits into 32
+/// bits.
 uint divide_64_by_32(uint high, uint low, uint divisor) {
     uint quotient = 0u, rest = high;
     for (int bit = 31; bit >= 0; --bit) {

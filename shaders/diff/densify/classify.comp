@@ -17,8 +17,8 @@ void add_to_counter(uint model, uint counter, uint amount) {
     atomicAdd(params.counters.at[RELIDAR_DENSIFY_COUNTERS * model + counter], amount);
 }
 
-/// Returns the sum of the absolute values of `count` floats. It is finite only if all of
-/// them are, so a single test of the sum is enough.
+/// Returns the sum of the absolute values of `count` floats. The sum is finite only if
+/// all floats are finite, so a single test is enough.
 float compute_magnitude(Floats array, uint first, uint count) {
     float sum = 0.0;
     for (uint k = 0u; k < count; ++k) sum += abs(array.at[first + k]);

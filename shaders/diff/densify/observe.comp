@@ -5,11 +5,11 @@
 // because the transform is rigid. One thread per surfel. Input: d_mean, touched.
 // Accumulated: gradient_sum, n_seen, frames.
 //
-// A batch that contains every s-th ray of a frame may miss a small visible surfel. In
-// return, the gradients of the other surfels are s times larger, because the loss is a
-// mean over the batch. Therefore a batch counts for every surfel that has ever had a
-// gradient in the same frame. Then the mean over batches equals the mean over full frames
-// for any batch size.
+// A batch that contains every s-th ray of a frame may miss a small visible surfel. The
+// gradients of surfels that it hits are s times larger, because the loss is a mean over
+// the batch. Therefore a batch counts for every surfel that has ever had a gradient in
+// the same frame. Then the mean over batches equals the mean over full frames for any
+// batch size.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

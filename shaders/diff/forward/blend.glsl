@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blends the hits of a ray from near to far (Eq. 2-4), which gives the values in
+// Blends the hits of a ray from near to far (paper, Eq. 2-4), which gives the values in
 // relidar/diff/blended_values.h. For scans, also computes the blended normal and the
 // surface with the largest weight. Include this file after RELIDAR_PARAMS(ForwardParams).
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL

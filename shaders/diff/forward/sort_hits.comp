@@ -17,9 +17,9 @@ Hit load_list_hit(uint list, uint place) {
     return params.lists.hits.at[get_list_entry(params.lists.room, list, place)];
 }
 
-/// Returns true if hit `first` comes before hit `second`. Both have the same distance. If
-/// both are the same hit, reported twice, their positions decide. Positions beyond the
-/// end of the list come last.
+/// Returns true if hit `first` comes before hit `second`. Both hits have the same
+/// distance. If a hit was reported twice, the positions of its two copies decide.
+/// Positions beyond the end of the list come last.
 bool is_tie_before(uint list, uint count, uint first, uint second) {
     if (first >= count || second >= count) return first < second;
     Hit hit_a = load_list_hit(list, first), hit_b = load_list_hit(list, second);

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the Chamfer distance between simulated and measured points (Eq. 11), using the
-// nearest points in both directions. Each measured point b also adds a gradient to its
-// nearest simulated point a. With the direction d_a of the ray of a, this gradient is
-// dL/dr_a += 2 (a - b) . d_a. These sums use fixed-point numbers, so that they do not
-// depend on the order of addition. One thread per ray. Input: rays, points, nearest,
-// counts. Accumulated: d_found, terms.
+// Computes the Chamfer distance between simulated and measured points (paper, Eq. 11),
+// using the nearest points in both directions. Each measured point b also adds a gradient
+// to its nearest simulated point a, whose ray has the range r_a and the direction d_a:
+// dL/dr_a += 2 (a - b) . d_a. The gradients are summed in fixed-point numbers. Then the
+// result does not depend on the order of addition. One thread per ray. Input: rays,
+// points, nearest, counts. Accumulated: d_found, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable

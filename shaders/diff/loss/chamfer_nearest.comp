@@ -4,8 +4,8 @@
 // tile around it. Then searches only boxes that are nearer than the best point so far.
 //
 // Rounding cannot change the result. The distance to a box uses the same operations in
-// the same order as the distance to a point in the box, so it is never larger. One thread
-// per point. Input: queries, cloud. Output: nearest.
+// the same order as the distance to a point in the box. So the distance to the box is
+// never larger. One thread per point. Input: queries, cloud. Output: nearest.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

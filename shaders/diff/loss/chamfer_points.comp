@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the simulated and the measured point of each ray. Each point is relative to
-// the origin of its ray, because the sensor moves during a sweep. One thread per ray.
+// Computes the simulated and the measured point of each ray. All points are relative to
+// the origin of the first ray of the batch, to keep float precision. One thread per ray.
 // Input: rays, rendered, targets. Output: simulated, measured. Accumulated: counts.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -15,8 +15,8 @@ RELIDAR_PARAMS(ChamferPointsParams);
 // weight is not a reliable range.
 const float kLeastWeight = 0.1;
 
-/// Returns the range of the simulated point of a ray, or 0 if there is none or a value is
-/// NaN.
+/// Returns the range of the simulated point of a ray. Returns 0 if the ray has no such
+/// point or a value is NaN.
 float get_simulated_range(RenderedRay ray) {
     if (!(ray.weight > kLeastWeight) || !(ray.drop_logit < ray.hit_logit)) return 0.0;
     return params.normalised_depth != 0u ? ray.depth / ray.weight : ray.depth;

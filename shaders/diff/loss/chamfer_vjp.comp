@@ -2,9 +2,9 @@
 // Computes the gradient of the Chamfer distance with respect to the rendered values. A
 // simulated point a = o + r d has two gradients. The first is 2 (a - b) . d, where b is
 // the measured point nearest to a. The second comes from measured points whose nearest
-// point is a (kernel loss/chamfer). Adds both and applies the derivative of the range r =
-// D / W or r = D. One thread per ray. Input: rays, rendered, points, nearest, counts,
-// d_found. Accumulated: upstream.
+// point is a (kernel loss/chamfer). Adds both gradients and applies the derivative of the
+// range r = D / W or r = D. One thread per ray. Input: rays, rendered, points, nearest,
+// counts, d_found. Accumulated: upstream.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the image losses (Eq. 10) and their derivatives. Rays with a return have an L1
-// loss of the depth and an L1 or Huber loss of the intensity. All rays with a known
-// measurement have a ray-drop loss. It is the cross-entropy of the predicted probability
-// that the ray has no return, which is computed from the two blended logits
-// (docs/method.md M6). One thread per ray. Input: rendered, targets. Output: upstream.
-// Accumulated: terms.
+// Computes the image losses (paper, Eq. 10) and their derivatives. Rays with a return
+// have an L1 loss of the depth and an L1 or Huber loss of the intensity. All rays with a
+// known measurement have a ray-drop loss. It is the cross-entropy of the probability that
+// the ray has no return, computed from the two blended logits (docs/method.md M6). One
+// thread per ray. Input: rendered, targets. Output: upstream. Accumulated: terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable

@@ -3,7 +3,8 @@
 // window around each pixel with a return. Uses the constants of Wang et al. 2004 for
 // values 0..1. Also writes the derivatives with respect to the mean, variance and
 // covariance in the window. One thread per pixel.
-//   S = (2 mx my + C1) (2 cov + C2) / ((mx^2 + my^2 + C1) (vx + vy + C2)),   term = weight (1 - S)
+//   S = (2 mx my + C1) (2 cov + C2) / ((mx^2 + my^2 + C1) (vx + vy + C2))
+//   term = weight (1 - S)
 //
 // Input: rendered, targets. Output: statistics. Accumulated: terms.
 #version 460

@@ -11,8 +11,8 @@ const uint kNoPixel = 0xffffffffu;
 // exp(-d^2 / 4.5)
 const float kGaussian[6] = float[](1.0, 0.80073740, 0.41111229, 0.13533528, 0.028565500, 0.0038659201);
 
-/// Returns the index of the pixel at an offset from pixel `index`, or kNoPixel if it
-/// would be outside the image.
+/// Returns the index of the pixel at an offset from pixel `index`. Returns kNoPixel if
+/// this pixel would be outside the image.
 uint get_window_pixel(uint index, int row_offset, int column_offset) {
     int columns = int(params.columns);
     int row = int(index / params.columns) + row_offset, column = int(index % params.columns) + column_offset;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the derivative of the structural similarity loss with respect to the rendered
 // intensity. Each pixel sums over all windows that contain it. One thread per pixel.
-//   dL/dx_q = sum_p w_pq / sum_p' w ( dL/dm_p + 2 (x_q - mx_p) dL/dv_p + (y_q - my_p) dL/dcov_p )
+//   dL/dx_q = sum_p w_pq / sum_p' w
+//             (dL/dm_p + 2 (x_q - mx_p) dL/dv_p + (y_q - my_p) dL/dcov_p)
 //
 // Input: rendered, targets, statistics. Accumulated: upstream.
 #version 460

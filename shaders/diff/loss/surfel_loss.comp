@@ -22,8 +22,9 @@ float compute_scale_term(Floats log_scale, Floats d_log_scale, uint index, float
     return relative - 1.0;
 }
 
-/// Computes the penalty for a surfel outside the box of its actor: the sum over x, y, z
-/// of max(0, |mean| / half size - 1), plus the penalty for large standard deviations.
+/// Computes the penalty for a surfel outside the box of its actor. It is the sum over x,
+/// y, z of max(0, |mean| / half size - 1), plus the penalty for large standard
+/// deviations.
 /// @param write true: adds the derivatives to the gradients
 /// @return penalty of the surfel
 float compute_box_term(uint index, ModelEntry model, bool write) {

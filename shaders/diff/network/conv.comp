@@ -2,7 +2,8 @@
 // Convolution with 1x1 or 3x3 weights, computed as an implicit matrix product. Columns
 // wrap around, and rows are padded with zeros. The transposed variant is the derivative
 // with respect to the input.
-//   to[o, y, x] = bias[o] + sum_i,ky,kx weights[o, i, ky, kx] from[i, y + ky - 1, x + kx - 1]
+//   to[o, y, x] = bias[o] + sum_i,ky,kx weights[o, i, ky, kx]
+//                                       * from[i, y + ky - 1, x + kx - 1]
 //
 // A subgroup computes RELIDAR_CONV_OUT channels of LANES * PIXELS columns of a row. Sums
 // stay in registers, and lanes read neighbouring columns from neighbouring lanes. Weights
@@ -28,14 +29,14 @@ RELIDAR_PARAMS(ConvParams);
 
 const uint kOut = RELIDAR_CONV_OUT, kIn = RELIDAR_CONV_IN, kLines = TAPS == 1u ? 1u : 3u,
            kHeld = (kOut + LANES - 1u) / LANES;
-// Number of pixels that a lane loads per row. A 3x3 convolution loads one more, for the
-// neighbours of the last lane.
+// Number of pixels that a lane loads per row. A 3x3 convolution loads one more pixel, for
+// the neighbours of the last lane.
 const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;
 shared float tile[kIn * 9 * kOut];  // weights of a tile, indexed [in, tap, out]
 
 /// Copies the weights between kIn input channels and the output channels of this
-/// workgroup to shared memory. Channel indices are clamped to the last channel. The
-/// copies beyond it are not used.
+/// workgroup to shared memory. If there are fewer channels, the last channel is copied
+/// several times, and the additional copies are not used.
 void load_weight_tile(uint first_out, uint first_in) {
     for (uint k = gl_LocalInvocationIndex; k < kIn * TAPS * kOut; k += gl_WorkGroupSize.x) {
         uint o = min(first_out + k % kOut, params.n_out - 1u),

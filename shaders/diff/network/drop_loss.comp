@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the ray-drop probability as the sigmoid of the network's logit, and its
 // cross-entropy loss (paper, Eq. 13). One subgroup processes one part of the pixels.
-//   probability = 1 / (1 + exp(-x)),   d_x = weight (probability - target),   x = logit + start
+//   x = logit + start,   probability = 1 / (1 + exp(-x)),
+//   d_x = weight (probability - target)
 //
 // Input: logit, start, target. Output: d_logit, probability, partial.
 #version 460

@@ -15,8 +15,8 @@ float compute_gate(float normalised, uint place, uint key, float dropout) {
     return normalised > 0.0 && drawn >= dropout ? 1.0 / (1.0 - dropout) : 0.0;
 }
 
-// Returns the number of workgroups that process one channel of an image. No workgroup
-// processes two channels, so each computes its channel index only once, because integer
+// Returns the number of workgroups that process one channel of an image. Each workgroup
+// processes only one channel, so that it computes the channel index only once. Integer
 // divisions are slow on a CPU.
 uint count_workgroups_per_plane(uint n_pixels) {
     uint stretch = gl_WorkGroupSize.x * RELIDAR_NORM_PIXELS;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the derivative of normalisation, ReLU and dropout with respect to their input.
 // One thread per RELIDAR_NORM_PIXELS values.
-//   d_from = scale (g - mean(g) - x^ mean(g x^)),   g = gate * d_to,   x^ = (x - mean) / deviation
+//   d_from = scale (g - mean(g) - x^ mean(g x^)),
+//   g = gate * d_to,   x^ = (x - mean) / deviation
 //
 // Input: from, d_to, d_beta_gamma, scale_shift, moments. Output or accumulated: d_from.
 #version 460

@@ -17,7 +17,7 @@ RELIDAR_CONSTANT(bool, PER_FLOAT, false);
 RELIDAR_PARAMS(AdamParams);
 
 /// Updates one value with an Adam step.
-/// @param block index of the value's block in the row, in values
+/// @param block offset of the value's block in the row
 /// @param within index of the value in its block
 void update_element(uint row, uint block, uint within, bool has_gradient, float learning_rate) {
     uint i = row * params.stride + block + within;
@@ -34,7 +34,7 @@ void update_element(uint row, uint block, uint within, bool has_gradient, float 
     float value = params.values.at[i] -
                   rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
     // Limits the value by a comparison instead of min(), because min() could replace a
-    // NaN, for which later checks search.
+    // NaN. Later checks search for NaNs.
     if (!is_null(params.bounds) && value > params.bounds.at[row]) value = params.bounds.at[row];
     params.values.at[i] = value;
 }

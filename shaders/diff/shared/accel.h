@@ -2,8 +2,8 @@
 // Parameters of the kernels that compute proxy geometry for ray queries (docs/method.md
 // M3), with k = sqrt(2 ln(sigma / alpha_min)). The proxy of a surfel is a rectangle with
 // half sizes k s_u, k s_v, stored as two triangles. The proxy of a 3D Gaussian is an
-// icosahedron around the ellipsoid with half axes k s_u, k s_v, k s_w. Alternatively,
-// both use their axis-aligned box.
+// icosahedron around the ellipsoid with half axes k s_u, k s_v, k s_w. Alternatively, the
+// proxy is the axis-aligned box of the surfel or 3D Gaussian.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_ACCEL_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_ACCEL_H
 #include "../../scene/shared/scene.h"

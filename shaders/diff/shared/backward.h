@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the kernels of the backward pass. They trace the rays again, add the
-// gradients of hits by surfel, and compute the gradients of poses. A gradient row belongs
-// to one surfel of one instance.
+// Parameters of the kernels of the backward pass. These kernels trace the rays again, add
+// the gradients of hits by surfel, and compute the gradients of poses. A gradient row
+// belongs to one surfel of one instance.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_BACKWARD_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_BACKWARD_H
 #include "trace.h"
@@ -37,7 +37,7 @@ struct BackwardParams {
     // output [n_rays,6] d_origin, d_direction, or address 0
     RELIDAR_OF(Floats, DeviceRayGradients) d_rays;
     // Input [n_rays]: position of each ray's first hit in `hits`. Used only without
-    // atomics (Reduction::gather).
+    // atomics (GradientReduction::gather).
     RELIDAR_OF(Uints, FirstHits) first_hit;
     HitRecords hits;                  // output [capacity] (gather)
     RELIDAR_OF(Uints, HitRows) rows;  // output [capacity] (gather)
@@ -65,8 +65,9 @@ struct GatherParams {
     RELIDAR_OF(Uints, HitRows) rows;     // input [capacity] ascending
     RELIDAR_OF(Uints, HitSlots) slots;   // Input [capacity]: indices into `hits`, sorted by row.
     RELIDAR_OF(Uints, HitCount) n_hits;  // input [1], may exceed capacity
-    // Two partial sums per block of hits, [blocks,2,16 or 64]: one for a row that began
-    // in an earlier block, and one for a row that continues in the next block.
+    // Two partial sums per block of hits, [blocks,2,16 or 64]. The first is for a row
+    // that began in an earlier block, the second for a row that continues in the next
+    // block.
     RELIDAR_OF(Floats, RowParts) parts;
     RELIDAR_OF(Floats, RecordGradients) d_records;  // accumulated [n_rows,16]
     RELIDAR_OF(Floats, Harmonics) d_sh;             // accumulated [n,3,16], if SH are evaluated per hit

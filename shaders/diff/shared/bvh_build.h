@@ -2,8 +2,8 @@
 // Parameters of the kernels that build and refit the software acceleration structure
 // (shaders/diff/accel/bvh_*.comp). They build one tree per model, all in the same arrays.
 // First they build binary trees over surfels that are sorted along a space-filling curve.
-// Then they convert these trees to wide nodes with up to eight child slots. Sizes stay on
-// the device. No kernel waits for another workgroup of the same launch.
+// Then they convert these trees to wide nodes with up to eight child slots. The host does
+// not read sizes. No kernel waits for another workgroup of the same launch.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_BVH_BUILD_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_BVH_BUILD_H
 #include "relidar/diff/bvh.h"
@@ -58,8 +58,8 @@ struct BvhBinary {
     // a wide node, [n,7] m^2.
     RELIDAR_OF(Floats, BinaryCosts) costs;
     // For each binary node [n]: number of child slots that its left child gets, for each
-    // number of available slots. The lowest 4 bits are the number of surfels below it, at
-    // most 15.
+    // number of available slots. The lowest 4 bits are the number of surfels below the
+    // node, at most 15.
     RELIDAR_OF(Uints, BinaryDecisions) decisions;
     // For each node [n]: a surfel position below the node that is not yet used as a node
     // index.
@@ -143,8 +143,8 @@ struct BvhTopParams {
     Instances instances;                         // input [n_instances]
     RELIDAR_OF(Uints, InstanceModels) model_of;  // input [n_instances]
     Models models;                               // input [n_models]
-    // Input [n_models,6] in m, model frame: boxes of the models, which are those of their
-    // root nodes (the first wide nodes).
+    // Input [n_models,6] in m, model frame: boxes of the models. They are the boxes of
+    // the first wide nodes, which are the root nodes.
     RELIDAR_OF(Floats, WideBoxes) model_boxes;
     RELIDAR_OF(Floats, InstanceBoxes) boxes;  // scratch [n_instances + nodes,6] m, world
     Uvec2s keys;                              // scratch [power of two >= n_instances]

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the densification kernels (docs/method.md section 6). They collect
-// statistics, choose an action for each surfel, and move the surfels to their new rows.
+// Parameters of the densification kernels (docs/method.md section 6). These kernels
+// collect statistics, choose an action for each surfel, and move the surfels to their new
+// rows.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_DENSIFY_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_DENSIFY_H
 #include "relidar/base/lang.h"
@@ -63,8 +64,8 @@ struct ClassifyParams {
     // Maximum scale relative to the model's extent. Surfels with a larger scale are
     // dropped.
     float max_extent_share;
-    // Limit between small and large surfels, relative to the model's extent. If they
-    // grow, small surfels are cloned and large surfels are split.
+    // Limit between small and large surfels, relative to the model's extent. A growing
+    // surfel is cloned if it is small, and split if it is large.
     float clone_extent_share;
     float gradient_threshold;  // surfels whose mean gradient norm is larger grow
     uint n_surfels;
@@ -98,8 +99,8 @@ struct MoveParams {
     RELIDAR_OF(Uints, RowStarts) starts;       // input [n] first new row of each surfel
     uint n_surfels;
     uint stride;
-    // 1: the values of new and changed surfels are set to zero. Used for the Adam
-    // moments.
+    // 1: the values of new and changed surfels are set to zero, as needed for the Adam
+    // moments. 0: new surfels get copies of the values.
     uint fresh;
 };
 

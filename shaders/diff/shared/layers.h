@@ -9,8 +9,8 @@
 
 #define RELIDAR_CONV_OUT 8  // Number of output channels that a subgroup of a convolution kernel computes.
 // Number of input channels whose weights a workgroup of network/conv keeps in shared
-// memory. For 1x1 convolutions, a subgroup of network/conv_weights also processes this
-// number of channels.
+// memory. It is also the number of input channels that a subgroup of network/conv_weights
+// processes for 1x1 convolutions.
 #define RELIDAR_CONV_IN 8
 // Number of pixels of a channel that one thread of the normalisation kernels computes.
 #define RELIDAR_NORM_PIXELS 8

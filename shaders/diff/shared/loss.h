@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the losses (Eq. 10-11) and their derivatives. Each loss weight is already
-// divided by the number of averaged elements. Ray k of a launch uses entry first_ray + k
-// * ray_stride of the targets, but entry k of rendered values and gradients.
+// Parameters of the losses (paper, Eq. 10-11) and their derivatives. Each loss weight is
+// already divided by the number of averaged elements. Ray k of a launch uses entry
+// first_ray + k * ray_stride of the targets, but entry k of rendered values and
+// gradients.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_LOSS_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_LOSS_H
 #include "relidar/diff/loss_terms.h"
@@ -35,8 +36,8 @@ struct ImageLossParams {
     uint normalised_depth;
 };
 
-// Number of floats per pixel. Three derivatives come first, divided by the sum of
-// weights: with respect to mean, variance (times two) and covariance. Both means follow.
+// Number of floats per pixel: derivatives with respect to mean, variance (times two) and
+// covariance, each divided by the sum of weights, and then both means.
 #define RELIDAR_SSIM_FLOATS 5
 
 /// Parameters of the kernels loss/ssim and loss/ssim_vjp, which compute the structural

@@ -35,7 +35,7 @@ struct AdamParams {
     // harmonics, this column is the constant coefficient.
     float first_scale;
     // Factor on the learning rate of the first block of columns. For spherical harmonics,
-    // the first block is the intensity, and the others are the two logits.
+    // the first block is the intensity, and the other blocks are the two logits.
     float block_scale;
     uint n_models;
     uint first_row;  // surfel of row 0

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the other kernels of the ray-drop network: matrix products, softmax,
-// input images and loss.
+// Parameters of the kernels of the ray-drop network that are not in layers.h: matrix
+// products, softmax, input images and loss.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_REFINE_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_REFINE_H
 #include "layers.h"
@@ -78,8 +78,8 @@ struct DropInputsParams {
     uint n_images;
     uint n_channels;
     // Number of channels, at the end, that describe the pixels of the sensor instead of
-    // the scene. They do not rotate when an image is rotated to augment the training
-    // data.
+    // the scene. These channels do not rotate when an image is rotated to augment the
+    // training data.
     uint n_fixed;
     uint logit_channel;
     uint rows;

@@ -20,8 +20,8 @@ uint placed_instance[SLOTS];
 uint placed_surfel[SLOTS];
 uint n_hits;
 uint n_places;  // number of entries used so far
-// First free entry, or CHUNK if there is none. next_nearer links all entries that became
-// free because their hit was removed.
+// First free entry, or CHUNK if no entry is free. next_nearer links all entries that
+// became free because their hit was removed.
 uint free_place;
 uint latest;       // index of the hit that was inserted last
 float latest_t;    // Distance of the hit that was inserted last. It is -kFar if that hit was removed.
@@ -46,7 +46,6 @@ Key load_sorted_key(uint place) { return Key(placed_t[place], placed_instance[pl
 Hit load_hit(uint index) { return load_sorted_hit(hit_place[index]); }
 Key load_hit_key(uint index) { return load_sorted_key(hit_place[index]); }
 
-/// Writes a hit to an entry of the buffer.
 void write_hit(uint place, Hit hit) {
     placed_t[place] = hit.t;
     placed_alpha[place] = hit.alpha;
@@ -132,8 +131,9 @@ void insert(Key key, float alpha, float alpha_max) {
         nearer = next_nearer[nearer];
     }
     uint slot = find_insertion_index(alpha_max);
-    // In a full buffer, the new hit gets the entry of the farthest hit. If this hit was
-    // the farther neighbour, the sentinel becomes the farther neighbour.
+    // In a full buffer, the new hit gets the entry of the farthest hit. If the farthest
+    // hit was the farther neighbour of the new hit, the sentinel replaces it as the
+    // neighbour.
     if (slot == farther) farther = CHUNK;
     write_hit(slot, Hit(key.t, alpha, key.instance, key.surfel));
     latest = slot;

@@ -3,14 +3,14 @@
 // some kernels. The list is not ordered, because ordering during the search takes a GPU
 // more time than the search itself. Kernel forward/sort_hits sorts the list afterwards.
 //
-// Shortening the ray never loses a hit that contributes. If the product of 1 - alpha over
-// a set of hits is below T_min, the ray ends at the farthest hit of the set or before it.
-// Then the product starts again with the following hits, which are all nearer. They can
-// shorten the ray again.
+// The search shortens the ray, but never loses a hit that contributes. If the product of
+// 1 - alpha over a set of hits is below T_min, the ray ends at the farthest hit of the
+// set or before it. Then the product starts again with the following hits, which are all
+// nearer. These hits can shorten the ray again.
 //
-// If a driver reports a hit twice, the product contains it twice, so the ray may be
+// If a driver reports a hit twice, the product contains this hit twice, so the ray may be
 // shortened too much. Kernel forward/blend detects such a ray because its transmittance
-// has not reached the limit. It leaves the ray to kernel forward/trace.
+// has not reached the limit. Kernel forward/trace then renders the ray.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_LIST_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_LIST_GLSL
 

@@ -17,7 +17,8 @@ bool is_key_before(Key first, Key second) {
 
 /// Returns the memory index of hit `index` in a thread's hit list of size `capacity`. The
 /// hits of RELIDAR_SIDE_BY_SIDE lists alternate in memory. Reads then use complete cache
-/// sectors, whether each lane reads its own list or all lanes read the same one.
+/// sectors in both cases: each lane reads a different list, or all lanes read the same
+/// list.
 uint get_list_entry(uint capacity, uint list, uint index) {
     return ((list / RELIDAR_SIDE_BY_SIDE) * capacity + index) * RELIDAR_SIDE_BY_SIDE +
            list % RELIDAR_SIDE_BY_SIDE;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the likelihood of a hit given the measured range of its ray (docs/method.md
-// M12). Only kernels that are built with likelihoods use this file. Include it after
-// includes.glsl.
+// M12). Only kernels that are built with likelihoods use this file. Include this file
+// after includes.glsl.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_LIKELIHOOD_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_LIKELIHOOD_GLSL
 RELIDAR_CONSTANT(uint, LIKELIHOOD, 0u);

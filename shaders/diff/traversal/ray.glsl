@@ -56,8 +56,8 @@ vec3 exact_cross(vec3 a, vec3 b) {
 }
 
 /// Rotates a vector by a Rodrigues vector (axis times tangent of half the angle). This
-/// preserves the vector's length exactly, so distances t along a ray are the same in the
-/// world and in a rotated model.
+/// preserves the vector's length exactly. Therefore distances t along a ray are the same
+/// in the world and in a rotated model.
 vec3 rotate_by_rodrigues(vec3 rotation, vec3 point) {
     vec3 q = exact_cross(rotation, point), r = exact_cross(rotation, q);
     precise vec3 result = point + 2.0 / (1.0 + exact_dot(rotation, rotation)) * (q + r);
@@ -102,7 +102,7 @@ void enter_instance(TraceScene scene, Ray ray, uint instance) {
 }
 
 /// Rotates a vector from the frame of the current model into the world frame. Loads the
-/// instance again, because keeping it would occupy 12 registers during the search.
+/// instance again. If it stayed loaded, it would occupy 12 registers during the search.
 vec3 to_world_vector(TraceScene scene, vec3 gradient) {
     InstanceEntry m = scene.instances.at[entered_instance];
     vec3 v = gradient;

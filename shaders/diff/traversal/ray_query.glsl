@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Finds hits with Vulkan ray queries on a two-level acceleration structure. All geometry
 // is non-opaque, so the shader tests each candidate. When the hit buffer is closed, the
-// query stops at its farthest hit.
+// query stops at the farthest hit of the buffer.
 //
 // Each surfel has a proxy shape. A ray crosses the triangles of a surfel exactly at the
 // hit. A ray enters a box before the hit and leaves it behind the hit. A ray crosses the
@@ -12,8 +12,8 @@
 //
 // The driver stores one pose per model. Each model that moves during the sweep needs a
 // separate query with a moved ray. A cull mask limits the first query to models that do
-// not move. The radius of a moving model contains all its possible hits, so none is lost.
-// The rounding error of a moved ray is far below the margin of the proxies.
+// not move. The sphere around a moving model contains all its possible hits, so no hit is
+// lost. The rounding error of a moved ray is far below the margin of the proxies.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 RELIDAR_CONSTANT(uint, BOXES, 0u);
@@ -60,8 +60,8 @@ void find_hits(TraceScene scene, Ray ray, Key after_key) {
         Search search = Search(ray.origin, ray.direction, RELIDAR_STANDING_MASK, RELIDAR_NO_INSTANCE);
         if (k > 0u && !search_moving_instance(scene, ray, scene.moving.at[k - 1u], search)) continue;
         float end = 1e30;  // distance at which the query stops
-        // If earlier queries have already filled the hit buffer, this query ends at its
-        // farthest hit.
+        // If earlier queries have already filled the hit buffer, this query ends at the
+        // farthest hit of the buffer.
         if (hits_closed) end = max(get_last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * get_last_hit_t()) + reach;
         rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT,
                               search.mask, search.origin + start * search.direction, 0.0, search.direction,

@@ -14,8 +14,8 @@ const uint kNoInstance = 0xffffffffu;
 float ray_basis[16];
 uint ray_basis_instance;
 
-/// Computes the spherical-harmonic (SH) basis for the ray in the frame of an instance,
-/// unless SH are evaluated once per surfel.
+/// Computes the spherical-harmonic (SH) basis for the ray in the frame of an instance.
+/// Does nothing if SH are evaluated once per surfel.
 void compute_ray_sh_basis(TraceScene scene, Ray ray, uint instance) {
     if (SH_PER_SURFEL != 0u || ray_basis_instance == instance) return;
     enter_instance(scene, ray, instance);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Loads a struct once for all lanes of a subgroup. Each lane loads a different word, and
-// shuffles distribute the words. On a CPU, a normal load repeats for each lane, even if
-// all addresses are equal. A node of 20 words then takes 20 gather instructions, but only
-// 3 with this method on 8 lanes. All lanes must be active and must not diverge.
+// shuffles distribute the words. With a normal load, a CPU loads each word once per lane,
+// even if all addresses are equal. A node of 20 words then takes 20 gather instructions,
+// but only 3 with this method on 8 lanes. All lanes must be active and must not diverge.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHARED_LOAD_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHARED_LOAD_GLSL
 

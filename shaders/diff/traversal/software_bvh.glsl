@@ -12,11 +12,11 @@
 // is lost, however the lanes diverge and reconverge. All lanes load from the same
 // address, so that the compiler can use a single load.
 //
-// A CPU's compiler does not do this, so lanes load cooperatively on a CPU (kSharesLoads,
-// shared_load.glsl). The lanes of a CPU are elements of a vector and cannot diverge. If
-// all lanes are active at the start, they have the same stack until the end. This
-// compiler also runs each loop once more, without an active lane, to detect its end.
-// Therefore loops with few iterations test their condition at the end.
+// A CPU's compiler does not use a single load, so lanes load cooperatively on a CPU
+// (kSharesLoads, shared_load.glsl). The lanes of a CPU are elements of a vector and
+// cannot diverge. If all lanes are active at the start, they have the same stack until
+// the end. This compiler also runs each loop once more, without an active lane, to detect
+// its end. Therefore loops with few iterations test their condition at the end.
 //
 // No hit is lost, for these reasons:
 // - The box test uses the same ray as intersect(): entered_origin, entered_direction. t

@@ -7,17 +7,16 @@
 //
 // A traversal method only calls test_instance_surfel() with the surfels that a ray may
 // hit. This file and hit_buffer.glsl or hit_list.glsl intersect the surfels, sort the
-// hits and remove duplicates. Therefore all methods give the same hits. See README.md in
-// this folder.
+// hits and remove duplicates. Therefore all methods give the same hits.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_TRAVERSAL_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_TRAVERSAL_GLSL
 #include "keys.glsl"
 #include "ray.glsl"
 
 // Size of all arrays of this shader that are indexed at run time. Compilers replace
-// smaller arrays by selections between registers, of which there are too few. Mesa's AMD
-// compiler does this up to 256 bytes, Intel's up to 16 elements. Larger arrays stay in
-// memory.
+// smaller arrays by selections between registers, but a shader has too few registers for
+// this. Mesa's AMD compiler does so up to 256 bytes, Intel's up to 16 elements. Larger
+// arrays stay in memory.
 const uint SLOTS = 65u;
 
 #ifdef RELIDAR_APPENDS_HITS

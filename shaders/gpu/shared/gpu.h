@@ -43,7 +43,7 @@ struct RadixSortParams {
     RELIDAR_OF(Uints, SortKeys) sorted_keys;    // Output: sorted keys.
     RELIDAR_OF(Uints, SortOrder) sorted_order;  // Output: original indices of the sorted keys.
     // Number of keys with each digit in each tile [digits,tiles]. Kernel radix_scan
-    // replaces it by the number of such keys in all earlier tiles.
+    // replaces each number by the number of keys with this digit in all earlier tiles.
     RELIDAR_OF(Uints, DigitCounts) counts;
     RELIDAR_OF(Uints, DigitTotals) totals;  // Number of keys with each digit, [digits].
     uint capacity;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Intersection of a ray with a 3D Gaussian (docs/method.md M9), and its derivative. The
-// hit is the point of highest density along the ray. It is the point nearest to the mean
-// if distances are measured in standard deviations. The record stores the rows of A =
-// (a_u / s_u, a_v / s_v, a_w / s_w). With a = A (mean - o), b = A d:
+// hit is the point of highest density along the ray, which is the point nearest to the
+// mean if distances are measured in standard deviations. The record stores the rows of A
+// = (a_u / s_u, a_v / s_v, a_w / s_w). With a = A (mean - o), b = A d:
 //   t = a.b / b.b,  q = A (o + t d - mean),  G = exp(-|q|^2 / 2)
 //
 // q is computed from the rounded t. Then the point at t is inside the ellipsoid alpha >=

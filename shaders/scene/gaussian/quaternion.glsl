@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Rotation matrix of a quaternion (w, x, y, z), and its derivative. The quaternion may
-// have any length, so its gradient is perpendicular to it.
+// have any length, so its gradient is perpendicular to the quaternion.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_QUATERNION_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_QUATERNION_GLSL
 

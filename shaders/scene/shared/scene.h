@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Memory layout of surfels in kernels. The optimizer changes the parameters of a surfel.
-// Tracing kernels read its record, which is computed from the parameters. Quaternions are
-// stored as w, x, y, z.
+// Tracing kernels read the record of a surfel, which is computed from its parameters.
+// Quaternions are stored as w, x, y, z.
 #ifndef RELIDAR_INCLUDED_SCENE_SHARED_SCENE_H
 #define RELIDAR_INCLUDED_SCENE_SHARED_SCENE_H
 #include "relidar/scene/surfels.h"
@@ -50,8 +50,8 @@ struct ActivateVjpParams {
     SurfelPointers surfels;                         // input
     RELIDAR_OF(Floats, RecordGradients) d_records;  // input [n_rows,16] in the layout of SurfelRecord
     Models models;                                  // input [n_models]
-    // Input: gradient rows of all instances of a model except the first, sorted by model.
-    // For each instance, the index of its first row.
+    // Input: index of the first gradient row of each instance, sorted by model. The first
+    // instance of each model is left out.
     RELIDAR_OF(Uints, FurtherRows) more_rows;
     Vec3s view_origins;                     // input [n_models] same as for the activation
     RELIDAR_OF(Floats, GaitPhases) phases;  // input [n_models] same as for the activation

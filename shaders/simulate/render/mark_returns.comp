@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Marks the rays that produce a return. Such a ray hit a surface and has a drop
 // probability below the threshold. Kernel measure_rays gives probability 1 to rays
-// without a hit. These rays never return, whatever the network predicts. One thread per
-// ray. Input: measured, drop_prob. Output: marks.
+// without a hit. These rays never return, because the network cannot change this value.
+// One thread per ray. Input: measured, drop_prob. Output: marks.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

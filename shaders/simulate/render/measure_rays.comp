@@ -3,10 +3,10 @@
 // rendered ray (docs/method.md, M6). The drop probability is the probability that the ray
 // has no return:
 //   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop)))
-//
-// The drop probability is 1 if the ray hit nothing within the sensor's range limits. Such
-// a ray never returns, because later kernels keep the value 1. One thread per ray. Input:
-// rays, fired, rendered, surfaces, beams, response. Output: measured.
+// hit and drop are the two logits. sees is the probability that the sensor itself does
+// not drop the return. If the ray hit nothing within the sensor's range limits, drop_prob
+// is 1. Such a ray never returns, because later kernels keep the value 1. One thread per
+// ray. Input: rays, fired, rendered, surfaces, beams, response. Output: measured.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -27,7 +27,8 @@ float interpolate_falloff(float range_m) {
     return before.y;
 }
 
-/// Returns the range of a ray for the range image, without the range offset of its beam.
+/// Returns the range of a ray for the range image. The range offset of the beam is added
+/// later.
 /// @param mode_m range of the surface with the largest weight
 /// @param normalised blended depth divided by blended weight, D / W
 float select_ray_range(RenderedRay ray, float mode_m, float normalised) {

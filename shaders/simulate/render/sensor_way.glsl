@@ -5,8 +5,8 @@
 #include "../shared/place_point.h"
 
 /// Returns the last sensor pose before a time. Before the first pose, returns the first
-/// pose. After the last pose, returns the second to last, because the last motion then
-/// continues.
+/// pose. After the last pose, returns the second to last pose, so that the motion between
+/// the last two poses continues.
 SensorPose find_pose_before(SensorPoses poses, uint n_poses, float time_offset_s) {
     uint k = 0u;
     while (k + 2u < n_poses && poses.at[k + 1u].time_offset_s <= time_offset_s) ++k;

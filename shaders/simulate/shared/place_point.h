@@ -20,7 +20,7 @@ RELIDAR_FUNCTION vec3 compute_ray_end(vec3 origin, vec3 direction, float range_m
 }
 
 /// Returns the fraction of the way from this sensor pose to the next pose at a firing
-/// time. 0 at this pose, 1 at the next.
+/// time: 0 at this pose, 1 at the next pose.
 RELIDAR_FUNCTION float compute_motion_fraction(SensorPose pose, float time_offset_s) {
     RELIDAR_EXACT float share = (time_offset_s - pose.time_offset_s) * pose.per_s;
     return share;

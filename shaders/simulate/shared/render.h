@@ -149,8 +149,8 @@ struct GatherPointsParams {
     // Input [n_rays]: number of earlier rays with a return.
     RELIDAR_OF(Uints, ReturnPlaces) places;
     ReturnedPoints points;  // output [number of returned rays]
-    // Output [n_requested]: median ranges of evenly spaced rays. Entry k belongs to ray k
-    // n_rays / n_requested.
+    // Output [n_requested]: median ranges of evenly spaced rays. Entry k is the range of
+    // ray k * n_rays / n_requested, rounded down.
     RELIDAR_OF(Floats, RequestedRanges) asked;
     uint n_rays;
     uint n_poses;

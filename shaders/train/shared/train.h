@@ -13,8 +13,8 @@ RELIDAR_SHARED_BEGIN
 
 /// Parameters of train/gather_columns.comp, which copies columns of a frame into a
 /// smaller image. It copies groups of RELIDAR_COLUMN_GROUP neighbouring columns, starting
-/// at first_column. Consecutive groups start column_stride group widths apart. Indices
-/// wrap around at the end of the frame.
+/// at first_column. From one group to the next, the first column increases by
+/// column_stride times the width of a group. Indices wrap around at the end of the frame.
 struct GatherColumnsParams {
     Rays rays;              // input [rows,columns]
     Targets targets;        // input [rows,columns]
@@ -56,9 +56,9 @@ struct MoveRaysParams {
 #define RELIDAR_KNOT_WORKGROUP 256
 
 /// Parameters of train/knot_gradients.comp, which converts gradients of rays to gradients
-/// of pose corrections. Ray k of the batch is entry first_ray + k * ray_stride of
-/// `moved`. The same entry of `places` belongs to it, unless the batch consists of copied
-/// columns.
+/// of pose corrections. Ray k of the batch is entry first_ray + k * ray_stride of `moved`
+/// and of `places`. If the batch consists of copied columns, its entry of `places` is
+/// computed from the column.
 struct KnotGradientsParams {
     Rays moved;        // input
     RayPlaces places;  // Input: position of each ray of the frame between two sensor poses.

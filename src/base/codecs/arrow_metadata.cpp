@@ -106,8 +106,8 @@ private:
     FlatbufferTable(AlignedFlatbuffer& bytes, const std::uint8_t* at)
         : bytes_(&bytes), table_(reinterpret_cast<const flatbuffers::Table*>(at)) {
         if (!table_->VerifyTableStart(bytes.verifier)) throw_malformed_arrow_error("table");
-        // Ends the verifier's count of nested tables here, because this parser limits the
-        // nesting depth itself.
+        // Decreases the nesting depth in the verifier again, because this parser limits
+        // the nesting depth itself.
         bytes.verifier.EndTable();
     }
 

@@ -31,8 +31,8 @@ using report_detail::get_system_error_message;
     throw DataError(fmt::format("cannot write '{}': {}", path.string(), why));
 }
 
-/// Removes the temporary file when the scope ends, unless it was renamed to its final
-/// name.
+/// Removes the temporary file when the scope ends, if it was not renamed to its final
+/// name before.
 struct TemporaryFile {
     fs::path path;
     bool renamed = false;
@@ -68,7 +68,7 @@ void write_temporary_file(const fs::path& path_for_errors, const fs::path& tempo
     try {
         write_content(temporary_path);
     } catch (const Error& error) {
-        // Rethrows all errors except data errors. For example, a GPU failure during a
+        // Only data errors get the path of the file. For example, a GPU failure during a
         // download is not a file error.
         if (error.code() != ExitCode::data) throw;
         throw_write_error(path_for_errors, error.what());

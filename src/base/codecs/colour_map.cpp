@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Converts range images and other scalar images to colours, by linear interpolation
-// between the colours below. "turbo" resembles the colour map Turbo, from near (dark
-// indigo, blue, cyan) over green and yellow to far (orange, dark red). "heat" is for
-// errors.
+// between the colours below. "turbo" resembles the colour map Turbo: near is dark indigo,
+// blue and cyan, then green and yellow, far is orange and dark red. "heat" is for errors.
 #include <relidar/base/images.hpp>
 
 #include <algorithm>

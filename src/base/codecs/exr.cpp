@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes OpenEXR images of float channels with ZIP compression. Encodes the image in
 // memory and then writes the bytes with our own file functions. OpenEXR's file class
-// could not report a full disk, because it writes its line table in a destructor.
+// would not report a full disk, because it writes its line table in a destructor.
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 

@@ -51,7 +51,6 @@ public:
         at_ += n_bytes;
         return std::string_view(file_).substr(at_ - n_bytes, n_bytes);
     }
-    /// Reads a text that ends with a zero byte.
     std::string read_zero_terminated_name() {
         const std::size_t end = file_.find('\0', at_);
         if (end == std::string::npos || end - at_ > 255)
@@ -71,7 +70,6 @@ private:
 // Maximum number of pixels. The rays of a scan with so many pixels need 500 MB of memory.
 constexpr std::int64_t kMaxPixels = std::int64_t(1) << 24;
 
-/// Description of an image from its header.
 struct ImageHeader {
     std::int64_t rows = 0, columns = 0, rows_at_once = 1;
     std::vector<std::string> channels;

@@ -24,8 +24,8 @@ using arrow::ArrowValueKind;
 using Batch = Feather::Batch;
 
 constexpr std::string_view kMagic = "ARROW1";
-// Maximum numbers of rows and of text bytes in a table, divided by the file size in
-// bytes. They prevent huge allocations for a damaged file.
+// Maximum numbers of rows and of text bytes in a table, both divided by the file size in
+// bytes. The limits prevent huge allocations for a damaged file.
 constexpr std::size_t kMostRows = 64, kMostText = 1024;
 constexpr std::size_t kPadding = 64;  // Maximum number of padding bytes at the end of a buffer.
 
@@ -36,8 +36,8 @@ T read_little_endian(std::string_view bytes, std::size_t byte_offset) {
     return value;
 }
 
-/// Returns `n_expected_bytes` bytes that start at an offset. Throws an error if they are
-/// not inside `file_bytes`.
+/// Returns the `n_bytes` bytes that start at an offset. Throws an error if they are not
+/// inside `bytes`.
 std::string_view get_checked_byte_range(std::string_view bytes, std::int64_t offset, std::int64_t n_bytes,
                                         const char* name_for_errors) {
     if (offset < 0 || n_bytes < 0 || std::uint64_t(offset) > bytes.size() ||
@@ -61,7 +61,7 @@ std::string_view find_arrow_footer(std::string_view file_bytes) {
 }
 
 /// Reads the record batch at a position of the file. Its message begins with 0xFFFFFFFF
-/// and the length of its flatbuffer.
+/// and the length of the flatbuffer that follows.
 Batch read_record_batch(std::string_view file_bytes, const arrow::ArrowFileBlock& block) {
     constexpr std::int64_t kPrefix = 8;
     const std::string_view message =
@@ -76,8 +76,8 @@ Batch read_record_batch(std::string_view file_bytes, const arrow::ArrowFileBlock
                                    "a record batch")};
 }
 
-/// Decompresses a buffer of a record batch. Throws an error if its size is less than
-/// n_expected_bytes, or larger by more than padding.
+/// Decompresses a buffer of a record batch. Throws an error if the result has fewer than
+/// n_expected_bytes bytes, or more than n_expected_bytes plus padding.
 std::string read_decompressed_buffer(const Batch& batch, std::size_t buffer_index,
                                      std::size_t n_expected_bytes) {
     const arrow::ArrowBufferRange& buffer_range = batch.layout.buffers.at(buffer_index);
@@ -219,7 +219,7 @@ Feather::Feather(std::string name, std::string bytes) : name_(std::move(name)), 
             at.node += 1;
             at.buffer += n_buffers;
         }
-        // Number of file bytes that are not part of any block read so far. Blocks do not
+        // Number of file bytes that the blocks read so far do not contain. Blocks do not
         // overlap.
         std::int64_t left = std::int64_t(bytes_.size());
         const auto read = [&](const std::vector<arrow::ArrowFileBlock>& blocks, std::vector<Batch>& batches) {

@@ -19,7 +19,6 @@ namespace {
 static_assert(std::endian::native == std::endian::little, "MCAP is little-endian");
 
 constexpr std::string_view kMagic("\x89MCAP0\r\n", 8);
-/// Codes of MCAP records.
 enum McapRecordCode : std::uint8_t {
     kHeader = 1,
     kFooter = 2,
@@ -139,8 +138,8 @@ void McapWriter::write_pending_chunk() {
     write_to_file(encode_mcap_record(kChunk, body + chunk_));
     const std::uint64_t end = written_;
 
-    // For each channel, its id and the file position of its message index. The chunk
-    // index record contains this list.
+    // List of channel ids, each with the file position of the channel's message index.
+    // The chunk index record contains this list.
     std::string index_positions;
     for (const auto& [channel, messages] : chunk_index_) {
         append_binary_value(index_positions, channel), append_binary_value(index_positions, written_);

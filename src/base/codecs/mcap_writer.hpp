@@ -14,7 +14,6 @@
 
 namespace relidar::scan_files {
 
-/// Writer of an MCAP file.
 class McapWriter {
 public:
     using McapMetadataMap = std::map<std::string, std::string>;  ///< Maps names to values.

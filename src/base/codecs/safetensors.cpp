@@ -28,7 +28,7 @@ using report_detail::compute_array_size_bytes;
 using report_detail::get_element_size_bytes;
 
 // Maximum size of a header in bytes. The format allows 100 MB, but a parsed header needs
-// 24 times as much memory. Our headers have only a few kB.
+// 24 times as much memory. Our headers have only a few kilobytes.
 constexpr std::size_t kMaxHeader = 4u << 20;
 constexpr std::size_t kMaxName = 200, kMaxDimensions = 16;
 constexpr const char* kMetadata = "__metadata__";
@@ -92,8 +92,9 @@ std::string make_safetensors_header(const std::vector<NamedArray>& arrays,
     return text;
 }
 
-/// Parsed header of a file. `names` contains the array names in file order. Sorting by
-/// data position could not restore this order, because empty arrays share a position.
+/// Parsed header of a file. `names` contains the array names in the order of the header.
+/// Sorting by data position could not restore this order, because empty arrays have the
+/// same position as their successor.
 struct SafetensorsHeader {
     Json json;
     std::vector<std::string> names;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Common interface of the two acceleration structures: the driver's and the software
-// tree. Decides whether an update rebuilds the structure or only refits its boxes.
+// Common interface of two acceleration structures: one is built by the Vulkan driver, the
+// other by kernels of relidar. Decides whether an update rebuilds a structure or only
+// refits its boxes.
 #include <relidar/diff/accel.hpp>
 
 #include "diff/accel/bvh.hpp"
@@ -11,8 +12,7 @@ namespace relidar {
 ProxyShape choose_bounding_shape(ProxyShape requested_shape, const Device& device) {
     if (device.traversal() == RayTracingBackend::software) return ProxyShape::boxes;
     if (requested_shape != ProxyShape::automatic) return requested_shape;
-    // Uses triangles on a GPU, which intersects triangles in hardware faster than boxes
-    // (docs/performance.md).
+    // GPUs intersect triangles faster than boxes, because they do so in hardware.
     return device.info().type == "CPU" ? ProxyShape::boxes : ProxyShape::triangles;
 }
 
@@ -26,8 +26,8 @@ struct AccelerationStructure::Impl {
     /// The next update then rebuilds the tree.
     bool outgrown = false;
     int refits = 0;                ///< number of refits since the last build
-    bool measured = false;         ///< True if the cost of the tree was measured since the last build.
-    double cost_when_built = 0.0;  ///< cost after the last build, 0 if it is not known yet
+    bool measured = false;         ///< true if the cost was measured after the last build
+    double cost_when_built = 0.0;  ///< cost after the last build, or 0 if it was not measured yet
     std::uint64_t n_updates = 0;
 
     Impl(Device& device, const DeviceScene& scene, const AccelOptions& o)
@@ -90,8 +90,8 @@ void AccelerationStructure::update_bvh(Stream& stream, const DeviceScene& scene,
 void AccelerationStructure::refit_animated_actor_bvhs(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
     if (!a.built) return update_bvh(stream, scene);
-    // Refits the trees of walking actors. Such refits do not count towards a rebuild,
-    // because walking repeats the same shapes, so the trees do not degrade.
+    // Refits the trees of walking actors. These refits are not counted for the next
+    // rebuild, because walking repeats the same shapes and so the trees do not degrade.
     a.refit_tree(stream, scene, list_animated_surfel_ranges(scene.get_scene_layout().models));
     ++a.n_updates;
 }

@@ -27,13 +27,13 @@ constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
 // Workgroup size of the kernels whose threads exchange data in shared memory.
 constexpr SpecialisationConstant kShares{SpecialisationConstantId::WORKGROUP_SIZE, kWorkgroup};
 
-// Number of threads of a refit on a CPU. The driver runs a contiguous part of them on
-// each core. Each thread processes every n-th node, so all cores have a similar amount of
-// work.
+// Number of threads of a refit on a CPU. The driver runs a contiguous part of the threads
+// on each core. Each thread processes every n-th node, so that all cores have about the
+// same amount of work.
 constexpr std::uint32_t kRefitThreadsOfCpu = 1 << 12;
 
-/// Rounds the length of an array in scratch memory up to a multiple of 4 words, so that
-/// the array after it is aligned to 16 bytes.
+/// Rounds the length of an array in scratch memory up to a multiple of 4 words. The next
+/// array is then aligned to 16 bytes.
 std::uint32_t round_up_to_multiple_of_4(std::uint32_t count) { return (count + 3) / 4 * 4; }
 
 std::uint32_t count_workgroups(std::uint32_t n_threads) { return (n_threads + kWorkgroup - 1) / kWorkgroup; }
@@ -70,12 +70,12 @@ std::uint32_t count_top_level_nodes(std::uint32_t n_instances) {
 
 }  // namespace
 
-/// Selects the models of all surfels in compute_node_boxes(), and also models without
-/// surfels.
+/// Passed to compute_node_boxes() as the last surfel to select all models, including
+/// models without surfels.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
-/// Positions of the arrays in scratch memory, in words per surfel. The last build step
-/// (conversion to wide nodes) reuses the memory of keys, boxes and costs.
+/// Offsets of the arrays in scratch memory, in words per surfel. The last build step
+/// converts binary nodes to wide nodes, and reuses the memory of keys, boxes and costs.
 constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5,
                         kBoxesAt = 7, kCostsAt = 13, kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22,
                         kScratchWords = 23;
@@ -125,9 +125,9 @@ struct Bvh::Impl {
     Address<T, Meaning> get_scratch_address(std::uint32_t words_per_surfel) const {
         return scratch.address_as<T, Meaning>(words_per_surfel * std::size_t(round_up_to_multiple_of_4(n)));
     }
-    /// Returns the position of the sort keys in scratch memory. The sort alternates
-    /// between two sets of keys and ends in set 0. Set 1 is overwritten by the costs of
-    /// the binary nodes.
+    /// Returns the offset of a set of sort keys in scratch memory. The sort alternates
+    /// between two sets, and its result is in set 0. Later, the costs of the binary nodes
+    /// overwrite set 1.
     std::uint32_t get_sort_keys_offset(int set_index) const { return set_index == 0 ? kKeysAt : kCostsAt; }
     SortBuffers get_sort_buffer_set(int set_index) const;
     std::uint32_t compute_max_tree_levels() const;
@@ -139,8 +139,8 @@ struct Bvh::Impl {
     void compute_surfel_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                               const SurfelRange& range);
     SortBuffers sort_surfels_by_morton_code(Stream& stream, const DeviceScene& scene);
-    /// Submits kernels that compute the node boxes of some models: those whose first
-    /// surfel has an index in [first, last].
+    /// Submits kernels that compute the node boxes of the models whose first surfel has
+    /// an index in [first_surfel, last_surfel].
     void compute_node_boxes(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel);
 };
 
@@ -194,9 +194,8 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       cost_sums(d, count_workgroups(bound), "cost sums"),
       costs(d, count_workgroups(bound) * sizeof(float), "cost sums") {}
 
-/// Returns the number of launches of bvh_wide_mark, which processes one tree level per
-/// launch: the number of levels of a full tree with `bound` nodes, plus 4 for uneven
-/// trees.
+/// Returns the number of levels for which kernel bvh_wide_mark is launched. This is the
+/// number of levels of a full tree with `bound` nodes, plus 4 for uneven trees.
 std::uint32_t Bvh::Impl::compute_max_tree_levels() const {
     std::uint32_t n_levels = 4;
     for (std::uint64_t width = n_models; width < bound; width *= RELIDAR_BVH_WIDTH) ++n_levels;
@@ -248,8 +247,8 @@ SortBuffers Bvh::Impl::sort_surfels_by_morton_code(Stream& stream, const DeviceS
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
-    // Each pass of the sort moves the keys to the other one of two sets. The first set is
-    // chosen by the parity of the number of passes, so that the last pass writes set 0.
+    // Each pass of the sort moves the keys from one set to the other. Chooses the first
+    // set so that the last pass writes set 0.
     const int first_set = static_cast<int>(RadixSort::count_passes(count_sort_key_bits()) % 2);
     run(stream, keys_kernel, n,
         {.records = scene.get_surfel_records().address(),
@@ -307,7 +306,7 @@ Bvh::Bvh(Device& device, const DeviceScene& scene) {
     Stream stream(device);
     for (const Buffer* zero : {&impl_->nodes.buffer(), &impl_->arrivals.buffer(), &impl_->count.buffer()})
         stream.fill(*zero);
-    // Sets an initial value that models without surfels keep.
+    // Models without surfels keep these initial values.
     for (const Buffer* none : {&impl_->links.buffer(), &impl_->queue.buffer()})
         stream.fill(*none, RELIDAR_BVH_NO_NODE);
     stream.submit_and_wait();

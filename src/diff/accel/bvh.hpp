@@ -1,14 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Software acceleration structure (relidar/diff/bvh.h) that the device builds and refits.
 // The trees of all models share the same arrays, so that the number of launches does not
-// depend on the number of models.
-//
-// The build sorts surfels along a space-filling curve and clusters them into binary
-// trees. Then it converts these to nodes with up to eight children and computes the boxes
-// bottom up. Only read_tree_cost() and download_bvh() wait for the device.
-//
-// Memory per surfel: 24 B for boxes, 92 B for scratch, 4 B for the order, 30 B for nodes
-// (at most n / 4 nodes, plus one per model).
+// depend on the number of models. The build sorts surfels along a space-filling curve and
+// clusters them into binary trees. Then it converts the binary nodes to nodes with up to
+// eight children, and computes their boxes bottom up. Memory per surfel: 24 B for boxes,
+// 92 B for scratch, 4 B for the order, 30 B for nodes.
 #pragma once
 
 #include <cstdint>
@@ -31,7 +27,7 @@ struct HostBvhCopy {
     std::vector<std::uint32_t> roots;    ///< [n_instances] root node of each instance's model
     std::vector<shared::BvhNode> top_nodes;
     std::vector<std::uint32_t> top_order;  ///< [n_instances] instances in the order of the leaves
-    /// Boxes of the surfels, [n,6] in m. If no ray can hit a surfel, the lower corner of
+    /// [n,6] boxes of the surfels in m. If no ray can hit a surfel, the lower corner of
     /// its box is above the upper corner.
     std::vector<float> boxes;
 };
@@ -49,8 +45,8 @@ public:
     /// top-level tree over the instances.
     void build_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
     /// Submits kernels that update the boxes in the trees of models and rebuild the
-    /// top-level tree. The structure of the models' trees stays the same. Requires an
-    /// earlier build_trees().
+    /// top-level tree. Keeps the structure of the models' trees. Requires an earlier
+    /// build_trees().
     /// @param ranges models to update. The surfels of other models must not have changed
     void refit_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                      const std::vector<SurfelRange>& ranges);
@@ -61,13 +57,13 @@ public:
     shared::BvhPointers get_device_pointers() const;
     std::uint64_t memory_bytes() const;
     /// Submits a kernel that computes the traversal cost of all trees (surface area
-    /// heuristic, m^2). read_tree_cost() waits for the cost and returns it, or nothing if
-    /// record_tree_cost_measurement() was not called before. A rebuild is useful if the
-    /// cost is much higher than after the last build.
+    /// heuristic, m^2). read_tree_cost() waits for the cost and returns it. It returns
+    /// nothing if no measurement was recorded. A rebuild is useful if the cost is much
+    /// higher than after the last build.
     void record_tree_cost_measurement(Stream& stream);
     std::optional<double> read_tree_cost(Stream& stream);
-    /// Copies the BVH to the host, for tests. Waits for the device. All recorded commands
-    /// must have been submitted before.
+    /// Copies the BVH to the host, for tests. Waits for the device. The caller must have
+    /// submitted all recorded commands.
     HostBvhCopy download_bvh() const;
 
     /// Returns the maximum number of nodes in the trees of all models: n / 4 nodes for n

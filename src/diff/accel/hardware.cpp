@@ -111,8 +111,8 @@ const ProxyTriangleMesh kIcosahedron{
     12, {0, 1, 8, 0, 1, 10, 0, 4, 5,  0, 4, 8, 0, 5, 10, 1, 6, 7,  1, 6, 8, 1, 7,  10, 2, 3, 9, 2, 3,  11,
          2, 4, 5, 2, 4, 9,  2, 5, 11, 3, 6, 7, 3, 6, 9,  3, 7, 11, 4, 8, 9, 5, 10, 11, 6, 8, 9, 7, 10, 11}};
 
-/// Returns the vertex indices of `n_copies` copies of a mesh, whose corners are stored
-/// one copy after another.
+/// Returns the vertex indices of `n_copies` copies of a mesh. The corners of each copy
+/// follow the corners of the previous copy.
 std::vector<std::uint32_t> repeat_triangle_indices(const ProxyTriangleMesh& mesh, std::uint32_t n_copies) {
     std::vector<std::uint32_t> indices;
     indices.reserve(mesh.corners.size() * n_copies);
@@ -127,22 +127,24 @@ struct RayQueryAccel::Impl {
     ProxyShape proxy;
     const ProxyTriangleMesh& mesh;
     Kernel<shared::ProxyParams> proxies;
-    Array<float> geometry;       ///< vertices [n,corners,3] or boxes [n,6]
-    Array<std::uint32_t> reach;  ///< [1] maximum distance from a hit to the far side of its icosahedron
-    /// Triangle indices for the largest model. Smaller models use the first part of them,
-    /// with an offset to their first vertex.
+    Array<float> geometry;  ///< vertices [n,corners,3] or boxes [n,6]
+    /// [1] maximum distance from a hit to the far side of the icosahedron around its
+    /// Gaussian
+    Array<std::uint32_t> reach;
+    /// Triangle indices for the largest model. Smaller models use the first indices, with
+    /// an offset to their first vertex.
     Array<std::uint32_t> indices;
     std::vector<std::unique_ptr<VulkanAccelStructure>>
         blas;  ///< one per model, null for a model without surfels
     std::vector<BuildInput> blas_input;
-    /// Offset of each model's scratch memory. It must be separate, because models are
-    /// built concurrently.
+    /// Offset of each model's scratch memory. Models need separate scratch memory,
+    /// because they are built concurrently.
     std::vector<std::uint64_t> blas_scratch;
     std::unique_ptr<VulkanAccelStructure> tlas;
     BuildInput tlas_input;
     Kernel<shared::ModelRadiiParams> model_radii;
-    /// [models] radius of the sphere around each model's origin that contains all its
-    /// hits
+    /// [models] radius of a sphere around each model's origin. The sphere contains all
+    /// hits of the model.
     Array<std::uint32_t, shared::ModelRadii> radii;
     Array<shared::MovingInstance> moving;  ///< [instances] instances that move during a sweep
     std::uint32_t n_moving = 0;
@@ -173,8 +175,8 @@ struct RayQueryAccel::Impl {
     std::uint64_t write_instances_and_get_address(Stream::Impl& stream, const DeviceScene& scene);
 };
 
-/// Describes the geometry of one model, which is a part of the array `geometry`. It is
-/// not opaque, so that the shader can test every candidate hit.
+/// Describes the geometry of one model, which is a part of the array `geometry`. The
+/// geometry is marked as not opaque, so that the shader can test every candidate hit.
 void RayQueryAccel::Impl::append_model_build_input(const SurfelModel& model) {
     BuildInput& input = blas_input.emplace_back();
     if (proxy == ProxyShape::boxes) {
@@ -208,7 +210,8 @@ void RayQueryAccel::Impl::upload_moving_instances(
                                    moving_instances.size() * sizeof(moving_instances[0]));
 }
 
-/// Writes all present instances whose models have surfels to temporary memory.
+/// Writes the instances to temporary memory. Leaves out absent instances and models
+/// without surfels.
 /// @return device address of the instances
 std::uint64_t RayQueryAccel::Impl::write_instances_and_get_address(Stream::Impl& stream,
                                                                    const DeviceScene& scene) {
@@ -321,11 +324,10 @@ void RayQueryAccel::record_build_or_refit(Stream& stream, const DeviceScene& sce
     Impl& a = *impl_;
     std::uint32_t n = 0;
     for (const SurfelRange& range : ranges) n += range.count;
-    // `reach` is a maximum over all models, so it starts again only if all models are
-    // updated.
+    // `reach` is a maximum over all models. It is reset only if all models are updated.
     if (a.reach.size() && n == scene.size()) stream.fill(a.reach);
     for (const SurfelRange& range : ranges) a.compute_proxy_shapes(stream, scene, options, range);
-    // An update of some models must keep the radii of all other models.
+    // Resets the radii only if all models are updated.
     if (n == scene.size()) stream.fill(a.radii);
     for (const SurfelRange& range : ranges) a.compute_model_radii(stream, scene, options, range);
     std::vector<BuildInput> inputs;
@@ -354,8 +356,8 @@ void RayQueryAccel::rebuild_top_level_structure(Stream& stream, const DeviceScen
 void RayQueryAccel::write_addresses(AccelAddresses& addresses) const {
     const Impl& a = *impl_;
     addresses.tlas = {a.tlas->address};
-    // Kernels store this float as an integer, because positive floats have the same order
-    // as their bits, and atomic maxima need integers.
+    // Kernels store this float as an integer, because atomic maxima need integers.
+    // Positive floats have the same order as their bits.
     addresses.proxy_reach = a.reach.address_as<float, shared::ProxyReach>();
     addresses.moving = a.moving.address();
     addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();  // also stored as float bits

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Acceleration structures of the Vulkan driver for ray queries. They contain proxy shapes
-// (triangles or boxes) that enclose the surfels. Each model has one bottom-level
-// structure. The top-level structure contains all instances of the models. Requires a
-// device with ray queries.
+// Acceleration structures of the Vulkan driver for ray queries. They contain triangles or
+// boxes that enclose the surfels. Each model has one bottom-level structure. The
+// top-level structure contains all instances of the models. Requires a device with ray
+// queries.
 #pragma once
 
 #include <cstdint>
@@ -22,7 +22,7 @@ public:
     RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShape proxy);
     ~RayQueryAccel();
 
-    /// Records commands that build or refit the structures of models, and build the
+    /// Records commands that build or refit the structures of models. Then builds the
     /// top-level structure over the instances. A refit requires an earlier build.
     /// @param ranges models to update. The surfels of other models must not have changed
     void record_build_or_refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options,

@@ -6,8 +6,8 @@
 
 namespace relidar {
 
-/// Range of surfel indices that contains complete models, one or several consecutive
-/// ones.
+/// Range of surfel indices. Contains all surfels of one model, or of several consecutive
+/// models.
 struct SurfelRange {
     std::uint32_t first = 0, count = 0;
 

@@ -21,20 +21,20 @@ constexpr std::uint32_t kMostHitsPerRay = 4096;
 
 /// Returns true if the kernels write one record per hit and sum the records without
 /// atomics. If spherical harmonics (SH) are evaluated per hit, atomics are slower,
-/// because each hit needs 64 of them. If SH are evaluated per surfel, a hit needs 16
-/// atomics. Then both methods take about the same time, but atomics need no memory.
-/// Devices without float atomics use records, because their compare-and-swap loops
-/// conflict if many rays hit one surfel.
+/// because each hit needs 64 of them. If SH are evaluated per surfel, a hit needs only 16
+/// atomics. Atomics are then as fast as records and need no memory. Devices without float
+/// atomics always use records, because their compare-and-swap loops conflict if many rays
+/// hit one surfel.
 bool should_sum_hits_without_atomics(const Device& device, GradientReduction reduction,
                                      ShDirection sh_direction) {
     if (reduction != GradientReduction::automatic) return reduction == GradientReduction::gather;
     return sh_direction == ShDirection::ray || !device.info().float_atomics;
 }
 
-/// Returns true if lanes exchange gradient rows through shared memory before they add
-/// them with atomics. On a GPU this is faster, because it reduces the memory sectors per
-/// atomic instruction. It requires maximal reconvergence, because lanes leave the loops
-/// over hits at different times.
+/// Returns true if the lanes of a subgroup exchange gradient rows through shared memory
+/// before they add them with atomics. On a GPU this is faster, because each atomic
+/// instruction accesses fewer memory sectors. It requires maximal reconvergence, because
+/// lanes leave the loops over hits at different times.
 bool should_exchange_gradient_rows(const Device& device, const BackwardOptions& backward_options,
                                    bool sums_without_atomics) {
     return !sums_without_atomics &&
@@ -50,8 +50,8 @@ struct BackwardPass::Impl {
     Kernel<shared::BackwardParams> trace;
     PoseGradientKernels poses;
     std::unique_ptr<HitGradientGather> gather;  ///< null if gradients are added with atomics
-    /// Counter that the tracing kernel needs as an output. The host ignores it, because
-    /// the forward pass has already reported the same rays.
+    /// Counter that the tracing kernel must write. The host ignores it, because the
+    /// forward pass has already counted the same rays.
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
 
     static std::vector<SpecialisationConstant> make_backward_kernel_constants(
@@ -64,8 +64,8 @@ struct BackwardPass::Impl {
         all.push_back({SpecialisationConstantId::GATHER, gathered ? 1u : 0u});
         const bool exchanged = should_exchange_gradient_rows(device, backward_options, gathered);
         all.push_back({SpecialisationConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
-        // With one subgroup per workgroup, subgroup barriers are correct on lavapipe,
-        // which treats them as barriers of the full workgroup.
+        // With one subgroup per workgroup, subgroup barriers also work on lavapipe, which
+        // treats them as barriers of the full workgroup.
         if (exchanged)
             all.push_back({SpecialisationConstantId::WORKGROUP_SIZE,
                            static_cast<std::uint32_t>(device.info().subgroup_size)});

@@ -20,17 +20,17 @@ public:
     /// largest batch
     HitGradientGather(Device& device, const ImageFormationModel& model, std::uint32_t hits_per_ray,
                       const TraceOptions& options);
-    /// Assigns a position in the list of hits to each rendered hit, in the order of the
-    /// rays. If the batch is the largest so far, waits for the device and allocates
+    /// Assigns a record index to each rendered hit, in the order of the rays. If the
+    /// batch is larger than all earlier batches, waits for the device and allocates
     /// memory.
     void assign_hit_record_indices(Stream& stream, const RenderedBatch& batch);
-    /// Sets the addresses in `params` to which the backward kernel writes its hits.
+    /// Writes into `params` the addresses at which the backward kernel stores its hits.
     void write_hit_addresses(shared::BackwardParams& params) const;
     /// Sums the gradients of all hits by surfel and adds the sums to the arrays of
     /// `params`.
     void sum_hit_gradients(Stream& stream, const shared::BackwardParams& params);
-    /// Returns the largest number of hits of any batch since the host set the value to 0,
-    /// [1] on the device.
+    /// Returns the largest number of hits of any batch, [1] on the device. The host can
+    /// reset the number to 0.
     const Array<std::uint32_t>& most_hits() const { return most_hits_; }
     std::uint64_t get_hit_capacity() const { return sort_ ? sort_->capacity() : 0; }
     /// Allocates memory for at least `n_hits` hits. The device must be idle, because the
@@ -46,7 +46,7 @@ private:
     Array<std::uint32_t, shared::FirstHits> first_hit_;
     Array<shared::HitRecord> hits_;
     Array<float, shared::RowParts> parts_;
-    Array<std::uint32_t, shared::HitRows> rows_[2];    ///< gradient row of each hit, which is its sort key
+    Array<std::uint32_t, shared::HitRows> rows_[2];    ///< sort key of each hit: the row of its gradient
     Array<std::uint32_t, shared::HitSlots> slots_[2];  ///< record index of each hit, in sorted order
     PrefixSum prefix_sum_;                             ///< counts the hits of earlier rays
     std::unique_ptr<RadixSort> sort_;                  ///< sorts the hits by row

@@ -12,8 +12,9 @@ namespace relidar {
 namespace {
 
 constexpr std::uint32_t kThreads = 64;  // threads per workgroup
-// Number of surfels per workgroup. With a million surfels, each thread then adds 16
-// values in both the first and the second kernel.
+// Number of surfels per workgroup. The first kernel sums values in each workgroup, and
+// the second kernel sums over workgroups. With a million surfels, each thread adds 16
+// values in both kernels.
 constexpr std::uint32_t kBlock = 1024;
 
 struct BlockTable {

@@ -16,7 +16,7 @@ struct DeviceGradients::PoseGradientSums {
     Array<shared::PoseBlock> blocks;
     Array<std::uint32_t> first_block;            ///< [instances + 1] first block of each instance
     Array<float, shared::PoseSums> sums;         ///< [blocks, RELIDAR_POSE_SUMS] sum of each block
-    Array<float, shared::ViewGradients> d_view;  ///< [n,3] output of activate_vjp
+    Array<float, shared::ViewGradients> d_view;  ///< [n,3] gradient of the view directions
 
     PoseGradientSums(Device& device, const DeviceScene& scene);
 };
@@ -25,9 +25,9 @@ struct DeviceGradients::PoseGradientSums {
 class PoseGradientKernels {
 public:
     explicit PoseGradientKernels(Device& device);
-    /// Computes the pose gradients of all instances and of the sensor. Reads the
-    /// gradients of the surfel records, and the gradients of the view directions in
-    /// pose_sums.
+    /// Computes the pose gradients of all instances and of the sensor. Reads two arrays:
+    /// the gradients of the surfel records, and the gradients of the view directions
+    /// (PoseGradientSums::d_view).
     void compute_pose_gradients(Stream& stream, const DeviceScene& scene, const ImageFormationModel& model,
                                 const glm::vec3& view_origin_m, DeviceGradients& gradients);
 

@@ -26,18 +26,19 @@ constexpr float kUnbounded = std::numeric_limits<float>::infinity();
 
 double logit(double probability) { return std::log(probability / (1.0 - probability)); }
 
-/// Thresholds that decide which surfels are dropped or grow.
+/// Surfels with an opacity below `min_opacity` are dropped. Surfels larger than
+/// `max_extent_share` times the extent of their model are also dropped.
 struct DensifyThresholds {
     float min_opacity = 0.0f;
     float max_extent_share = kUnbounded;
 };
 
-/// Purpose of random numbers. It is part of their seed, so that different purposes get
-/// independent numbers.
+/// Purpose of random numbers. It is part of the seed, so that random numbers for
+/// different purposes are independent.
 enum class RandomPurpose : std::uint64_t { classify = 1, phase = 2 };
 
-// Opacity after a reset, relative to alpha_min. Above 1, because a surfel below alpha_min
-// is invisible and gets no gradient.
+// Opacity of a surfel after a reset, relative to alpha_min. The value is above 1, because
+// a surfel with an opacity below alpha_min is invisible and gets no gradient.
 constexpr double kResetOverAlphaMin = 2.5;
 
 }  // namespace
@@ -56,7 +57,7 @@ struct Densifier::Impl {
     Kernel<shared::ClassifyParams> classify;
     Kernel<shared::SpawnParams> spawn;
     Kernel<shared::ResetOpacityParams> reset_opacity;
-    /// Maximum number of surfels. It is lowered if an allocation fails.
+    /// Maximum number of surfels. Becomes smaller if an allocation fails.
     std::uint32_t memory_limit = std::numeric_limits<std::uint32_t>::max();
 
     Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames,
@@ -126,17 +127,17 @@ std::vector<ModelDensifyCounters> Densifier::Impl::count_surfels_per_action(Stre
     return result;
 }
 
-/// Allocates memory for the surfels after a densification. If memory is short, tries
-/// fewer surfels.
+/// Allocates memory for the surfels after a densification. If there is not enough memory,
+/// tries fewer surfels.
 /// @param requested_surfels desired number of surfels
-/// @param failure_reason receives the reason if memory is short
+/// @param failure_reason receives the reason if there is not enough memory
 /// @return number of surfels for which memory is available, at most `requested_surfels`
 std::uint32_t Densifier::Impl::reserve_surfel_memory(DeviceScene& scene, Adam& adam,
                                                      std::uint32_t requested_surfels,
                                                      double other_bytes_per_surfel,
                                                      std::string& failure_reason) {
     const std::uint32_t before = scene.size();
-    // bytes per surfel of parameters, Adam moments and records
+    // bytes per surfel for parameters, Adam moments and records
     const double others =
         4.0 * (3.0 * count_floats_per_surfel(scene.get_surfel_parameters().get_parameter_set()) + 16.0);
     const double bytes = double(arrays.compute_bytes_per_surfel()) + others;

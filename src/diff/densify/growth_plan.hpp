@@ -15,8 +15,8 @@
 namespace relidar {
 
 /// Densification counters of one model: numbers of surfels that are kept, dropped for
-/// each reason, cloned and split. The index is RELIDAR_DENSIFY_KEPT or a following
-/// constant.
+/// each reason, cloned and split. RELIDAR_DENSIFY_KEPT and the following constants are
+/// the indices.
 using ModelDensifyCounters = std::array<std::uint32_t, RELIDAR_DENSIFY_COUNTERS>;
 
 struct GrowthPlan {
@@ -26,23 +26,23 @@ struct GrowthPlan {
     std::uint32_t phase = 0;  ///< phase of the systematic sampling, below total_weight
 
     std::uint32_t size() const { return survivors + n_new; }
-    /// Returns the total number of copies of all surfels before a position. Must use the
-    /// same formula as kernel diff/densify/allot.
-    /// @param cumulative_weight sum of the weights of these surfels
+    /// Returns how many copies the first surfels of the list get. Must use the same
+    /// formula as kernel diff/densify/allot.
+    /// @param cumulative_weight sum of the weights of these first surfels
     std::uint32_t count_earlier_copies(std::uint64_t cumulative_weight) const;
-    /// Returns the models with the surfel ranges that they have after the densification.
+    /// Returns the models with the surfel ranges that are valid after the densification.
     std::vector<SurfelModel> assign_new_surfel_ranges(std::vector<SurfelModel> models,
                                                       const std::vector<ModelDensifyCounters>& counts) const;
 };
 
-/// Plans how many surfels densification adds. Each growing surfel adds one, but the total
-/// must not exceed DensifyOptions::max_surfels. Surfels that are not dropped always stay.
-/// @param random_number random number that selects which growing surfels get a copy at
-/// the limit
+/// Plans how many surfels densification adds. Each growing surfel adds one surfel, until
+/// the total reaches DensifyOptions::max_surfels. Surfels that are not dropped always
+/// stay.
+/// @param random_number selects which growing surfels get a copy if the limit is reached
 GrowthPlan plan_surfel_growth(const std::vector<ModelDensifyCounters>& counts, const DensifyOptions& options,
                               std::uint64_t random_number);
-/// Reduces the number of added surfels until the total is at most `max_surfels`. Existing
-/// surfels stay.
+/// Reduces the number of added surfels until the total is at most `max_surfels`. Does not
+/// remove existing surfels.
 GrowthPlan limit_growth_plan(GrowthPlan plan, std::uint32_t max_surfels);
 
 /// Sums the densification counters of all models and returns them as a report.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Moves all arrays of surfels into their order after a densification. Moves one set of
-// arrays at a time into spare arrays, and then exchanges both sets. Used only by
+// Moves the rows of all surfel arrays to their new order after a densification. Moves one
+// set of arrays at a time into spare arrays, and then swaps both sets. Used only by
 // densification.
 #pragma once
 
@@ -26,15 +26,15 @@ public:
     /// compute the new position of each surfel. Reads `action` and `weight`.
     /// @param n_surfels_before number of surfels before the densification
     void compute_new_row_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_surfels_before);
-    /// Submits the kernels that move all arrays of a set to the new positions of the
-    /// surfels.
+    /// Submits the kernels that move the rows of all arrays in `surfel_arrays` to the new
+    /// positions of the surfels.
     /// @param zero_new_rows true: values of new and changed surfels are set to zero
     /// @param n_surfels_after number of surfels after the densification
     void move_to_new_rows(Stream& stream, SurfelArrays& surfel_arrays, bool zero_new_rows,
                           std::uint32_t n_surfels_after);
     /// Submits the kernels that move the densification statistics to the new positions of
-    /// the surfels. All statistics start again, except the frames in which a surfel was
-    /// visible.
+    /// the surfels. Keeps the frames in which a surfel was visible, and resets all other
+    /// statistics.
     void move_statistics_to_new_rows(Stream& stream);
     /// Submits commands that reset the sums of gradient norms and the numbers of batches
     /// to zero.
@@ -44,7 +44,8 @@ public:
     // [n] action of each surfel, in the old order
     Array<std::uint32_t, shared::DensifyActions> action;
     Array<std::uint32_t, shared::GrowthWeights> weight;
-    /// first new row of each surfel. Before, the memory holds the cumulative weights
+    /// First new row of each surfel. Holds the cumulative weights before the rows are
+    /// computed.
     Array<std::uint32_t, shared::RowStarts> starts;
     Array<std::uint32_t, shared::RowCounts> n_rows;
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks whether enough device memory is free before any array is moved, so that a failed
-// densification changes nothing. Used only by densification.
+// Checks whether enough device memory is free. The check runs before any array is moved,
+// so that a failed densification changes nothing. Used only by densification.
 #pragma once
 
 #include <algorithm>

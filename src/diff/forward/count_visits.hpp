@@ -8,14 +8,16 @@
 
 namespace relidar {
 
-/// Mean numbers of tree nodes and surfels that a ray visits. With Walk::subgroup, each
-/// ray counts all visits of its subgroup.
+/// Mean numbers of tree nodes and surfels that a ray visits. With
+/// BvhTraversalMode::subgroup, the rays of a subgroup visit nodes together, and each ray
+/// counts all these visits.
 struct VisitCounts {
     double nodes = 0.0;    ///< visited nodes, including nodes of the top-level tree
     double surfels = 0.0;  ///< tested surfels
 };
-/// Renders a batch again and counts its visits, at most 2^32. Waits for the result. The
-/// surfel records and the acceleration structure must be up to date and submitted.
+/// Renders a batch again and counts its visits, at most 2^32. Waits for the result.
+/// Before the call, the surfel records and the acceleration structure must be up to date,
+/// and their commands submitted.
 /// @return nothing if the device uses ray queries, because the driver reports no visits
 std::optional<VisitCounts> count_bvh_visits(Device& device, const DeviceScene& scene,
                                             const AccelerationStructure& accel, const RayBatch& batch,

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the forward pass, which renders rays (Eq. 2-4). If hit lists are used,
-// kernel diff/forward/trace renders only the rays whose lists cannot be used.
+// Host side of the forward pass, which renders rays (Eq. 2-4). Rays either write their
+// hits to lists in memory, or are rendered by kernel diff/forward/trace. The kernel also
+// renders rays whose lists cannot be used.
 #include <relidar/diff/forward.hpp>
 
 #include <fmt/format.h>
@@ -58,7 +59,8 @@ void ForwardPass::record_forward_pass(Stream& stream, const DeviceScene& scene,
     RELIDAR_ASSERT_LE(end, batch.rays->size());
     RELIDAR_ASSERT_LE(batch.targets ? end : 0, batch.targets ? batch.targets->size() : 0);
     RELIDAR_ASSERT_EQ(!stored_hits || stored_hits->can_store_hits(batch), true);
-    // the rays of an image must form complete rows
+    // An image has complete rows, so the number of rays is a multiple of the number of
+    // columns.
     RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);
     RELIDAR_ASSERT_LE(impl_->options.has_surface_outputs() ? std::size_t(batch.n_rays) : 0,
                       surfaces ? surfaces->size() : 0);

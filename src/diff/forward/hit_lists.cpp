@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Host side of rendering with hit lists: submits kernels that fill, sort and blend the
-// lists. Increases the capacity of the lists if rays have more hits.
+// lists. Increases the capacity of the lists if rays have more hits than fit.
 #include "diff/forward/hit_lists.hpp"
 
 #include <algorithm>
@@ -13,8 +13,8 @@
 namespace relidar {
 namespace {
 
-// Maximum number of lists. Each list is sorted by one subgroup, and a launch can have at
-// most 2^32 threads.
+// Maximum number of lists. A subgroup sorts each list, and a launch can have at most 2^32
+// threads.
 constexpr std::size_t kMostLists = std::size_t(1) << 24;
 
 /// Returns the maximum size of all hit lists in bytes: one eighth of the device's memory.
@@ -73,7 +73,7 @@ void HitListTracer::allocate_hit_lists(std::size_t n_lists) {
     if (hits_per_list_ < requested_hits_per_list) grows_ = false;
 }
 
-/// Returns true if rays had more hits than their lists can contain. Such rays are slow,
+/// Returns true if rays had more hits than their lists can hold. Such rays are slow,
 /// because kernel diff/forward/trace must render them again. Reads the count of an
 /// earlier submission that is already finished, so that the host never waits here.
 bool HitListTracer::has_hit_list_overflowed(Stream& stream) {
@@ -86,16 +86,15 @@ bool HitListTracer::has_hit_list_overflowed(Stream& stream) {
     return grows_ && hits_per_list_ < max_hits_per_list_ && n_overflows > 0;
 }
 
-/// Returns memory for hit lists. Lists share the memory of the hits that are stored for
-/// the backward pass if it is large enough.
+/// Returns memory for hit lists. If the hits that are stored for the backward pass have
+/// enough memory, the lists share this memory.
 shared::HitLists HitListTracer::reserve_hit_lists(Stream& stream, std::size_t n_threads,
                                                   const StoredRayHits* kept_hits) {
     const std::size_t n = StoredRayHits::round_up_thread_count(n_threads);
     if (n > kMostLists) return {};
     if (has_hit_list_overflowed(stream)) {
         hits_per_list_ = std::min(2 * hits_per_list_, max_hits_per_list_);
-        // Starts the overflow count again, because it was measured with a smaller
-        // capacity.
+        // Resets the overflow count, because it was measured with a smaller capacity.
         stream.fill(n_overflows_);
         overflows_before_ = 0;
     }
@@ -103,7 +102,7 @@ shared::HitLists HitListTracer::reserve_hit_lists(Stream& stream, std::size_t n_
                                         kept_hits->per_ray <= max_hits_per_list_;
     const bool can_reuse_lists =
         allocated_hits_per_list_ == hits_per_list_ && hits_.size() >= n * hits_per_list_;
-    // The device may still write to the lists that are freed below.
+    // Waits, because the device may still write to the lists that are freed below.
     if ((uses_stored_hit_memory ? hits_.size() > 0 : !can_reuse_lists) || lengths_.size() < n)
         stream.submit_and_wait();
     if (uses_stored_hit_memory) hits_ = {};

@@ -20,8 +20,8 @@ inline bool should_use_hit_lists(const Device& device, const TraceOptions& optio
                                                      : options.order == HitSortMethod::lists;
 }
 
-/// Returns the maximum number of hits in a list. A larger list could not be sorted by a
-/// single subgroup of the device.
+/// Returns the maximum number of hits in a list. A single subgroup of the device can sort
+/// at most this many hits.
 std::uint32_t compute_max_hits_per_list(const Device& device);
 
 class HitListTracer {
@@ -33,12 +33,12 @@ public:
     HitListTracer(Device& device, const KernelVariant& variant,
                   const std::vector<SpecialisationConstant>& constants, int initial_hits_per_list);
 
-    /// Renders the rays of a batch with hit lists. Sets `params.lists`, so that kernel
-    /// diff/forward/trace can render the rays whose lists cannot be used. If the device
-    /// has no memory for lists, this kernel renders all rays. All calls must use the same
-    /// stream.
-    /// @param kept_hits memory that stores hits for the backward pass. Lists use the same
-    /// memory if it is large enough, which avoids a copy
+    /// Renders the rays of a batch with hit lists. Sets `params.lists`. Kernel
+    /// diff/forward/trace must run afterwards, because it renders the rays whose lists
+    /// cannot be used. If the device has no memory for lists, this kernel renders all
+    /// rays. All calls must use the same stream.
+    /// @param kept_hits memory that stores hits for the backward pass. If it is large
+    /// enough, lists use the same memory, which avoids a copy
     void render_with_hit_lists(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
                                const StoredRayHits* kept_hits = nullptr);
     std::uint32_t get_hits_per_list() const { return hits_per_list_; }  ///< capacity of a list in hits

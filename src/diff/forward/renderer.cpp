@@ -47,9 +47,9 @@ struct Renderer::Impl {
     }
 
     void allocate_ray_arrays(std::size_t n_rays) {
-        // The memory for kept hits is allocated last, because it may shrink. If another
-        // allocation fails, `get_last_rendered_batch` is empty, so that the next call
-        // tries again.
+        // Allocates the memory for kept hits last, because it may become smaller. If
+        // another allocation fails, `rendered` stays empty, so that the next call tries
+        // again.
         batch.surfaces = nullptr;
         rendered = {};
         if (options.trace.has_surface_outputs()) surfaces.emplace(device, n_rays, "surfaces of rays");
@@ -59,9 +59,9 @@ struct Renderer::Impl {
             {}, &rendered, nullptr, stored_hits ? &*stored_hits : nullptr, surfaces ? &*surfaces : nullptr};
     }
 
-    /// Allocates memory for the hits that the backward pass reads. Halves their number
-    /// until they fit. If hits of a ray are missing, the backward pass traces the ray
-    /// again.
+    /// Allocates memory for the hits that the backward pass reads. Halves the number of
+    /// hits per ray until they fit. If hits of a ray are missing, the backward pass
+    /// traces this ray again.
     void allocate_hit_storage_that_fits(std::size_t n_threads) {
         for (;; options.keep_hits /= 2) {
             try {
@@ -73,8 +73,8 @@ struct Renderer::Impl {
     }
 
     void allocate_hit_storage(std::size_t n_threads) {
-        // Frees the old memory first, because both may not fit. No command reads the old
-        // memory any more.
+        // Frees the old memory first, because the device may not have enough memory for
+        // both. No command still reads the old memory.
         stored_hits.reset();
         if (options.keep_hits > 0) stored_hits.emplace(device, n_threads, options.keep_hits);
         batch.stored_hits = stored_hits ? &*stored_hits : nullptr;
@@ -87,8 +87,8 @@ Renderer::Renderer(Device& device, const Scene& scene, const ImageFormationModel
 Renderer::~Renderer() { wait_for_device(); }
 
 void Renderer::wait_for_device() noexcept {
-    // Commands that are recorded on the caller's stream but not yet submitted may use the
-    // arrays, too.
+    // Also submits the recorded commands of a stream of the caller, because they may use
+    // the arrays.
     try {
         if (!impl_->local_stream) impl_->stream.submit_and_wait();
     } catch (const Error&) {  // nothing to do, because a lost device no longer uses memory

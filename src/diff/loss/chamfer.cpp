@@ -14,7 +14,7 @@ namespace relidar {
 
 namespace {
 
-/// Sizes of an image as (rows, columns): in points, in tiles of points, and in groups of
+/// Sizes of an image in rows and columns. Counts points, tiles of points, and groups of
 /// tiles.
 struct ImageTileLevels {
     glm::uvec2 tile{4, 8};  ///< number of points per tile, and of tiles per group
@@ -37,8 +37,8 @@ struct TiledPointCloud {
     Array<glm::vec3, shared::GroupLows> group_low;
     Array<glm::vec3, shared::GroupHighs> group_high;
 
-    /// Allocates a point cloud. An image with a single column has the most tiles:
-    /// ceil(count / 4). The same factor applies to groups of tiles.
+    /// Allocates memory for the largest number of tiles: ceil(count / 4) in an image with
+    /// a single column. Four tiles form a group in such an image.
     TiledPointCloud(Device& device, std::size_t count, const std::string& description)
         : points(device, count, description + " points"),
           tile_low(device, count / 4 + 1, description + " tiles"),
@@ -121,7 +121,8 @@ struct ChamferLoss::Impl {
                       .tile_rows = tile_layout.tile.x,
                       .tile_columns = tile_layout.tile.y});
     }
-    /// Submits kernels that search nearest points in both directions. They run
+    /// Submits kernels that search the nearest measured point of each simulated point,
+    /// and the nearest simulated point of each measured point. Both searches run
     /// concurrently on the device.
     void find_nearest_points_both_ways(Stream& stream, const ImageTileLevels& tile_layout) const {
         {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates all losses in the list of loss terms. Checks the order of the list.
+// Creates the losses of all loss terms. Checks the order of the terms.
 #include <algorithm>
 
 #include "diff/loss/losses.hpp"
@@ -36,8 +36,8 @@ std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights
         RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     };
-    // The image loss must be first, because it overwrites the gradients to which all
-    // other losses add.
+    // The image loss must be first, because it overwrites the gradients. All other losses
+    // add to them.
     std::vector<LossFactory*> makers{make_image_loss};
     for (const WeightedLossFactory& term : terms)
         if (term.weight > 0.0f && std::find(makers.begin(), makers.end(), term.maker) == makers.end())

@@ -11,7 +11,7 @@ namespace relidar {
 using LossFactory = std::unique_ptr<Loss>(Device& device, const LossWeights& weights, std::uint32_t n_rays);
 
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) LossFactory make_##maker##_loss;
-RELIDAR_LOSS_TERMS(RELIDAR_TERM)  // the same function is declared once for each of its terms
+RELIDAR_LOSS_TERMS(RELIDAR_TERM)  // a loss with several terms is declared several times
 #undef RELIDAR_TERM
 
 }  // namespace relidar

@@ -17,8 +17,8 @@ std::vector<SpecialisationConstant> make_attention_kernel_constants(std::uint32_
             {SpecialisationConstantId::WORKGROUP_SIZE, kAttentionThreads}};
 }
 
-/// Describes an image slice as matrices, one per attention head, [channels, pixels] or,
-/// if `transposed` is true, [pixels, channels].
+/// Describes an image slice as one matrix per attention head. Its shape is [channels,
+/// pixels], or [pixels, channels] if `transposed` is true.
 shared::MatrixView view_as_head_matrices(const ChannelSlice& slice, std::uint32_t n_heads, bool transposed) {
     const auto pixels = std::uint32_t(slice.grid.count_pixels_per_image());
     return {.values = slice.view.values,
@@ -147,8 +147,8 @@ void Attention::backpropagate_to_qkv(Stream& stream, const ChannelSlice& qkv, At
     product(view_as_head_matrices(d_output, heads_, false),
             view_as_attention_matrices(state.share, grid, heads_, false),
             view_as_head_matrices(d_value, heads_, false), size, pixels, 1.0f);
-    // computes d_share = d_output^T value, which is then replaced by the gradient of the
-    // scores
+    // computes d_share = d_output^T value; run_softmax() then replaces it by the gradient
+    // of the scores
     product(view_as_head_matrices(d_output, heads_, true), view_as_head_matrices(value, heads_, false),
             view_as_attention_matrices(state.d_share, grid, heads_, false), pixels, size, 1.0f);
     run_softmax(stream, state, grid, true);

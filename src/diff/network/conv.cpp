@@ -16,8 +16,8 @@ namespace relidar::refine {
 namespace {
 
 constexpr std::uint32_t kConvThreads = 64;  // threads per workgroup
-// Number of image rows that form a part. A subgroup sums the gradients of the weights
-// over one part, and the sums of all parts are then added.
+// Number of image rows in one part of an image. A subgroup sums the gradients of the
+// weights over one part. Then the sums of all parts are added.
 constexpr std::uint32_t kLinesOfPart = 8;
 constexpr std::size_t kMostPartial = 1 << 24;  // maximum number of floats of the partial sums
 

@@ -18,7 +18,7 @@ public:
     using Bias = Address<float, shared::ConvBias>;
 
     /// Creates the kernels for convolutions of one size.
-    /// @param get_kernel_taps number of weights per pair of channels: 1 (1x1) or 9 (3x3)
+    /// @param taps number of weights per pair of channels: 1 (1x1) or 9 (3x3)
     /// @throws DeviceError with the name of a missing device feature
     ConvolutionKernels(Device& device, std::uint32_t taps);
 
@@ -28,13 +28,13 @@ public:
     /// @param accumulate true: adds the result to `output` instead of overwriting it
     void run_convolution(Stream& stream, const ChannelSlice& input, Weights weights, Bias bias,
                          const ChannelSlice& output, bool accumulate = false);
-    /// Computes the gradient of the input, d_input, from the gradient of the output,
-    /// d_output.
+    /// Computes d_input, the gradient of the input, from d_output, the gradient of the
+    /// output.
     /// @param accumulate true: adds the result to `d_input` instead of overwriting it
     void backpropagate_input(Stream& stream, const ChannelSlice& d_output, Weights weights,
                              const ChannelSlice& d_input, bool accumulate = false);
     /// Computes the gradient of the weights, [output channels, input channels, taps].
-    /// Adds in a fixed order, so that the result is the same in every run.
+    /// Adds in a fixed order, so that every run gives the same result.
     void backpropagate_weights(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
                                Weights d_weights);
     /// Returns the number of floats that backpropagate_weights() needs for its partial

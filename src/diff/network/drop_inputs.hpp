@@ -13,9 +13,8 @@
 
 namespace relidar::refine {
 
-/// Returns scale and shift of each input channel, [channels, 2]. After this
-/// normalisation, a channel has mean 0 and standard deviation 1 over all images. A
-/// constant channel becomes 0.
+/// Returns scale and shift of each input channel, [channels, 2]. They convert a channel
+/// to mean 0 and standard deviation 1 over all images. A constant channel becomes 0.
 std::vector<float> compute_channel_normalisation(const std::vector<RayDropImage>& images,
                                                  std::size_t n_channels);
 
@@ -24,11 +23,10 @@ public:
     RayDropInputs(Device& device, const RayDropNetwork& network);
 
     /// Uploads training images to the device and replaces all earlier images.
-    /// @param output_images images of equal size, already checked
+    /// @param images images of equal size, already checked
     void upload_training_images(Device& device, std::span<const RayDropImage> images);
 
-    /// Image that is selected for a batch, and the number of columns by which its scene
-    /// is rotated.
+    /// An image of a batch, and the number of columns by which its scene is rotated.
     struct RotatedSample {
         std::uint32_t sample = 0, column_shift = 0;
     };
@@ -36,14 +34,14 @@ public:
     /// @param output_images output, [n, channels, rows, columns]
     void make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                           const Tensor& output_images);
-    /// Submits the kernel that creates a batch from images of another device array, which
-    /// have no targets.
+    /// Submits the kernel that creates a batch from images in another device array. These
+    /// images have no targets.
     /// @param samples [samples, channels, rows, columns]
     void make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                           Address<float, shared::DropSamples> samples, const Tensor& output_images);
 
     /// Returns the rendered drop logits of the last batch, [n, rows, columns]. The
-    /// network corrects them.
+    /// network predicts a correction of these logits.
     const Array<float, shared::StartLogits>& get_rendered_logits() const { return start_; }
     /// Returns the measured drops of the last batch, [n, rows, columns], with the values
     /// of RayDropImage::dropped.

@@ -14,8 +14,7 @@ struct RayDropScore {
     double accuracy = 0.0;  ///< Share of pixels whose predicted class (return or no return) is correct.
 };
 
-/// Arrays of n pixels that RayDropLoss reads and writes. All addresses except `logit` may
-/// be null.
+/// Arrays of n pixels that RayDropLoss reads and writes. Only `logit` must not be null.
 struct RayDropLossArrays {
     Address<float, shared::DropLogits> logit;
     Address<float, shared::StartLogits> start = {};  ///< added to the logits
@@ -31,8 +30,8 @@ public:
     RayDropLoss(Device& device, std::size_t n_pixels);
 
     /// Submits the kernel that computes the loss of `n_pixels` pixels.
-    /// @param n_known_pixels number of pixels with a known target. The derivative is
-    /// divided by this number
+    /// @param n_known_pixels number of pixels with a known target, by which the
+    /// derivative is divided
     void compute_drop_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
                            std::size_t n_known_pixels);
     /// Returns loss and accuracy of the last run, which must be finished.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Functions for both training and inference of the ray-drop network. They compute the
-// shape of the network from the options, and check images.
+// shape of the network from the options, and they check images.
 #pragma once
 
 #include <cstdint>
@@ -20,12 +20,12 @@ RayDropNetwork make_network_architecture(const RayDropNetworkOptions& options);
 /// @throws UsageError if the network is unknown
 int get_batch_size(const RayDropNetworkOptions& options);
 
-/// Training settings that reduce overfitting. Small networks do without them: dropout
-/// hardly helps, and rotated images make them less accurate.
+/// Training settings that reduce overfitting. Small networks do not use them: dropout
+/// hardly helps these networks, and rotated images make them less accurate.
 struct NetworkRegularisation {
     double dropout = 0.0;  ///< share of the values that a layer drops
     /// True: training rotates images around the sensor by a random number of columns.
-    /// Channels that describe the sensor's pixels are not rotated.
+    /// Does not rotate channels that describe the sensor's pixels.
     bool turns = false;
 };
 /// Returns the training settings that reduce overfitting of a network.

@@ -73,8 +73,8 @@ struct SizedRayDropNetwork {
 }  // namespace
 
 struct RayDropInference::Impl {
-    // Number of image sizes for which memory is kept. Two, because a vehicle may have a
-    // large and a small LiDAR that are rendered alternately.
+    // Number of image sizes for which memory is kept. It is two, because a vehicle may
+    // have a large and a small LiDAR that are rendered in turn.
     static constexpr std::size_t kShapes = 2;
 
     Device& device;
@@ -94,7 +94,8 @@ struct RayDropInference::Impl {
         if (cache_entry == shaped.end() && shaped.size() < kShapes)
             cache_entry = shaped.emplace(shaped.end(), device, network);
         if (cache_entry == shaped.end()) {
-            // The device may still use the arrays of the size that is replaced below.
+            // Waits, because the device may still use the arrays of the image size that
+            // is replaced below.
             stream.submit_and_wait();
             --cache_entry;
         }

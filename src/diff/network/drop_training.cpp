@@ -78,8 +78,8 @@ struct RayDropTraining::Impl {
           stream(device, timing) {
         inputs.upload_training_images(device, images);
         unet.allocate_activations(device, grid, true);
-        // the padding between groups of parameters needs gradients of zero, and no kernel
-        // writes it
+        // Sets the gradients to zero, because no kernel writes the padding between groups
+        // of parameters.
         stream.fill(unet.get_parameter_gradients());
         stream.submit_and_wait();
     }

@@ -17,18 +17,18 @@ namespace relidar::refine {
 class RayDropTraining {
 public:
     /// Uploads the images, and creates the network and the optimizer.
-    /// @throws DataError in the same cases as train_drop_network()
+    /// @throws DataError in the same cases as train_ray_drop_network()
     RayDropTraining(Device& device, const std::vector<RayDropImage>& images,
                     const RayDropNetworkOptions& options, std::uint64_t seed, bool timing = false);
     ~RayDropTraining();
 
     std::size_t get_images_per_step() const;  ///< images per step
-    /// Returns the number of steps per epoch. Images that do not fill the last batch are
-    /// left out. The order is random, so other images are left out in the next epoch.
+    /// Returns the number of steps per epoch. An epoch leaves out images that do not fill
+    /// a complete batch. The order is random, so each epoch leaves out other images.
     std::size_t count_steps_per_epoch() const;
 
     /// Trains the network on one batch.
-    /// @param train_on_batch number of the step, starting at 1
+    /// @param step number of the step, starting at 1
     /// @return loss and accuracy of the network before this step
     RayDropScore train_on_batch(std::span<const RayDropInputs::RotatedSample> selection, int step,
                                 int n_steps);

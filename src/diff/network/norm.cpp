@@ -13,8 +13,8 @@ namespace {
 constexpr std::uint32_t kNormThreads = 64;  // threads per workgroup
 constexpr float kMomentum = 0.1f, kEpsilon = 1e-5f;
 
-/// Returns the number of parts into which the pixels of a batch are split. Sums are
-/// computed part by part. No part extends over two images.
+/// Returns the number of parts into which the pixels of a batch are split. A sum is
+/// computed separately for each part. The pixels of a part belong to the same image.
 std::uint32_t count_partial_sums_per_channel(const ImageBatchSize& grid) {
     return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.count_pixels_per_image() / 4096, 1, 64));
 }

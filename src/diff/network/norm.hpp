@@ -16,8 +16,8 @@ struct NormWeights {
     Address<glm::vec2, shared::RunningMoments> running;
 };
 
-/// Where the gradients of beta and gamma are written: into an array, starting at index
-/// `first`, as [channels, 2].
+/// Array into which the gradients of beta and gamma are written, as [channels, 2], and
+/// the index of the first gradient.
 struct NormGradientTarget {
     const Array<float>& all;
     std::size_t first = 0;
@@ -40,9 +40,9 @@ class NormalisationKernels {
 public:
     explicit NormalisationKernels(Device& device);
 
-    /// Computes output = dropout(relu(gamma x + beta)) for training, where x is the
-    /// input, normalised with mean and variance of the batch. Updates the running mean
-    /// and variance.
+    /// Computes output = dropout(relu(gamma x + beta)) for training. x is the input,
+    /// normalised with the mean and variance of the batch. Updates the running mean and
+    /// variance.
     void normalise_for_training(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
                                 NormActivations& state, const ChannelSlice& output);
     /// Computes the layer for inference. Uses the running mean and variance, and no

@@ -18,12 +18,13 @@ public:
     /// Computes the maximum of each block of 2 x 2 pixels (max pooling).
     /// @param output images of the size halve_grid(input.grid)
     void max_pool(Stream& stream, const ChannelSlice& input, const ChannelSlice& output);
-    /// Adds the gradient of the input of max_pool() to d_input.
+    /// Computes the gradient of the input of max_pool() and adds it to `d_input`.
     void backpropagate_max_pool(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
                                 const ChannelSlice& d_input);
     /// Enlarges `input` to the image size of `output` by bilinear interpolation.
     void upsample_bilinear(Stream& stream, const ChannelSlice& input, const ChannelSlice& output);
-    /// Computes dL/d(from) from dL/d(to), the derivative of upsample_bilinear().
+    /// Computes the gradient of the input of upsample_bilinear(), `d_input`, from the
+    /// gradient of its output, `d_output`.
     void backpropagate_upsample(Stream& stream, const ChannelSlice& d_output, const ChannelSlice& d_input);
 
 private:

@@ -25,7 +25,6 @@ struct ImageBatchSize {
     friend bool operator==(const ImageBatchSize&, const ImageBatchSize&) = default;
 };
 
-/// Returns how many groups of `group_size` elements are needed for `n_channels` elements.
 inline std::uint32_t divide_rounding_up(std::uint32_t count, std::uint32_t group_size) {
     return (count + group_size - 1) / group_size;
 }

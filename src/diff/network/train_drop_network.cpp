@@ -17,8 +17,8 @@
 namespace relidar {
 namespace {
 
-/// Draws the order of the images and their rotations for one epoch. The random generator
-/// starts anew in each epoch, so that a resumed training gets the same values.
+/// Draws the order of the images and their rotations for one epoch. The seed depends on
+/// the epoch, so that a resumed training draws the same values.
 std::vector<refine::RayDropInputs::RotatedSample> draw_epoch_order(std::size_t n_images, int n_columns,
                                                                    bool rotate_images, std::uint64_t seed,
                                                                    int epoch) {
@@ -58,8 +58,8 @@ struct TrainingRunState {
                             report.step, report.n_steps));
     }
 
-    /// Increments the step number. After the last step of an epoch, starts the next
-    /// epoch.
+    /// Increments the step number. In the first step of an epoch, sets the sums of the
+    /// epoch to 0.
     /// @return index of the step in its epoch
     std::size_t advance_and_get_step_in_epoch() {
         const std::size_t k = std::size_t(report.step++) % n_steps;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward and backward passes of the U-Net. Each encoder block writes directly into the
-// channels of the tensor that the decoder reads, so that the skip connection needs no
-// copy. In the backward pass, these channels keep their gradient until the gradient from
-// the smaller image size is added.
+// Forward and backward passes of the U-Net. Each encoder block writes its output directly
+// into some channels of the tensor that the decoder reads. Therefore the skip connection
+// needs no copy. In the backward pass, these channels keep the gradient of the skip
+// connection until the gradient from the smaller image size is added.
 #include "diff/network/unet.hpp"
 
 #include <algorithm>
@@ -70,8 +70,8 @@ void Unet::allocate_activations(Device& device, const ImageBatchSize& grid, bool
     if (inputs_.grid == grid && (with_gradients_ || !with_gradients)) return;
     with_gradients_ = with_gradients;
     most_active_ = 0;
-    // Frees the old arrays before it allocates new arrays, because both may not fit into
-    // the memory.
+    // Frees the old arrays before it allocates new arrays, because the memory may be too
+    // small for both.
     levels_.clear();
     levels_.resize(widths_.size());
     down_states_.resize(plan_.down.size());

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Implements the ray-drop network as a U-Net (Ronneberger et al.). Each level has two
-// blocks of [normalisation, ReLU, dropout, convolution] and a skip connection. The
-// smallest size also has attention. Stores the parameters and runs passes over images of
-// one size.
+// blocks of [normalisation, ReLU, dropout, convolution] and a skip connection. The level
+// with the smallest images also has attention. Stores the parameters, and runs passes
+// over images of one size.
 #pragma once
 
 #include <optional>
@@ -24,8 +24,8 @@ struct ConvParameterOffsets {
     std::optional<std::size_t> bias = {};
 };
 
-/// Where the parameters of a block are stored. A block is normalisation, ReLU, dropout,
-/// convolution.
+/// Offsets of a block's parameters in the parameter array. A block is normalisation,
+/// ReLU, dropout, convolution.
 struct UnetBlockOffsets {
     std::size_t beta_gamma = 0, running = 0;
     ConvParameterOffsets conv;
@@ -33,11 +33,11 @@ struct UnetBlockOffsets {
 
 /// Offsets of all parameters of a network.
 struct UnetParameterLayout {
-    /// First convolution (`first_conv`), from the inputs to the channels of the first
-    /// level, and last convolution (`last_conv`), from these channels to a logit.
+    /// `first_conv` converts the inputs to the channels of the first level. `last_conv`
+    /// converts these channels to a logit.
     ConvParameterOffsets first_conv, last_conv;
-    /// Blocks of the encoder (`down`) and of the decoder (`up`), two per level. Both
-    /// lists begin at full image size.
+    /// Blocks of the encoder (`down`) and of the decoder (`up`), two per level. Each list
+    /// starts with the level of full image size.
     std::vector<UnetBlockOffsets> down, up;
     std::optional<UnetBlockOffsets> query;  ///< attention: query, key, value
     ConvParameterOffsets project;           ///< attention: projection of the result
@@ -46,16 +46,16 @@ struct UnetParameterLayout {
     explicit UnetParameterLayout(const RayDropNetwork& network);
 };
 
-/// Channels at a level of the decoder. count_decoder_channels(): output.
-/// count_upsampled_channels(): input from the smaller images.
-/// count_concatenated_channels(): this input and the skip connection together.
+/// Numbers of channels of a decoder level. count_decoder_channels(): its output.
+/// count_upsampled_channels(): its input from the level with smaller images.
+/// count_concatenated_channels(): this input together with the skip connection.
 std::uint32_t count_decoder_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t count_upsampled_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t count_concatenated_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 
 /// Initialises the parameters with Kaiming's uniform distribution. Normalisations start
 /// with gamma 1 and beta 0. If the network predicts a correction, its last convolution
-/// starts with 0, so that it initially corrects nothing.
+/// starts with 0, so that the initial correction is 0.
 void initialise_network_parameters(RayDropNetwork& network, const UnetParameterLayout& plan,
                                    std::uint64_t seed);
 
@@ -73,9 +73,9 @@ public:
     /// Submits a forward pass for inference. Uses the running mean and variance, and no
     /// dropout.
     void run_inference(Stream& stream);
-    /// Submits the backward pass that follows run_training_forward_pass(). Computes the
-    /// gradients of all parameters. Before, the caller must write the gradient of the
-    /// logits to get_drop_logit_gradients().
+    /// Submits the backward pass after run_training_forward_pass(). Computes the
+    /// gradients of all parameters. Before the call, the caller must write the gradient
+    /// of the logits to get_drop_logit_gradients().
     void run_backward_pass(Stream& stream);
 
     /// Replaces all parameters of the network. Their number must not change. No pending
@@ -87,7 +87,7 @@ public:
 
     const Tensor& get_input_images() const { return inputs_; }  ///< Input images, which the caller fills.
     const Tensor& get_drop_logits() const { return logit_; }
-    /// Gradient of the logits, which the caller fills.
+    /// Gradient of the logits, which the caller writes.
     const Tensor& get_drop_logit_gradients() const { return d_logit_; }
     const Array<float>& get_network_parameters() const { return parameters_; }
     const Array<float>& get_parameter_gradients() const { return gradients_; }
@@ -100,8 +100,9 @@ private:
         Tensor active;
         NormActivations norm;
     };
-    /// Arrays of one image size: the input of the decoder [smaller images, skip
-    /// connection], the images between two blocks, and their gradients.
+    /// Arrays of one level. `joined` is the input of the decoder: the images from the
+    /// smaller level and the skip connection. The `between` arrays hold the images
+    /// between two blocks.
     struct UnetLevelBuffers {
         Tensor joined, d_joined, down_between, d_down_between, up_between, d_up_between, up, d_up, pooled,
             d_pooled;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the offsets and initial values of a network's parameters. The order of the
-// calls in UnetParameterLayout's constructor determines the offsets. Each group of
+// Computes the offsets and initial values of a network's parameters. The constructor of
+// UnetParameterLayout assigns the offsets in the order of its calls. Each group of
 // parameters starts at a multiple of four floats, because arrays on the device need this
 // alignment.
 #include <cmath>
@@ -17,8 +17,8 @@ std::size_t allocate_aligned_floats(std::size_t& n_allocated, std::size_t n_floa
     return first;
 }
 
-/// Returns a random number between -1 and 1. Unlike std::uniform_real_distribution, every
-/// compiler gives the same number.
+/// Returns a random number between -1 and 1. The number is the same with every compiler,
+/// unlike std::uniform_real_distribution.
 float draw_symmetric_uniform(std::mt19937_64& random) { return float(random() >> 40) * 0x1p-23f - 1.0f; }
 
 }  // namespace
@@ -87,8 +87,8 @@ void initialise_network_parameters(RayDropNetwork& network, const UnetParameterL
     };
     draw_conv(plan.first_conv);
     for (const UnetBlockOffsets& block : plan.down) draw_block(block);
-    // The output projection of the attention stays 0, so that attention initially adds
-    // nothing.
+    // The output projection of the attention stays 0, so that attention adds nothing at
+    // first.
     if (plan.query) draw_block(*plan.query);
     for (const UnetBlockOffsets& block : plan.up) draw_block(block);
     if (!network.residual) draw_conv(plan.last_conv);

@@ -58,7 +58,7 @@ Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options,
     Stream stream(device);
     impl_->moment1.fill_zero(stream);
     impl_->moment2.fill_zero(stream);
-    // Finishes setting the moments to zero, because a resumed run uploads other moments
+    // Waits until the moments are zero, because a resumed run uploads other moments
     // before the first step.
     stream.submit_and_wait();
 }
@@ -88,8 +88,7 @@ void Adam::record_adam_step(Stream& stream, SurfelArrays& parameters, const Surf
     for (const SurfelParameterGroup& group : list_parameter_groups(parameters.get_parameter_set())) {
         const std::uint32_t stride = group.count_floats(), block = group.harmonics ? group.row[1] : stride;
         const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;
-        // In spherical harmonics, all coefficients except the constant one have a lower
-        // learning rate.
+        // All spherical harmonics except the constant one have a lower learning rate.
         const double rest_factor = group.harmonics ? learning_rates.sh_rest_factor : 1.0;
         const std::size_t from = std::size_t(first) * stride;
         const bool by_model = group.rate == &LearningRates::mean && !learning_rates.mean_factors.empty();

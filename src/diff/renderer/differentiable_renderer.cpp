@@ -24,8 +24,8 @@ struct UpstreamGradientField {
     float shared::RayGradient::*at;
 };
 
-/// Converts one array per rendered value to one struct per ray, as the backward pass
-/// needs it.
+/// Converts one array per rendered value to one struct per ray, because the backward pass
+/// reads structs.
 std::vector<shared::RayGradient> make_ray_gradients(const RenderedGradients& gradients, std::size_t n_rays) {
     using shared::RayGradient;
 #define RELIDAR_LANE(name, built, value, input, slope, meaning) {#name, gradients.name, &RayGradient::name},
@@ -44,8 +44,8 @@ std::vector<shared::RayGradient> make_ray_gradients(const RenderedGradients& gra
     return result;
 }
 
-/// Downloads an array of gradients. If the gradients were not requested, the array is
-/// empty, and so is the result.
+/// Downloads an array of gradients. Returns nothing if the gradients were not requested,
+/// because the array is then empty.
 std::vector<float> download_if_allocated(const Array<float>& array, std::size_t count) {
     return array.size() ? array.download(count) : std::vector<float>{};
 }

@@ -49,8 +49,8 @@ WorldRays make_rays_from_origin() {
     return rays;
 }
 
-/// Renders the ring of surfels. If the state is `refitted`, moves the surfels by 0.2 m
-/// after the tree was built, so that it is refitted.
+/// Renders the ring of surfels. If the state is `refitted`, first builds the tree, then
+/// moves the surfels by 0.2 m and refits the tree.
 RenderedRayValues render_surfel_ring(Device& device, const AccelOptions& accel_options,
                                      AccelTreeState tree_state) {
     Surfels surfels = make_surfel_ring();
@@ -65,8 +65,8 @@ RenderedRayValues render_surfel_ring(Device& device, const AccelOptions& accel_o
     return renderer.render_rays(make_rays_from_origin());
 }
 
-/// Returns the largest subgroup size that gives correct results, except the driver's
-/// default size.
+/// Returns the largest subgroup size that gives correct results. Does not test the
+/// driver's default size again.
 /// @param default_size_error description of the wrong result with the default size
 int find_working_subgroup_size(const DeviceOptions& options, const Device& device,
                                const std::string& default_size_error) {
@@ -87,7 +87,7 @@ int find_working_subgroup_size(const DeviceOptions& options, const Device& devic
 
 int count_wrongly_traced_rays(Device& device, AccelTreeState tree_state) {
     AccelOptions accel;
-    // A test can force wrong hits here: the boxes are then smaller than their surfels.
+    // A test can force wrong hits here by making the boxes smaller than their surfels.
     if (gpu::is_fault_injected("ray_query") && device.traversal() == RayTracingBackend::ray_query)
         accel.margin_scale = 0.3f;
     const RenderedRayValues actual = render_surfel_ring(device, accel, tree_state);
@@ -106,8 +106,8 @@ DeviceTestResults check_device_at_first_use(const DeviceOptions& options) {
     DeviceTestResults trust;
     if (device.info().float_atomics) trust.float_atomics = compute_atomic_sum_error(device, false) == 0.0;
     trust.float_swaps = compute_atomic_sum_error(device, true) == 0.0;
-    // Kernels rely on subgroups only if the device supports software traversal, so
-    // subgroups are tested only then.
+    // Tests subgroups only if the device supports software traversal, because only its
+    // kernels rely on subgroups.
     if (device.info().software)
         if (const std::string wrong = describe_subgroup_failure(device); !wrong.empty())
             trust.subgroup_size = find_working_subgroup_size(options, device, wrong);
@@ -116,7 +116,8 @@ DeviceTestResults check_device_at_first_use(const DeviceOptions& options) {
     if (trust.subgroup_size == 0) {
         n_wrong = count_wrongly_traced_rays(device);
     } else {
-        // The renderer's other kernels also need the subgroup size that passed the test.
+        // Uses a device with the subgroup size that passed the test, because the
+        // renderer's other kernels also need this size.
         const ScopedDeviceTestResults trusting_size(trust);
         Device other(options);
         n_wrong = count_wrongly_traced_rays(other);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds all hits of each ray. Tests check that all acceleration structures give the same
-// hits.
+// Finds all hits of each ray, so that tests can check that all acceleration structures
+// give the same hits.
 #pragma once
 
 #include <cstdint>
@@ -15,10 +15,10 @@ namespace relidar {
 /// All hits of each ray, from near to far.
 struct CollectedHits {
     std::uint32_t max_hits = 0;
-    std::vector<std::uint32_t> counts;    ///< [n_rays] number of hits, may exceed max_hits_per_ray
-    std::vector<float> t;                 ///< [n_rays, max_hits_per_ray] distance of each hit in metres
-    std::vector<std::uint32_t> instance;  ///< [n_rays, max_hits_per_ray] instance of each hit
-    std::vector<std::uint32_t> surfel;    ///< [n_rays, max_hits_per_ray] surfel of each hit
+    std::vector<std::uint32_t> counts;    ///< [n_rays] number of hits, may exceed max_hits
+    std::vector<float> t;                 ///< [n_rays, max_hits] distance of each hit in metres
+    std::vector<std::uint32_t> instance;  ///< [n_rays, max_hits] instance of each hit
+    std::vector<std::uint32_t> surfel;    ///< [n_rays, max_hits] surfel of each hit
 };
 
 /// Scene, the poses of its instances, and tracing options.

@@ -12,8 +12,8 @@
 
 namespace relidar {
 
-/// Returns the parameters that tracing kernels need for a scene. The caller must add the
-/// rays.
+/// Returns the parameters that tracing kernels need for a scene, except the rays. The
+/// caller must add the rays.
 inline shared::TraceScene make_trace_scene_params(const DeviceScene& scene, const AccelAddresses& accel,
                                                   const ImageFormationModel& model) {
     return {.tlas = accel.tlas,
@@ -60,17 +60,17 @@ inline shared::TraceScene make_trace_scene_params(
     return traced;
 }
 
-/// Returns the suffix of the kernel variant that uses the device's traversal method.
+/// Returns the kernel variant for the traversal method of the device.
 inline KernelVariant get_traversal_kernel_variant(const Device& device) {
     if (must_test_every_surfel(device)) return KernelVariant("@brute_force");
     return KernelVariant(device.traversal() == RayTracingBackend::software ? "@software_bvh" : "@ray_query");
 }
 
-/// Returns the value of the specialisation constant TOGETHER. 0 means that each ray
-/// traverses the software tree separately. This is the default on GPUs, because their
-/// lanes can diverge. 1 means that all rays of a subgroup traverse the tree together. 2
-/// (CPU) also loads surfels cooperatively, because the lanes of a CPU are elements of one
-/// vector. Joint traversal is faster on lavapipe (docs/performance.md).
+/// Returns the value of the specialisation constant TOGETHER. 0: each ray traverses the
+/// software tree separately. This is the default on GPUs, because their lanes can
+/// diverge. 1: all rays of a subgroup traverse the tree together. 2 (only on a CPU): the
+/// rays also load surfels together, because the lanes of a CPU are elements of one
+/// vector.
 inline std::uint32_t get_joint_traversal_constant(const Device& device, const TraceOptions& options) {
     const bool is_cpu = device.info().type == "CPU";
     if (options.traversal_mode == BvhTraversalMode::automatic

@@ -7,13 +7,13 @@
 namespace relidar {
 namespace {
 
-/// Number of a class in a dataset, and relidar's class.
+/// Number of a class in a dataset, and the matching class of relidar.
 struct ClassNumberMapping {
     int number;
     SurfaceClass surface;
 };
 
-/// First characters of the name of a class in a dataset, and relidar's class.
+/// First characters of a class name in a dataset, and the matching class of relidar.
 struct ClassPrefixMapping {
     std::string_view prefix;
     SurfaceClass surface;
@@ -67,7 +67,7 @@ SurfaceClass convert_semantic_kitti_label(int label) {
 
 SurfaceClass convert_nuscenes_class(std::string_view category) {
     using enum SurfaceClass;
-    // The first row with a matching prefix defines the class.
+    // Only the first row whose prefix matches is used.
     static constexpr ClassPrefixMapping kClasses[] = {
         {"vehicle.ego", unknown},
         {"vehicle.bicycle", cyclist},

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Maps the classes of datasets to relidar's classes. Returns `unknown` for classes that
-// are not in the tables, because they are noise, the recording vehicle, or not labelled.
+// Converts the class labels of datasets to relidar's classes. Labels without a row in the
+// tables become `unknown`: noise, the recording vehicle, or unlabelled points.
 #pragma once
 
 #include <string_view>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the class map of a log: the labelled returns in each cell of the world vote
-// for the class of the cell.
+// Computes the class map of a log. Each labelled return gives one vote to the class of
+// the world grid cell that contains it.
 #include <relidar/log/classes.hpp>
 
 #include <algorithm>
@@ -15,7 +15,8 @@
 namespace relidar {
 namespace {
 
-/// Returns the cells of the labelled returns of a frame that are not in a moving box.
+/// Returns the world grid cell and the class of each labelled return of a frame. Skips
+/// returns in moving boxes.
 /// @param moving_boxes  moving boxes of the log
 std::vector<SurfaceClassCell> collect_class_votes(const LidarSequence& sequence,
                                                   const PoseTrack& world_from_sensor,

@@ -10,21 +10,21 @@
 namespace relidar {
 namespace {
 
-// The head azimuth is rounded to this many steps per revolution (0.0055 degrees per
-// step).
+// Number of azimuth steps per revolution to which the head azimuth is rounded. A step is
+// 0.0055 degrees.
 constexpr int kTicks = 1 << 16;
-// If more firings than this are missing at the end of a revolution, the sensor fired but
-// measured no returns there.
+// If more firings than this are missing, they are added without returns at the end of the
+// revolution. The sensor fired there, but measured nothing.
 constexpr int kMostMissing = 8;
 
-/// Returns the azimuth of the LiDAR's head for each firing. Firings without points are
-/// interpolated between their neighbours.
+/// Returns the azimuth of the LiDAR's head for each firing (all lasers at one azimuth).
+/// Interpolates firings without points between their neighbours.
 std::map<int, double> compute_head_azimuth_per_firing(const LidarPoints& points,
                                                       const std::vector<int>& firing_numbers,
                                                       const SpinningSensor& sensor, double azimuth_step_rad) {
     const std::vector<BeamRayGenerator> beams = make_beam_geometries(sensor.beams);
-    // The phase of each sum is the mean deviation of a firing's points from a constant
-    // rotation.
+    // One sum per firing. The phase of the sum is the mean difference between the
+    // azimuths of the points and a constant rotation.
     std::map<int, std::complex<double>> sums;
     for (std::size_t i = 0; i < points.size(); ++i)
         sums[firing_numbers[i]] +=
@@ -42,9 +42,9 @@ std::map<int, double> compute_head_azimuth_per_firing(const LidarPoints& points,
     return heads;
 }
 
-/// Adds firings without returns at the end of a revolution. The head is assumed to rotate
-/// at a constant rate until the circle or the image is full.
-/// @param columns  number of columns of the image; 0 if unknown
+/// Adds firings without returns at the end of a revolution, until the circle or the range
+/// image is full. Assumes that the head rotates at a constant rate.
+/// @param columns  number of columns of the range image; 0 if unknown
 void append_missing_firings(std::map<int, double>& azimuth_by_firing, int columns, double azimuth_step_rad) {
     const int full = int(2.0 * kPi / std::abs(azimuth_step_rad));
     const int n_missing = (columns > 0 ? std::min(columns, full) : full) - int(azimuth_by_firing.size());

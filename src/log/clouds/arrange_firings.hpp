@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Groups the points of a sweep into firings. Used for datasets whose points have firing
-// times, or whose points are stored in the order of the firings.
+// Groups the points of a sweep into firings (all lasers at one azimuth). Used if points
+// have firing times or are stored in firing order.
 #pragma once
 
 #include <map>
@@ -11,16 +11,16 @@
 namespace relidar {
 
 /// Assigns each point to a firing (LidarPoints::firing). Sorts the firings by the mean
-/// head azimuth of their points. A sweep may be longer than one revolution, so two
-/// firings with the same azimuth stay separate.
+/// head azimuth of their points. Two firings with the same azimuth stay separate, because
+/// a sweep may be longer than one revolution.
 ///
 /// Some firings have no points, for example where the vehicle blocks all beams. Their
 /// deviation from a constant rotation is interpolated between the neighbouring firings.
-/// At the end of the turn, adds firings without points until the circle, or the image of
-/// `sensor.columns`, is full. All rays of a firing without points are dropped rays.
+/// At the end of the turn, adds firings without points until the circle or the image is
+/// full. All rays of a firing without points are dropped rays.
 /// @param points  points with rings, at least one
-/// @param firing_numbers  [points] firing number of each point; the numbers increase with
-/// time
+/// @param firing_numbers  [points] firing number of each point; the numbers increase
+/// with time
 /// @param azimuth_step_rad  azimuth step between firings at a constant rotation rate;
 /// negative for a head that rotates clockwise
 SweepFirings assign_points_to_firings(LidarPoints& points, const std::vector<int>& firing_numbers,

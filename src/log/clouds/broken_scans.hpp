@@ -14,8 +14,8 @@
 
 namespace relidar {
 
-/// Collects the errors of scans that cannot be read. The number of a scan is the index of
-/// its frame or of its file.
+/// Collects the errors of scans that cannot be read. A scan has the index of its frame or
+/// of its file.
 class ScanErrorCollector {
 public:
     explicit ScanErrorCollector(bool skip) : skip_(skip) {}
@@ -23,7 +23,7 @@ public:
     /// Calls `read_scan_part`, which reads a part of scan `scan_index`. If
     /// `read_scan_part` throws, stores the error and skips this scan in later calls.
     /// Several threads can call this function at the same time.
-    /// @throws DataError of the step, unless the user allows broken scans
+    /// @throws DataError from `read_scan_part`, unless the user allows broken scans
     template <class Step>
     void read_or_mark_broken(std::size_t scan_index, const Step& read_scan_part) {
         if (is_scan_broken(scan_index)) return;
@@ -37,8 +37,8 @@ public:
 
     bool is_scan_broken(std::size_t scan_index) const;
     /// Marks scan `scan_index` as broken, even if the user does not allow broken scans.
-    /// Used for readable scans with missing points, because missing points would count as
-    /// dropped rays.
+    /// Used for scans from which points are missing, because their rays would count as
+    /// dropped.
     void add_broken_scan(std::size_t scan_index, const std::string& reason);
     std::size_t size() const { return reasons_.size(); }
 
@@ -46,8 +46,9 @@ public:
     /// @param n_scans  total number of scans
     /// @throws DataError if all scans are broken
     void add_broken_scan_notes(LidarSequence& sequence, std::size_t n_scans) const;
-    /// Removes the frames of broken scans, and poses that no other frame uses. Adds a
-    /// note for the user about each broken scan. Scan numbers must be indices of frames.
+    /// Removes the frames of broken scans, and the poses that are then unused. Adds a
+    /// note for the user about each broken scan. The indices of scans must be indices of
+    /// frames.
     /// @throws DataError if all scans are broken
     void remove_broken_frames(LidarSequence& sequence) const;
 

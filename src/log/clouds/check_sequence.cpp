@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks a loaded log for invalid values. Runs after every reader. An error message is
+// Checks a loaded log for invalid values, whatever the dataset is. An error message is
 // one line: frame or box, field, value, and expected value.
 #include <relidar/log/clouds.hpp>
 
@@ -16,16 +16,16 @@
 namespace relidar {
 namespace {
 
-// The length of a direction or quaternion may differ from 1 by at most this value.
+// Maximum difference between 1 and the length of a direction or quaternion.
 constexpr double kUnit = 1e-3;
-// Minimum time between poses. Velocities of closer poses would be mostly noise.
+// Minimum time between poses. With less time, velocities would be mostly noise.
 constexpr double kLeastStep_s = 1e-3;
 constexpr double kLongestOffset_s = 10.0;  // maximum time between the firing of a ray and its frame
 // Upper limit of ranges, and of distances from the origin of the world.
 constexpr double kFarthest_m = 1e6;
 constexpr double kBoxReach_m =
-    // Maximum distance between a box and the vehicle. Boxes that are wrongly in map
-    // coordinates are usually farther away.
+    // Maximum distance between a box and the vehicle. Boxes that are in map coordinates
+    // by mistake are usually farther away.
     1e5;
 // maximum distance between the origin of a ray and the sensor
 constexpr double kLargestOrigin_m = 1000.0;
@@ -148,8 +148,8 @@ void check_scan_array_sizes(const Scan& scan, const std::string& error_location)
     }
 }
 
-/// Returns the name of the invalid field of a return (range_m or intensity), or null if
-/// both are valid.
+/// Returns the name of the invalid field of a return: "range_m" or "intensity". Returns
+/// null if range and intensity are valid.
 const char* find_invalid_return_field(float range_m, float intensity) {
     if (!(range_m >= 0.0f && range_m <= kFarthest_m)) return "range_m";
     if (!(intensity >= 0.0f && intensity <= (range_m > 0.0f ? 1.0f : 0.0f))) return "intensity";

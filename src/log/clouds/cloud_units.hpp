@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the units of the point values of a topic, because messages do not contain the
-// units. Uses some clouds of the topic.
+// Estimates the units of the point values in the messages of a topic, from some of its
+// clouds. The messages do not contain the units.
 #pragma once
 
 #include <string>
@@ -10,24 +10,24 @@
 
 namespace relidar::bag {
 
-/// Reference time of the point times in a cloud: the moment at which they are 0.
+/// Defines the moment at which the point times of a cloud are 0.
 enum class PointTimeReference {
     none,   ///< unknown, because the points have no usable times
     stamp,  ///< offsets from the cloud's stamp
     epoch,  ///< zero of the clock that also gives the message stamps
-    /// another clock with an unknown zero; the first point of a cloud gets the time of
-    /// the message stamp
+    /// another clock with an unknown zero; the message stamp is used as the time of the
+    /// first point of a cloud
     sensor_clock
 };
 
 struct PointCloudUnits {
     PointTimeReference zero = PointTimeReference::none;
     double time_unit_s = 1.0;
-    /// True if all points of a cloud have the same time, because the points were
+    /// True if all points of a cloud have the same time, because they were
     /// motion-compensated to this time.
     bool is_deskewed = false;
     folder::PointFieldSemantics meaning;
-    std::string about;  ///< text about the point times for the notes of the log
+    std::string about;  ///< text about the point times for the user, stored in the notes of the log
 };
 
 /// Estimates the units of point times and intensities from some clouds.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Defines which stored points and ranges mean "ray without a return". Programs store such
-// rays in different ways, so all readers of points use this definition.
+// Defines which stored points and ranges mean "ray without a return". All readers of
+// points use this definition, because programs store such rays in different ways.
 #pragma once
 
 #include <cmath>
@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-/// Minimum range of a return. The direction of a nearer point is undefined.
+/// Minimum range of a return. A nearer point has no reliable direction.
 inline constexpr float kNearestReturn_m = 1e-3f;
 
 /// Returns true if a range belongs to a return. Files store rays without a return with

@@ -7,9 +7,11 @@
 
 namespace relidar {
 
-/// Finds returns that mark dropped rays by the maximum range of the LiDAR. Turns these
-/// returns into dropped rays and adds a note to the log. Real ranges have noise. So the
-/// largest range of the log is such a mark if many returns have exactly this range, it is
+/// Finds returns that stand for dropped rays, because their range is the maximum range of
+/// the LiDAR. Turns them into dropped rays and adds a note to the log. Real ranges have
+/// noise. The largest range of the log stands for dropped rays if three conditions hold:
+/// many returns have exactly this range, it is a multiple of half a metre, and other
+/// returns are nearer.
 /// a multiple of half a metre, and other returns are nearer.
 void drop_fake_max_range_returns(LidarSequence& sequence);
 

@@ -12,20 +12,20 @@
 namespace relidar::folder {
 namespace {
 
-// The azimuth can jump back by at most this angle within a ring. A larger step back is
-// the gap between two rings.
+// Within a ring, the azimuth can jump back by at most this angle. A larger jump back
+// means that the next ring begins.
 constexpr double kBack_rad = 3.0 * kPi / 180.0;
-// Minimum share of azimuth steps with the same sign, if the points of a file are in the
-// order of rotation.
+// If the points of a file are in the order of rotation, at least this share of azimuth
+// steps has the same sign.
 constexpr double kMinSameSignFraction = 0.9;
 // The search for the start of the rings uses only every fourth point.
 constexpr std::size_t kStride = 4;
 constexpr std::size_t kFewestRings = 4, kMostOrderedRings = 256;
-// Minimum share of steps up (or down) from ring to ring, if the rings are sorted by
-// elevation.
+// If the rings are sorted by elevation, at least this share of the steps from ring to
+// ring has the same sign.
 constexpr double kSorted = 0.9;
-// The median deviation of points from the elevation of their ring must be below this
-// share of the distance between rings.
+// The median distance of points from the elevation of their ring must be below this share
+// of the distance between rings.
 constexpr double kInRing = 0.5;
 
 double compute_point_azimuth(const glm::vec3& point) { return std::atan2(double(point.y), double(point.x)); }
@@ -49,7 +49,8 @@ std::optional<double> estimate_rotation_direction(const LidarPoints& points) {
     return std::nullopt;
 }
 
-/// Returns the unwrapped azimuth of each point, counted from the start of the file.
+/// Returns the azimuth of each point without jumps at full turns, counted from the start
+/// of the file.
 std::vector<double> unwrap_point_azimuths(const LidarPoints& points, double rotation_sign) {
     std::vector<double> turned;
     turned.reserve(points.size());
@@ -77,8 +78,8 @@ std::vector<std::uint16_t> compute_revolution_numbers(const std::vector<double>&
         first_revolution = std::min(first_revolution, std::floor((t - start_azimuth_rad) / (2.0 * kPi)));
     int last = 0;
     for (const double t : unwrapped_azimuths_rad) {
-        // With rounding errors, the first point of a ring may seem to be in the previous
-        // ring. Therefore ring numbers never decrease.
+        // Ring numbers never decrease. Otherwise rounding errors could put the first
+        // point of a ring into the previous ring.
         last = std::max(last, int(std::floor((t - start_azimuth_rad) / (2.0 * kPi)) - first_revolution));
         revolution_numbers.push_back(std::uint16_t(std::min(last, int(kMostOrderedRings))));
     }
@@ -86,8 +87,7 @@ std::vector<std::uint16_t> compute_revolution_numbers(const std::vector<double>&
 }
 
 /// Returns the median elevation of each ring. Uses only the farther half of its points.
-/// Near points are less accurate, because a beam does not start exactly at the sensor
-/// origin.
+/// Near points are less accurate, because beams start beside the sensor origin.
 std::vector<double> compute_median_ring_elevations(const LidarPoints& points,
                                                    const std::vector<std::uint16_t>& ring_of_point) {
     std::vector<std::vector<std::pair<float, double>>> samples_by_ring;  // range and elevation
@@ -161,7 +161,8 @@ double find_ring_start_azimuth(const LidarPoints& points, const std::vector<doub
     return best_rad;
 }
 
-/// Returns true if the rings are sorted by elevation and clearly separated.
+/// Returns true if the rings are sorted by elevation and clearly separated. The points of
+/// a ring must be closer to its elevation than to other rings.
 bool are_rings_separated(const LidarPoints& points, const std::vector<std::uint16_t>& ring_of_point,
                          const std::vector<double>& ring_elevations_rad) {
     if (ring_elevations_rad.size() < kFewestRings || ring_elevations_rad.size() > kMostOrderedRings)
@@ -195,7 +196,8 @@ RingOrderDetector::RingOrderDetector(const std::vector<LidarPoints>& scans) {
         const std::vector<std::uint16_t> ring =
             compute_revolution_numbers(unwrap_point_azimuths(scan, turning_), first_azimuth_rad_);
         std::vector<double> elevations = compute_median_ring_elevations(scan, ring);
-        // Uses the scan with the most rings, because every beam has returns in this scan.
+        // Keeps the scan with the most rings, because it is most likely to have returns
+        // of every beam.
         if (elevations.size() > elevation_rad_.size() && are_rings_separated(scan, ring, elevations))
             elevation_rad_ = std::move(elevations);
     }

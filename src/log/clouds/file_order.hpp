@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Finds the ring of each point, if a file stores the points ring by ring. In such a file,
-// the azimuth makes one turn per ring. This also works if the elevations of rings
-// overlap. They overlap for an HDL-64E, because its beams start far from the centre of
-// the sensor.
+// the azimuth makes one turn per ring. This also works for an HDL-64E, whose rings
+// overlap in elevation because its beams start far from the centre of the sensor.
 #pragma once
 
 #include <cstdint>
@@ -22,9 +21,9 @@ public:
     /// rings.
     bool is_stored_ring_by_ring() const { return !elevation_rad_.empty(); }
     std::size_t n_rings() const { return elevation_rad_.size(); }
-    /// Sets the ring of each point. Ring 0 is the first ring in the files. If rings are
-    /// missing in a scan, each of its rings gets the number of the ring with the nearest
-    /// elevation.
+    /// Sets the ring of each point. Ring 0 is the first ring in the files. If a scan has
+    /// fewer rings than other scans, each of its rings gets the number of the ring with
+    /// the nearest elevation.
     void assign_ring_numbers(LidarPoints& points) const;
 
 private:

@@ -21,14 +21,15 @@ namespace {
 
 constexpr double kLeastStep_rad = 2e-4;  // minimum azimuth step between two firings (about 0.01 degrees)
 constexpr double kLargestStep_rad = 0.2;
-// Numbers of columns that differ from the first estimate by at most this share are
-// tested.
+// The search tests numbers of columns that differ from the first estimate by at most this
+// share.
 constexpr double kColumnSearchMargin = 0.03;
-// The azimuths are on a regular grid if |S_r|, summed over the rings and divided by the
-// number of points, is above this value.
+// The azimuths are on a regular grid if the sum over the rings of |S_r|, divided by the
+// number of points, is above this value. S_r is the sum of exp(i N azimuth) over ring r
+// for N columns.
 constexpr double kCoherent = 0.5;
-// The number of columns is increased to the number of points in the fullest ring, at most
-// by this factor.
+// If the fullest ring has more points than columns, the number of columns is increased,
+// at most by this factor.
 constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
@@ -59,8 +60,8 @@ RingPointLists group_points_by_ring(const LidarPoints& scan, std::size_t n_rings
 }
 
 /// Returns the median elevation of each ring, or nothing for a ring without points. Uses
-/// only the farther half of the points. Near points are less accurate, because a beam
-/// does not start exactly at the sensor origin.
+/// only the farther half of the points. Near points are less accurate, because beams
+/// start beside the sensor origin.
 std::vector<std::optional<double>> estimate_ring_elevations(const std::vector<LidarPoints>& scans,
                                                             std::size_t n_rings) {
     struct RangeElevation {
@@ -120,8 +121,9 @@ std::vector<std::complex<double>> compute_azimuth_phase_sums(const RingPointList
     return sums;
 }
 
-/// Returns the sum of |S_r(N)| over all rings r, for `n_column_counts` consecutive
-/// numbers of columns N, starting with `first_column_count`.
+/// Returns the sum over all rings r of |S_r(N)|, where S_r(N) is the sum of exp(i N
+/// azimuth). Computes it for `n_column_counts` consecutive N, starting with
+/// `first_column_count`.
 std::vector<double> compute_phase_coherences(const RingPointLists& rings, int first_column_count,
                                              std::size_t n_column_counts) {
     std::vector<double> lengths(n_column_counts, 0.0);
@@ -157,8 +159,8 @@ FiringColumnGrid estimate_azimuth_grid(const LidarPoints& scan, const RingPointL
         compute_phase_coherences(rings, first, std::size_t(lattice.columns + reach + 1 - first));
     const auto best = std::ranges::max_element(lengths);
     if (*best <= kCoherent * double(scan.size())) {
-        // A ring has at most one first return per column. Therefore the fullest ring
-        // gives the number of columns.
+        // A ring has at most one first return per column, so there are at least as many
+        // columns as points in the fullest ring.
         std::size_t most = 0;
         for (const RingPoints& ring : rings) most = std::max(most, ring.point.size());
         lattice.columns = std::clamp(int(std::min<std::size_t>(most, kMaxRays)), lattice.columns,

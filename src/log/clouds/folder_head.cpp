@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sequence.json. An unknown key is an error, because a misspelt key would otherwise
-// be replaced by its default value without a message.
+// Reads sequence.json. An unknown key is an error, because it can be a misspelt key.
 #include "log/clouds/folder_head.hpp"
 
 #include <algorithm>
@@ -48,7 +47,7 @@ std::vector<std::string> read_optional_text_list(const JsonField& field, const s
     return texts;
 }
 
-/// Returns the index of a JSON text in a list of allowed words.
+/// Returns the index of the text of a JSON field in a list of allowed words.
 std::size_t read_choice_index(const JsonField& field, const std::vector<std::string>& allowed_words) {
     const auto at = std::find(allowed_words.begin(), allowed_words.end(), field.get_string());
     if (at == allowed_words.end())
@@ -64,8 +63,8 @@ glm::dquat read_quaternion(const JsonField& field) {
     if (std::abs(glm::length(rotation) - 1.0) > 1e-3)
         field.throw_field_error(fmt::format("found a quaternion of length {}", glm::length(rotation)),
                                 "expected a quaternion of length 1");
-    // Does not normalise the quaternion, because this would only change its last digits.
-    // check_sequence() accepts small errors of its length.
+    // Does not normalise the quaternion, because this would change its last digits. Small
+    // errors of its length are allowed.
     return rotation;
 }
 
@@ -80,8 +79,7 @@ Pose read_vehicle_from_sensor(const JsonField& field, const std::string& error_l
     return {read_quaternion(field.at("quaternion")), {t[0], t[1], t[2]}};
 }
 
-/// Sets the sensor of a LiDAR. The JSON field contains the name of a built-in sensor or
-/// of a sensor file.
+/// Sets the sensor of a LiDAR from the name of a built-in sensor or of a sensor file.
 void read_named_sensor(const JsonField& field, const fs::path& log_folder, bool must_spin, Lidar& lidar) {
     const std::string name = field.get_string(kLongestPath);
     // maximum range, used if the sensor file does not contain one
@@ -181,13 +179,13 @@ std::vector<SequenceHeaderFrame> read_listed_frames(const JsonField& frame_list,
     return frames;
 }
 
-/// Returns true for a CSV file directly in the folder of the log. Such a file may be a
-/// table of beams instead of a scan.
+/// Returns true for a CSV file directly in the folder of the log. This file may be a
+/// table of beams and not a scan.
 bool can_be_beam_table(const fs::path& file, const fs::path& log_folder) {
     return file.extension() == ".csv" && file.parent_path() == log_folder;
 }
 
-/// Returns true if a file contains numbers as text, according to its extension.
+/// Returns true if the extension of a file means that it contains points as text.
 bool is_text_point_file(const fs::path& file) {
     return file.extension() == ".csv" || file.extension() == ".xyz";
 }
@@ -202,8 +200,8 @@ std::vector<SequenceHeaderFrame> list_frames_in_scan_folders(double rate_hz,
         int number = 0;
         const std::vector<fs::path> files =
             list_folder_entries((log_folder / lidars[l].scans).lexically_normal());
-        // Text files are scans only if the folder has no other scans, because they may
-        // contain time stamps instead.
+        // Text files are scans only if the folder has no scans in other formats.
+        // Otherwise they may contain time stamps.
         const bool has_scans = std::ranges::any_of(files, [](const fs::path& f) {
             return !is_text_point_file(f) && (is_point_file(f) || is_image_file(f));
         });

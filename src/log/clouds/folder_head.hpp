@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and checks the description files of a plain folder. docs/datasets.md documents
-// the format.
+// Reads and checks the files that describe a log in a plain folder. docs/datasets.md
+// documents the format.
 #pragma once
 
 #include <filesystem>
@@ -31,8 +31,8 @@ struct PointFileUnits {
     /// above 1 are an error.
     std::optional<double> intensity_max;
     double time_unit_s = 1.0;
-    /// True if the point times use the clock of the log. False if they are relative to
-    /// the time of their frame.
+    /// True: point times use the clock of the log. False: they are relative to the time
+    /// of their frame.
     bool absolute_times = false;
     /// Name of the field with the intensities. If empty, the first field with a usual
     /// name is used.
@@ -40,13 +40,13 @@ struct PointFileUnits {
     /// Points at exactly this position are rays without a return, in addition to points
     /// with NaN.
     std::optional<glm::vec3> no_return = {};
-    double time_zero = 0.0;  ///< time of a point at 0 s, in the time unit of the file
+    double time_zero = 0.0;  ///< value of the point time at the time 0 s, in the unit of the file
 };
 
 /// A LiDAR that sequence.json describes.
 struct SequenceHeaderLidar {
     Lidar lidar;
-    bool has_beams = false;  ///< true if the beams are known, from a list or from the name of the sensor
+    bool has_beams = false;  ///< true if the user gave the beams, as a list or by the name of the sensor
     bool spins = true;       ///< true if the LiDAR rotates; unknown beams can then be estimated from points
     /// True if it is unknown whether the LiDAR rotates. Points that do not fit a spinning
     /// LiDAR are then accepted.
@@ -55,7 +55,7 @@ struct SequenceHeaderLidar {
     /// Duration of a sweep in seconds, for points without times. 0: uses the time between
     /// frames.
     double sweep_duration_s = 0.0;
-    std::string scans;  ///< folder with the scan files; used if sequence.json does not list frames
+    std::string scans;  ///< folder with the scan files, if sequence.json does not list frames
 };
 
 struct SequenceHeaderFrame {
@@ -87,8 +87,8 @@ SequenceHeader read_log_description(const std::filesystem::path& log_folder, dou
 /// - 7 numbers per line: time_s x y z roll pitch yaw
 ///
 /// Poses with times are interpolated at the times of the frames. If the vehicle then does
-/// not drive forward, tests other meanings of the numbers (see
-/// choose_pose_interpretation()).
+/// not drive forward, other meanings of the numbers are tested, such as another order of
+/// the quaternion.
 /// @param read_scan_pairs  reads pairs of scans that confirm a meaning; may be null
 std::optional<std::vector<Pose>> read_frame_poses(const std::filesystem::path& pose_file,
                                                   const std::vector<SequenceHeaderFrame>& frames,
@@ -104,8 +104,8 @@ std::vector<BoxTrack> read_box_tracks(const std::filesystem::path& box_file,
                                       const std::vector<SequenceHeaderFrame>& all_frames);
 
 /// Reads the scans of all frames, which must already have poses. Estimates unknown beams
-/// from the points. Undoes motion compensation only if the log has poses
-/// (options.poses_file is not kNoPoses).
+/// from the points. Undoes motion compensation, but not if the user loads the log without
+/// poses.
 /// @param scan_files  [frames] scan file of each frame
 void read_scans(LidarSequence& sequence, const SequenceHeader& head,
                 const std::vector<std::filesystem::path>& scan_files, const DatasetOptions& options);

@@ -21,19 +21,19 @@ namespace {
 
 constexpr float kFarthestCoordinate_m = 1e6f;
 // Returns of one ray have nearly the same direction. This is the limit of 1 - cos(angle),
-// for an angle of 1.4 mrad. Rounded coordinates need this tolerance.
+// for 1.4 mrad. The tolerance is needed because coordinates in files are rounded.
 constexpr float kOneRay = 1e-6f;
 
-/// Returns true if a return is the strongest of its ray. The argument is Nebula's
-/// ReturnType: 3 strongest, 6 identical, 9 and 10 strongest and first or last.
+/// Returns true if a return is the strongest of its ray. `return_type` is a number of the
+/// ROS package Nebula: 3 strongest, 6 identical, 9 and 10 strongest and first or last.
 bool is_strongest_return_type(double return_type) {
     return return_type == 3.0 || return_type == 6.0 || return_type == 9.0 || return_type == 10.0;
 }
 
 /// Returns true if the values of a field are the distances of the points from the sensor,
-/// in any unit. A field with a similar name can contain something else, such as the
-/// distance from a plane.
-/// @param is_no_return  points whose value is no range
+/// in any unit. A field with the name of a range can also contain something else, such as
+/// the distance from a plane.
+/// @param is_no_return  points without a return, which are ignored
 bool are_ranges_consistent(const PointFieldView& ranges, const std::vector<glm::vec3>& points,
                            const std::vector<char>& is_no_return) {
     constexpr std::size_t kMostCompared = 2000;
@@ -51,8 +51,8 @@ bool are_ranges_consistent(const PointFieldView& ranges, const std::vector<glm::
     return double(n) >= kFewest * double(ratios.size());
 }
 
-/// Returns for each point whether its field `range` says that the ray has no return.
-/// Returns an empty array if the field does not exist or contains no ranges.
+/// Returns for each point whether its field `range` shows that the ray has no return.
+/// Returns an empty array if no field contains ranges.
 std::vector<char> flag_no_return_points(const PointTable& table, const std::vector<glm::vec3>& points) {
     const PointFieldView* ranges = table.find_field(PointAttribute::range);
     std::vector<char> marked;
@@ -65,7 +65,8 @@ std::vector<char> flag_no_return_points(const PointTable& table, const std::vect
     return marked;
 }
 
-/// Returns the indices and positions of all points that are returns, not dropped rays.
+/// Returns the indices and positions of the points that are returns. Leaves out dropped
+/// rays.
 std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> select_return_points(
     const PointTable& table, const std::array<const PointFieldView*, 3>& xyz_fields,
     const PointFileUnits& units) {
@@ -89,8 +90,9 @@ struct PointFieldConverter {
     std::vector<std::uint32_t> selected_indices;
     const std::string& where;
 
-    /// Converts a field: calls set(k, convert_value(value)) for the k-th selected point.
-    /// @throws DataError of convert_value, with the number of the point added to the
+    /// Converts a field: calls store_value(k, convert_value(value)) for the k-th selected
+    /// point.
+    /// @throws DataError from `convert_value`, with the number of the point added to the
     /// message
     template <class OfValue, class Set>
     void convert_each_value(const PointFieldView& field, const OfValue& convert_value,

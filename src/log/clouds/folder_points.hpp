@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts a table of points to the points of a scan. Also declares the interface from
-// which the scans of a log are read.
+// Converts a table of points to the points of a scan. Also declares the interface that
+// provides the scans of a log.
 #pragma once
 
 #include <string>
@@ -13,10 +13,9 @@
 namespace relidar::folder {
 
 /// Converts a table of points to relidar's units. Finds the meaning of each field by its
-/// name (see find_field_meaning()). If the table has Nebula's field return_type, points
-/// with the same ring, time and direction become returns of one ray. Omits rays without a
-/// return: points that is_valid_return_point() rejects, and points at the position
-/// units.no_return.
+/// name. If the table has the field return_type of the ROS package Nebula, points with
+/// the same ring, time and direction become returns of one ray. Omits rays without a
+/// return: invalid points, and points at the position units.no_return.
 /// @param frame_time_s  time that is subtracted from absolute point times
 /// @throws DataError with the number of the invalid point
 LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnits& units, double frame_time_s,
@@ -36,8 +35,8 @@ public:
 };
 
 /// Reads the scans of all frames, which must already have poses. Estimates unknown beams
-/// from the points. Undoes motion compensation only if the log has poses
-/// (options.poses_file is not kNoPoses).
+/// from the points. Undoes motion compensation, but not if the user loads the log without
+/// poses.
 void read_scans(LidarSequence& sequence, const SequenceHeader& head, const ScanProvider& source,
                 const DatasetOptions& options);
 

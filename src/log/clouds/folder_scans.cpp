@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads the scans of a plain folder. A scan file contains rays (npz, EXR) or points.
-// Points are assigned to rays. If rings or beams are unknown, they are first estimated
-// from a few scans of each LiDAR.
+// Points are assigned to rays. Unknown rings or beams are first estimated from a few
+// scans of each LiDAR.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -34,8 +34,8 @@ constexpr std::size_t kSamples = 6;  // number of scans per LiDAR that are used 
 // sweep period in seconds that is assumed if the log has only one frame
 constexpr double kUsualPeriod_s = 0.1;
 
-/// Counts the points that are the first return of their ray. Comparing this count with
-/// the finished scan shows how many points were lost.
+/// Counts the points that are the first return of their ray. The difference to the
+/// returns of the finished scan is the number of lost points.
 std::size_t count_first_returns(const LidarPoints& points) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -51,14 +51,14 @@ struct ScanConversionPlan {
     /// true if points are assigned to beams and columns; false if each point becomes a
     /// ray
     bool ordered = false;
-    /// true if the points in the files have ring numbers, and if they have times
+    /// true if the points in the files have ring numbers; true if they have times
     bool has_rings = false, has_times = false;
     bool undo = false;  ///< true: motion compensation is undone
     /// [rings] beam of each ring number in the files; kNoBeam: points of this ring are
     /// ignored
     std::vector<std::uint16_t> beam_of_ring;
-    /// Order of the points in the files. Set if the points have no ring numbers, but
-    /// their order shows the rings.
+    /// Finds rings from the order of the points in the files. Set if the points have no
+    /// ring numbers and are stored ring by ring.
     std::optional<RingOrderDetector> order;
 };
 
@@ -175,13 +175,12 @@ private:
     const bool has_poses_;
     ScanErrorCollector& broken_;
     std::vector<ScanConversionPlan> plans_;  ///< [lidars] settings for converting the points of each LiDAR
-    /// [frames] points that were read to estimate the beams, so that they are not read
-    /// again
+    /// [frames] points that were already read to estimate the beams
     std::map<std::size_t, LidarPoints> samples_;
     std::vector<std::size_t> left_out_;  ///< [frames] number of ignored points
     std::vector<std::size_t> n_first_;   ///< [frames] number of first returns
-    /// [frames] number of first returns that were lost, because their ray already had a
-    /// point
+    /// [frames] number of first returns that were lost, because another point has the
+    /// same ray
     std::vector<std::size_t> behind_;
 
     void add_note_once(const std::string& text) {
@@ -201,8 +200,8 @@ private:
         return points;
     }
 
-    /// Returns the duration of a revolution as stated by the user. If it is not stated,
-    /// returns the median time between frames of the LiDAR.
+    /// Returns the duration of a revolution that the user gave. Otherwise returns the
+    /// median time between frames of the LiDAR.
     double get_sweep_duration_s(std::size_t lidar_index) const {
         if (head_.lidars[lidar_index].sweep_duration_s > 0.0)
             return head_.lidars[lidar_index].sweep_duration_s;
@@ -318,10 +317,10 @@ private:
     }
 
     /// Sets ring numbers of points that have none, from their elevations or from their
-    /// order. Returns false if neither shows the rings.
+    /// order. Returns false if both methods fail.
     bool estimate_ring_numbers(std::size_t lidar_index, std::vector<LidarPoints>& sample_scans) {
-        // Elevations are tried first. The rings of an Ouster begin at different azimuths,
-        // so the order of its points cannot show them.
+        // Elevations are tried first, because the order of points does not show the rings
+        // of an Ouster. Its rings begin at different azimuths.
         if (const std::vector<Beam> beams = estimate_beams(sample_scans); !beams.empty()) {
             for (LidarPoints& sample : sample_scans) assign_points_to_rings(sample, beams);
             return true;
@@ -334,7 +333,7 @@ private:
     }
 
     /// Returns a hint that the user can set the sensor in sequence.json. Returns an empty
-    /// string for a log without this file.
+    /// string for logs that do not have this file.
     std::string suggest_sensor_setting(std::size_t lidar_index) const {
         return head_.lidars[lidar_index].is_guessed
                    ? ""
@@ -398,8 +397,8 @@ private:
     }
 };
 
-/// Reads the points of a few files, evenly spread over the log. Skips unreadable files,
-/// because the error is reported later, when all scans are read.
+/// Reads the points of a few files, evenly spread over the log. Skips unreadable files.
+/// Their errors are reported when all scans are read.
 std::vector<PointTable> read_sample_tables(const std::vector<fs::path>& scan_files,
                                            const std::vector<std::string>& column_names) {
     std::vector<fs::path> with_points;
@@ -436,8 +435,8 @@ IntensityScale estimate_image_intensity_scale(const std::vector<fs::path>& scan_
 }
 
 /// Estimates units that sequence.json does not contain from the points of some scans. If
-/// the intensity scale is ambiguous, it stays unset, and intensities above 1 cause an
-/// error later.
+/// the intensity scale is ambiguous, it stays unset. Intensities above 1 are then an
+/// error.
 void complete_point_units(SequenceHeader& head, const std::vector<fs::path>& scan_files,
                           std::vector<std::string>& notes) {
     const std::vector<PointTable> samples = read_sample_tables(scan_files, head.units.columns);

@@ -25,8 +25,8 @@ SweepFirings fit_uniform_sweep(const LidarPoints& points, const SpinningSensor& 
     SweepFirings sweep{{sensor.columns, 0.0}, {}};
     const std::vector<BeamRayGenerator> beams = make_beam_geometries(sensor.beams);
     const BeamRayGenerator ideal((Beam()));
-    // The phase of this sum is the mean offset of the head azimuths from a grid at
-    // azimuth 0.
+    // The phase of this sum is the mean difference between the head azimuths and a grid
+    // that starts at azimuth 0.
     std::complex<double> sum = 0.0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const BeamRayGenerator& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;

@@ -10,11 +10,11 @@
 namespace relidar {
 namespace {
 
-// Points of one ring have nearly the same elevation if the LiDAR rotates. This limits the
-// difference between the 10th and 90th percentile of the farther points.
+// If the LiDAR rotates, points of one ring have nearly the same elevation. This is the
+// maximum difference between the 10th and the 90th percentile, over the farther points.
 constexpr double kMostSpread_rad = 1.5 * kPi / 180.0;
-// A wider range of azimuths without points shows a limited field of view. A narrower one
-// can be blocked by the vehicle.
+// A wider azimuth range without points means a limited field of view. In a narrower
+// range, the vehicle may block the view.
 constexpr double kLeastGap_rad = kPi / 3.0;
 // Maximum relative difference between the period of rotation and the time between scans.
 constexpr double kOtherPeriod = 0.2;
@@ -56,8 +56,8 @@ double compute_widest_azimuth_gap(const std::vector<LidarPoints>& scans) {
             is_bin_occupied[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) * kBins) %
                             kBins] = true;
     std::size_t widest = 0, run = 0;
-    // Visits the bins twice, because a gap without points may cross the end of the
-    // circle.
+    // Counts every bin twice, because a gap may begin at the end of the circle and
+    // continue at its start.
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = is_bin_occupied[b % kBins] ? 0 : run + 1;
         widest = std::max(widest, std::min(run, kBins));

@@ -10,10 +10,9 @@
 
 namespace relidar {
 
-/// Returns the reason why points cannot come from a spinning LiDAR. Returns an empty
-/// string if they can. In a spinning LiDAR, all points of a ring have nearly the same
-/// elevation. A sweep takes the time of a full revolution, even if the field of view is
-/// limited.
+/// Returns the reason why points cannot come from a spinning LiDAR, or an empty string.
+/// In a spinning LiDAR, all points of a ring have nearly the same elevation. A sweep
+/// takes the time of a full revolution, even if the field of view is limited.
 /// @param scans  some scans, with rings
 /// @param fitted_sensor  sensor that was fitted to these scans
 /// @param frame_interval_s  time between scans in seconds

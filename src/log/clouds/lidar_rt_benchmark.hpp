@@ -14,7 +14,7 @@ namespace relidar {
 
 struct BenchmarkSequence {
     const char* name;
-    const char* drive;  ///< a part of the drive's name in the dataset; it identifies the drive
+    const char* drive;  ///< part of the drive's name in the dataset that is unique
     int first, last;    ///< first and last frame
     /// The paper uses four frames as the test set: test_first, test_first + test_every,
     /// and so on. All other frames are for training.
@@ -38,8 +38,8 @@ inline constexpr BenchmarkSequence kWaymoBenchmark[] = {
 
 /// Drive and frames that the user requested.
 struct RequestedDriveFrames {
-    /// name of the drive (a recording of the dataset) that the user requested directly,
-    /// or as part of a sequence of the paper
+    /// name of the drive (a recording of the dataset) that the user requested by its
+    /// name, or by a sequence of the paper
     std::string drive;
     /// Requested frames. For a sequence of the paper, only frames of this sequence.
     FrameRange frames;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads the scans of a KITTI raw drive, which are n x float32 {x, y, z, reflectance}. If
-// a folder is not a KITTI raw drive, returns a text about what the folder probably is.
+// a folder is not a KITTI raw drive, describes what it probably is.
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -18,7 +18,7 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-// Maximum range of a point. No LiDAR measures ten kilometres, so if the range is larger,
+// Maximum range of a point. No LiDAR measures ten kilometres. A larger range means that
 // the file has another number type or byte order.
 constexpr double kFarthestReturn_m = 1e4;
 

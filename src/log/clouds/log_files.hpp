@@ -15,7 +15,7 @@
 namespace relidar::kitti {
 
 /// Returns the numbers of the scan files in a folder, in ascending order. Returns only
-/// numbers from `begin_number` to `end_number` - 1. If end is -1, the numbers have no
+/// numbers from `begin_number` to `end_number` - 1. If `end_number` is -1, there is no
 /// upper limit.
 /// @throws DataError if the folder or its scans do not exist
 /// @throws UsageError if the range contains no scan
@@ -42,23 +42,23 @@ std::string describe_missing_scans(const std::filesystem::path& folder, const st
                                    bool allow_missing);
 
 /// Returns an error message for a folder that is not a KITTI drive. The message names the
-/// folder to use instead. Recognises an odometry sequence, a folder of drives, and a
-/// folder inside a drive.
+/// folder to use instead. Recognises three cases: an odometry sequence, a folder of
+/// drives, and a folder inside a drive.
 /// @param expected_subfolder  subfolder that every drive has
-/// @return empty string if the folder is none of these
+/// @return empty string in all other cases
 std::string suggest_dataset_folder(const std::filesystem::path& folder,
                                    const std::string& expected_subfolder);
 
 /// Reads the times of some frames, in seconds after the first time in the file. Line i
-/// contains the time of frame i, and is empty if this scan is missing. Times can cross
+/// contains the time of frame i. It is empty if the scan is missing. Times can cross
 /// midnight.
 /// @throws DataError if a line is not a time, if a frame has no time, or if times do not
 /// increase
 std::vector<double> read_relative_frame_times_s(const std::filesystem::path& time_file,
                                                 const std::vector<int>& frame_numbers);
 
-/// Returns the median duration of a sweep. The duration is the time in timestamps_end.txt
-/// minus the time in timestamps_start.txt, for each line that both files have.
+/// Returns the median duration of a sweep: the time in timestamps_end.txt minus the time
+/// in timestamps_start.txt. Uses all lines that both files have.
 double read_median_sweep_duration_s(const std::filesystem::path& drive_folder);
 
 /// Returns the duration of a sweep: the median time between consecutive lines of a
@@ -87,20 +87,20 @@ std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive_folder,
 std::vector<Pose> read_pose_matrices(const std::filesystem::path& pose_file,
                                      const std::vector<int>& frame_numbers);
 
-/// Reads LiDAR poses from a file of the user. The file contains matrices as in
-/// read_pose_matrices(), or poses with times as in folder::read_frame_poses().
+/// Reads LiDAR poses from a file of the user. The file contains a matrix per line (as in
+/// read_pose_matrices()), or poses with times (as in folder::read_frame_poses()).
 /// @param frame_times_s  [frames] times of the frames
 std::vector<Pose> read_user_pose_file(const std::filesystem::path& pose_file,
                                       const std::vector<int>& frame_numbers,
                                       const std::vector<double>& frame_times_s,
                                       std::vector<std::string>& notes);
 
-/// Note for a user who requested to load a log without its poses.
+/// Note for the user if the setting dataset.poses=none was used.
 inline constexpr const char* kNoPosesNote =
     "poses are not read (dataset.poses=none); they must be estimated from the scans";
 
-/// Replaces the vehicle poses of a log by poses from a file of the user. Boxes keep their
-/// positions relative to the vehicle. Does nothing if no file is given.
+/// Replaces the vehicle poses of a log by the poses in a file of the user. The boxes move
+/// with the vehicle. Does nothing if no file is given.
 void replace_vehicle_poses_from_file(LidarSequence& sequence, const std::filesystem::path& pose_file);
 
 /// Reads poses from a file. Each line contains a frame number and a 3x4 matrix (12

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Matches the sweeps of several LiDARs by time, because the LiDARs are not synchronised.
+// Matches the sweeps of several LiDARs by time. The LiDARs are not synchronised.
 #pragma once
 
 #include <cstddef>
@@ -12,9 +12,9 @@ namespace relidar {
 /// there is only one sweep.
 double compute_median_interval_s(std::vector<double> sweep_times_s);
 
-/// Assigns sweeps of another LiDAR to the sweeps of the main LiDAR. Each sweep of the
-/// main LiDAR gets the sweep with the nearest time. No sweep is assigned twice. The
-/// sweeps of the main LiDAR define the frame numbers.
+/// Assigns a sweep of another LiDAR to each sweep of the main LiDAR: the sweep with the
+/// nearest time. No sweep is assigned twice. The sweeps of the main LiDAR define the
+/// frame numbers.
 /// @param main_times_s  [sweeps] times of the main LiDAR, ascending, at least one
 /// @param other_times_s  times of the other LiDAR in any order
 /// @param max_difference_s  maximum time difference

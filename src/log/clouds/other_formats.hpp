@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recognises file formats that relidar cannot read. Names the tools that convert these
-// files.
+// Recognises file formats that relidar cannot read. Names tools that convert them.
 #pragma once
 
 #include <filesystem>
@@ -12,8 +11,8 @@ namespace relidar {
 /// supported format. Returns an empty string if the extension of the file is unknown.
 std::string describe_unsupported_format(const std::filesystem::path& file);
 
-/// Returns a text about the first file of a folder whose format relidar knows but cannot
-/// read. Returns an empty string if the folder has no such file.
+/// Searches a folder for a file in a known format that relidar cannot read. Returns a
+/// text about the first such file, or an empty string.
 std::string describe_unsupported_file_in(const std::filesystem::path& folder);
 
 }  // namespace relidar

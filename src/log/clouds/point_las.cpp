@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the points of LAS files (ASPRS LAS 1.0 to 1.4, point formats 0 to 10). A LAS file
-// usually contains a map in survey coordinates. Such a file is not a scan, so it is
-// refused.
+// Reads the points of LAS files (ASPRS LAS 1.0 to 1.4, point formats 0 to 10). Rejects
+// files with a map in survey coordinates. Such files are usual, but they are not scans.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -22,7 +21,7 @@ constexpr std::size_t kVersionAt = 24, kPointsAt = 96, kFormatAt = 104, kRecordA
                       kScaleAt = 131, kOffsetAt = 155, kHeaderBytes = 227, kLongCountAt = 247,
                       kLongHeader = 255;
 constexpr int kMostFormat = 10, kFirstLongFormat = 6;
-constexpr double kMostAway_m = 100.0;  // largest distance of the nearest points of a scan, along an axis
+constexpr double kMostAway_m = 100.0;  // a scan has points closer to the origin than this along x and y
 constexpr int kPacked = 128;           // added to the point format if the points are compressed
 
 template <class T>
@@ -74,9 +73,9 @@ LasHeader parse_las_header(std::string_view bytes, const std::string& error_loca
     return header;
 }
 
-/// Rejects maps and survey data. A scan has its sensor at the origin, so its points are
-/// near the origin. They need not surround the origin, because some sensors only look
-/// forward.
+/// Throws if the points are a map or in survey coordinates. The sensor of a scan is at
+/// the origin, so some points must be near the origin. They can all be on one side,
+/// because some sensors only look forward.
 void check_points_near_origin(const std::array<std::vector<double>, 3>& coordinates_m,
                               const std::string& error_location) {
     for (std::size_t axis = 0; axis < 2; ++axis) {

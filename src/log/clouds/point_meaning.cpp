@@ -18,11 +18,11 @@ namespace {
 // Largest values of the usual intensity scales: percent, 8 bits and 16 bits.
 constexpr double kPercent = 100.0, kByte = 255.0, kTwoBytes = 65535.0;
 constexpr double kFewBrighter = 0.995;  // minimum share of the intensities that must be within the scale
-// Real returns never share a position exactly. A position that this share of the points
-// has in common marks dropped rays.
+// Real returns almost never have exactly the same position. If the share of points at one
+// position is in this interval, the position marks dropped rays.
 constexpr double kLeastMarked = 0.01, kMostMarked = 0.95;
 constexpr std::size_t kFewestMarked = 16;
-constexpr std::size_t kLooks = 1024;  // maximum number of points in which repeated positions are searched
+constexpr std::size_t kLooks = 1024;  // maximum number of points that are tested for repeated positions
 
 template <class Use>
 void for_each_value(const PointFieldView& field, std::size_t count, const Use& visit_value) {
@@ -39,8 +39,8 @@ bool is_field_all_zero(const std::vector<PointTable>& clouds, const std::string&
     return is_zero;
 }
 
-/// Selects the field that contains the intensities: the first candidate with a value that
-/// is not 0.
+/// Selects the field that contains the intensities: the first candidate that has a value
+/// other than 0.
 void choose_intensity_field(const std::vector<PointTable>& clouds, PointFieldSemantics& meaning) {
     const std::vector<std::string> names = clouds[0].list_field_names(PointAttribute::intensity);
     if (names.empty()) return;
@@ -72,8 +72,8 @@ void add_note_on_unread_fields(const std::vector<PointTable>& clouds, PointField
                                         : "'" + shorten_for_error_message(meaning.intensity_field) + "'"));
 }
 
-/// Returns the position that so many points share exactly that it marks dropped rays.
-/// Returns nothing if there is no such position.
+/// Returns the position at which so many points are stored that it must mark dropped
+/// rays. Returns nothing if there is no such position.
 std::optional<glm::vec3> find_repeated_position(const PointTable& cloud) {
     const std::array<const PointFieldView*, 3> xyz = {cloud.find_field(PointAttribute::x),
                                                       cloud.find_field(PointAttribute::y),

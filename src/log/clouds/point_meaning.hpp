@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the meaning of a LiDAR's point values from some clouds: the field with the
-// intensities, the scale of the intensities, and the position that marks dropped rays.
+// Finds the meaning of a LiDAR's point values from some clouds: which field holds the
+// intensities, their scale, and the position that marks dropped rays.
 #pragma once
 
 #include <optional>

@@ -113,9 +113,9 @@ std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::stri
         "{}: the compressed data is damaged, expected LZF data of the size in the file", error_location));
 }
 
-/// Decompresses LZF data. A byte b below 32 precedes b + 1 literal bytes. A larger byte
-/// starts a reference of two or three bytes with the length and distance of earlier
-/// output.
+/// Decompresses LZF data. A byte b below 32 precedes b + 1 bytes that are copied. A
+/// larger byte starts a reference of two or three bytes: length and distance of earlier
+/// output to repeat.
 std::string decompress_lzf(std::string_view compressed_data, std::size_t decompressed_size,
                            const std::string& error_location) {
     std::string out;
@@ -140,8 +140,8 @@ std::string decompress_lzf(std::string_view compressed_data, std::size_t decompr
         const std::size_t back = ((control & 31) << 8) + next() + 1;
         if (back > out.size() || length > decompressed_size - out.size())
             throw_damaged_lzf_error(error_location);
-        // Copies byte by byte, because a reference may include bytes that it writes
-        // itself.
+        // Copies byte by byte, because a reference may repeat bytes that it has just
+        // written.
         for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];
     }
     if (out.size() != decompressed_size) throw_damaged_lzf_error(error_location);

@@ -27,8 +27,8 @@ struct PointFieldName {
     std::string_view name;
     PointAttribute value;
 };
-/// Field names in lower case and their meanings. If a file has several fields with the
-/// same meaning, the name that is listed first is used.
+/// Field names in lower case and their meanings. If several fields of a file have the
+/// same meaning, the name that is first in this list is used.
 constexpr PointFieldName kFieldNames[] = {
     {"x", PointAttribute::x},
     {"y", PointAttribute::y},
@@ -79,7 +79,8 @@ std::size_t find_field_index_ignoring_case(std::string_view field_name) {
     std::string name(trim_spaces(field_name));
     std::ranges::transform(name, name.begin(),
                            [](unsigned char character) { return char(std::tolower(character)); });
-    // VeloView and ParaView store x, y and z as elements 0, 1 and 2 of a vector.
+    // VeloView and ParaView store x, y and z as elements 0, 1 and 2 of a vector:
+    // "points:0".
     for (const char axis : {'0', '1', '2'})
         if (name.starts_with("points") && name.ends_with(std::string(":") + axis))
             return std::size_t(axis - '0');
@@ -126,7 +127,7 @@ PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::
                         bin_file.string(), n_bytes, record, fields.size()));
     PointTable table = make_table_of_binary_points(data, fields, n_bytes / record,
                                                    PointMemoryLayout::by_point, bin_file.string());
-    // read_head() already reports unread columns, so they are not listed again.
+    // The function that read the head has already reported unread columns.
     table.unread.clear();
     return table;
 }
@@ -170,7 +171,7 @@ std::optional<PointAttribute> find_field_meaning(std::string_view field_name) {
 }
 
 std::vector<std::string> PointTable::list_field_names(PointAttribute meaning) const {
-    // If names differ only in spelling, the one that equals the listed name is first.
+    // If names differ only in spelling, the exact name comes first.
     std::vector<std::tuple<std::size_t, bool, std::string>> ranked;
     for (const auto& [name, values] : fields_) {
         const std::size_t row = find_field_index_ignoring_case(name);
@@ -291,8 +292,8 @@ bool is_image_file(const fs::path& file) { return file.extension() == ".npz" || 
 
 namespace {
 
-/// Returns true if the header of a PCD or PLY file says that relidar wrote
-/// motion-compensated points or points in the world frame.
+/// Returns true if relidar wrote this PCD or PLY file with motion-compensated points or
+/// with points in the world frame. The header then says so.
 bool is_header_marked_deskewed(std::string_view file_bytes) {
     constexpr std::size_t kHeader = 4096;  // number of bytes at the start of the file that are searched
     const std::string_view header = file_bytes.substr(0, kHeader);

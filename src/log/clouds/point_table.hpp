@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Table of the points in a user's file (PCD, PLY, .bin or .npy). A reader of a format
-// only describes the layout of the fields. Values are not copied and keep the number type
+// Table of the points in a user's file (PCD, PLY, .bin or .npy). The reader of a format
+// describes only the layout of the fields. Values are not copied and keep the number type
 // of the file.
 #pragma once
 
@@ -36,8 +36,7 @@ enum class ScalarType : std::uint8_t { f4, f8, i1, i2, i4, i8, u1, u2, u4, u8 };
 /// View of the values of one field for all points of a cloud. The values stay in the
 /// number type of the file.
 class PointFieldView {
-    // Defined before its uses, because older clang versions cannot deduce the return type
-    // otherwise.
+    // Must precede its uses, so that older versions of clang can deduce the return type.
     template <class T>
     auto make_value_reader() const {
         return [first = first_, step = step_](std::size_t index) {
@@ -54,8 +53,8 @@ public:
     PointFieldView(ScalarType type, const char* first, std::size_t step)
         : first_(first), step_(step), type_(type) {}
 
-    /// Calls use(value_at) with a function that returns the value of point i as
-    /// value_at(i), in the number type of the file.
+    /// Calls visitor(value_at). `value_at` is a function that returns the value of point
+    /// i as value_at(i), in the number type of the file.
     template <class Use>
     void visit_with_value_reader(const Use& visitor) const {
         switch (type_) {
@@ -108,7 +107,8 @@ public:
     std::vector<std::string> unread;  ///< names of the fields that relidar does not read
 
     /// Returns the field with a meaning such as "intensity", or nullptr if no field has
-    /// it. If several fields have it, the order of the known field names decides.
+    /// this meaning. If several fields match, the order in the list of known names
+    /// decides.
     const PointFieldView* find_field(PointAttribute meaning) const;
     /// Returns the field with a name, or nullptr if the table has no such field.
     const PointFieldView* find_field(const std::string& field_name) const;
@@ -148,7 +148,7 @@ struct PointField {
     std::size_t count = 1;
 };
 
-/// Order in which the values of n points are stored in memory.
+/// How the values of n points are stored in memory: point by point, or field by field.
 enum class PointMemoryLayout {
     by_point,  ///< one record per point
     by_field   ///< all values of the first field, followed by all values of the second field, and so on
@@ -168,8 +168,8 @@ PointTable parse_point_lines(std::string_view text, const std::vector<PointField
 
 /// Returns true if a file has the extension of a supported point cloud format.
 bool is_point_file(const std::filesystem::path& file);
-/// Returns true if a file has the extension of an image format, in which each pixel is a
-/// ray.
+/// Returns true if the extension of a file means an image format. Each pixel of the image
+/// is a ray.
 bool is_image_file(const std::filesystem::path& file);
 /// Reads the points of a file. The extension of the file defines its format.
 /// @param column_names  names of the columns in .bin and .npy files; empty: x y z
@@ -178,7 +178,8 @@ bool is_image_file(const std::filesystem::path& file);
 PointTable read_point_file(const std::filesystem::path& file, const std::vector<std::string>& column_names);
 
 /// Reads a LAS file that contains a single scan.
-/// @throws DataError if the points are far from the origin, where the sensor of a scan is
+/// @throws DataError if no points are near the origin, which is the position of the
+/// sensor
 PointTable parse_las_points(const SharedBytes& file, const std::string& error_location);
 /// Reads a PCD or PLY file. The header of the file describes the fields.
 PointTable parse_pcd_points(const SharedBytes& file, const std::string& error_location);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads points from text files (CSV, XYZ) and from structured numpy arrays. A header in
-// these files contains the names of the fields.
+// the file can contain the names of the fields.
 #include <algorithm>
 #include <array>
 #include <cstring>
@@ -73,7 +73,8 @@ public:
         }
         return fields;
     }
-    /// Parses the shape of a field, which is a tuple of numbers. Returns their product.
+    /// Parses the shape of a field, which is a tuple of numbers. Returns the product of
+    /// the numbers.
     std::size_t parse_shape_product() {
         std::size_t n = 1;
         expect('(');

@@ -13,12 +13,12 @@
 namespace relidar::folder {
 namespace {
 
-// A vehicle drives forward if the mean x component of its unit motion vectors, in the
-// vehicle frame, is above this value.
+// A vehicle drives forward if the mean x component of its unit motion vectors is above
+// this value. The vectors are in the vehicle frame.
 constexpr double kForward = 0.9;
-// The numbers of a pose file can be read in several ways. A different way replaces the
-// usual one only if the share of forward motion and the overlap of the scans increase by
-// at least these amounts.
+// The numbers of a pose file have several possible meanings. Another meaning replaces the
+// documented one only if it is better by at least these amounts: in the share of forward
+// motion, and in the overlap of the scans.
 constexpr double kMoreForward = 0.3, kMoreOverlap = 0.02;
 // Minimum number of motions between poses for estimating the driving direction.
 constexpr std::size_t kFewestSteps = 3;
@@ -33,7 +33,6 @@ bool is_in_compared_range(const glm::vec3& point_m) {
 
 constexpr std::size_t kPairs = 5;  // number of pairs of scans that are compared
 
-/// Converts the returns of a frame to points in the vehicle frame.
 std::vector<glm::vec3> compute_points_in_vehicle_frame(const LidarSequence& sequence,
                                                        const LidarFrame& frame) {
     const Pose& mounting = sequence.get_lidar(frame).vehicle_from_sensor;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the meaning of the numbers in a pose file. Some programs write another order of
-// the quaternion, or degrees, or the inverse transform. With the right meaning, the
+// Finds the meaning of the numbers in a pose file. Some programs write the quaternion in
+// another order, or degrees, or the inverse transform. With the right meaning, the
 // vehicle drives along its x axis, and consecutive scans overlap.
 #pragma once
 
@@ -17,21 +17,21 @@ namespace relidar::folder {
 struct PoseInterpretation {
     std::string about;             ///< description for notes
     PoseTrack world_from_vehicle;  ///< poses according to this meaning
-    /// True if scans must confirm this interpretation of the pose file. The motion alone
-    /// is not enough, because a vehicle may also drive backwards.
+    /// True if scans must confirm this meaning of the pose file. The motion alone does
+    /// not prove it, because a vehicle may also drive backwards.
     bool needs_scans = false;
 };
 
-/// Pairs of scans. Their overlap shows which interpretation of a pose file is right.
+/// Pairs of scans. The meaning of a pose file is right if the scans of a pair overlap.
 class OverlapScanPairs {
 public:
     /// Adds a pair of scans from the same LiDAR.
-    /// @param points_m  positions in the vehicle frame
+    /// @param first_points_m, second_points_m  positions in the vehicle frame
     void add_scan_pair(double first_time_s, std::vector<glm::vec3> first_points_m, double second_time_s,
                        std::vector<glm::vec3> second_points_m);
     bool empty() const { return pairs_.empty(); }
-    /// Returns how well the scans overlap with the given poses: the share of points of
-    /// the second scan that are in a grid cell with a point of the first scan.
+    /// Returns how well the scans overlap with the given poses. This is the share of
+    /// points of the second scan that are in a grid cell with a point of the first scan.
     double compute_scan_overlap(const PoseTrack& world_from_vehicle) const;
 
 private:
@@ -45,8 +45,8 @@ private:
 using OverlapScanPairReader = std::function<OverlapScanPairs()>;
 
 /// Returns the index of the meaning that fits the motion of the vehicle and the scans
-/// best. Returns 0, the documented meaning, unless another meaning is clearly better. In
-/// this case, also adds a note.
+/// best. Returns 0, the documented meaning, unless another meaning is clearly better.
+/// Adds a note if the result is not 0.
 /// @param interpretations  possible meanings, at least one
 /// @param read_scan_pairs  reads pairs of scans; called only if the motion contradicts
 /// the documented meaning; may be null
@@ -56,8 +56,8 @@ std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& in
                                        const std::string& error_location, std::vector<std::string>& notes);
 
 /// Inverts the poses of a log if they are probably sensor-from-world poses, and adds a
-/// note for the user. With the inverse, the vehicle must drive forward and consecutive
-/// scans must overlap better. The scans of the log must have been read.
+/// note. Condition: with the inverse, the vehicle drives forward and consecutive scans
+/// overlap better. The log must already contain the scans.
 void invert_poses_if_inverted(LidarSequence& sequence);
 
 }  // namespace relidar::folder

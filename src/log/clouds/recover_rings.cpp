@@ -16,18 +16,17 @@
 namespace relidar {
 namespace {
 
-// Bin width of the histogram of elevations. Beams of real sensors are at least ten bins
-// apart.
+// Bin width of the histogram of elevations. Real beams are at least ten bins apart.
 constexpr double kBin_rad = 0.01 * kPi / 180.0;
 constexpr int kLeastGap = 3;  // minimum number of empty bins between two bands
 constexpr std::size_t kFewestBands = 4;
 // Maximum width of a band (the points of one beam), relative to its distance from the
 // nearest other band.
 constexpr double kWidest = 0.5;
-// Bins with fewer points than this share of a full bin count as empty.
+// A bin counts as empty if it has fewer points than this share of a full bin.
 constexpr double kStray = 0.005;
-// A beam does not start exactly at the sensor origin, so a near point can have the
-// elevation of another beam. The search covers this many beams on either side.
+// A near point can have the elevation of another beam, because beams start beside the
+// sensor origin. The search covers this many beams on either side.
 constexpr std::ptrdiff_t kReach = 6;
 
 double compute_elevation(const glm::dvec3& vector) {
@@ -35,8 +34,8 @@ double compute_elevation(const glm::dvec3& vector) {
 }
 
 /// Returns elevations of points in ascending order. Uses only the farther half of the
-/// points in each degree of elevation. Near points are less accurate, because beams do
-/// not start exactly at the sensor origin.
+/// points in each degree of elevation. Near points are less accurate, because beams start
+/// beside the sensor origin.
 std::vector<double> collect_sorted_far_elevations(const std::vector<LidarPoints>& scans) {
     struct PointRangeElevation {
         float range_m;
@@ -81,9 +80,9 @@ std::vector<RingBand> group_filled_elevation_bins(const std::vector<int>& points
     return bands;
 }
 
-/// Adds bands with few points, which belong to beams with few returns. Such a band is
-/// narrow, and its distance from the previous band is nearly the usual distance there.
-/// Stray points have no such regular distances.
+/// Adds narrow bands with few points, which belong to beams with few returns. Their
+/// distance from the previous band must be similar to the last distance between two
+/// bands. Stray points do not have such regular distances.
 /// @param candidate_bands  groups of all bins with points, in the order of the search
 /// @param strong_bands  bands with enough points, in the same order
 std::vector<RingBand> add_weak_bands(const std::vector<RingBand>& candidate_bands,
@@ -92,7 +91,7 @@ std::vector<RingBand> add_weak_bands(const std::vector<RingBand>& candidate_band
     constexpr int kWidestWeak = 2;
     std::vector<RingBand> complete;
     double usual = 0.0;       // distance between the last two bands
-    bool is_regular = false;  // false after a group of stray points, until the next band
+    bool is_regular = false;  // false after a group of stray points, until the next accepted band
     const auto distance = [](const RingBand& first, const RingBand& second) {
         return 0.5 * std::abs(double(second.first + second.last) - double(first.first + first.last));
     };

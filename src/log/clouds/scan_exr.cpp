@@ -59,7 +59,8 @@ std::vector<NamedArray> convert_channels_to_arrays(const ExrImage& image, const 
                                         values.data(), values.size()));
     add_vector_array(image, "direction", "directions", error_location, arrays);
     add_vector_array(image, "origin", "origin", error_location, arrays);
-    // frame of the points, which relidar writes into the metadata of rendered images
+    // name of the frame that the points are in; relidar writes it into the metadata of
+    // rendered images
     const auto frame = image.notes.find("points_in");
     const bool moved = frame != image.notes.end() &&
                        (frame->second.starts_with("world") || frame->second.starts_with("sensor at time_s"));
@@ -68,8 +69,8 @@ std::vector<NamedArray> convert_channels_to_arrays(const ExrImage& image, const 
     return arrays;
 }
 
-/// Sets the unknown beams of a LiDAR from the sensor name in the image. Accepts only
-/// built-in sensors, because with other names an image could make relidar read any file.
+/// If the beams of a LiDAR are unknown, sets them from the sensor name in the image.
+/// Accepts only built-in sensors. Otherwise an image could make relidar read any file.
 Lidar complete_sensor_from_image(Lidar lidar, const ExrImage& image) {
     const auto note = image.notes.find("sensor");
     if (note == image.notes.end() || !lidar.sensor.beams.empty() || lidar.pattern) return lidar;

@@ -18,7 +18,7 @@ namespace {
 constexpr double kLongestOffset_s = 10.0;
 constexpr std::size_t kMostReturns = 8;
 
-/// The named arrays of a scan file. Each array must have one entry per ray of the image.
+/// The named arrays of a scan file. Each array has one entry per ray of the range image.
 class ScanNpzArrays {
 public:
     ScanNpzArrays(const std::string& location, std::vector<NamedArray> arrays)
@@ -123,8 +123,7 @@ std::vector<SurfaceClass> read_ray_classes(const ScanNpzArrays& arrays, const st
     return classes;
 }
 
-/// Returns the rays of the sensor model. Used for images that do not contain ray
-/// directions.
+/// Returns the rays of the sensor model, for images that do not contain ray directions.
 RayTable make_rays_of_sensor(const ScanNpzArrays& arrays, const ScanImageContext& source) {
     RayTable rays = make_nominal_rays(source.lidar, source.time_s);
     if (rays.size() == 0)
@@ -140,8 +139,8 @@ RayTable make_rays_of_sensor(const ScanNpzArrays& arrays, const ScanImageContext
     return rays;
 }
 
-/// Reverses the order of the image rows. Used for files in which row 0 is the lowest
-/// beam, because row 0 is the highest beam in relidar.
+/// Reverses the order of the image rows, if row 0 of the file is the lowest beam. In
+/// relidar, row 0 is the highest beam.
 void reverse_image_rows(std::vector<NamedArray>& arrays, std::size_t n_rows) {
     for (NamedArray& array : arrays) {
         const std::size_t row = n_rows > 0 && array.shape.size() >= 2 && array.shape[0] == n_rows
@@ -253,8 +252,8 @@ Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedA
     Scan scan;
     scan.rays = has_rays ? make_rays_from_arrays(arrays) : make_rays_of_sensor(arrays, source);
     read_optional_ray_fields(arrays, source, scan.rays);
-    // A rendered file contains a median and a mean range. The mean can be between two
-    // surfaces, so the median is used.
+    // A rendered file contains a median and a mean range. The median is used, because the
+    // mean can be between two surfaces.
     const std::vector<float> range_m =
         read_ranges(arrays, arrays.find_optional_array("median_range") ? "median_range" : "range");
     scan.range_m = to_scan_array(range_m);

@@ -13,8 +13,8 @@
 
 namespace relidar::folder {
 
-/// Known properties of the LiDAR and the frame of an image file. Used for values that the
-/// file does not contain.
+/// Known properties of the LiDAR and the frame of an image file. They replace values that
+/// the file does not contain.
 struct ScanImageContext {
     const SequenceHeader& head;
     const SequenceHeaderLidar& of_head;  ///< the LiDAR as described in sequence.json
@@ -38,14 +38,15 @@ Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& so
 Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedArray> arrays,
                            const ScanImageContext& source);
 
-/// Writes a scan to an npz file without loss. In a motion-compensated scan, all rays get
-/// the time 0.
+/// Writes a scan to an npz file without loss. If the scan is motion-compensated, all rays
+/// get the time 0.
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated);
 
-/// Checks that a scan file and sequence.json agree about motion compensation.
+/// Throws if a scan file contains motion-compensated points, but sequence.json does not
+/// declare this.
 /// @param is_deskewed  true if the points of the scan file are motion-compensated
 /// (deskewed) or in the world frame
-/// @throws DataError if only the scan file contains motion-compensated points
+/// @throws DataError in this case
 void check_deskew_is_declared(bool is_deskewed, const SequenceHeader& head,
                               const std::string& error_location);
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assigns points to the rays that measured them. The ray of beam k at head azimuth theta
-// is compute_beam_ray(beam_k, theta). The range is |point - origin|. The firing time is
-// the measured time. If the points have no times, it is
+// Assigns points to the rays that measured them. compute_beam_ray() gives the ray of a
+// beam at head azimuth theta. The range is |point - origin|. The firing time is the
+// measured time. If the points have no times, it is
 //   -theta / (2 pi) * period   (clockwise, 0 = facing forward)
 #include <relidar/log/clouds.hpp>
 
@@ -31,7 +31,7 @@ struct RayPointIndices {
     int& get_point_index(std::size_t ring, std::size_t firing) { return point[ring * n_firings + firing]; }
 };
 
-/// Returns the return number of a point, from 0: 0 is the first return of a ray.
+/// Returns the return number of a point. 0 is the first return of a ray.
 std::size_t get_return_index(const LidarPoints& points, std::size_t point_index) {
     return points.return_number.empty() ? 0 : std::size_t(points.return_number[point_index]) - 1;
 }
@@ -81,8 +81,8 @@ std::vector<int> find_nearest_firing_per_tick(const std::vector<int>& firing_tic
     return filled;
 }
 
-/// Returns the firing that fills each column of a scan. If the sweep has fewer firings
-/// than columns, some firings fill several columns.
+/// Returns the firing (all lasers at one azimuth) for each column of a scan. If the sweep
+/// has fewer firings than columns, some firings fill several columns.
 std::vector<int> assign_firings_to_columns(const SweepFirings& sweep, int n_columns) {
     const std::size_t n = sweep.firings.size();
     std::vector<int> repeat(n, 1);
@@ -107,7 +107,7 @@ std::vector<int> assign_firings_to_columns(const SweepFirings& sweep, int n_colu
 class PointToRayAssignment {
 public:
     /// Assigns all points to the rays of a sweep.
-    /// @param head_azimuth_rad  [points] azimuth of the head at the time of the point
+    /// @param head_rad  [points] azimuth of the head at the time of the point
     PointToRayAssignment(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& sweep,
                          const std::vector<double>& head_rad)
         : points_(points), sensor_(sensor), sweep_(sweep), head_rad_(head_rad) {
@@ -120,7 +120,7 @@ public:
     }
     std::vector<RayPointIndices> by_return;
     /// [points] firing of each point; kEmpty if the range of the point is outside the
-    /// sensor's limits
+    /// limits
     std::vector<int> firing_of;
 
 private:
@@ -159,8 +159,8 @@ private:
         RayPointIndices& cells = get_cells_of_return(number);
         int point = static_cast<int>(point_index);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
-            // Second returns keep their firing, because they must be on the ray of their
-            // first return.
+            // A second return must be on the ray of its first return, so it does not move
+            // to another firing.
             if (cells.get_point_index(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
             std::swap(cells.get_point_index(ring, f), point);
             break;
@@ -169,8 +169,8 @@ private:
             cells.get_point_index(ring, firing) = point;
     }
 
-    /// Assigns a point beyond the maximum range of the sensor to its ray, unless the ray
-    /// already has a point.
+    /// Assigns a point beyond the sensor's maximum range to its ray, if the ray has no
+    /// point yet.
     void assign_point_beyond_max_range(std::size_t point_index) {
         if (!(double(compute_point_range(static_cast<int>(point_index))) > sensor_.max_range_m)) return;
         const std::size_t firing =
@@ -227,8 +227,8 @@ void resize_scan_arrays(Scan& scan, int rows, int columns, std::size_t n_second_
     scan.classes.assign(has_classes ? n : 0, SurfaceClass::unknown);
 }
 
-/// Marks a ray as dropped. Its origin and direction are those of the ideal beam; its
-/// range stays 0.
+/// Marks a ray as dropped. Sets the origin and direction of the ideal beam; the range
+/// stays 0.
 void set_dropped_ray(Scan& scan, std::size_t ray, const BeamRayGenerator& beam, double head_azimuth_rad) {
     const BeamRay model = beam.compute_ray(head_azimuth_rad);
     scan.rays.origin[ray] = glm::vec3(model.origin_m);
@@ -236,10 +236,10 @@ void set_dropped_ray(Scan& scan, std::size_t ray, const BeamRayGenerator& beam, 
 }
 
 /// Sets the direction and range of a ray with a return. The direction is from the beam's
-/// origin to the point. If the point is too close to the origin, returns false and sets
-/// nothing.
+/// origin to the point. Returns false and sets nothing if the point is too close to the
+/// origin.
 /// @param head_azimuth_rad  azimuth of the head at the time of the point. It gives the
-/// exact origin even if the firings have only regular azimuth steps.
+/// exact origin, even if the azimuths of the firings are rounded to regular steps.
 bool set_ray_with_return(Scan& scan, std::size_t ray, const BeamRayGenerator& beam, double head_azimuth_rad,
                          const LidarPoints& points, std::size_t point_index) {
     const glm::dvec3 p(points.position_m[point_index]);

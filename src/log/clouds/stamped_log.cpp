@@ -23,16 +23,16 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// The driving direction is computed from poses that are at least this far apart. Errors
-// of poses are much smaller.
+// Minimum distance between poses from which the driving direction is computed. It is much
+// larger than the errors of poses.
 constexpr double kStep_m = 1.0;
-// Between poses with a longer time difference, the motion is unknown and is ignored.
+// If more time is between two poses, the motion between them is ignored.
 constexpr double kLongestStep_s = 1.0;
 constexpr std::size_t kSamples = 6;  // number of scans for estimates
 // The points fit the nominal beams if their median distance from the beams is below this
-// share of the beam spacing. For another LiDAR, this share is about 0.25.
+// share of the beam spacing. Points of another LiDAR have about 0.25.
 constexpr double kMaxBeamMisfit = 0.15;
-// A pose at almost the requested time is used without interpolation. This tolerance is
+// A pose with almost the requested time is used without interpolation. The tolerance is
 // relative to the time between poses.
 constexpr double kSameTime = 1e-6;
 // Maximum coordinate of a pose in metres. UTM coordinates are smaller (up to 10^7).
@@ -80,8 +80,8 @@ std::optional<Pose> find_pose_at_time(const StampedLog& log, double time_s) {
     return track.interpolate_pose(time_s);
 }
 
-/// Reads point files. Adds missing values such as rings, and rotates the points to
-/// relidar's axes.
+/// Reads point files. Adds missing values such as rings. Rotates the points to relidar's
+/// axes.
 class StampedScanProvider : public folder::ScanProvider {
 public:
     StampedScanProvider(const LidarSequence& sequence, const std::vector<fs::path>& files,
@@ -130,8 +130,8 @@ std::vector<LidarPoints> read_sample_scans(const StampedScanProvider& source, st
     return samples;
 }
 
-/// Returns true if the elevations of most points are close to those of the nominal beams,
-/// compared with the spacing of the beams. Returns false for points of another LiDAR.
+/// Returns true if most points are close to the nominal beams in elevation, compared with
+/// the beam spacing. Returns false for points of another LiDAR.
 bool are_points_near_beams(const std::vector<LidarPoints>& sample_scans, const FittedSensor& fitted_sensor) {
     const std::vector<Beam>& beams = fitted_sensor.sensor.beams;
     // angle between each point and its beam, divided by the angle to the next beam
@@ -151,8 +151,8 @@ bool are_points_near_beams(const std::vector<LidarPoints>& sample_scans, const F
 }
 
 /// Fits the nominal beams to the points. Returns nothing if the points come from another
-/// LiDAR, or if their azimuths are not on a regular grid, for example after motion
-/// compensation.
+/// LiDAR. Also returns nothing if azimuths are not on a regular grid, for example after
+/// motion compensation.
 std::optional<SpinningSensor> fit_nominal_sensor(const std::vector<LidarPoints>& sample_scans,
                                                  const PointFileFormat& format) {
     if (sample_scans.empty()) return std::nullopt;
@@ -238,8 +238,8 @@ DrivingDirection estimate_driving_direction(const PoseTrack& world_from_sensor) 
         const glm::dvec3 step = poses[to].translation - poses[from].translation;
         const bool is_late = world_from_sensor.time_s[to] - world_from_sensor.time_s[from] > kLongestStep_s;
         if (!is_late && glm::length(step) < kStep_m) continue;
-        // In a curve, the motion has different directions in the first and the last
-        // sensor frame. Their mean is used.
+        // In a curve, the direction of motion differs between the frames of the first and
+        // the second pose. Uses the mean of both directions.
         if (!is_late) {
             const glm::dvec3 d = glm::normalize(step);
             const glm::dvec3 direction_in_sensor =
@@ -330,7 +330,7 @@ void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& 
                 "point is assigned to the nominal beam with the nearest elevation",
                 sensor.beams.size(), sensor.columns));
         } else {
-            // `source` reads `format`, so clearing the beams makes it return points
+            // If `format` contains no beams, `source` returns points without rings.
             // without rings.
             format.beams.clear();
         }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads logs whose scan files are named by time stamps. The poses have other time stamps.
-// Used for Boreas, MulRan and ONCE.
+// Reads logs whose scan files are named by time stamps, and whose poses have other time
+// stamps. Used for Boreas, MulRan and ONCE.
 #pragma once
 
 #include <cstdint>
@@ -55,7 +55,7 @@ struct DrivingDirection {
 };
 DrivingDirection estimate_driving_direction(const PoseTrack& world_from_sensor);
 /// Adds a warning to the notes if the vehicle does not seem to drive forward.
-/// @param forward_fraction  forward component of the mean driving direction, at most 1
+/// @param forward_fraction  x component of the mean driving direction, at most 1
 void add_note_unless_driving_forward(std::vector<std::string>& notes, double forward_fraction);
 
 /// The scan files of a log with their time stamps, and the poses of the log. Does not
@@ -75,8 +75,8 @@ struct StampedLog {
     }
 };
 /// Adds the scans of the requested range to the log as frames. Moves the origin of the
-/// world to the log. The poses are read from the dataset or from
-/// DatasetOptions::poses_file. Skips scans without a pose and adds a note.
+/// world near the log. The poses are from the dataset or from DatasetOptions::poses_file.
+/// Skips scans without a pose and adds a note.
 /// @return files of the scans
 /// @throws UsageError if the range contains no scan
 /// @throws DataError if no scan in the range has a pose
@@ -93,12 +93,12 @@ struct PointFileFormat {
     double sweep_duration_s = 0.1;  ///< duration of a sweep in seconds; used if the points have no times
     double turned_rad = 0.0;        ///< rotation about z from the axes in the files to relidar's axes
     /// Nominal beams of the LiDAR, for files without ring numbers. Each point belongs to
-    /// the nearest beam. Elevations are fitted to the points, azimuth offsets only within
-    /// one azimuth step. If the points come from another LiDAR, its beams are estimated
-    /// from the elevations of the points.
+    /// the nearest beam. The elevations of the beams are fitted to the points, and their
+    /// azimuth offsets only within one azimuth step. If the points come from another
+    /// LiDAR, its beams are estimated from the elevations of the points.
     std::vector<Beam> beams = {};
-    /// Function that adds values to the points which the files do not contain, such as
-    /// rings and times. Several threads can call it at the same time. May be empty.
+    /// Function that adds values which the files do not contain, such as rings and times.
+    /// Several threads can call it at the same time. May be empty.
     /// @param where  name of the file, for error messages
     std::function<void(folder::PointTable&, const std::string& where)> complete = {};
 };
@@ -107,8 +107,10 @@ struct PointFileFormat {
 void read_scans_of_frames(LidarSequence& sequence, const std::vector<std::filesystem::path>& scan_files,
                           PointFileFormat format, const DatasetOptions& options);
 
-/// Scale of the intensities in a dataset: the file value that becomes 1. It is 1 or 255
-/// if no intensity is larger. Otherwise only few intensities exceed it.
+/// Scale of the intensities in a dataset: the file value that becomes 1. The value is 1
+/// or 255 if no intensity is above it. Otherwise it is a value that only few intensities
+/// exceed.
+/// intensities exceed.
 struct DatasetIntensityScale {
     double most = 1.0;
     std::string about;  ///< text for a note, used if larger intensities are clamped to 1

@@ -14,8 +14,7 @@ namespace {
 
 // Pose corrections are computed at this interval and interpolated in between.
 constexpr double kStep_s = 1e-3;
-// Smaller corrections are skipped, because the range errors of sensors are ten times
-// larger.
+// Smaller corrections are skipped. The range errors of sensors are ten times larger.
 constexpr double kLeast_m = 1e-3;
 // The size of a rotation is measured as the shift of a point at this distance.
 constexpr double kReach_m = 50.0;
@@ -28,7 +27,7 @@ double compute_max_displacement_m(const Pose& correction) {
     return glm::length(correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
 }
 
-/// Computes the pose corrections during one sweep. They move rays from the true sensor
+/// Computes the pose corrections during one sweep. They convert rays from the true sensor
 /// pose to the pose that is interpolated between frames. Times are relative to the time
 /// of the frame.
 PoseTrack compute_pose_corrections(const LidarSequence& sequence, const LidarFrame& frame,

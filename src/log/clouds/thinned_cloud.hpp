@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Detects clouds from which a program has removed points. The removed points must not be
-// treated as dropped rays.
+// Detects clouds from which a program has removed points. Their rays must not be treated
+// as dropped rays.
 #pragma once
 
 #include <string>

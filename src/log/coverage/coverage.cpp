@@ -12,8 +12,8 @@ namespace relidar {
 namespace {
 
 constexpr int kEdge = ObservedVoxelSet::kBlockCells;
-// Points farther from the origin are ignored, because keys of cell blocks are unique only
-// up to 8e6 m.
+// Points farther from the origin than this are ignored. Blocks of grid cells have unique
+// keys only up to 8e6 m.
 constexpr double kFarthestPoint_m = 1e6;
 
 struct VoxelAddress {
@@ -35,8 +35,8 @@ bool is_in_supported_range(const glm::dvec3& point_m) {
            std::abs(point_m.z) < kFarthestPoint_m;
 }
 
-/// Calls visit(cell, length_m) for each cell that a line segment crosses, in order along
-/// the segment.
+/// Calls visit_cell(cell, length_m) for each cell that a line segment crosses, in order
+/// along the segment.
 template <class Visit>
 void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, const Visit& visit_cell) {
     if (!is_in_supported_range(start_m) || !is_in_supported_range(end_m)) return;
@@ -47,7 +47,8 @@ void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, 
     const double length_m = glm::distance(start_m, end_m);
     glm::ivec3 step;
     // `next`: where the segment crosses the next cell border along each axis. `pace`:
-    // distance between two borders. Both are fractions of the segment.
+    // distance between two borders along the axis. A value of 1 is the length of the
+    // segment.
     glm::dvec3 next, pace;
     int n_borders = 0;
     for (int axis = 0; axis < 3; ++axis) {
@@ -73,8 +74,8 @@ void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, 
 }  // namespace
 
 void ObservedVoxelSet::add_segment(const glm::dvec3& start_m, const glm::dvec3& end_m) {
-    // Block (a group of cells) that was used last, because the next cell is usually in
-    // the same block.
+    // Block (group of cells) that was used last. The next cell is usually in the same
+    // block.
     VoxelBlock* block = nullptr;
     visit_cells_on_segment(start_m, end_m, [&](const glm::ivec3& cell, double) {
         const VoxelAddress cell_address = locate_cell_in_block(cell);

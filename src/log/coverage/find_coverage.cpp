@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes which space the scans of a log have observed. Processes each scan firing by
-// firing.
+// Computes which space the scans of a log have observed. Processes each scan column by
+// column.
 #include <relidar/log/coverage.hpp>
 
 #include <algorithm>
@@ -20,11 +20,11 @@ struct ObservedRaySegment {
     glm::dvec3 get_path_end_m() const { return ray.origin_m + length_m * ray.direction; }
 };
 
-/// Returns the length of the observed path for each ray of one firing, highest beam
-/// first. A dropped ray has observed space only if there is a return below it. The length
-/// of its path is then the smaller of two ranges: the next return above and the next
-/// return below. If there is no return above, the length is max_range_m.
-/// @param ranges_m [rows] ranges of the returns, 0 if the ray was dropped
+/// Returns the length of the observed path for each ray of one column, highest beam
+/// first. A dropped ray has observed space only if a lower ray of the column has a
+/// return. Its length is then the smaller of two ranges: the next return above and the
+/// next return below. If there is no return above, the length is max_range_m.
+/// @param ranges_m  [rows] ranges of the returns, 0 if the ray was dropped
 std::vector<double> compute_observed_lengths_m(const std::vector<double>& ranges_m, double max_range_m) {
     const std::size_t n = ranges_m.size();
     std::vector<double> above(n, 0.0), result(n, 0.0);  // range of the nearest return above each row
@@ -54,8 +54,8 @@ void add_space_between_rays(ObservedVoxelSet& coverage, const ObservedRaySegment
     }
 }
 
-/// Returns n if only every n-th column needs to be processed, because the columns in
-/// between cross the same cells.
+/// Returns n if it is enough to process every n-th column, because the columns in between
+/// cross the same cells.
 std::size_t choose_column_step(const Lidar& lidar, double max_range_m) {
     const double step_m =
         lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : ObservedVoxelSet::kCell_m;

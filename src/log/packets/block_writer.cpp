@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the blocks of Velodyne's and Hesai's packets. With two returns, a pair of blocks
-// holds the same firings. The first block holds the last return. The second block holds
-// the strongest return, or the second strongest if the last return is the strongest.
+// Writes the blocks of Velodyne's and Hesai's packets. With two returns per ray, a pair
+// of blocks holds the same firings. The first block holds the last return. The second
+// block holds the strongest return, or the second strongest if the last return is the
+// strongest.
 #include <algorithm>
 #include <cmath>
 
@@ -22,8 +23,9 @@ constexpr double kMostAngle_rad = 1.0 * kPi / 180.0;
 constexpr double kMostRange = 65535.0;
 constexpr std::size_t kNoRing = std::size_t(-1);  ///< for a laser that does not fire
 
-/// Throws if the beams of a sensor differ from the beams of the product. Drivers compute
-/// points with the angles of the product, so other angles would give wrong points.
+/// Throws if the beam angles of a sensor differ from those of the product. Drivers
+/// compute points with the angles of the product, so other angles would give wrong
+/// points.
 /// @param product_beams  beams of the product
 void check_beams_match_product(const PacketLayout& layout, const std::vector<PacketBeam>& product_beams,
                                const SpinningSensor& sensor) {
@@ -71,7 +73,7 @@ BlockWriter::BlockWriter(const PacketLayout& layout, const SpinningSensor& senso
       start_ns_(options.start_ns),
       sequence_deg_(360e-6 * layout.cycle_us / sensor.period_s),
       beams_(list_beams_of_packet_layout(layout)) {
-    // A firing of a scan without firing sequences has all beams.
+    // If the scan is not divided into firing sequences, each firing has all beams.
     std::vector<PacketBeam> fired = beams_;
     const auto is_repeat = [](const PacketBeam& one, const PacketBeam& other) {
         return one.line == other.line;
@@ -92,7 +94,7 @@ BlockWriter::BlockWriter(const PacketLayout& layout, const SpinningSensor& senso
     }
 }
 
-/// Computes the mean time from the start of a firing sequence to a laser, over the
+/// Computes the mean delay of a laser after the start of a firing sequence, over all
 /// sequences in which the laser fires.
 double BlockWriter::compute_mean_laser_delay_us(std::size_t laser) const {
     double sum_us = 0.0, n = 0.0;
@@ -118,7 +120,8 @@ std::vector<FiringColumn> BlockWriter::join_firing_sequences(std::vector<FiringC
     std::vector<FiringColumn> firings;
     for (std::size_t c = 0; c < columns.size(); ++c) {
         FiringColumn& firing = firings.emplace_back(std::move(columns[c]));
-        // Without the column of the next firing sequence, this sequence has no returns.
+        // The returns of this firing sequence are stored in the next column. If that
+        // column is missing, the sequence has no returns.
         const bool has_next =
             c + 1 < columns.size() && columns[c + 1].time_s - firing.time_s < 1.5e-6 * layout_.cycle_us;
         const std::vector<std::array<LaserReturn, 2>> none(firing.returns.size());

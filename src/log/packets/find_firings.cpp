@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Groups the rays of a scan by firing, because a packet stores complete firings. In an
-// image, firing f of a beam is stored in the column f - compute_column_shift(beam).
+// Groups the rays of a scan by firing (all lasers at one azimuth), because a packet
+// stores complete firings. In a range image, firing f of a beam is stored in the column f
+// - compute_column_shift(beam).
 #include <algorithm>
 #include <cmath>
 
@@ -17,7 +18,7 @@ namespace {
 
 constexpr double kMinRevolutionFraction = 0.05;  // minimum part of a turn that a scan must cover
 constexpr double kSameFiring_us = 1.0;
-constexpr double kFar_m = 1e4;  // distance at which the direction of a ray without a return is evaluated
+constexpr double kFar_m = 1e4;  // distance at which the direction of a ray without a return is computed
 
 /// For each firing (all lasers at one azimuth) of a scan, finds the ray of each ring.
 class FiringRayTable {
@@ -42,9 +43,9 @@ private:
     std::vector<int> shift_;
 };
 
-/// Measures how well the delays of the lasers fit a scan. For each firing, computes the
-/// range of the times of its returns without these delays. Returns the sum of the ranges;
-/// 0 is a perfect fit.
+/// Measures how well the delays of the lasers fit a scan. Subtracts the delays from the
+/// times of the returns. Then adds up, over all firings, the latest minus the earliest
+/// time. 0 is a perfect fit.
 double compute_firing_time_spread_us(const Scan& scan, const FiringRayTable& image,
                                      const std::vector<double>& beam_delays_us) {
     double sum_us = 0.0;
@@ -61,9 +62,8 @@ double compute_firing_time_spread_us(const Scan& scan, const FiringRayTable& ima
     return sum_us;
 }
 
-/// Computes the time and the azimuth of a firing as the mean over its rays. Uses only
-/// rays with a return, because their directions are measured. If there is none, uses all
-/// rays.
+/// Computes time and azimuth of a firing as the mean over its rays. Uses only rays with a
+/// return, because their directions are measured. Uses all rays if none has a return.
 FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& image, int firing_index,
                                    const std::vector<BeamRayGenerator>& beams,
                                    const std::vector<double>& beam_delays_us) {
@@ -95,8 +95,9 @@ FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& image
     return column;
 }
 
-/// A log has no measured time for firings without returns. Computes their times from the
-/// nearest firing with a return and the rotation of the head between both.
+/// Computes the times of firings without returns, because a log has no measured time for
+/// them. Uses the nearest firing with a return, and the rotation of the head between the
+/// two firings.
 void correct_times_of_empty_firings(std::vector<FiringColumn>& columns, double rotation_period_s) {
     const auto n = std::ptrdiff_t(columns.size());
     std::vector<std::ptrdiff_t> before(columns.size(), -1), after(columns.size(), -1);
@@ -119,7 +120,7 @@ void correct_times_of_empty_firings(std::vector<FiringColumn>& columns, double r
 }
 
 /// Sorts firings by the rotation angle of the head. Times in a log are not exact, so they
-/// only decide between full turns.
+/// only decide in which turn a firing is.
 void sort_firings_by_head_angle(std::vector<FiringColumn>& columns, double rotation_period_s) {
     const FiringColumn middle = columns[columns.size() / 2];
     const auto turns_since = [&](const FiringColumn& column) {
@@ -140,8 +141,8 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
             fmt::format("cannot write packets of {}: the rays of a scan were fired within {:.3g} s, expected "
                         "the {:.3g} s of one revolution; motion-compensated scans have no firing times",
                         sensor.name, last - first, sensor.period_s));
-    // The rays of a firing have different times in a recorded log, and equal times in a
-    // rendered scan. Tests which case fits the times better.
+    // In a recorded log, the rays of a firing have different times. In a rendered scan,
+    // they have the same time. Tests which case fits the times better.
     const std::vector<double> no_offset(beam_delays_us.size(), 0.0);
     const bool has_laser_times = compute_firing_time_spread_us(scan, image, beam_delays_us) <
                                  compute_firing_time_spread_us(scan, image, no_offset);
@@ -152,7 +153,7 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
             make_firing_from_rays(scan, image, firing, beams, has_laser_times ? beam_delays_us : no_offset));
     if (has_laser_times) correct_times_of_empty_firings(columns, sensor.period_s);
     sort_firings_by_head_angle(columns, sensor.period_s);
-    // A log may contain a firing in two columns, so the second copy is removed.
+    // A log may contain the same firing in two columns. Removes the second copy.
     const auto is_repeat = [&](const FiringColumn& before, const FiringColumn& after) {
         return 1e6 * std::abs(before.time_s - after.time_s) < kSameFiring_us;
     };

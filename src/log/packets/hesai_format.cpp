@@ -28,19 +28,21 @@ struct HesaiProduct {
     HesaiHeader header;
     std::size_t n_header;
     std::size_t reserved;  ///< number of bytes between the blocks and the motor speed or return mode
-    /// If true, the return mode is stored before the speed, and the date before the time.
+    /// If true, the return mode is stored before the motor speed, and the date before the
+    /// time.
     bool is_mode_first;
     int first_year;  ///< year from which the date is counted
-    /// True if checksums follow the blocks and the end of the packet, and if a safety
-    /// field follows the blocks.
+    /// If true, a safety field and a checksum follow the blocks, and a second checksum
+    /// ends the packet.
     bool has_checksums = false;
-    std::uint8_t operation_mode = 0;  ///< byte before the return mode, if the mode is first
+    std::uint8_t operation_mode = 0;  ///< byte before the return mode, if `is_mode_first`
     std::size_t motion_bytes = 0;     ///< size of the motion data after the packet number
 };
 // One row per product: the header of a packet and the fields after the blocks. A header
-// of 12 bytes stores the protocol version, the numbers of lasers and blocks, the position
-// of the last return, the unit in millimetres, the number of returns, and flags for the
-// optional fields: 1 packet number, 2 motion data, 4 safety field.
+// of 12 bytes stores the protocol version, the numbers of lasers and blocks, and the
+// position of the last return. Then it stores the unit in millimetres, the number of
+// returns, and flags for the optional fields: 1 packet number, 2 motion data, 4 safety
+// field.
 constexpr HesaiHeader kOt128Header = {0xEE, 0xFF, 1, 4, 0, 0, 128, 2, 0, kUnit_mm, 1, 7};
 constexpr HesaiProduct kHesais[] = {
     {"Pandar40P", {}, 0, 8, false, 2000},
@@ -93,8 +95,8 @@ public:
         std::vector<std::string> lines(blocks_.layout().count_lasers_per_firing());
         for (std::size_t ring = 0; ring < sensor_.beams.size(); ++ring) {
             const Beam& beam = sensor_.beams[ring];
-            // azimuth of the laser relative to the head, minus the rotation of the head
-            // from the start of the block until the laser fires
+            // The azimuth offset of a beam contains the rotation of the head since the
+            // start of the block. The file stores the azimuth without this rotation.
             const double azimuth_rad =
                 -beam.azimuth_offset_rad - 2e-6 * kPi / sensor_.period_s * blocks_.get_beam_delays_us()[ring];
             const std::size_t laser = blocks_.get_laser_of_ring(ring);
@@ -114,7 +116,7 @@ public:
             blocks_.compute_packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
         std::string& bytes = packet.bytes;
         bytes.append(product_.header.begin(), product_.header.begin() + std::ptrdiff_t(product_.n_header));
-        // In the manual of the XT32, the first of two blocks stores the last return.
+        // The XT32 manual says that the first of two blocks stores the last return.
         if (product_.n_header == 12 && blocks_.has_dual_returns()) bytes[8] = 1, bytes[10] = 2;
         blocks_.append_blocks(bytes, columns, packet_number, 1e-3 * kUnit_mm);
         if (product_.has_checksums) append_crc32(bytes, product_.n_header), append_safety_field(bytes);
@@ -142,8 +144,8 @@ private:
     SpinningSensor sensor_;
     BlockWriter blocks_;
 
-    /// Sets the operation mode and the field that names the firing sequences of the
-    /// blocks.
+    /// Sets the operation mode, and the field that states which firing sequence each
+    /// block contains.
     void set_operation_mode(std::string& bytes, std::uint32_t packet_number) const {
         const PacketLayout& layout = blocks_.layout();
         bytes.back() = char(product_.operation_mode);
@@ -171,8 +173,8 @@ private:
     }
 };
 
-/// Measures how well a layout fits a sensor: relative difference between the time steps,
-/// plus 1 if the number of beams differs.
+/// Measures how badly a packet layout fits a sensor: the relative difference between the
+/// times per column, plus 1 if the number of beams differs. 0 is a perfect fit.
 double compute_layout_misfit(const PacketLayout& layout, const SpinningSensor& sensor) {
     const double step_us = 1e6 * sensor.period_s / sensor.columns;
     const double expected_us =

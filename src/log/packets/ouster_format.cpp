@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes packets of Ouster's sensors (firmware user manual, "Lidar Data"). The encoder
-// first writes the metadata and parses it. Then it writes packets in the format that the
-// metadata describes. Signal and ambient light are 0, because a scan does not store them.
+// first creates the metadata and parses them. Then it writes packets in the format that
+// the metadata describe. Signal and ambient light are 0, because a scan does not store
+// them.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -33,11 +34,12 @@ std::string make_ouster_product_line(const std::string& sensor_name) {
                : sensor_name;
 }
 
-/// Returns the first and the last column of the smallest azimuth window in which the
-/// sensor fires. The window can cross the end of the image and continue at column 0.
+/// Returns the first and the last column of the smallest azimuth window that contains all
+/// columns in which the sensor fires. If the last column is less than the first, the
+/// window crosses the end of the range image.
 std::array<int, 2> find_column_window(const std::vector<bool>& column_has_fired) {
     const int n = int(column_has_fired.size());
-    // Finds the longest run of columns that do not fire; `begin` is the column after it.
+    // Finds the longest gap without firings. `begin` is the first column after it.
     int begin = 0, longest = 0;
     for (int start = 0; start < n; ++start) {
         int length = 0;
@@ -47,8 +49,8 @@ std::array<int, 2> find_column_window(const std::vector<bool>& column_has_fired)
     return longest == n ? std::array{0, n - 1} : std::array{begin, (begin + n - longest - 1) % n};
 }
 
-/// Returns the metadata of an Ouster sensor as JSON text. Ouster's LiDAR frame has its x
-/// axis at the back, relidar's frame at the front. The metadata contain the transform.
+/// Returns the metadata of an Ouster sensor as JSON text. The x axis of Ouster's LiDAR
+/// frame points backward, relidar's points forward. The metadata contain the transform.
 std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string& packet_profile,
                                  const std::array<int, 2>& column_window) {
     std::vector<double> altitude_deg, azimuth_deg;
@@ -173,9 +175,9 @@ private:
         }
     }
 
-    /// Writes the range and the reflectivity of a return into a pixel. Ouster's ranges
-    /// start at the axis of rotation, so they include the distance of the beam origin
-    /// from the axis.
+    /// Writes the range and the reflectivity of a return into a pixel. Ouster measures
+    /// ranges from the axis of rotation. Therefore the distance of the beam origin from
+    /// the axis is added.
     void write_return_to_pixel(std::string& pixel, std::size_t byte_offset, const LaserReturn& laser_return,
                                double beam_origin_offset_m) const {
         const OusterProfile& profile = *format_->profile;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes network captures in the pcap format with nanoseconds (draft-ietf-opsawg-pcap).
 // Each packet becomes an Ethernet frame with IPv4 and UDP. Also writes all scans of a log
-// as a capture.
+// as one capture.
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -124,7 +124,7 @@ std::size_t save_packets(const LidarSequence& sequence, const fs::path& file,
             file.string(), sequence.lidars.size()));
     PacketOptions options;
     options.start_ns = get_log_start_unix_ns(sequence);
-    // Packet times cannot be negative, so a log that begins before time 0 is shifted.
+    // Packet times cannot be negative. A log that begins before time 0 is shifted.
     if (options.start_ns == 0 && !sequence.frames.empty())
         options.start_ns =
             1'000'000'000 * (1 + std::int64_t(std::ceil(std::max(0.0, -sequence.frames.front().time_s))));

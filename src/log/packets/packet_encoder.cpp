@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Distributes the firings of scans to packets. The position of a firing is the number of
-// firings that the sensor fired before it. A packet holds the firings of consecutive
-// positions. If the scans have no firing for a position, the packet stores a firing
-// without returns there.
+// Distributes the firings of scans to packets. A firing is all lasers at one azimuth; its
+// position is the number of earlier firings of the sensor. A packet holds firings at
+// consecutive positions. If the scans have no firing for a position, the packet stores a
+// firing without returns there.
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -20,11 +20,11 @@ namespace {
 using packets::FiringColumn;
 using packets::PacketFormat;
 
-// Maximum relative difference between the time per column of a sensor and that of the
-// real product.
+// Maximum relative difference between the time per column of a simulated sensor and of
+// the real product.
 constexpr double kMostStepError = 0.02;
-// If the sensor fires only at fixed azimuths, firings may deviate from them by at most
-// this share of a column.
+// Only for sensors that fire at fixed azimuths: how far a firing may be from its azimuth,
+// in columns.
 constexpr double kMostColumnError = 0.1;
 constexpr double kJump_us = 1.0;
 constexpr double kBehindSensor_deg = 180.0;
@@ -58,8 +58,8 @@ struct PacketEncoder::Impl {
         double clock_less_time_s = 0.0;
     };
     std::optional<FiringClockAnchor> last;         ///< last firing of all scans
-    std::optional<FiringClockAnchor> clock_start;  ///< firing at which the clock with even time steps starts
-    /// number of the pending packet, counted from the first firing
+    std::optional<FiringClockAnchor> clock_start;  ///< firing at which the sensor's clock starts
+    /// index of the packet that is filled now, counted from the first firing
     std::int64_t packet = 0;
     std::vector<FiringColumn> pending;  ///< [firings] firings of the pending packet
     std::vector<bool> fired;            ///< [columns] columns of all scans
@@ -94,8 +94,8 @@ struct PacketEncoder::Impl {
                format->columns_per_revolution();
     }
 
-    /// Returns the number of firing steps from `anchor` to a firing, including steps
-    /// without a firing. It is below 1 if the firing is not later.
+    /// Returns the number of firing periods from `anchor` to a firing, including periods
+    /// in which no firing is recorded. The result is below 1 if the firing is not later.
     double count_firing_steps_between(const FiringClockAnchor& anchor, const FiringColumn& firing) const {
         const double by_time = (firing.time_s - anchor.time_s) / get_firing_period_s();
         if (has_fixed_columns()) {
@@ -110,9 +110,9 @@ struct PacketEncoder::Impl {
         return std::round((turned_deg + 360.0 * turns) / get_firing_step_deg());
     }
 
-    /// Returns the number of firing steps from the last firing to this one. Returns 0 if
-    /// the firing has no returns and its step already has a firing, so that the firing is
-    /// skipped.
+    /// Returns the number of firing periods since the last firing. Returns 0 for a firing
+    /// without returns in the same period as the last firing. The caller skips such a
+    /// firing.
     std::int64_t count_firing_steps_from_last(const FiringColumn& firing) const {
         const double steps = count_firing_steps_between(*last, firing);
         if (steps < 1.0 && !firing.has_returns) return 0;
@@ -124,9 +124,9 @@ struct PacketEncoder::Impl {
         return std::int64_t(steps);
     }
 
-    /// Returns the position of the first firing within its packet. In a log, times jump
-    /// at the start of each packet. These jumps show where the original packets started,
-    /// and the new packets start at the same firings.
+    /// Returns the position of the first firing within its packet. In a recorded log,
+    /// times jump at the start of each original packet. The new packets start at the same
+    /// firings.
     std::int64_t find_first_index_in_packet(const std::vector<FiringColumn>& firings_of_scan) const {
         if (has_fixed_columns()) return compute_firing_column(firings_of_scan.front());
         if (!options.times_jitter) return 1;
@@ -144,15 +144,15 @@ struct PacketEncoder::Impl {
         return get_firings_per_packet() - start;
     }
 
-    /// Returns the maximum number of consecutive firings that can be missing in a log.
-    /// The encoder fills such gaps. They occur because logs contain no firings without
+    /// Returns the maximum number of consecutive firings that may be missing in a log.
+    /// The encoder fills such gaps. They occur because logs leave out firings without
     /// returns at the end of a turn, and because frames can be more than a turn apart.
     std::int64_t compute_max_gap_firings() const {
         return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / get_firing_period_s());
     }
 
-    /// Sets the time of a firing on the clock of the sensor. This clock has even steps,
-    /// although the receive times of the packets do not.
+    /// Sets the time of a firing on the sensor's clock. The clock has even steps. The
+    /// times in the log are uneven, because they depend on when packets were received.
     void set_firing_clock_time(FiringColumn& firing, std::int64_t firing_index) {
         firing.clock_s = firing.time_s;
         if (!options.times_jitter || has_fixed_columns()) return;
@@ -167,7 +167,8 @@ struct PacketEncoder::Impl {
 
     /// Stores a firing in its packet. First writes all earlier packets.
     void store_firing_in_packet(FiringColumn firing, std::int64_t firing_index) {
-        // Drivers need a firing before the first turn. It can need a packet of its own.
+        // Drivers need a firing before the first turn. If each packet holds one firing,
+        // an extra packet is needed for this firing.
         const bool needs_packet = get_firings_per_packet() == 1 && !has_fixed_columns();
         if (pending.empty())
             start_packet(needs_packet ? firing_index - 1 : firing_index / get_firings_per_packet());
@@ -179,8 +180,8 @@ struct PacketEncoder::Impl {
         pending[std::size_t(firing_index % get_firings_per_packet())] = std::move(firing);
     }
 
-    /// Adds firings without returns between the last and the next firing. The head is
-    /// assumed to rotate evenly between the two. Used only for sensors that fire at any
+    /// Adds firings without returns between the last firing and `next_firing`. Assumes
+    /// that the head rotates evenly between them. Used only for sensors that fire at any
     /// azimuth.
     void fill_gap_before_firing(const FiringColumn& next_firing, std::int64_t next_firing_index) {
         const double turned_deg = std::remainder(next_firing.azimuth_deg - last->azimuth_deg, 360.0);
@@ -216,8 +217,8 @@ struct PacketEncoder::Impl {
         pending.assign(std::size_t(get_firings_per_packet()), FiringColumn{});
     }
 
-    /// Computes time and azimuth of those firings in the pending packet that no scan
-    /// contains.
+    /// Interpolates time and azimuth of the firings in the pending packet that are
+    /// missing in the scans.
     void interpolate_missing_firings() {
         const auto first =
             std::ranges::find_if(pending, &FiringColumn::has_time_and_azimuth) - pending.begin();
@@ -245,8 +246,8 @@ struct PacketEncoder::Impl {
                 format->encode_packet(pending, has_fixed_columns() ? std::uint32_t(packet) : n_written));
     }
 
-    /// Writes the pending packet. A sensor that fires at any azimuth then sends another
-    /// packet without returns.
+    /// Writes the pending packet. For a sensor that fires at any azimuth, also writes one
+    /// more packet without returns.
     void finish_packets() {
         if (pending.empty()) return;
         write_pending_packet();

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Interface of the packet formats. Each maker has a file: velodyne_format.cpp,
+// Interface of the packet formats. Each manufacturer has a file: velodyne_format.cpp,
 // hesai_format.cpp and ouster_format.cpp. packet_encoder.cpp distributes the firings of
 // scans to packets.
 #pragma once
@@ -17,7 +17,6 @@
 
 namespace relidar::packets {
 
-/// One return of a laser.
 struct LaserReturn {
     float range_m = 0.0f;    ///< distance from the origin of the beam; 0 means no return
     float intensity = 0.0f;  ///< 0 to 1
@@ -29,8 +28,7 @@ struct FiringColumn {
     double clock_s = 0.0;      ///< time at which the first laser fires, by the clock of the sensor
     double azimuth_deg = 0.0;  ///< azimuth of the head, clockwise from the x axis, 0 to 360
     bool is_measured = false;  ///< false if the scans do not contain this firing
-    /// true if the scans do not contain this firing, so that its time and azimuth were
-    /// interpolated
+    /// true if the scans do not contain this firing; time and azimuth are interpolated
     bool is_filled = false;
     bool has_returns = false;
     /// [rings] strongest and second strongest return of each beam, highest beam first;
@@ -52,29 +50,27 @@ class PacketFormat {
 public:
     virtual ~PacketFormat() = default;
     virtual int get_udp_port() const = 0;
-    /// Returns the number of firings per packet.
     virtual int firings_per_packet() const = 0;
     /// Returns the time between two firings.
     virtual double get_firing_period_us() const = 0;
     /// Returns the number of packets that contain firings_per_packet() firings. The
-    /// number is 2 if the lasers fire in two sequences, and each sequence has its own
+    /// number is 2 if the lasers fire in two sequences and each sequence has a separate
     /// packet.
     virtual int packets_per_firing() const { return 1; }
     /// Returns the number of columns of a scan per firing. The number is 2 if the lasers
     /// fire in two sequences, and the scan has a column for each sequence.
     virtual int columns_per_firing() const { return 1; }
-    /// Joins columns_per_firing() columns of a scan to a firing. Removes the rays that
-    /// the sensor does not fire.
+    /// Joins columns_per_firing() columns of a scan to one firing. Removes the rays that
+    /// the real sensor does not fire.
     virtual std::vector<FiringColumn> join_firing_sequences(std::vector<FiringColumn> columns) const {
         return columns;
     }
     /// Returns the number of azimuths per turn at which the sensor fires. Column 0 is at
     /// the back of the sensor. Returns 0 if the sensor can fire at any azimuth.
     virtual int columns_per_revolution() const { return 0; }
-    /// Returns the delay of each beam of the scans after the first laser of a column, in
-    /// microseconds.
+    /// Returns the delay in microseconds of each beam after the first laser of a column.
     virtual std::vector<double> get_beam_delays_us() const = 0;
-    /// Returns a calibration file, which other programs need to decode the packets.
+    /// Returns the calibration file that other programs need to decode the packets.
     /// @param column_has_fired  [columns] true if the sensor fires at this column; empty
     /// if the sensor fires at any azimuth
     virtual PacketCalibrationFile make_calibration_file(const std::vector<bool>& column_has_fired) const {
@@ -82,7 +78,7 @@ public:
         return {};
     }
     /// Encodes one packet. Its bytes contain the time on the sensor's clock.
-    /// @param columns_per_revolution  [firings] firings of the packet
+    /// @param columns  firings of the packet
     /// @param packet_number  sequence number of the packet, from 0
     virtual SensorPacket encode_packet(std::span<const FiringColumn> columns,
                                        std::uint32_t packet_number) const = 0;
@@ -96,8 +92,8 @@ std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, co
 std::unique_ptr<PacketFormat> make_ouster_format(const SpinningSensor& sensor, const PacketOptions& options);
 
 /// Returns the number of columns of a scan per firing. The lasers of some products fire
-/// in two sequences. The scans of such a sensor have a row for each laser and each
-/// sequence, as decoded from packets, or a column for each sequence.
+/// in two sequences. Scans of such a sensor have a column for each sequence. Scans that
+/// were decoded from packets have a row for each laser and sequence instead.
 int count_columns_per_firing(const PacketLayout& layout, const SpinningSensor& sensor);
 
 /// Writes the blocks of a packet. Velodyne and Hesai use the same kind of block.
@@ -113,12 +109,12 @@ public:
     int columns_per_firing() const { return columns_per_firing_; }
     std::vector<FiringColumn> join_firing_sequences(std::vector<FiringColumn> columns) const;
     const std::vector<double>& get_beam_delays_us() const { return offsets_us_; }
-    /// Returns the manufacturer's index of the laser of a ring of the scans, from 0.
+    /// Returns the manufacturer's number of the laser that measures a ring (row) of the
+    /// scans, from 0.
     std::size_t get_laser_of_ring(std::size_t ring) const { return laser_of_[ring]; }
     /// Returns the index of the firing sequence of a block.
     /// @param packet_number  number of the packet
     std::size_t compute_firing_sequence_index(std::size_t block, std::uint32_t packet_number) const;
-    /// Appends all blocks of a packet.
     void append_blocks(std::string& bytes, std::span<const FiringColumn> columns, std::uint32_t packet_number,
                        double range_unit_m) const;
     /// Returns the time of a packet in nanoseconds since 1970.
@@ -127,7 +123,8 @@ public:
                                         double FiringColumn::*time_member) const;
 
 private:
-    /// Content of a block: index of the firing sequence, of the bank and of the return.
+    /// What a block contains: index of the firing sequence, of the group of lasers, and
+    /// of the return.
     struct PacketBlockIndex {
         std::size_t part, bank, number;
     };
@@ -137,7 +134,7 @@ private:
     std::int64_t start_ns_;
     double sequence_deg_;            ///< rotation of the head between two firing sequences
     std::vector<PacketBeam> beams_;  ///< beams of a firing
-    /// [rings of the scans] delay and index of each laser
+    /// [rings] delay of each laser
     std::vector<double> offsets_us_;
     std::vector<std::size_t> laser_of_;
     /// [firing sequences, lasers] index in FiringColumn::returns
@@ -151,7 +148,7 @@ private:
                               const PacketBlockIndex& block_position, double range_unit_m) const;
 };
 
-/// Returns the packet layout with this name. Layouts are stored in the table kLayouts.
+/// Returns the layout with this name from the table kLayouts.
 const PacketLayout& find_packet_layout(const std::string& product_name);
 /// Returns the names of the Velodyne sensors whose packets can be written.
 std::vector<std::string> list_velodyne_sensor_names();

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes packets of Velodyne's VLP-16, VLP-32C, HDL-32E and VLS-128 (manuals 63-9243,
-// 63-9325, 63-9113 and 63-9483). A packet consists of 12 blocks, the microseconds of the
-// hour (4 bytes), the return mode and the product.
+// 63-9325, 63-9113 and 63-9483). A packet consists of 12 blocks, the microseconds since
+// the full hour (4 bytes), the return mode and the product number.
 #include "base/bytes.hpp"
 #include "log/packets/packet_format.hpp"
 

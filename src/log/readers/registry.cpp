@@ -40,12 +40,12 @@ struct DatasetKind {
     const char* name;
     /// Names of files or folders that identify this kind of dataset, separated by blanks.
     /// "name*" matches every name that begins with "name". ".ending" matches files with
-    /// this ending, also inside a folder.
+    /// this extension, also inside a folder.
     const char* marker;
     const char* describe;
     LidarSequence (*load)(const fs::path&, const DatasetOptions&);
-    /// True if a dataset contains several drives, from which the user selects one with
-    /// DatasetOptions::requested_drive.
+    /// True if a dataset contains several drives. The user then selects one drive with
+    /// DatasetOptions::sequence.
     bool holds_drives = false;
 };
 
@@ -105,8 +105,9 @@ bool is_dataset_of_kind(const fs::path& path, const DatasetKind& kind) {
     return false;
 }
 
-/// Throws if a folder contains scans but no sequence.json.
-/// @throws DataError with an example of a sequence.json for the user
+/// Throws if a folder contains scans but no sequence.json. The message contains an
+/// example of a sequence.json.
+/// @throws DataError in this case
 void check_scans_have_sequence_json(const fs::path& path) {
     std::error_code failed;
     if (!fs::is_directory(path, failed)) return;
@@ -127,9 +128,9 @@ void check_scans_have_sequence_json(const fs::path& path) {
 }
 
 /// Returns the largest range of all returns of a LiDAR, rounded up to metres. Returns 80
-/// m if there are no returns.
+/// m if the LiDAR has no returns.
 double find_farthest_return_m(const LidarSequence& sequence, int lidar_index) {
-    // Larger ranges are ignored, because no LiDAR on a vehicle measures them.
+    // Larger ranges are ignored as errors. No LiDAR on a vehicle measures them.
     constexpr float kFarthest_m = 1000.0f;
     constexpr double kWithoutReturns_m = 80.0;
     std::vector<float> farthest(sequence.frames.size(), 0.0f);
@@ -218,8 +219,8 @@ void add_notes_about_dropped_returns(LidarSequence& sequence,
                         sequence.source, n_all, sequence.notes.back()));
 }
 
-/// Restricts the LiDARs to the range limits that the user requested. Returns outside the
-/// limits become dropped rays.
+/// Sets the range limits that the user requested for all LiDARs. Turns returns outside
+/// the limits into dropped rays.
 void drop_returns_outside_limits(LidarSequence& sequence, const RangeLimits& requested_limits) {
     set_unknown_max_ranges(sequence);
     for (Lidar& lidar : sequence.lidars) {
@@ -237,11 +238,12 @@ void drop_returns_outside_limits(LidarSequence& sequence, const RangeLimits& req
     add_notes_about_dropped_returns(sequence, counts);
 }
 
-/// Adds a note for the user if all returns of the log have the same intensity, because
-/// the log then has no intensities.
+/// Adds a note for the user if all returns of the log have the same intensity. The log
+/// then does not contain real intensities.
 void add_note_if_intensities_missing(LidarSequence& sequence) {
     constexpr float kNone = -1.0f, kSeveral = -2.0f;
-    // [frames] intensity that all returns of a frame have, or one of the constants above
+    // [frames] intensity that all returns of a frame have; otherwise one of the constants
+    // above
     std::vector<float> common(sequence.frames.size(), kNone);
     const auto add = [&](float& all, float intensity) {
         if (all == kNone) all = intensity;
@@ -263,8 +265,8 @@ void add_note_if_intensities_missing(LidarSequence& sequence) {
     if (std::ranges::find(sequence.notes, note) == sequence.notes.end()) sequence.notes.push_back(note);
 }
 
-/// Keeps only the named LiDARs. Removes the frames of all other LiDARs, and poses that no
-/// frame needs.
+/// Keeps only the named LiDARs. Removes the frames of all other LiDARs, and the poses
+/// that are then unused.
 void keep_named_lidars(LidarSequence& sequence, const std::vector<std::string>& lidar_names) {
     std::vector<int> new_index_of_lidar(sequence.lidars.size(), -1);
     for (const std::string& name : lidar_names)
@@ -297,7 +299,8 @@ void keep_named_lidars(LidarSequence& sequence, const std::vector<std::string>& 
             fmt::format("these LiDARs of the log are not read: {}", fmt::join(left_out, ", ")));
 }
 
-/// Splits a text of the form "kind:path". Returns an empty kind for a path alone.
+/// Splits a text of the form "kind:path". Returns an empty kind if the text is only a
+/// path.
 std::pair<std::string, fs::path> split_kind_and_path(const std::string& dataset) {
     std::error_code failed;
     const std::size_t colon = dataset.find(':');
@@ -328,8 +331,8 @@ void check_frame_range(const FrameRange& range) {
     }
 }
 
-/// Estimates, for each frame, the start time of the sweep and the deviations of the head
-/// azimuths from even rotation.
+/// Estimates two values for each frame: the start of the sweep, and how much the head
+/// azimuths deviate from even rotation.
 void estimate_sweep_starts(LidarSequence& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars)

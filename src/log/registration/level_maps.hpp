@@ -14,9 +14,10 @@ class MultiScalePlaneMaps {
 public:
     static constexpr int kLevels = 3;
 
-    /// Creates an empty map for each cell size. Levels go from coarse to fine.
-    /// @param first, last cell size and scale of the robust kernel at the coarsest and at
-    /// the finest level
+    /// Creates an empty map for each cell size. The levels are sorted from coarse to
+    /// fine.
+    /// @param first, last  cell size and scale of the robust kernel at the coarsest and
+    /// at the finest level
     MultiScalePlaneMaps(const RegistrationRound& first, const RegistrationRound& last)
         : first_(first), last_(last) {
         clear();
@@ -42,9 +43,9 @@ public:
     void remove_cells_before(double min_travelled_distance_m) {
         for (VoxelPlaneMap& map : maps_) map.remove_cells_before(min_travelled_distance_m);
     }
-    /// Returns the plane at a point from map `finest_level`, or from the next coarser map
-    /// that has one. Distant points are sparse and form planes only in large cells.
-    /// Returns null if no map has a plane.
+    /// Returns the plane at a point. Searches map `finest_level` first, then the coarser
+    /// maps, because distant points form planes only in large cells. Returns null if no
+    /// map has a plane.
     const LocalPlane* find_finest_plane_at(const glm::dvec3& point_m, int finest_level) const {
         const LocalPlane* plane = nullptr;
         for (int l = finest_level; l >= 0 && !plane; --l)

@@ -14,41 +14,43 @@
 namespace relidar {
 namespace {
 
-// Distance along the path between two key poses. Loop closures join only key poses.
+// Distance along the path between two key poses (selected poses of the track). Loop
+// closures connect only key poses.
 constexpr double kKey_m = 4.0;
-// Two passes over the same road must be this far apart along the path. Odometry has
-// already aligned closer passes.
+// Minimum path length between two passes over the same road. Odometry has already aligned
+// passes with a shorter path between them.
 constexpr double kApart_m = 80.0;
-// Two passes are joined only if they are closer than kMinComparedRange_m. This limit
-// grows by kLoopDistanceGrowth per metre of path between them, up to kFarthest_m, because
-// odometry drifts.
+// Maximum distance between two passes that are joined. The limit grows by
+// kLoopDistanceGrowth per metre of path between the passes, up to kMaxLoopDistance_m,
+// because odometry drifts.
 constexpr double kLoopDistance_m = 4.0, kLoopDistanceGrowth = 0.01, kMaxLoopDistance_m = 15.0;
-// The map for a loop closure contains scans within this distance along the earlier path,
-// on both sides of the key pose.
+// The map for a loop closure contains the scans from this path length before the earlier
+// key pose to this path length after it.
 constexpr double kMap_m = 14.0;
-// Spacing and extent of the grid of start positions that registration tries around the
-// predicted pose.
+// Registration tries a grid of start positions around the predicted pose. The values are
+// the spacing of the grid, and its largest horizontal and vertical distance.
 constexpr double kGrid_m = 1.5, kWidest_m = 6.0, kHighest_m = 4.5;
-// Reduces the share of matching points of a start position per grid step from the
-// prediction, so that positions near the prediction are preferred.
+// Start positions near the prediction are preferred. This value per grid step is
+// subtracted from the share of points that match.
 constexpr double kGridPenalty = 0.01;
 constexpr std::size_t kGridPoints = 400;
 constexpr int kMostLoopSteps = 10;
 constexpr double kLoopStep_m = 1e-3, kLoopPrior = 1e-4;
 // A loop closure is valid if at least this share of the scan's points lies on planes of
-// the earlier pass. In odometry, the share is 0.5 to 0.8.
+// the earlier pass. In odometry, 0.5 to 0.8 of the points match.
 constexpr double kLeastShare = 0.4;
 constexpr std::size_t kMinLoopClosures = 2;
-// standard deviations of odometry errors on a path of length kKey_m
+// standard deviations of odometry errors on a path of length kKey_m, which is the
+// distance between two key poses
 constexpr double kOdometrySigma_m = 0.01, kOdometrySigma_rad = 3e-4;
 constexpr double kClosureSigma_m = 0.05, kClosureSigma_rad = 2e-3;  // standard deviations of a loop closure
-// Loop closures that contradict other loop closures by much more than this lose their
-// weight (robust kernel).
+// Scale of a robust kernel. A loop closure that contradicts the other loop closures by
+// much more than this has almost no weight.
 constexpr double kBelieved_m = 0.5;
 constexpr int kReweighted = 6;
 
-/// Loop closure: the scan at a later key pose, registered to the map of an earlier pass
-/// over the same road.
+/// Loop closure: the scan at a later key pose was registered to the map of an earlier
+/// pass over the same road.
 struct LoopClosure {
     std::size_t earlier, later;  // indices of the key poses
     // correction of the later pose: translation, then rotation vector
@@ -137,8 +139,8 @@ private:
         maps_.add_points_to_maps(points_m, 0.0);
     }
 
-    /// Returns the points of a scan in the frame of its key pose, each with the position
-    /// of the vehicle when it was measured.
+    /// Returns the points of a scan in the frame of its key pose. Each point has the
+    /// position from which the vehicle measured it.
     std::vector<WorldPointWithOrigin> transform_scan_to_key_pose(std::size_t key_index) const {
         const Pose pose_from_world = inverse(get_key_pose(key_index));
         std::vector<WorldPointWithOrigin> points;
@@ -162,8 +164,8 @@ private:
         return double(on_planes) / double(std::max<std::size_t>(n, 1));
     }
 
-    /// Tries a grid of start positions around a pose. Returns the one with the most
-    /// points on planes of the map. Positions far from the prediction get a penalty.
+    /// Returns the best start position in a grid around a pose: most points on planes of
+    /// the map, after a penalty for the distance from the pose.
     Pose find_best_start_pose(const std::vector<WorldPointWithOrigin>& points, const Pose& initial_pose,
                               double search_radius_m) const {
         std::vector<glm::dvec3> offsets;
@@ -186,7 +188,8 @@ private:
         return start_at(std::size_t(std::ranges::max_element(scores) - scores.begin()));
     }
 
-    /// Moves a scan by one Gauss-Newton step towards the planes of the map.
+    /// Moves a scan by one Gauss-Newton step, so that its points move towards planes of
+    /// the map.
     /// @return length of the step
     double align_scan_by_one_step(const std::vector<WorldPointWithOrigin>& points, Pose& pose, int level,
                                   double& fraction_on_planes) const {
@@ -228,8 +231,8 @@ private:
                                                                     get_key_pose(later_key_index))
                                    : find_best_start_pose(points, get_key_pose(later_key_index), reach_m);
         double share = refine_loop_pose(points, at);
-        // If the start value from the previous loop closure fails, tries the grid of
-        // start positions.
+        // The pose predicted from the previous loop closure did not match, so this tries
+        // the grid of start positions.
         if (previous_closure && share < kLeastShare) {
             at = find_best_start_pose(points, get_key_pose(later_key_index), reach_m);
             share = refine_loop_pose(points, at);
@@ -239,8 +242,8 @@ private:
                            compute_twist(get_key_pose(later_key_index), at)};
     }
 
-    /// Applies the motion that corrects `reference_pose` to another pose. Both poses move
-    /// together like a rigid body.
+    /// Moves `other_pose` together with `reference_pose` like one rigid body, if
+    /// `correction` is applied to `reference_pose`.
     static Pose apply_correction_to_other_pose(const Twist& correction, const Pose& reference_pose,
                                                const Pose& other_pose) {
         const Pose world_from_world = apply_twist(reference_pose, correction) * inverse(reference_pose);
@@ -248,8 +251,8 @@ private:
     }
 
     /// Least-squares equations for the corrections x of all key poses.
-    /// add_pose_constraint() adds a term that pulls x_b to x_a (converted to pose b) plus
-    /// `off`.
+    /// add_pose_constraint() adds a term that pulls x_second towards x_first (converted
+    /// to the second pose) plus `expected_difference`.
     struct LoopClosureEquations {
         std::vector<Eigen::Triplet<double>> h;
         Eigen::VectorXd g;
@@ -305,8 +308,7 @@ private:
         return Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(h).solve(equations.g);
     }
 
-    /// Returns the correction of a pose that moves with a corrected key pose like a rigid
-    /// body.
+    /// Returns the correction of a pose that is attached rigidly to a corrected key pose.
     Vector6 transfer_key_correction(std::size_t pose_index, std::size_t key_index,
                                     const Eigen::VectorXd& key_corrections) const {
         return make_twist_transfer_matrix(track_.pose[pose_index].translation -
@@ -314,8 +316,7 @@ private:
                key_corrections.segment<6>(6 * Eigen::Index(key_index));
     }
 
-    /// Returns by how many metres a loop closure still disagrees with the corrected key
-    /// poses.
+    /// Returns the distance in metres between a loop closure and the corrected key poses.
     double compute_closure_residual_m(const LoopClosure& loop_closure,
                                       const Eigen::VectorXd& key_corrections) const {
         const Vector6 moves =

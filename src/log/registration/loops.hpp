@@ -13,7 +13,7 @@ namespace relidar {
 struct LoopClosureOptions {
     /// cell sizes and robust-kernel scales at the coarsest and at the finest level
     RegistrationRound first, last;
-    /// Progress callback. If it returns false, the search for loops stops.
+    /// Callback with the progress. If it returns false, the search for loops stops.
     std::function<bool(double done)> proceed;
 };
 
@@ -25,17 +25,17 @@ struct LoopClosureResult {
 
 /// Closes the loops of a track. Searches for poses near a position that the track passed
 /// at least 80 m of path earlier. The allowed distance grows with the path length. A loop
-/// closure is accepted if enough points of the scan lie on planes of the earlier pass.
-/// Loop closures that contradict the others get a lower weight (Geman and McClure 1985).
+/// closure is accepted if enough points of the scan lie on planes of the earlier pass. A
+/// loop closure that contradicts other ones gets a lower weight (Geman and McClure 1985).
 /// The corrections x of the poses minimise
 ///   sum over the track of |x_k+1 - x_k|^2 / s_k^2
 ///   + sum over loop closures of rho(|x_later - x_earlier - measured correction|)
 /// where each x is a translation and a rotation that also moves all later poses.
-/// @param odometry_track poses from odometry: accurate from scan to scan, with a drift of
-/// metres over kilometres
-/// @param scans [poses] points of each scan; empty if a pose has no scan
-/// @return the unchanged track if fewer than two loop closures exist, or if proceed()
-/// returned false
+/// @param odometry_track  poses from odometry: accurate from scan to scan, with a drift
+/// of metres over kilometres
+/// @param scans  [poses] points of each scan; empty if a pose has no scan
+/// @return the unchanged track if fewer than two loop closures exist, or if the callback
+/// `proceed` returned false
 LoopClosureResult close_loops(const PoseTrack& odometry_track,
                               const std::vector<std::vector<SubsampledPoint>>& scans,
                               const LoopClosureOptions& options);

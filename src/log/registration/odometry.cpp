@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Aligns each scan with a map of the earlier scans. The start pose is predicted from the
 // given poses and from the velocity of the previous scan. Then Gauss-Newton steps move
-// the scan as a rigid body onto planes, first in cells of 2 m, then in smaller cells.
-// Each point is placed at its firing time between two poses. The earlier of these poses
-// is fixed, and the later pose moves. If there are several predictions, the result with
-// the most points on planes is used.
+// the scan as a rigid body onto planes, first in cells of 2 m, then in smaller cells. A
+// point is interpolated between two poses at its firing time. The earlier pose is fixed,
+// and the later pose moves. If there are several predictions, the result with the most
+// points on planes is used.
 #include "log/registration/odometry.hpp"
 
 #include <algorithm>
@@ -25,17 +25,17 @@ namespace {
 constexpr int kMostSteps = 8;
 constexpr double kConverged_m = 1e-3;  // stops the iteration if a step is shorter than this
 // Weight of the prior that pulls a pose to its prediction, relative to the mean weight of
-// the points. It matters only in directions that no point constrains, for example along a
-// road without walls.
+// the points. The prior matters only in directions that the points do not determine, for
+// example along a road without walls.
 constexpr double kPrior = 3e-4;
-// A scan is lost if a smaller share of its points lies on planes of the map. In streets,
-// the share is 0.5 to 0.8.
+// A scan is lost if less than this share of its points lies on planes of the map. In
+// streets, the share is 0.5 to 0.8.
 constexpr double kFewestShare = 0.1;
-// Cells of the map are removed if they were not observed on this length of the path. A
-// separate step closes loops, so odometry must not match old cells.
+// Map cells that were not observed on this path length are removed. Odometry must not
+// match old cells, because a separate step closes loops.
 constexpr double kMemory_m = 80.0;
-// Old cells of the map are removed once per this path length. This is rare, because
-// checking all cells takes as long as adding a scan.
+// Path length between two removals of old map cells. Removals are rare, because checking
+// all cells takes as long as adding a scan.
 constexpr double kForgotten_m = 5.0;
 // Two predictions that are closer than this lead to the same pose, so only one is tried.
 constexpr double kSame_m = 0.05;
@@ -46,11 +46,10 @@ constexpr std::size_t kStretch = 200;  // number of poses in a section of the lo
 constexpr std::size_t kOverlap = 20;
 // number of scans for estimating the first motion of a section
 constexpr int kTrialScans = 4;
-// Forward motions from -kBackwards_m to kFastest_m per scan are tested. The maximum is 40
-// m/s at 10 Hz.
+// Range of forward motions per scan that are tested: from -kBackwards_m to kFastest_m.
+// The maximum is 40 m/s at 10 Hz.
 constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;
 
-/// Returns the relative motion between two poses, scaled by a factor.
 Pose scale_relative_motion(const Pose& first_pose, const Pose& second_pose, double factor) {
     return interpolate(Pose{}, inverse(first_pose) * second_pose, factor);
 }
@@ -60,8 +59,8 @@ struct LogSection {
     std::size_t begin, end;
 };
 
-/// Divides a log into overlapping sections. The last one can be up to twice as long as
-/// the others.
+/// Divides a log into overlapping sections. The last section can be up to twice as long
+/// as the previous sections.
 std::vector<LogSection> divide_into_overlapping_sections(std::size_t n_poses) {
     std::vector<LogSection> stretches{{0, n_poses}};
     for (std::size_t begin = kStretch; begin + kStretch <= n_poses; begin += kStretch) {
@@ -136,8 +135,8 @@ private:
         maps_.remove_cells_before(forgotten_m_);
     }
 
-    /// Predicts the motion from pose index - 1 to pose `pose_index` by constant velocity,
-    /// from the two previous poses.
+    /// Predicts the motion from the previous pose to pose `pose_index`. Assumes the
+    /// velocity between the two previous poses.
     Pose predict_constant_motion(std::size_t pose_index) const {
         if (pose_index < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
@@ -150,8 +149,8 @@ private:
         return inverse(initial_track_.pose[pose_index - 1]) * initial_track_.pose[pose_index];
     }
 
-    /// Returns the predictions of pose `pose_index` that are tried, the most likely one
-    /// first.
+    /// Returns the predictions of a pose from which the alignment starts, the most likely
+    /// one first.
     std::vector<Pose> list_predicted_poses(std::size_t pose_index) const {
         const Pose constant_motion_pose = track_.pose[pose_index - 1] * predict_constant_motion(pose_index);
         if (!options_.use_pose_motion) return {constant_motion_pose};
@@ -163,7 +162,7 @@ private:
         return {pose_file_prediction, constant_motion_pose};
     }
 
-    /// Sets pose `pose_index`, and pose index + 1 to its prediction.
+    /// Sets pose `pose_index`. Sets the next pose to its prediction.
     void set_pose(std::size_t pose_index, const Pose& pose) {
         track_.pose[pose_index] = pose;
         if (pose_index + 1 < track_.pose.size())
@@ -214,7 +213,7 @@ private:
 };
 
 /// Estimates the motion between the first two poses of a section, for logs without given
-/// poses. Tries several forward speeds and returns the one for which the first scans
+/// poses. Tries several forward speeds. Returns the motion for which the first scans
 /// match best.
 Pose estimate_first_motion(const PoseTrack& initial_track,
                            const std::vector<std::vector<SubsampledPoint>>& scans,
@@ -253,8 +252,8 @@ std::vector<Pose> estimate_section_poses(const PoseTrack& initial_track,
     return {first + std::ptrdiff_t(section.begin), first + std::ptrdiff_t(section.end)};
 }
 
-/// Joins the sections to one track. Moves each section so that it agrees with the
-/// previous section at the last scan that both contain.
+/// Joins the sections to one track. Moves each section so that its pose agrees with the
+/// previous section at the last scan that is in both sections.
 std::vector<Pose> join_section_poses(const std::vector<LogSection>& sections,
                                      const std::vector<Pose>& section_poses,
                                      const std::vector<std::vector<SubsampledPoint>>& scans) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates poses scan by scan. Each scan is aligned with a map of the earlier scans.
-// Odometry is needed if the given poses drift or jump, or if there are no poses. A long
-// log is divided into overlapping sections, which threads and processes handle in
-// parallel. Two sections are connected at the last scan that they share.
+// Estimates poses by odometry: aligns each scan with a map of the earlier scans. Needed
+// if the given poses drift or jump, or if there are no poses. A long log is divided into
+// overlapping sections, which threads and processes handle in parallel. Two sections are
+// connected at the last scan that they share.
 #pragma once
 
 #include <functional>
@@ -18,8 +18,8 @@ namespace relidar {
 struct OdometryOptions {
     /// cell sizes and robust-kernel scales at the coarsest and at the finest level
     RegistrationRound first, last;
-    /// How the motion between scans is predicted. True: from the given poses. False: by
-    /// constant velocity.
+    /// True: the motion between scans is predicted from the given poses. False: constant
+    /// velocity is assumed.
     bool use_pose_motion = true;
     /// Callback with the progress, called repeatedly from the calling thread. If it
     /// returns false, the estimation stops.
@@ -29,8 +29,9 @@ struct OdometryOptions {
 
 /// Estimates the poses of a log, starting at the first given pose. A scan that cannot be
 /// aligned gets its predicted pose.
-/// @param scans [poses] points of each scan; empty if a pose has no scan
-/// @return the same poses in all processes; the given poses if proceed() returned false
+/// @param scans  [poses] points of each scan; empty if a pose has no scan
+/// @return the same poses in all processes; the given poses if the callback `proceed`
+/// returned false
 PoseTrack estimate_odometry_poses(const PoseTrack& initial_track,
                                   const std::vector<std::vector<SubsampledPoint>>& scans,
                                   const OdometryOptions& options);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Aligns one scan with a fixed scene. Compares each point with the rendered surface along
-// the same ray, so no search for corresponding points is needed.
+// Aligns one scan with a fixed scene. Compares each point with the rendered surface on
+// the same ray, so it needs no search for corresponding points.
 #include <relidar/log/registration.hpp>
 
 #include "base/parallel.hpp"
@@ -10,11 +10,11 @@
 namespace relidar {
 namespace {
 
-// Edge length in metres of the cells that thin out a scan: one point per cell is kept.
-// The cells are small, because only one pose is estimated and speed does not matter.
+// Edge length in metres of grid cells; one point of the scan per cell is used. The cells
+// are small, because only one pose is estimated and speed does not matter.
 constexpr double kThin_m = 0.1;
-// Points farther than this from the scene have little weight (scale of the robust
-// kernel). A registered scan is closer.
+// Scale of the robust kernel: points farther than this from the scene have little weight.
+// The points of a registered scan are closer.
 constexpr double kScale_m = 0.05;
 // Weight of the prior that pulls the pose to its start value, relative to the mean weight
 // of the points.

@@ -11,22 +11,23 @@
 namespace relidar {
 namespace {
 
-// Number of partial sums. It is fixed, so that the result does not depend on the number
-// of threads.
+// Number of partial sums. A fixed number makes the result independent of the number of
+// threads.
 constexpr int kChunks = 64;
-// number of rounds in which the cells become smaller, and of further rounds with the
+// number of rounds in which the cells become smaller, and number of later rounds with the
 // smallest cells
 constexpr int kShrinking = 8, kLastRounds = 2;
 constexpr double kShift = 0.37;  // Shift of the cell grid from one round to the next, in cells.
 // Weight of the prior that pulls corrections to zero, relative to the mean weight of the
-// points. It matters only in directions that no point constrains.
+// points. The prior matters only in directions that the points do not determine.
 constexpr double kAdjustmentPrior = 1e-4;
 constexpr std::size_t kFewestPlaced = 30;
-// A pose is lost if a smaller share of its points lies on planes. The share is 0.3 to 0.7
-// in streets, and 0.003 for random ranges.
+// A pose is lost if less than this share of its points lies on planes. The share is 0.3
+// to 0.7 in streets, and 0.003 for random ranges.
 constexpr double kFewestOnPlanes = 0.05;
 
-/// Splits [0, count) into kChunks parts, and calls task(begin, end, chunk) in parallel.
+/// Splits the indices 0 to `count` into kChunks parts. Calls task(begin, end, chunk) in
+/// parallel.
 template <class Task>
 void run_in_chunks(std::size_t count, const Task& task) {
     const std::size_t size = count / kChunks + 1;
@@ -60,7 +61,7 @@ Eigen::VectorXd compute_twists_between_tracks(const PoseTrack& first_track, cons
     return result;
 }
 
-/// Fits a plane in each cell with points from at least two sweeps.
+/// Fits a plane in each cell that contains points from at least two sweeps.
 std::vector<std::optional<LocalPlane>> fit_plane_in_each_cell(
     const PointCellGrid& cells, const std::vector<SubsampledPoint>& points,
     const std::vector<WorldPointWithOrigin>& world_points, const RegistrationRound& round) {
@@ -153,8 +154,7 @@ void PlanePoseAdjustment::add_correction_prior(PoseEquations& equations) const {
 
 void PlanePoseAdjustment::remove_mean_correction() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
-    // Removing a mean of rotation vectors is only approximate, so it is repeated three
-    // times.
+    // The mean of rotation vectors is only approximate, so it is removed three times.
     for (int i = 0; i < 3; ++i) {
         glm::dvec3 centre(0.0), v(0.0), w(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
@@ -229,8 +229,8 @@ double PlanePoseAdjustment::compute_correction_deviation_m(std::size_t pose_inde
     };
     const glm::dvec3 between =
         glm::mix(correction(before), correction(after), compute_time_fraction(before, pose_index, after));
-    // If the given poses jump, one of the neighbours has the same jump. The minimum over
-    // both neighbours ignores it.
+    // The minimum ignores jumps in the given poses. Next to a jump, one of the two
+    // neighbours has the same jump, and its distance is small.
     double least = glm::distance(correction(pose_index), between);
     for (const std::size_t neighbour : {before, after})
         least = std::min(least, glm::distance(correction(pose_index), correction(neighbour)));

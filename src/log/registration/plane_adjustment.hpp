@@ -25,7 +25,7 @@ struct PlaneMap {
 /// Prior for pose corrections. Its weights are relative to the weight of one point.
 struct PoseCorrectionPrior {
     Vector6 pull = Vector6::Zero();  ///< weight of the term that pulls each correction to zero
-    /// weight of the term that makes the corrections of consecutive poses similar, for
+    /// weight of the term that pulls consecutive corrections towards each other, for
     /// poses 0.1 s apart
     Vector6 link = Vector6::Zero();
 };
@@ -33,16 +33,18 @@ struct PoseCorrectionPrior {
 class PlanePoseAdjustment {
 public:
     /// Prepares the optimisation of a track.
-    /// @param initial_track poses that the corrections refer to
-    /// @param start initial poses, accurate enough for the cells of the first round
-    /// @param points points of all sweeps, sweep by sweep
-    /// @param gauge [poses] true for poses whose mean correction is kept at zero
+    /// @param initial_track  poses that the corrections refer to
+    /// @param start  start values of the poses, accurate enough for the cells of the
+    /// first round
+    /// @param points  points of all sweeps, sweep by sweep
+    /// @param gauge  [poses] true for the poses whose mean correction is kept at zero
     PlanePoseAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
                         std::vector<SubsampledPoint> points, std::vector<bool> gauge);
 
-    /// Runs rounds in which the cell size and the scale of the robust kernel decrease
-    /// from `first_round` to `last_round`, and two more rounds with `last_round`.
-    /// @return statistics of the rounds; fewer rounds if proceed() returned false
+    /// Runs several rounds. Cell size and scale of the robust kernel decrease from
+    /// `first_round` to `last_round`. Two more rounds with `last_round` follow.
+    /// @return statistics of the rounds; fewer rounds if the callback `proceed` returned
+    /// false
     std::vector<RegistrationRound> run_adjustment_rounds(const RegistrationRound& first_round,
                                                          const RegistrationRound& last_round,
                                                          const std::function<bool(double done)>& proceed);
@@ -51,13 +53,12 @@ public:
     PlaneMap fit_plane_map(const RegistrationRound& round) const;
     const PoseTrack& track() const { return track_; }
 
-    /// Finds poses that the registration could not determine. Too few points of such a
-    /// pose lie on planes, or its correction differs from the neighbouring corrections by
-    /// more than `max_deviation_m`. The corrections of these poses are replaced by
-    /// interpolation between the nearest other poses. Poses that are not candidates are
-    /// interpolated too.
-    /// @param is_candidate [poses] poses that have points
-    /// @return indices of the replaced candidates
+    /// Finds the candidates whose registration failed. Either too few points of the pose
+    /// lie on planes, or its correction differs from the neighbouring corrections by more
+    /// than `max_deviation_m`. Replaces these corrections by interpolation between the
+    /// nearest valid poses. Poses that are not candidates are interpolated too.
+    /// @param is_candidate  [poses] true for the poses that have points
+    /// @return indices of the failed candidates
     std::vector<std::size_t> replace_lost_poses(const PlaneMap& map, const std::vector<bool>& is_candidate,
                                                 double kernel_scale_m, double max_deviation_m);
     /// Moves one pose by a Gauss-Newton step that moves its points towards fixed planes.
@@ -70,10 +71,10 @@ public:
     /// Returns the share of a scan's points that lie on planes of a map.
     double compute_fraction_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
                                       double kernel_scale_m) const;
-    /// Returns the distance in metres between the corrections of a pose and of its
-    /// neighbours: the minimum over the earlier neighbour, the later one, and their
-    /// interpolation. Returns 0 at an end of the track.
-    /// @param is_neighbour [poses] poses that count as neighbours
+    /// Compares the correction of a pose with three others: of the earlier neighbour, of
+    /// the later neighbour, and their interpolation. Returns the smallest distance in
+    /// metres. Returns 0 at an end of the track.
+    /// @param is_neighbour  [poses] true for the poses that count as neighbours
     double compute_correction_deviation_m(std::size_t pose_index,
                                           const std::vector<bool>& is_neighbour) const;
     void set_pose(std::size_t pose_index, const Pose& new_pose) { track_.pose[pose_index] = new_pose; }
@@ -88,8 +89,8 @@ private:
     void add_correction_prior(PoseEquations& equations) const;
     void remove_mean_correction();
     void interpolate_corrections(const std::vector<bool>& is_correction_known);
-    /// Returns the nearest earlier and the nearest later pose that `is_selected` marks.
-    /// If one side has none, returns `pose_index` for this side.
+    /// Returns the nearest earlier and the nearest later pose with `is_selected`. If no
+    /// pose on one side is selected, returns `pose_index` for this side.
     static std::pair<std::size_t, std::size_t> find_neighbour_poses(std::size_t pose_index,
                                                                     const std::vector<bool>& is_selected);
     double compute_time_fraction(std::size_t before_index, std::size_t pose_index,

@@ -16,14 +16,15 @@ namespace {
 constexpr std::size_t kFewestPoints = 8;
 constexpr int kFits = 4;
 // Points form a plane only if they spread over the cell. This is the minimum standard
-// deviation along their narrower axis, divided by the cell size. A full cell has 0.29.
+// deviation along the narrower axis of the plane, divided by the cell size. A cell that
+// is filled evenly has 0.29.
 constexpr double kSpread = 0.12;
 // Minimum standard deviation of points along the narrower axis of a plane, divided by the
-// scale of the robust kernel. With wrong poses, the points of a single beam form a
-// narrower ribbon, which is not a surface.
+// scale of the robust kernel. If poses are wrong, the points of a single beam form a
+// narrow ribbon, which is not a surface.
 constexpr double kSpreadScale = 0.8;
-// minimum share of points that are closer to the plane than the scale of the robust
-// kernel
+// Minimum share of the points whose distance from the plane is less than the scale of the
+// robust kernel.
 constexpr double kInliers = 0.7;
 
 glm::dvec3 get_matrix_column(const Eigen::Matrix3d& matrix, int column) {

@@ -14,15 +14,15 @@
 
 namespace relidar {
 
-/// Interpolates cell size and robust-kernel scale geometrically between two rounds: t = 0
-/// gives `first`, t = 1 gives `last`.
+/// Interpolates cell size and robust-kernel scale geometrically between two rounds.
+/// `fraction` 0 gives `first`, 1 gives `last`.
 inline RegistrationRound interpolate_rounds(const RegistrationRound& first, const RegistrationRound& last,
                                             double fraction) {
     return {first.cell_m * std::pow(last.cell_m / first.cell_m, fraction),
             first.scale_m * std::pow(last.scale_m / first.scale_m, fraction)};
 }
 
-/// Plane n . (p - point) = 0, with two directions u and v in the plane.
+/// Plane n . (p - point) = 0. u and v are two directions in the plane.
 struct LocalPlane {
     glm::dvec3 point_m{0.0};  ///< weighted mean of the points on the plane
     glm::dvec3 normal{0.0}, u{0.0}, v{0.0};
@@ -33,7 +33,7 @@ struct LocalPlane {
 double compute_robust_weight(double residual_m, double kernel_scale_m);
 
 /// Fits a plane to the points of a cell by iteratively reweighted least squares. Returns
-/// nothing if the points do not spread over a surface, or if too many are far from the
+/// nothing if the points are not spread over a surface, or if too many are far from the
 /// plane.
 std::optional<LocalPlane> fit_plane_robustly(const std::vector<WorldPointWithOrigin>& points,
                                              std::span<const std::uint32_t> point_indices, double cell_size_m,
@@ -43,8 +43,8 @@ std::optional<LocalPlane> fit_plane_robustly(const std::vector<WorldPointWithOri
 class PointCellGrid {
 public:
     /// Sorts points by the cells of a grid.
-    /// @param shift offset of the grid in cells, so that different grids cut surfaces at
-    /// different positions
+    /// @param shift  offset of the grid in cells, so that successive grids divide
+    /// surfaces at different positions
     PointCellGrid(const std::vector<WorldPointWithOrigin>& points, double cell_m, double shift);
 
     std::size_t size() const { return first_.size() - 1; }

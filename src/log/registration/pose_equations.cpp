@@ -18,8 +18,8 @@ namespace {
 
 // Maximum number of solver iterations. Usually 20 to 30 are enough, even for long logs.
 constexpr int kMostIterations = 100;
-// Maximum number of partial sums, and minimum number of planes per sum. They are fixed,
-// so that the result does not depend on the number of threads.
+// Maximum number of partial sums, and minimum number of planes per sum. Fixed numbers
+// make the result independent of the number of threads.
 constexpr std::size_t kParts = 64, kPlanesOfPart = 256;
 // The solver stops at this residual norm, relative to its initial value. The next round
 // corrects the remaining error.
@@ -27,8 +27,8 @@ constexpr double kTolerance = 1e-4;
 
 Eigen::Vector3d to_eigen(const glm::dvec3& vector) { return {vector.x, vector.y, vector.z}; }
 
-/// Returns the two poses between which a point was measured, with their interpolation
-/// weights.
+/// Returns the indices of the two poses between which a point was measured, each with its
+/// interpolation weight.
 std::array<std::pair<std::size_t, double>, 2> get_interpolation_weights(const SubsampledPoint& point) {
     return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
 }
@@ -69,7 +69,7 @@ Twist SinglePoseEquations::solve_for_pose_step(double prior_weight, const Twist&
     Vector6 gradient = gradient_;
     const double pulls[] = {prior_weight * stiffness_.diagonal().head<3>().mean(),
                             prior_weight * stiffness_.diagonal().tail<3>().mean()};
-    // Metres and radians have different magnitudes, so the prior has a weight for each.
+    // Metres and radians differ in size, so the prior has one weight for each.
     for (int i = 0; i < 6; ++i) {
         stiffness(i, i) += pulls[i / 3];
         gradient[i] += pulls[i / 3] * current_correction[std::size_t(i)];
@@ -113,15 +113,15 @@ void PoseEquations::add_cell_residuals(const std::vector<SubsampledPoint>& point
                                        std::span<const std::uint32_t> point_indices, const LocalPlane& plane,
                                        double kernel_scale_m) {
     const std::size_t begin = couplings_.size();
-    // Searches from the end, because points are almost sorted by pose.
+    // Searches backwards, because points are almost sorted by pose.
     const auto coupling = [&](std::size_t pose) -> PlanePoseCoupling& {
         for (std::size_t k = couplings_.size(); k-- > begin;)
             if (couplings_[k].pose == pose) return couplings_[k];
         return couplings_.emplace_back(
             PlanePoseCoupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
-    // Matrix B of the plane's three unknowns. The weights of the plane fit would make the
-    // system indefinite, so B uses the current weights of the points.
+    // Matrix B of the plane's three unknowns. B uses the current weights of the points.
+    // With the weights of the plane fit, the equations would be indefinite.
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : point_indices) {
@@ -212,7 +212,7 @@ Vector6 PoseEquations::make_prior_diagonal(double prior_weight) const {
     return prior_weight * mean;
 }
 
-/// Coarse equations, in which groups of consecutive poses move like rigid bodies. The
+/// Coarse equations, in which a group of consecutive poses moves like one rigid body. The
 /// unknowns are the twist (translation and rotation) of each group about its first pose.
 class PoseGroupEquations {
 public:
@@ -235,7 +235,7 @@ public:
         factorise_matrix();
     }
 
-    /// Adds to z the group motions that reduce a residual.
+    /// Computes the group motions that reduce a residual, and adds them to `pose_steps`.
     void add_group_motions(const Eigen::VectorXd& residual, Eigen::VectorXd& pose_steps) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Builds the Gauss-Newton equations for all poses of a track. The unknowns of the planes
-// are eliminated. A point at fraction s between poses l and l + 1 moves by
-//   dp = sum over k of a_k (v_k + w_k x (p - o)),  a = (1 - s, s),  o: position of the vehicle.
-// Its residual n . (p - point) - b . (offset, tilts) has the row a_k j with j = (n, (p -
-// o) x n). Let C be the couplings of a plane's three unknowns, B their matrix and h their
-// gradient. The Schur complement is
-//   H = sum w J J^T - C B^-1 C^T,  g = sum w r J - C B^-1 h.
+// Builds the Gauss-Newton equations for all poses of a track. The unknowns of planes are
+// eliminated. A point p at fraction s between poses l and l + 1 moves by
+//   dp = sum over k of a_k (v_k + w_k x (p - o)),  a = (1 - s, s),  o: vehicle position.
+// Its residual n . (p - point) - b . (offset, tilts) has the row a_k j, j = (n, (p - o) x
+// n). C couples a plane's three unknowns with the poses, B is their matrix, h their
+// gradient:
+//   H = sum w J J^T - C B^-1 C^T,  g = sum w r J - C B^-1 h   (Schur complement).
 // H is positive definite if B uses the same weights w.
 #pragma once
 
@@ -38,16 +38,17 @@ PlaneResidual compute_plane_residual(const WorldPointWithOrigin& point, const Lo
 class SinglePoseEquations {
 public:
     /// Adds the residual of a point.
-    /// @param motion_fraction how much of the pose's motion the point follows, 0 to 1
+    /// @param motion_fraction  share of the pose's motion by which the point moves, 0 to
+    /// 1
     void add_residual(const PlaneResidual& row, double motion_fraction = 1.0);
     SinglePoseEquations& operator+=(const SinglePoseEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
     std::size_t count_points_on_planes() const { return n_on_planes_; }
     /// Solves the equations for the next step of the pose.
-    /// @param prior_weight weight that pulls the correction to zero, relative to the mean
-    /// weights of translations and of rotations. It matters only in directions that no
-    /// point constrains.
-    /// @param current_correction current correction of the pose
+    /// @param prior_weight  weight that pulls the correction to zero, relative to the
+    /// mean weights of translations and of rotations. It matters only in directions that
+    /// the points do not determine.
+    /// @param current_correction  current correction of the pose
     Twist solve_for_pose_step(double prior_weight, const Twist& current_correction = {}) const;
 
 private:
@@ -56,17 +57,18 @@ private:
     std::size_t n_on_planes_ = 0;
 };
 
-/// Returns the size of a pose change in metres: how far it moves points about ten metres
-/// away.
+/// Returns the size of a pose change in metres: the distance by which points ten metres
+/// away move.
 double compute_pose_change_m(const Twist& pose_change);
 
-/// Returns the 6x6 matrix that converts the twist of a rigid body from one reference
-/// point to another: (v, w) becomes (v + w x `offset_m`, w).
-/// @param offset_m second point minus first point
+/// Returns the 6x6 matrix that converts the twist (v, w) of a rigid body to another
+/// reference point. The result is (v + w x `offset_m`, w).
+/// @param offset_m  second point minus first point
 Matrix6 make_twist_transfer_matrix(const glm::dvec3& offset_m);
 
-/// Normal equations for all poses, summed over the cells of a grid. If partial sums are
-/// added in the order of the cells, the result does not depend on the number of threads.
+/// Normal equations for all poses, summed over the cells of a grid. Partial sums must be
+/// added in the order of the cells. The result then does not depend on the number of
+/// threads.
 class PoseEquations {
 public:
     explicit PoseEquations(std::size_t n_poses);
@@ -82,18 +84,19 @@ public:
     /// Adds a prior that pulls the correction of one pose to zero.
     void add_zero_correction_prior(std::size_t pose_index, const Vector6& stiffness,
                                    const Vector6& correction);
-    /// Adds a prior that makes the corrections of `pose_index` and `pose + 1` similar.
-    /// @param difference  correction of `pose + 1` minus correction of `pose_index`
+    /// Adds a prior that pulls the corrections of `pose_index` and of the next pose
+    /// towards each other.
+    /// @param difference  correction of the next pose minus correction of `pose_index`
     void add_neighbour_pose_prior(std::size_t pose_index, const Vector6& stiffness,
                                   const Vector6& difference);
 
     /// Solves for the step of all poses, [n_poses,6], by conjugate gradients. The
     /// preconditioner consists of the diagonal blocks and a direct solution for rigid
-    /// motions of groups of eight poses. Without these groups, the number of iterations
-    /// would grow with the length of the log.
-    /// @param track the poses
-    /// @param prior_weight weight of the prior that pulls `current_corrections` to zero,
-    /// as a share of the mean diagonal
+    /// motions of groups of eight poses. Without the groups, a longer log would need more
+    /// iterations.
+    /// @param track  the poses
+    /// @param prior_weight  weight of the prior that pulls `current_corrections` to
+    /// zero, as a share of the mean diagonal
     Eigen::VectorXd solve_for_all_pose_steps(const PoseTrack& track,
                                              const Eigen::VectorXd& current_corrections,
                                              double prior_weight) const;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers moving boxes. All poses of a track are optimised together, in the frame of
-// the box. Poses of frames without points are interpolated.
+// Registers moving boxes. Optimises all poses of a box together, in the frame of the box.
+// Poses of frames without points are interpolated.
 #include <relidar/log/registration.hpp>
 
 #include <algorithm>
@@ -15,25 +15,25 @@
 namespace relidar {
 namespace {
 
-// Shorter boxes are not registered, because most are pedestrians, who change their shape.
+// Shorter boxes are not registered. Most are pedestrians, who change their shape.
 constexpr double kSmallest_m = 1.2;
-// Points less than this height above the bottom of a box are ignored, because they are on
-// the ground.
+// Points less than this height above the bottom of a box are ignored, because they can
+// belong to the ground.
 constexpr double kAboveGround_m = 0.25;
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
 constexpr RegistrationRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
-// A track is replaced only if the share of points on planes increases by at least this
-// value.
+// The track of a box is replaced only if the share of its points on planes increases by
+// at least this value.
 constexpr double kGain = 0.02;
-// Larger corrections of a pose are treated as errors of the registration.
+// Larger corrections of a pose are rejected as errors of the registration.
 constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;
 constexpr double kStanding_m = 3.0;  // a box that moves farther than this is not standing
 constexpr int kNeighbours = 3;       // number of poses on each side that are used to interpolate a pose
 constexpr double kLongestGap_s = 1.0;
 
-/// Returns the prior for corrections of labelled poses. It assumes that labels have
+/// Returns the prior for pose corrections of labelled boxes. Labels are assumed to have
 /// errors of 0.15 m and 2 degrees, which change by 0.05 m and 1 degree within 0.1 s.
-/// Points have errors of 0.05 m.
+/// Points are assumed to have errors of 0.05 m.
 PoseCorrectionPrior make_correction_prior() {
     const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
     const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
@@ -49,8 +49,8 @@ struct BoxFramePoints {
     std::vector<std::size_t> n_of_pose;   ///< [poses] number of points
 };
 
-/// Collects the training returns inside each labelled box. Loops over returns first, so
-/// that each return is converted to the world frame only once.
+/// Collects the training returns inside each labelled box. The outer loop is over
+/// returns, so that each return is converted to the world frame only once.
 /// @return [boxes] points in the order of frames and rays, sorted by pose
 std::vector<BoxFramePoints> collect_actor_points(const LidarSequence& sequence,
                                                  const std::vector<int>& train_frame_indices,
@@ -91,9 +91,9 @@ std::vector<BoxFramePoints> collect_actor_points(const LidarSequence& sequence,
     return actors;
 }
 
-/// Fits a parabola to the nearest poses that have points, up to three on each side, and
-/// returns its pose at the time of `pose_index`. Returns nothing if one side has no such
-/// pose within a second.
+/// Fits a parabola to up to three poses with points on each side of `pose_index`. Returns
+/// the pose on the parabola at the time of `pose_index`. Returns nothing if one side has
+/// no such pose within a second.
 std::optional<Pose> interpolate_pose_from_neighbours(const PoseTrack& track,
                                                      const std::vector<bool>& has_points,
                                                      std::size_t pose_index) {
@@ -123,7 +123,8 @@ std::optional<Pose> interpolate_pose_from_neighbours(const PoseTrack& track,
     return apply_twist(reference, twist);
 }
 
-/// Returns the share of points that lie on planes which several poses observe.
+/// Returns the share of points that lie on planes. Only planes that several poses observe
+/// count.
 double compute_actor_fraction_on_planes(const PlanePoseAdjustment& adjustment,
                                         const std::vector<SubsampledPoint>& points) {
     return adjustment.compute_fraction_on_planes(adjustment.fit_plane_map(kLastActorRound), points,
@@ -137,12 +138,13 @@ PlanePoseAdjustment make_actor_adjustment(const PoseTrack& track, std::vector<Su
     return adjustment;
 }
 
-/// Returns identity poses at the times of a track, as initial corrections.
+/// Returns a track of identity poses, with the times of the given track. They mean zero
+/// correction.
 PoseTrack make_identity_track(const PoseTrack& track) {
     return {track.time_s, std::vector<Pose>(track.pose.size())};
 }
 
-/// Returns true if a box at rest explains the points as well as the registered track.
+/// Returns true if the points fit a box at rest as well as they fit the registered track.
 bool is_stationary_actor(const BoxTrack& box, const BoxFramePoints& actor_points,
                          const std::vector<bool>& has_points, double registered_fraction) {
     const PoseTrack& track = box.world_from_box;
@@ -157,7 +159,7 @@ bool is_stationary_actor(const BoxTrack& box, const BoxFramePoints& actor_points
     return compute_actor_fraction_on_planes(adjustment, still) >= registered_fraction - kGain;
 }
 
-/// Applies corrections, given in the frame of the box, to the poses of a track.
+/// Corrects the poses of a track. The corrections are in the frame of the box.
 /// Interpolates the poses that have no points.
 void apply_corrections_in_box_frame(PoseTrack& track, const PoseTrack& corrections,
                                     const std::vector<bool>& has_points) {
@@ -172,8 +174,8 @@ void apply_corrections_in_box_frame(PoseTrack& track, const PoseTrack& correctio
                 track.pose[k] = *pose;
 }
 
-/// Registers the track of one box. Keeps the track if the points do not improve its
-/// poses.
+/// Registers the track of one box. Keeps the old track if the new poses do not fit the
+/// points better.
 void register_actor_track(BoxTrack& box, const BoxFramePoints& actor_points, ActorRegistrationResult& result,
                           std::vector<double>& moved_distances_m) {
     std::vector<bool> has_points(actor_points.n_of_pose.size());

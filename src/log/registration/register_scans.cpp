@@ -19,15 +19,16 @@
 namespace relidar {
 namespace {
 
-// One point of a scan is kept per cell. These are the largest and the smallest cell size.
-// Cells of 0.5 m keep 12 thousand points of a 64-beam scan, cells of 0.1 m nearly all.
+// A grid keeps one point of a scan per cell. Largest and smallest cell size: cells of 0.5
+// m keep 12 thousand points of a 64-beam scan, cells of 0.1 m nearly all.
 constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
-// Usual number of scans that observe a cell. Shorter logs need more points per scan,
-// because a plane needs at least eight points.
+// Usual number of scans that observe the same cell. Shorter logs need more points per
+// scan, because a plane needs at least eight points.
 constexpr double kScansOnACell = 24.0;
 constexpr RegistrationRound kLast{0.5, 0.05};  // cell size and robust-kernel scale of the last rounds
 // Cell size and robust-kernel scale of the last odometry step. The scale is larger than
-// in the last rounds, because the map of odometry is less accurate.
+// in the last rounds of the joint optimisation, because the map of odometry is less
+// accurate.
 constexpr RegistrationRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 
@@ -45,7 +46,7 @@ std::vector<SubsampledPoint> concatenate_scan_points(const std::vector<std::vect
 
 /// Aligns the held-out (test) scans with planes that were fitted to the training scans,
 /// from coarse to fine.
-/// @param scans [sweeps] points of the held-out scans; empty for others
+/// @param scans  [sweeps] points of the held-out scans; empty for other sweeps
 /// @return indices of the scans that could not be aligned
 std::vector<std::size_t> align_held_out_sweeps(PlanePoseAdjustment& adjustment,
                                                const std::vector<bool>& is_test,
@@ -75,7 +76,7 @@ std::vector<std::size_t> align_held_out_sweeps(PlanePoseAdjustment& adjustment,
     return lost;
 }
 
-/// Returns for each sweep whether it contains one of the given frames.
+/// Returns for each sweep whether one of the given frames belongs to it.
 std::vector<bool> mark_sweeps_with_frames(const SweepsToRegister& sweeps,
                                           const std::vector<int>& frame_indices, std::size_t n_frames) {
     std::vector<bool> among(n_frames, false), is(sweeps.frames.size(), false);
@@ -86,8 +87,7 @@ std::vector<bool> mark_sweeps_with_frames(const SweepsToRegister& sweeps,
     return is;
 }
 
-/// Returns one flag per sweep, which is true only for the middle one of the selected
-/// sweeps.
+/// Returns one flag per sweep. Only the flag of the middle selected sweep is true.
 std::vector<bool> mark_middle_of_selected_sweeps(const std::vector<bool>& is_selected) {
     std::vector<bool> is(is_selected.size(), false);
     auto to_go = std::ranges::count(is_selected, true) / 2;

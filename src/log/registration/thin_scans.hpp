@@ -10,8 +10,8 @@
 
 namespace relidar {
 
-/// Sweeps to register, at the sweep times of the LiDAR with the most returns. Frames of
-/// other LiDARs with the same time belong to the sweep. Poses at other times are
+/// Sweeps to register, at the sweep times of the LiDAR with the most returns. A frame of
+/// another LiDAR belongs to the sweep with the same time. Poses at other times are
 /// interpolated.
 struct SweepsToRegister {
     PoseTrack track;                       ///< [sweeps] poses of the vehicle before registration
@@ -19,16 +19,16 @@ struct SweepsToRegister {
     std::vector<std::vector<int>> frames;  ///< [sweeps] indices in LidarSequence::frames
 };
 SweepsToRegister group_frames_into_sweeps(const LidarSequence& sequence);
-/// Corrects all poses of a log by the corrections of the registered sweeps, interpolated
-/// in between.
+/// Corrects all poses of a log. Between registered sweeps, interpolates their
+/// corrections.
 PoseTrack apply_correction_to_track(const PoseTrack& initial_track, const SweepsToRegister& sweeps,
                                     const PoseTrack& corrected_track);
 
-/// A measured point, with a reference to the two poses of the track between which it was
+/// A measured point. It refers to the two poses of the track between which it was
 /// measured.
 struct SubsampledPoint {
     glm::vec3 point_m;  ///< position in the vehicle frame at the firing time
-    float s = 0.0f;     ///< interpolation weight of the pose left + 1
+    float s = 0.0f;     ///< interpolation weight of the pose with index left + 1
     std::uint32_t left = 0;
     std::uint32_t pose = 0;  ///< index of the sweep that contains the point
 };
@@ -36,13 +36,13 @@ struct SubsampledPoint {
 /// Number of points whose equations one parallel task sums.
 inline constexpr std::size_t kPointsOfPart = 512;
 
-/// Positions of a point, and of the vehicle when it measured the point, in the world
-/// frame.
+/// Positions in the world frame: of a point, and of the vehicle when it measured the
+/// point.
 struct WorldPointWithOrigin {
     glm::dvec3 point_m, vehicle_m;
 };
 WorldPointWithOrigin transform_point_to_world(const PoseTrack& track, const SubsampledPoint& point);
-/// Returns how much of the motion of a pose a point follows, 0 to 1.
+/// Returns the share of the motion of a pose by which a point moves, 0 to 1.
 double get_pose_weight(const SubsampledPoint& point, std::size_t pose_index);
 
 /// Selects returns of a frame, at most one in each cell of size `cell_size_m` in the
@@ -58,9 +58,9 @@ SubsampledPoint make_point_on_track(const LidarSequence& sequence, const PoseTra
                                     std::size_t pose_index, int frame_index, std::size_t ray);
 /// Selects points of some sweeps, at most one per scan in each cell of size `cell_size_m`
 /// in the sensor frame.
-/// @param is_sweep_selected [sweeps] true for the sweeps to use
-/// @return [sweeps] points frame by frame in the order of the scan; empty for sweeps that
-/// are not chosen
+/// @param is_sweep_selected  [sweeps] true for the sweeps to use
+/// @return [sweeps] points frame by frame in the order of the scan; empty for other
+/// sweeps
 std::vector<std::vector<SubsampledPoint>> downsample_scans(const LidarSequence& sequence,
                                                            const SweepsToRegister& sweeps,
                                                            const std::vector<bool>& is_sweep_selected,

@@ -10,12 +10,13 @@ namespace {
 
 constexpr double kFewestOfVoxel = 6;
 // Points form a plane only if they spread over the cell. This is the minimum standard
-// deviation along their narrower axis, divided by the cell size. A full cell has 0.29.
+// deviation along the narrower axis of the plane, divided by the cell size. A cell that
+// is filled evenly has 0.29.
 constexpr double kVoxelSpread = 0.12;
 // maximum standard deviation of the points along the normal, divided by the cell size
 constexpr double kThickness = 0.1;
-/// Returns the mutex of a cell. 64 mutexes are enough for all cells, because threads
-/// rarely fit planes at the same time.
+/// Returns the mutex of a cell. All cells share 64 mutexes, because threads rarely fit
+/// planes at the same time.
 std::mutex& get_cell_mutex(const void* cell_address) {
     static std::array<std::mutex, 64> mutexes;
     return mutexes[reinterpret_cast<std::uintptr_t>(cell_address) / 64 % mutexes.size()];

@@ -26,7 +26,7 @@ public:
     /// the cell do not form a plane. Several threads can call this function at the same
     /// time.
     const LocalPlane* find_plane_at(const glm::dvec3& point_m) const;
-    /// Removes cells whose last point was measured before the sensor had driven
+    /// Removes the cells that were last observed before the sensor had driven
     /// `min_travelled_distance_m`.
     void remove_cells_before(double min_travelled_distance_m);
 
@@ -34,13 +34,14 @@ private:
     struct VoxelPlaneCell {
         PointMomentSums sums;  ///< sums relative to the centre of the cell
         double travelled_m = 0.0;
-        /// number of points when `plane` was fitted; stored after `plane` is written
+        /// number of points when `plane` was fitted; stored only after `plane` is
+        /// complete
         mutable std::atomic<double> n_fitted = 0.0;
         mutable std::optional<LocalPlane> plane;
 
         bool should_refit_plane() const {
-            // The plane is fitted again when the number of points has grown by this
-            // factor.
+            // If the number of points has grown by this factor, the plane is fitted
+            // again.
             constexpr double kRefit = 1.1;
             return sums.n >= kRefit * n_fitted.load(std::memory_order_acquire);
         }

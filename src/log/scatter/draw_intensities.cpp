@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Draws a random intensity for each ray from a leaf of a decision tree. The tree compares
+// Draws a random intensity for each ray from a leaf of a decision tree. The tree uses
 // intensities that were already drawn for neighbours in the same row and in the rows
-// above. To use all cores, the image is divided into tiles. Tiles that do not depend on
-// each other are drawn in parallel. The result is the same as drawing ray by ray, row by
-// row.
+// above. The image is divided into tiles, and independent tiles are drawn in parallel.
+// The result is the same as drawing one ray after the other, row by row.
 #include <relidar/log/scatter.hpp>
 
 #include <algorithm>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits a decision tree for intensities to all returns, one layer of nodes after the
-// other. Each node is split at the feature and the value that reduce the entropy of the
-// classes most. The classes c are 24 quantiles of all intensities:
+// Fits a decision tree that predicts intensities to all returns, one layer of nodes after
+// the other. Each node is split at the feature and the value that reduce the entropy of
+// the classes most. The classes c are 24 quantiles of all intensities:
 //   gain = sum n_c ln(n_c / n) of both children - the same sum of the node
 // A node is not split if the gain could be due to chance.
 #include <algorithm>
@@ -29,9 +29,9 @@ using scatter_detail::RayFeatures;
 
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
-// A node of the decision tree is split only if the log-likelihood gains more than this.
-// For unrelated features, twice the gain is chi-square distributed with 23 degrees of
-// freedom. The best split then exceeds the limit in 1 of 100 cases.
+// Minimum gain in log-likelihood for which a tree node is split. For unrelated features,
+// twice the gain is chi-square distributed with 23 degrees of freedom. The best split
+// then exceeds the limit in 1 of 100 cases.
 constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
@@ -43,15 +43,15 @@ struct ScatterSample {
     float value;
 };
 
-/// All returns of the scans. Returns of a tree node are contiguous in memory, so that
-/// counting them reads memory sequentially.
+/// All returns of the scans. The returns of a tree node are contiguous in memory, so
+/// counting them is fast.
 struct ScatterSampleSet {
     std::vector<ScatterSample> all;
     std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins except the last
 };
 
-/// Returns the quantiles that divide a list into `n_parts` parts of equal size, without
-/// duplicates.
+/// Returns the values that divide a list into `n_parts` parts of equal size. Removes
+/// equal values.
 std::vector<float> compute_unique_quantiles(std::vector<float> values, std::size_t n_parts) {
     parallel_sort(values, std::less<>());
     std::vector<float> cuts;
@@ -73,8 +73,8 @@ bool is_measured_and_rendered_return(const PairedIntensities& image, std::size_t
     return image.measured[ray] != kNoIntensity && image.rendered.range_m[ray] > 0.0f;
 }
 
-/// Returns the measured returns whose rays also hit a rendered surface. If there are too
-/// many, selects about `max_count` of them at random.
+/// Returns the measured returns whose rays also hit a rendered surface. If there are more
+/// than `max_count`, selects about `max_count` of them at random.
 std::vector<ImageRayIndex> sample_return_locations(std::span<const PairedIntensities> images,
                                                    std::size_t max_count) {
     std::size_t n = 0;
@@ -162,15 +162,16 @@ struct ClassCounts {
     }
 };
 
-/// Split of a tree node. The first child gets the returns whose feature value is in bin
-/// `bin` or a lower bin.
+/// Split of a tree node in two. The first child gets the returns whose feature value is
+/// in bin `bin` or lower.
 struct TreeNodeSplit {
     double gain = kLeastGain;
     int feature = -1;
     std::size_t bin = 0;
 };
 
-// Number of features that one pass counts. Their counts fit into the first-level cache.
+// Number of features that are counted at the same time. Their counts fit into the
+// first-level cache.
 constexpr std::size_t kTogether = 4;
 using ClassCountsByBin = std::array<ClassCounts, kBins>;
 
@@ -186,7 +187,7 @@ TreeNodeSplit find_best_feature_split(const ClassCountsByBin& class_counts_by_bi
     std::uint32_t n_low = 0;
     for (std::size_t b = 0; b < n_cuts; ++b) {
         const std::uint32_t of_bin = class_counts_by_bin[b].get_total_count();
-        // Splits before and after an empty bin are equal, so one of them is skipped.
+        // A split before an empty bin equals a split after it, so one of them is skipped.
         if (of_bin == 0) continue;
         low.add_counts(class_counts_by_bin[b]);
         n_low += of_bin;
@@ -198,8 +199,8 @@ TreeNodeSplit find_best_feature_split(const ClassCountsByBin& class_counts_by_bi
     return best;
 }
 
-/// Returns the best split of a tree node by a few consecutive features, from
-/// `first_feature` on.
+/// Returns the best split of a tree node by one of the features from `first_feature` to
+/// `first_feature + kTogether - 1`.
 TreeNodeSplit find_best_split_of_features(const ScatterSampleSet& returns,
                                           std::span<const ScatterSample> node_returns,
                                           std::size_t first_feature, const EntropyTermTable& k_log_k) {
@@ -216,9 +217,9 @@ TreeNodeSplit find_best_split_of_features(const ScatterSampleSet& returns,
     return best;
 }
 
-/// Returns the best split of a tree node. Of equally good splits, returns the one with
-/// the lowest feature index.
-/// @param for_each_index function that runs a task for 0, 1, ..., n - 1
+/// Returns the best split of a tree node. If two splits are equally good, returns the one
+/// with the lower feature index.
+/// @param for_each_index  function that runs a task for 0, 1, ..., n - 1
 template <class Each>
 TreeNodeSplit find_best_node_split(const ScatterSampleSet& returns,
                                    std::span<const ScatterSample> node_returns,
@@ -235,8 +236,8 @@ TreeNodeSplit find_best_node_split(const ScatterSampleSet& returns,
     return best;
 }
 
-/// Finds the best splits of several tree nodes in parallel. The features of large nodes
-/// are also processed in parallel.
+/// Finds the best splits of several tree nodes in parallel. For large nodes, also
+/// processes the features in parallel.
 std::vector<TreeNodeSplit> find_best_layer_splits(
     const ScatterSampleSet& returns, const EntropyTermTable& k_log_k,
     std::span<const IntensityScatterModel::DecisionTreeNode> nodes) {
@@ -256,8 +257,8 @@ std::vector<TreeNodeSplit> find_best_layer_splits(
     return cuts;
 }
 
-/// Splits the tree nodes from index `first_node` on. A node with too little gain stays a
-/// leaf. Reorders the returns so that those of each child are contiguous.
+/// Splits the tree nodes from index `first_node` on. A node without enough gain stays a
+/// leaf. Reorders the returns so that the returns of each child are contiguous.
 void split_tree_layer(ScatterSampleSet& returns, const EntropyTermTable& k_log_k,
                       std::vector<IntensityScatterModel::DecisionTreeNode>& nodes, std::size_t first_node) {
     const std::vector<TreeNodeSplit> cuts =
@@ -322,8 +323,8 @@ double find_quantisation_step(std::vector<float> values) {
     for (const float value : values) {
         step = step > 0.0 ? find_approximate_gcd(double(value), step, kError * largest) : double(value);
         if (value > 0.0f && step < kFinest * largest) return 0.0;
-        // Refines the step with the current value. Values ascend, so the step becomes
-        // more and more accurate.
+        // Improves the step with the current value. Values ascend, so each step is more
+        // accurate.
         if (step > 0.0) step = double(value) / std::round(double(value) / step);
     }
     const auto is_multiple = [&](float v) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the features of a ray for the decision tree of intensities. The first features
-// are the rendered values at the ray and around it. The other features compare known and
-// rendered intensities of earlier rays, in the same beam and in the beams above. Used
-// only in src/log/scatter.
+// Computes the features of a ray for the decision tree that predicts intensities. The
+// first features are rendered values at the ray and around it. The other features compare
+// known and rendered intensities of earlier rays, in the same beam and in the beams
+// above. Used only in src/log/scatter.
 #pragma once
 
 #include <algorithm>
@@ -16,7 +16,7 @@
 
 namespace relidar::scatter_detail {
 
-/// Offset from a ray to another ray of the image. Negative rows are above the ray.
+/// Offset from a ray to another ray of the range image. Negative rows are above the ray.
 struct RayOffset {
     int rows, columns;
 };
@@ -28,8 +28,8 @@ struct RayWindow {
 constexpr std::array<RayOffset, 4> kBeside{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
 constexpr std::array<RayWindow, 2> kSmoothed{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
 /// Offsets of earlier rays whose residuals (measured minus rendered intensity) are
-/// features. Neighbouring lasers fire alternately, so rays two steps away are more
-/// similar than direct neighbours.
+/// features. Neighbouring lasers fire alternately. So the ray two rows away is more
+/// similar than the ray in the next row.
 constexpr std::array<RayOffset, 7> kResiduals{
     {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, 0}, {-2, 0}, {-4, 0}}};
 constexpr std::array<RayOffset, 10> kLevels{
@@ -38,7 +38,7 @@ constexpr std::array<RayWindow, 5> kMeans{
     {{{0, -2}, {0, -1}}, {{0, -4}, {0, -1}}, {{0, -8}, {0, -1}}, {{-1, -2}, {-1, 2}}, {{-3, -3}, {-1, 3}}}};
 constexpr std::array<RayWindow, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
 
-/// In the rows above, features use rays up to this many columns to the right.
+/// Features use rays in the rows above that are up to this many columns to the right.
 constexpr int kAhead = 3;
 static_assert(std::ranges::all_of(kMeans, [](const RayWindow& w) {
     return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
@@ -58,12 +58,13 @@ constexpr std::size_t kFeatures = kRenderedFeatures + 2 * kBeside.size() + kSmoo
                                   kResiduals.size() + kLevels.size() + kMeans.size() + kSizes.size();
 using RayFeatures = std::array<float, kFeatures>;
 
-/// Computes the features of rays in a scan in which some intensities are known already.
+/// Computes the features of a ray in a scan where the intensities of earlier rays are
+/// known.
 class RayFeatureExtractor {
 public:
     /// Stores references to the scan and to the known intensities.
-    /// @param known_intensity [rows*columns] kNoIntensity where the intensity is unknown;
-    /// the caller may fill in values later
+    /// @param known  [rows*columns] kNoIntensity where the intensity is unknown; the
+    /// caller may fill in values later
     RayFeatureExtractor(const RenderedIntensityImage& rendered, std::span<const float> known)
         : scan_(rendered), known_intensities_(known) {}
 
@@ -73,14 +74,14 @@ public:
         return result;
     }
 
-    /// Returns feature k, counted in the order of the lists above. Computing single
-    /// features is faster, because a path through the decision tree needs only a few.
+    /// Returns one feature. A path through the decision tree needs only a few features,
+    /// so computing all of them would be slower.
     float compute_feature(std::size_t feature_index, int row, int column) const {
         const auto at = [&](RayOffset s) {
             return get_pixel_index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
         };
-        // The image is not continued to the left of column 0, so that each row can be
-        // drawn from left to right.
+        // A ray to the left of column 0 counts as unknown. Each row can then be drawn
+        // from left to right.
         const auto level = [&](RayOffset s) {
             return row + s.rows < 0 || column + s.columns < 0 ? kNoIntensity : known_intensities_[at(s)];
         };
@@ -93,8 +94,8 @@ public:
             const float r = residual(s);
             return r == kNoIntensity ? r : std::abs(r);
         };
-        /// Returns true if feature k is in the next list, which has `count` features.
-        /// Otherwise subtracts `count` from k.
+        /// Returns true if `feature_index` is less than `count`. Otherwise subtracts
+        /// `count` from it.
         const auto is_of = [&](std::size_t count) {
             return feature_index < count || (feature_index -= count, false);
         };
@@ -118,7 +119,8 @@ private:
 
     std::size_t get_pixel_index(int row, int column) const {
         const int columns = scan_.columns;
-        // Divisions are slow, so only columns outside the image are wrapped.
+        // Divisions are slow, so the column is wrapped only if it is outside the range
+        // image.
         if (column < 0 || column >= columns) column = (column % columns + columns) % columns;
         return std::size_t(row) * std::size_t(columns) + std::size_t(column);
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the range and intensity of a surface to the values that a beam measures, and
-// back:
+// Converts the true range and intensity of a surface to the values that a beam measures,
+// and back:
 //   range_measured = range + range_offset
 //   intensity_measured = clamp(gain * fall * intensity + offset, 0, 1)
 #include <relidar/log/sensor.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes many rays of a beam. The sines and cosines that all rays of the beam share are
-// computed only once.
+// computed once.
 #pragma once
 
 #include <algorithm>

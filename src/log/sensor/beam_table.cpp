@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads beam tables in CSV format: a header line, then one line per beam. An unknown
-// column is an error. Without this error, a misspelt column would be ignored and its
-// values would be 0.
+// column is an error, because it can be a misspelt name.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -71,8 +70,8 @@ BeamTableRow parse_beam_cells(const std::vector<std::string_view>& cells,
 }
 
 /// Adds the beam in one line of a beam table to a sensor.
-/// @throws DataError if the beam is above the previous beam, or if its range limits
-/// differ from those of the first line
+/// @throws DataError if the beam is higher than the beam in the previous line, or if its
+/// range limits differ from the first line
 void append_beam(SpinningSensor& sensor, const BeamTableRow& field_values,
                  const std::string& error_location) {
     // The rotation is negative, because the head turns clockwise.

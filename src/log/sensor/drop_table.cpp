@@ -10,8 +10,8 @@
 namespace relidar {
 
 std::size_t RayDropTable::compute_entry_index(std::uint16_t channel, const glm::vec3& direction) const {
-    // Azimuth bins go clockwise, like the columns of an image: bin 0 begins at +180
-    // degrees.
+    // Bin 0 begins at an azimuth of +180 degrees. The bins continue clockwise, like the
+    // columns of a range image.
     const double revolution_fraction =
         (1.0 - std::atan2(double(direction.y), double(direction.x)) / kPi) / 2.0;
     const int bin = std::clamp(static_cast<int>(revolution_fraction * bins), 0, bins - 1);

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Provides the built-in sensors by name. The beams have three sources: the tables in
-// src/log/sensor/tables, the published calibration of one unit of a model, or even
-// spacing over the field of view in the data sheet. Columns, ranges and beam divergence
-// are data-sheet values at 10 Hz. A divergence of 0 means that no source contains the
-// divergence.
+// src/log/sensor/tables, the published calibration of one unit, or even spacing over the
+// field of view in the data sheet. Columns, ranges and beam divergence are data-sheet
+// values at 10 Hz. A divergence of 0 means that it is not published.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -95,8 +94,8 @@ SensorModel make_hdl64e_sensor(int columns, double rate_hz) {
     return make_sensor_model(std::move(sensor), "evenly spaced beams as in the data sheet");
 }
 
-/// Returns one of Waymo's four short-range LiDARs. Waymo publishes only the highest and
-/// the lowest elevation, so the beams are evenly spaced.
+/// Returns one of Waymo's four short-range LiDARs. The beams are evenly spaced, because
+/// Waymo publishes only the highest and the lowest elevation.
 SensorModel make_waymo_side_sensor(int columns, double rate_hz) {
     SpinningSensor sensor = make_spinning_sensor("waymo-side", columns ? columns : 600, rate_hz);
     constexpr double step_deg = 120.0 / 200.0;
@@ -108,8 +107,8 @@ SensorModel make_waymo_side_sensor(int columns, double rate_hz) {
         "degrees");
 }
 
-/// Returns a spinning sensor with one ray per pixel of the KITTI-360 range images in
-/// published results.
+/// Returns a spinning sensor whose rays are the pixels of the KITTI-360 range images that
+/// publications use.
 SensorModel make_kitti360_sensor(int columns, double rate_hz) {
     const RangeImageGrid grid = make_kitti360_grid();
     SpinningSensor sensor = make_spinning_sensor(grid.name, columns ? columns : grid.columns, rate_hz);
@@ -121,8 +120,8 @@ SensorModel make_kitti360_sensor(int columns, double rate_hz) {
     return make_sensor_model(std::move(sensor), "image size of published results on KITTI-360, 66 x 1030");
 }
 
-/// Returns the text of the built-in beam table of a sensor. Its first line begins with #
-/// and names the source of the values.
+/// Returns the CSV text of a built-in beam table. Its first line begins with # and names
+/// the source of the values.
 std::string get_beam_table_text(const std::string& name) {
     const auto tables = sensor_table_texts();
     const auto table = std::find_if(tables.begin(), tables.end(),
@@ -131,7 +130,8 @@ std::string get_beam_table_text(const std::string& name) {
     return std::string(table->second);
 }
 
-/// Returns the source of a beam table, which its first line names after the #.
+/// Returns the source of the values in a beam table, which follows the # in the first
+/// line.
 std::string parse_table_source(const std::string& table_text) {
     return table_text.substr(2, table_text.find('\n') - 2);
 }
@@ -150,7 +150,7 @@ SensorModel make_sensor_from_table(const BeamTableSensor& data_sheet_values, int
 }
 
 /// Returns Hesai's AT128, whose mirrors scan 120 degrees from left to right in 0.1 s.
-/// Beams have azimuth offsets from the mirror.
+/// Each beam has an azimuth offset relative to the mirror direction.
 SensorModel make_at128_sensor() {
     constexpr int kColumns = 1200;
     constexpr double period_s = 0.1, step_deg = 0.1;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Table of the kinds of sensors, with one row per kind. Sensor files, rigs, logs and runs
-// store a sensor as a JSON object with one member, {"<kind>": {...}}. The row of a kind
-// contains the functions that read and write this JSON member.
+// Table of the kinds of sensors, such as "spinning" or "rays". Sensor files, rigs, logs
+// and runs store a sensor as a JSON object with one member, {"<kind>": {...}}. The table
+// row of a kind contains the functions that read and write this member.
 #pragma once
 
 #include <string>
@@ -15,8 +15,8 @@
 
 namespace relidar {
 
-/// Functions for one kind of sensor, such as "spinning". They accept only patterns of
-/// this kind.
+/// Functions for one kind of sensor, such as "spinning". Their arguments must be patterns
+/// of this kind.
 struct PatternKind {
     const char* name;     ///< key of the JSON object that describes the sensor
     const char* members;  ///< names of the members of the JSON object, for the command-line help
@@ -25,8 +25,8 @@ struct PatternKind {
     /// @param name  name of the sensor if the object contains none
     /// @throws DataError naming the member that is wrong
     SensorModel (*parse)(const JsonField& field, const std::string& name);
-    /// Returns the JSON object without name and range limits. Reading it again restores
-    /// all values bit by bit.
+    /// Returns the JSON object without name and range limits. Reading the object back
+    /// gives exactly the same values.
     nlohmann::ordered_json (*write)(const SensorPattern& pattern);
     RayTable (*make_rays)(const SensorPattern& pattern, double time_s);
     ScanPatternSummary (*describe)(const SensorPattern& pattern);
@@ -49,8 +49,8 @@ PatternKind make_pattern_kind(const char* name, const char* member_names) {
 
 /// Returns the table of all kinds of sensors.
 const std::vector<PatternKind>& list_pattern_kinds();
-/// Return the kinds "spinning" and "rays". Some JSON files contain the members of these
-/// kinds without the name of the kind.
+/// Return the kinds "spinning" and "rays". Readers need them for JSON files that do not
+/// name the kind.
 PatternKind make_spinning_kind();
 PatternKind make_rays_kind();
 /// Returns the kind of sensor that a JSON object names, or null if it names none.
@@ -60,7 +60,7 @@ namespace pattern_detail {
 
 /// Reads an angle from the JSON member NAME_rad in radians or NAME_deg in degrees.
 /// @return radians
-/// @throws DataError if both members are missing, or the angle is outside +-most_deg
+/// @throws DataError if both members are missing, or the angle is outside +-max_deg
 double read_angle_rad(const JsonField& field, const std::string& name, double max_deg);
 /// Reads an angle from the JSON member NAME_rad or NAME_deg. Returns `default_rad` if
 /// both are missing.
@@ -83,13 +83,13 @@ struct CommonSensorMembers {
 /// @param min_period_s  smallest allowed period
 CommonSensorMembers read_common_members(const JsonField& field, const std::string& default_name,
                                         double min_period_s = 1e-6);
-/// Checks that a sensor's JSON object has only known members: those of all sensors, and
-/// `member_names`. An angle NAME can be stored as NAME_rad or NAME_deg.
-/// @throws DataError for any other member
+/// Throws if a sensor's JSON object has an unknown member. Known members are those of all
+/// sensors, and `member_names`. An angle NAME is stored as NAME_rad or NAME_deg.
+/// @throws DataError for an unknown member
 void check_known_members(const JsonField& field, std::vector<std::string> member_names,
                          const std::vector<std::string>& angle_names);
 
-/// Returns element `index` of `count` evenly spaced values from `first` to `last`.
+/// Returns value number `index` of `count` evenly spaced values from `first` to `last`.
 double interpolate_evenly(double first, double last, int index, int count);
 /// Appends a ray that starts at the sensor origin.
 void append_ray_from_sensor_origin(RayTable& rays, const glm::dvec3& direction, double time_s, int channel);
@@ -97,8 +97,8 @@ void append_ray_from_sensor_origin(RayTable& rays, const glm::dvec3& direction, 
 /// @throws UsageError if the number is not in the range 1 to kMaxRays
 void check_ray_count(const std::string& sensor_name, double n_rays);
 /// Checks that the values of a sensor pattern are finite and that its period is positive.
-/// @param sum_of_values  sum of all angles and rates, which is not finite if any of them
-/// is not finite
+/// @param sum_of_values  sum of all angles and rates; it is not finite if one of them is
+/// not finite
 /// @throws UsageError if a check fails
 void check_finite_and_period(const std::string& sensor_name, double sum_of_values, double period_s);
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Projects points into an image. Its rows are evenly spaced in elevation, and its columns
-// are evenly spaced in azimuth (Eq. 6-7). The bins are centred on the rays of the pixels.
+// Projects points into an image whose rows are evenly spaced in elevation, and whose
+// columns are evenly spaced in azimuth (paper Eq. 6-7). The ray of a pixel passes through
+// its centre.
 //   row = round((fov_up - elevation) / fov * rows)
 //   column = round((1 - azimuth / pi) / 2 * columns) mod columns
 #include <relidar/log/sensor.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements operations on ray tables, and the pattern of the sub-rays that sample a
-// beam.
+// Implements operations on ray tables. Also chooses the directions of the sub-rays that
+// sample the cross-section of a beam.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -31,8 +31,7 @@ std::vector<glm::dvec2> make_footprint_offsets(int n_sub_rays) {
             offsets.push_back(radius *
                               glm::dvec2(std::cos(first + k * kPi / 2.0), std::sin(first + k * kPi / 2.0)));
     };
-    // With these radii, the sum of radius^2 over all sub-rays of a beam is `n_sub_rays` /
-    // 2.
+    // With these radii, the sum of radius^2 over all sub-rays is n_sub_rays / 2.
     if (n_sub_rays == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
     if (n_sub_rays == 9) add_ring(0.5, kPi / 4.0), add_ring(std::sqrt(7.0 / 8.0), 0.0);
     if (n_sub_rays == 1 || n_sub_rays == 5 || n_sub_rays == 9) return offsets;

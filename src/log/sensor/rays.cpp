@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Generates the ray tables of spinning LiDARs and range grids. A clockwise head reaches
-// the azimuth theta at the time -theta / (2 pi) * period. Each column of the image has
-// one azimuth. For each beam, the column contains the firing whose ray is nearest to this
-// azimuth. Therefore the firings of a beam with an azimuth offset are shifted by an
-// integer number of columns.
+// the azimuth theta at the time -theta / (2 pi) * period. An image column has one
+// azimuth, and contains for each beam the firing whose ray is nearest to this azimuth.
+// Therefore a beam with an azimuth offset is shifted by an integer number of columns.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -64,7 +63,7 @@ void check_spinning_sensor(const SpinningSensor& sensor) {
     }
 }
 
-/// Wraps an azimuth to the interval [-pi, pi]; both ends stay as they are.
+/// Wraps an azimuth to the interval [-pi, pi]. Does not change -pi and pi.
 double wrap_azimuth(double azimuth_rad) {
     return std::abs(azimuth_rad) <= kPi ? azimuth_rad : std::remainder(azimuth_rad, 2.0 * kPi);
 }

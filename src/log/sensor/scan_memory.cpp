@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Stores the arrays of scans in a memory-mapped file if memory is short. The file is
 // sparse and is mapped once, into an address range that is larger than any disk. The file
-// grows with each new array. The space of freed arrays is returned to the disk and reused
-// for other arrays.
+// grows with each new array. The space of freed arrays is reused, or returned to the file
+// system.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -31,8 +31,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Smaller arrays (in bytes) are kept in memory, because each array in the file occupies
-// complete pages.
+// Arrays smaller than this (bytes) are kept in memory, because an array in the file
+// occupies complete pages.
 constexpr std::size_t kSmall = 16 << 10;
 constexpr std::size_t kReserved = std::size_t(1) << 40;  // Size of the reserved address range in bytes.
 
@@ -49,7 +49,7 @@ std::size_t round_up_to_page_size(std::size_t bytes) {
                     folder.string(), std::generic_category().message(error), missing_bytes));
 }
 
-/// Memory-mapped file without a name, which provides memory for arrays.
+/// Memory-mapped file without a name. Its parts are used as memory for arrays.
 class MappedFile {
 public:
     explicit MappedFile(fs::path folder) : folder_(std::move(folder)) {
@@ -79,8 +79,8 @@ public:
         const auto free_range =
             std::find_if(free_.begin(), free_.end(), [&](const auto& range) { return range.second >= size; });
         const std::size_t offset = free_range == free_.end() ? end_ : free_range->first;
-        // Reserves the disk space now. Writing to a page would kill the process if the
-        // disk were full later.
+        // Reserves the disk space now, because a write to a mapped page kills the process
+        // if the disk is full.
         if (const int error = ::posix_fallocate(file_, off_t(offset), off_t(size)); error != 0)
             throw_scan_storage_error(folder_, size, error);
         if (free_range == free_.end()) end_ += size;
@@ -99,7 +99,7 @@ public:
     void free(void* array, std::size_t bytes) noexcept {
         const std::size_t size = round_up_to_page_size(bytes),
                           offset = std::size_t(static_cast<std::byte*>(array) - begin_);
-        // Frees the disk space of the pages, if the file system supports this.
+        // Returns the disk space of the pages to the file system, if it supports this.
         ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));
         const std::lock_guard lock(mutex_);
         used_ -= size;
@@ -137,8 +137,8 @@ struct ScanMemoryState {
     MappedFile& get_or_create_mapped_file() {
         if (MappedFile* made = file) return *made;
         const std::lock_guard lock(mutex);
-        // The file is never closed, because arrays may be freed as late as the end of the
-        // process.
+        // The file is never closed, because static objects may free arrays at the end of
+        // the process.
         if (!file) file = std::make_unique<MappedFile>(folder).release();
         return *file;
     }
@@ -153,8 +153,7 @@ ScanMemoryState& get_scan_memory_state() {
 std::uint64_t get_available_memory_bytes() {
     std::uint64_t bytes = std::uint64_t(::sysconf(_SC_PHYS_PAGES)) * std::uint64_t(::sysconf(_SC_PAGESIZE)),
                   limit = 0;
-    // Files with the memory limit of the control group, in cgroup version 2 and version
-    // 1.
+    // Files with the memory limit of the control group: cgroup version 2, then version 1.
     for (const char* file : {"/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"})
         // A file without a limit contains "max", so that reading a number fails.
         if (std::ifstream group(file); group >> limit) bytes = std::min(bytes, limit);

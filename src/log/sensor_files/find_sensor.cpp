@@ -21,15 +21,16 @@ constexpr double kMaxColumns = 1'000'000, kMaxRate_hz = 10'000;
 constexpr int kTableColumns = 1800;
 constexpr double kTableRate_hz = 10.0;
 
-/// Sensor as named on the command line: "name[:columns[xHz]]".
+/// Parts of a sensor text such as "OS1-64:1024x20": name, columns and rate in Hz.
 struct SensorSpecifier {
     std::string name;
     int columns = 0;       ///< 0: not specified
     double rate_hz = 0.0;  ///< 0: not specified
 };
 
-/// Parses a sensor text "name[:columns[xHz]]".
-/// @throws UsageError for zero columns or a rate that is not positive
+/// Parses a sensor text such as "OS1-64:1024x20": name, columns and rate in Hz. Columns
+/// and rate are optional.
+/// @throws UsageError if the columns or the rate are out of range
 SensorSpecifier parse_sensor_name(const std::string& text) {
     const std::size_t colon = text.rfind(':');
     if (colon == std::string::npos || colon == 0) return {text};
@@ -38,7 +39,7 @@ SensorSpecifier parse_sensor_name(const std::string& text) {
     const auto columns = parse_number(suffix.substr(0, x));
     const auto rate_hz =
         x < suffix.size() ? parse_number(suffix.substr(x + 1)) : std::optional<double>(kTableRate_hz);
-    // Without numbers after the colon, the colon is part of a file path.
+    // If no valid numbers follow the colon, the colon belongs to a file path.
     if (!columns || !rate_hz) return {text};
     if (!(*columns >= 1.0 && *columns <= kMaxColumns) || *columns != std::floor(*columns) ||
         !(*rate_hz > 0.0 && *rate_hz <= kMaxRate_hz)) {
@@ -50,8 +51,8 @@ SensorSpecifier parse_sensor_name(const std::string& text) {
     return {text.substr(0, colon), static_cast<int>(*columns), *rate_hz};
 }
 
-/// Returns true if a CSV file is a table of rays, which has a column azimuth_deg. Returns
-/// false for a table of beams.
+/// Returns true if a CSV file is a table of rays, and false if it is a table of beams.
+/// Only a table of rays has a column azimuth_deg.
 bool is_ray_csv(const std::string& csv_text) {
     const std::string header = csv_text.substr(0, csv_text.find('\n'));
     return header.find("azimuth_deg") != std::string::npos;

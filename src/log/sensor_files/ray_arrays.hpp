@@ -21,8 +21,8 @@ struct RayFileArrays {
     /// [n] beam divergences, or one value for all rays; empty: 0
     std::vector<double> divergence_rad = {};
     RangeLimits limits = {};
-    /// If true, float directions of unit length are not normalised again, so that rays
-    /// written by relidar are restored bit by bit.
+    /// If true, directions of unit length are not normalised again. Rays that relidar
+    /// wrote are then read back without any rounding.
     bool keeps_floats = false;
 };
 
@@ -45,19 +45,18 @@ std::vector<double> choose_divergence_rad(std::vector<double> ray_divergence_rad
 /// @throws DataError naming the line and the value that is wrong
 SensorModel parse_ray_csv(const std::string& csv_text, const std::string& sensor_name,
                           const std::string& error_location);
-/// Reads a ray table from an npz file.
+/// Reads a ray table from an npz file (a zip archive of NumPy arrays).
 /// @throws DataError if the file is invalid
 SensorModel read_ray_npz(const std::string& path, const std::string& sensor_name);
 /// Parses a sensor in JSON format: a sensor pattern, a ray table, or the metadata of an
 /// Ouster sensor.
-/// @param ray_columns  number of columns, if above 0, instead of the number in Ouster
-/// metadata
-/// @param rate_hz  rate, if above 0, instead of the rate in Ouster metadata
+/// @param columns  if above 0, replaces the number of columns in Ouster metadata
+/// @param rate_hz  if above 0, replaces the rate in Ouster metadata
 /// @throws DataError naming the key that is wrong
 SensorModel parse_sensor_json(const std::string& json_text, const std::string& sensor_name,
                               const std::string& error_location, int columns, double rate_hz);
 
-/// Sets the maximum range of a sensor that has none.
+/// Sets the maximum range if the sensor has no maximum range.
 /// @throws DataError if the maximum range is not above the minimum range
 void set_missing_max_range(SensorModel& sensor, double max_range_m, const std::string& error_location);
 

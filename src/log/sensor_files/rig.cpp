@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sensor rigs. A rig has several sensors, each with a mounting on the vehicle.
+// Reads sensor rigs. A rig is a set of sensors with their poses on the vehicle.
 #include <relidar/log/sensor_files.hpp>
 
 #include <algorithm>
@@ -61,8 +61,8 @@ int read_return_count(const Json& sensor_json, const std::string& error_location
     return returns.get<int>();
 }
 
-/// Returns the path of a sensor file in the folder of the rig file. If there is no such
-/// file, returns the text unchanged: a sensor name or another path.
+/// If `sensor_name` is a file in the folder of the rig file, returns its path. Otherwise
+/// returns `sensor_name` unchanged, because it is the name of a sensor or another path.
 std::string find_file_beside_rig(const std::string& sensor_name, const std::string& rig_file) {
     const fs::path path = fs::path(rig_file).parent_path() / sensor_name;
     const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
@@ -72,8 +72,8 @@ std::string find_file_beside_rig(const std::string& sensor_name, const std::stri
                : sensor_name;
 }
 
-/// Returns the sensor of one rig entry, which contains the name of a sensor, the name of
-/// a file, or a JSON object.
+/// Returns the sensor of one rig entry. The entry contains the name of a sensor, the name
+/// of a file, or a JSON object.
 SensorModel read_sensor_model(const Json& sensor_json, const std::string& sensor_name,
                               const std::string& rig_file, const std::string& error_location) {
     if (!sensor_json.contains("sensor") || !sensor_json.at("sensor").is_object())
@@ -99,8 +99,8 @@ void check_sensor_name(const std::string& name, const std::set<std::string>& use
         throw DataError(fmt::format("{}: name: \"{}\" occurs twice, expected it once", error_location, name));
 }
 
-/// Throws for unknown keys. If a key were misspelt, for example "translation", the sensor
-/// would otherwise be mounted at the origin of the rig.
+/// Throws for unknown keys. Otherwise a misspelt "translation" would mount the sensor at
+/// the origin of the rig.
 void check_known_keys(const Json& object, const std::vector<std::string>& known_keys,
                       const std::string& error_location) {
     for (const auto& [key, value] : object.items())

@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sensors in JSON format: a sensor pattern (read_sensor_json()), a ray table, or
-// the metadata of an Ouster sensor. Ouster's metadata has an old flat form and a newer
-// nested form. The x axis of Ouster's LiDAR frame points backward, to the connector. The
-// sensor frame of relidar is this frame, rotated by 180 degrees about z. For column m of
-// W, beam azimuth a and origin offset n:
-//   head azimuth = pi - 2 pi m / W
-//   ray azimuth = head azimuth - a
+// Reads sensors in JSON format: a sensor pattern, a ray table, or the metadata of an
+// Ouster sensor. Ouster's metadata has an old flat form and a newer nested form. The x
+// axis of Ouster's LiDAR frame points backward, to the connector. The sensor frame of
+// relidar is this frame, rotated by 180 degrees about z. For column m of W, beam azimuth
+// a and origin offset n:
+//   head azimuth = pi - 2 pi m / W,   ray azimuth = head azimuth - a
 // A ray starts at distance n from the axis, along the head direction.
 #include <algorithm>
 #include <cmath>
@@ -28,8 +27,8 @@ using Json = nlohmann::json;
 
 constexpr std::size_t kMostBeams = 1024;
 
-/// Returns the value of a key in a JSON object, or in its members `object_names`. Returns
-/// null if the key is missing.
+/// Searches a key in a JSON object and in its members `object_names`. Returns the value,
+/// or null if the key is missing.
 const Json* find_json_value(const Json& json, const std::string& key,
                             std::initializer_list<const char*> object_names) {
     if (json.contains(key)) return &json.at(key);
@@ -61,8 +60,8 @@ RangeLimits get_ouster_range_limits(const Json& metadata) {
     return built_in_sensor->limits;
 }
 
-/// Reads the columns and the rate of an Ouster sensor from its mode, for example
-/// "1024x10".
+/// Reads the number of columns and the rate from the mode of an Ouster sensor. The mode
+/// "1024x10" means 1024 columns at 10 Hz.
 std::pair<int, double> parse_ouster_columns_and_rate(const Json& metadata,
                                                      const std::string& error_location) {
     const Json* mode = find_json_value(metadata, "lidar_mode", {"config_params"});
@@ -131,8 +130,8 @@ SensorModel parse_sensor_json(const std::string& json_text, const std::string& s
                                     shorten_for_error_message(error.what())));
     }
     const JsonField root(json, error_location, "");
-    // A file with "directions" is a sensor of the kind "rays", but does not name this
-    // kind.
+    // An object with "directions" is a sensor of the kind "rays", although it does not
+    // name the kind.
     if (root.has_member("directions")) return make_rays_kind().parse(root, sensor_name);
     if (find_pattern_kind(root)) {
         SensorModel sensor = read_sensor_json(root, sensor_name);

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Estimates the difference between the real and the nominal azimuth of a spinning LiDAR's
-// head, at each firing. The azimuths differ because motors are uneven, firings are
-// grouped in packets, and each sweep begins at a different azimuth.
+// head for each firing (all lasers at one azimuth). The azimuths differ because motors
+// are uneven, firings are grouped in packets, and each sweep begins at a different
+// azimuth.
 #include <algorithm>
 #include <cmath>
 
@@ -12,12 +13,12 @@
 namespace relidar {
 namespace {
 
-// The azimuth of a firing (all lasers at one azimuth) is estimated only from at least
-// this many returns.
+// Minimum number of returns from which the azimuth of a firing (all lasers at one
+// azimuth) is estimated.
 constexpr std::size_t kFewest = 3;
 constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding errors
-// At least half of the rays must be this close (in columns) to the median of their
-// firing. Otherwise the beams do not rotate together.
+// At least half of the rays must be this close to the median azimuth shift of their
+// firing, in columns. Otherwise the beams do not rotate together.
 constexpr double kAgree_columns = 0.1;
 
 /// Returns the difference of two directions in azimuth, positive to the left.
@@ -27,8 +28,8 @@ double compute_azimuth_difference(const glm::vec3& first_direction, const glm::v
         double(first_direction.x) * second_direction.x + double(first_direction.y) * second_direction.y);
 }
 
-/// Calls visit(ray, firing) for each ray of a scan, with the index of its firing within
-/// the sweep.
+/// Calls visit_ray(ray, firing) for each ray of a scan. `firing` is the index of the
+/// firing (all lasers at one azimuth) within the sweep.
 template <class Visit>
 void visit_rays_with_firing(const SpinningSensor& sensor, const Visit& visit_ray) {
     const auto columns = std::size_t(sensor.columns);
@@ -40,8 +41,8 @@ void visit_rays_with_firing(const SpinningSensor& sensor, const Visit& visit_ray
     }
 }
 
-/// Interpolates unknown azimuth shifts (NAN) between the neighbouring firings. Removes
-/// all shifts if all are unknown.
+/// Replaces unknown azimuth shifts (NAN) by interpolation between the nearest known ones.
+/// Clears the list if all are unknown.
 void interpolate_unknown_shifts(std::vector<float>& shift_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
     auto last = std::ranges::find_if(shift_rad, is_known);

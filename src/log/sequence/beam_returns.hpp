@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the returns of a log, so that the beams can be compared. Used only in
-// src/log/sequence.
+// Reads the returns of a log for the comparison of beams. Used only in src/log/sequence.
 #pragma once
 
 #include <optional>
@@ -12,9 +11,8 @@
 
 namespace relidar {
 
-/// Returns the number of the beam that measured a ray
-/// (LidarSequence::find_global_beam_number), or nothing if the ray has no return closer
-/// than max_range_m.
+/// Returns the log-wide number of the beam that measured a ray. Returns nothing if the
+/// ray has no return closer than max_range_m.
 inline std::optional<std::uint16_t> find_beam_of_return(const LidarSequence& sequence,
                                                         const LidarFrame& frame, std::size_t ray_index,
                                                         double max_range_m) {
@@ -24,8 +22,8 @@ inline std::optional<std::uint16_t> find_beam_of_return(const LidarSequence& seq
                : std::nullopt;
 }
 
-/// Returns the beams of all LiDARs in the order of
-/// LidarSequence::find_global_beam_number().
+/// Returns the beams of all LiDARs. The index in the list is the log-wide number of the
+/// beam.
 inline std::vector<Beam*> list_beams_of_all_lidars(LidarSequence& sequence) {
     std::vector<Beam*> beams;
     for (Lidar& lidar : sequence.lidars)
@@ -33,8 +31,8 @@ inline std::vector<Beam*> list_beams_of_all_lidars(LidarSequence& sequence) {
     return beams;
 }
 
-/// Calls read(frame) for frames and returns the results. If all frames together have more
-/// than max_rays rays, reads only every n-th frame.
+/// Calls process_frame(frame) for frames and returns the results. If all frames together
+/// have more than max_rays rays, processes only every n-th frame.
 template <class Read>
 auto collect_from_frames(const LidarSequence& sequence, const std::vector<int>& frame_indices,
                          std::size_t max_rays, const Read& process_frame) {

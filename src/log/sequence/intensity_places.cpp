@@ -13,15 +13,15 @@
 namespace relidar {
 namespace {
 
-// Intensities are compared within small cells ("places") of this size. A place contains
-// only one surface, but is hit several times.
+// Intensities are compared within grid cells ("places") of this size. A place is so small
+// that it contains one surface, but large enough to be hit several times.
 constexpr double kIntensityCell_m = 0.1;
-// The surface normals at the places are those of planes, which are fitted in larger cells
-// of this size.
+// Size of larger cells. A plane is fitted in each, and its normal is used for all places
+// in the cell.
 constexpr double kSurface_m = 0.4;
 constexpr double kMinPoints = 8.0;
-// Points form a plane if they are thin: their standard deviation along the normal must be
-// less than this fraction of the smaller standard deviation within the plane.
+// Points form a plane only if their standard deviation along the normal is small. The
+// limit is this fraction of the smaller standard deviation within the plane.
 constexpr double kMaxThickness = 0.15;
 constexpr std::size_t kMostCompared = 6000000;
 
@@ -56,8 +56,8 @@ ItemCellIndices assign_returns_to_cells(const std::vector<ReturnWithPoint>& retu
     });
 }
 
-/// Computes the surface normal in each cell of size kSurface_m, or zero if the returns of
-/// the cell do not lie on a plane.
+/// Computes the surface normal in each cell of size kSurface_m. The normal is zero if the
+/// returns in the cell do not form a plane.
 std::vector<glm::vec3> estimate_cell_normals(const std::vector<ReturnWithPoint>& returns,
                                              const ItemCellIndices& cells) {
     const CellItemLists items(cells);

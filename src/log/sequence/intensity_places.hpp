@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Collects returns that hit the same small cell (place) in several sweeps or with several
-// beams. The intensities of such returns can be compared. Used only in src/log/sequence.
+// beams, because only their intensities can be compared. Used only in src/log/sequence.
 #pragma once
 
 #include <cstdint>
@@ -20,8 +20,8 @@ struct CellReturn {
     float intensity;  ///< measured intensity
 };
 
-/// Returns from small cells ("places") that were hit at least twice, sorted by place.
-/// Places are numbered from 0.
+/// Returns in small cells ("places") that were hit at least twice, sorted by place.
+/// Places have the numbers 0, 1, 2 and so on.
 struct RepeatedCellReturns {
     std::vector<CellReturn> sorted_returns;
     std::size_t n_cells = 0;

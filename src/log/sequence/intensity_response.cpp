@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // Estimates how intensities depend on range and incidence, and how the beams of a sensor
 // differ. Compares returns from the same places (small cells). Minimises by Gauss-Newton
-// the errors of
-//   intensity = gain_b * albedo_p * rho(range) * (1 - q (1 - cos)) + offset_b,   rho piecewise linear.
+// the errors of this model, in which rho is piecewise linear:
+//   intensity = gain_b * albedo_p * rho(range) * (1 - q (1 - cos)) + offset_b
 // The albedos are eliminated: H = sum J J^T - sum over places of (sum J c)(sum J c)^T /
-// sum c^2. Here c is the derivative with respect to the place's albedo. The model has two
-// parts: the range and incidence terms, and the beam terms. If one part explains the data
-// as well as both parts, only this part is used.
+// sum c^2. Here c is the derivative by the place's albedo. The model has two parts: range
+// and incidence terms, and beam terms. If one part explains the data as well as both
+// parts, only this part is used.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -30,7 +30,8 @@ constexpr std::size_t kReference = 3;  // index of the knot where rho is 1
 // neighbouring knots.
 constexpr double kResponsePrior = 200.0;
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
-// A part of the model is used only if it reduces the error to less than this ratio.
+// A part of the intensity model is used only if it reduces the error to less than this
+// ratio.
 constexpr double kLeastResponseGain = 0.95;
 constexpr int kSteps = 12;
 constexpr double kDamping = 1e-3;
@@ -53,8 +54,8 @@ struct FittedIntensityTerms {
     bool shared, beams;
 };
 
-/// Returns the index of the knot (sampled range) before a range, and the position between
-/// this knot and the next as a fraction. The fraction is clamped to 0 .. 1.
+/// Returns the index of the last knot (sampled range) before a range. Also returns the
+/// position of the range between this knot and the next, clamped to 0 .. 1.
 std::pair<std::size_t, double> find_range_knot(double range_m) {
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t left = std::size_t(
@@ -62,8 +63,8 @@ std::pair<std::size_t, double> find_range_knot(double range_m) {
     return {left, std::clamp((range_m - kKnots_m[left]) / (kKnots_m[left + 1] - kKnots_m[left]), 0.0, 1.0)};
 }
 
-/// Divides returns into chunks for parallel sums, without splitting the returns of a
-/// place (small cell). Returns the first index of each chunk, and the number of returns.
+/// Divides returns into chunks for parallel sums. All returns of a place (small cell) are
+/// in the same chunk. Returns the first index of each chunk, and the number of returns.
 std::vector<std::size_t> divide_returns_into_chunks(const std::vector<CellReturn>& returns) {
     std::vector<std::size_t> bounds{0};
     for (std::size_t c = 1; c < kChunks; ++c) {
@@ -75,8 +76,8 @@ std::vector<std::size_t> divide_returns_into_chunks(const std::vector<CellReturn
     return bounds;
 }
 
-/// Calls task(returns, chunk) for the returns of each place (small cell), in parallel by
-/// chunk.
+/// Calls task(returns, chunk) for the returns of each place (small cell). Chunks of
+/// places run in parallel.
 template <class Task>
 void for_each_cell_in_parallel(const std::vector<CellReturn>& returns, const Task& task) {
     const std::vector<std::size_t> bounds = divide_returns_into_chunks(returns);
@@ -103,8 +104,8 @@ void fit_albedo_of_each_cell(IntensityFit& model, const RepeatedCellReturns& ret
     });
 }
 
-/// Index of each unknown in the linear system: rho at the knots, q (effect of incidence),
-/// then gain and offset of each beam.
+/// Index of each unknown in the linear system: the range factors rho at the knots, the
+/// incidence factor q, then gain and offset of each beam.
 struct UnknownIndices {
     FittedIntensityTerms parts;
     std::size_t n_beams;
@@ -122,8 +123,8 @@ struct UnknownIndices {
 struct IntensityJacobianRow {
     std::array<std::pair<Eigen::Index, double>, 5> by;
     std::size_t n = 0;
-    /// derivative with respect to the albedo of the place, and measured minus expected
-    /// intensity
+    /// derivative with respect to the albedo of the place (small cell), and measured
+    /// minus expected intensity
     double by_albedo, error;
     void add_derivative(Eigen::Index unknown_index, double derivative) {
         by[n++] = {unknown_index, derivative};
@@ -161,12 +162,13 @@ struct NormalEquations {
     double mean = 0.0, spread = 0.0;
 };
 
-/// Sums over the places (small cells) of a chunk. Only the lower half of the symmetric
-/// matrix h is used. Aligned to cache lines, because threads write to neighbouring sums.
+/// Sums over the places (small cells) of a chunk. Uses only the lower half of the
+/// symmetric matrix h. Aligned to cache lines, because threads write to neighbouring
+/// elements.
 struct alignas(64) Sums {
     NormalEquations system;
-    // [unknowns] sums of products: derivative by the albedo times derivative by the
-    // unknown, for the current place; zero between places
+    // [unknowns] sums over the returns of the current place: derivative by the albedo
+    // times derivative by the unknown; zero before each place
     std::vector<double> coupling;
     std::vector<Eigen::Index> touched;  // unknowns that are coupled to the current place
     double sum = 0.0, squares = 0.0;    // sum and sum of squares of the expected intensities
@@ -225,8 +227,8 @@ void add_priors(NormalEquations& equations, const IntensityFit& model, const Unk
     };
     const double prior =
         kResponsePrior * (equations.mean * equations.mean + equations.spread * equations.spread);
-    // The prior pulls rho at knots with few returns to the line through the neighbouring
-    // knots.
+    // If a knot (sampled range) has few returns, the prior pulls its factor rho to the
+    // line through the neighbouring knots.
     for (std::size_t k = 1; layout.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
@@ -237,7 +239,7 @@ void add_priors(NormalEquations& equations, const IntensityFit& model, const Unk
         equations.g.segment<3>(layout.get_range_factor_index(k - 1)) -= prior * bend * bend.dot(now);
     }
     if (layout.parts.shared) {
-        // A common scale of all albedos cannot be observed, so rho is fixed to 1 at one
+        // A scale that all albedos share cannot be observed, so rho is fixed to 1 at one
         // knot.
         pull(layout.get_range_factor_index(kReference), 1e3 * prior, 1.0 - model.shared.factor[kReference]);
         for (std::size_t k = 0; k < kKnots_m.size(); ++k)
@@ -272,7 +274,7 @@ void apply_solver_step(IntensityFit& model, const UnknownIndices& layout, const 
 }
 
 /// Normalises the beams so that their mean, weighted by numbers of returns, has gain 1
-/// and offset 0. A common scale and shift of all albedos cannot be observed anyway.
+/// and offset 0. A scale and a shift that all albedos share cannot be observed.
 void normalise_beam_responses(std::vector<BeamGainOffset>& beams, const RepeatedCellReturns& returns) {
     std::vector<double> n(beams.size(), kResponsePrior);
     for (const CellReturn& r : returns.sorted_returns) n[r.beam] += 1.0;

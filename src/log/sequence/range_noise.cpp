@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Estimates the noise of measured ranges as a function of range and angle of incidence.
-// Uses second differences along one beam of a sweep. These differences do not depend on
-// poses, on other beams, or on the shape of a surface that is smooth over three firings:
+// Uses second differences of consecutive ranges of one beam. They do not depend on poses
+// or on other beams. They also do not depend on the surface, if it is smooth over three
+// firings:
 //   sigma = 1.4826 median |r_(i-1) - 2 r_i + r_(i+1)| / sqrt(6)
 #include <algorithm>
 #include <array>
@@ -21,7 +22,7 @@ constexpr std::array kRanges_m = {10.0, 20.0, 30.0, 45.0, 80.0};
 constexpr std::array kCosines = {0.3, 0.6, 1.0};
 constexpr std::size_t kBins = kRanges_m.size() * kCosines.size();
 constexpr std::size_t kMostNoiseReturns = 3000000, kFewestOfBin = 200;
-// Larger second differences of ranges are caused by edges and not by noise.
+// Second differences of ranges above this limit are caused by edges and not by noise.
 constexpr float kEdge_m = 0.5f;
 // For a normal distribution, the standard deviation is this factor times the median
 // absolute value.
@@ -60,9 +61,9 @@ double estimate_noise_sigma_m(const std::vector<float>& differences_m) {
     return kOfMedian * double(compute_median(differences_m)) / std::sqrt(6.0);
 }
 
-/// Fills bins that have too few returns with the noise at the same incidence in the next
-/// nearer range, or else the next farther range. Without both, uses the maximum over all
-/// bins.
+/// Fills bins that have too few returns. Uses the noise at the same incidence in the next
+/// nearer range, or else in the next farther range. If neither exists, uses the maximum
+/// over all bins.
 void fill_empty_noise_bins(RangeNoiseTable& noise) {
     const std::size_t n_cosines = kCosines.size();
     for (std::size_t i = 0; i < noise.sigma_m.size(); ++i)
@@ -75,8 +76,8 @@ void fill_empty_noise_bins(RangeNoiseTable& noise) {
             noise.sigma_m[i] = *std::max_element(noise.sigma_m.begin(), noise.sigma_m.end());
 }
 
-/// Estimates the range noise of one LiDAR. Also returns the number of returns that were
-/// used. The result is empty if no bin has enough returns.
+/// Estimates the range noise of one LiDAR, and counts the returns that were used. The
+/// noise table is empty if no bin has enough returns.
 std::pair<RangeNoiseTable, std::size_t> estimate_range_noise(
     const std::vector<DifferencesByBin>& differences_by_frame) {
     RangeNoiseTable noise{{kRanges_m.begin(), kRanges_m.end()},

@@ -17,25 +17,26 @@
 namespace relidar {
 namespace {
 
-// Size of the cells in which planes are fitted: large enough to distinguish a plane from
-// noise, and small enough that streets are flat.
+// Size of the cells in which planes are fitted. It is large enough to distinguish a plane
+// from noise, and so small that the street in a cell is flat.
 constexpr double kCell_m = 0.3;
-// Farther returns are ignored, because cells at this distance contain too few returns.
+// Farther returns are ignored, because cells at this distance contain too few returns for
+// a plane.
 constexpr double kMaxRange_m = 40.0;
 constexpr std::size_t kMostOffsetReturns = 6000000;
 constexpr int kMinReturns = 20;  // minimum number of returns in a cell for fitting a plane
-// Points form a plane if their standard deviation is below this value across the plane,
-// and above it along the plane.
+// Points form a plane if their standard deviation along the normal is below this value,
+// and their standard deviations within the plane are above it.
 constexpr double kMaxThickness_m = 0.05;
 // Points farther from the plane of their cell belong to another object and are ignored.
 constexpr double kMaxResidual_m = 0.15;
-// Weight of the prior that pulls range offsets to zero, as a number of returns at normal
+// Weight of the prior that pulls range offsets to zero. The unit is returns at normal
 // incidence.
 constexpr double kPriorReturns = 20.0;
 // Range offsets are used only if they reduce the residuals to less than this ratio.
-// Otherwise they are only noise.
+// Smaller improvements can be noise.
 constexpr double kLeastGain = 0.97;
-// Number of iterations. Offsets converge slowly if few beams observe the same plane.
+// Number of iterations. Many are needed if few beams observe the same plane.
 constexpr int kRounds = 30;
 
 /// A return in the world frame, not yet corrected by the range offset of its beam.
@@ -56,8 +57,8 @@ std::vector<UncorrectedReturn> collect_world_returns(const LidarSequence& sequen
     return result;
 }
 
-/// Returns of a log, sorted by cell and, within a cell, by frame. Range offsets move
-/// returns by centimetres, but do not change their cells.
+/// Returns of a log, sorted by cell and, within a cell, by frame. Range offsets are so
+/// small that a corrected return stays in its cell.
 struct ReturnsByCell {
     std::vector<UncorrectedReturn> returns;
     std::vector<std::size_t> first;  ///< [cells + 1] index into `returns`
@@ -91,7 +92,6 @@ glm::dvec3 correct_by_range_offset(const UncorrectedReturn& observation,
            beam_offsets_m[observation.beam] * glm::dvec3(observation.direction);
 }
 
-/// Plane of a cell.
 struct CellPlane {
     glm::dvec3 point;
     glm::dvec3 normal;
@@ -112,7 +112,7 @@ std::optional<CellPlane> fit_plane_to_returns(std::span<const UncorrectedReturn>
 }
 
 /// Sums over the returns of one beam. `weight`: squared cosines of incidence. `sum`:
-/// distances from planes, multiplied by these cosines.
+/// distances from planes, each multiplied by its cosine.
 struct BeamOffsetSums {
     double weight = 0.0;
     double sum = 0.0;
@@ -133,7 +133,7 @@ struct BeamResiduals {
         ++n;
         squares += residual * residual;
         fits[observation.beam].weight += facing * facing;
-        // Adds the full offset instead of its change, so that the prior pulls the full
+        // Adds the full offset and not only its change, because the prior pulls the full
         // offset to zero.
         fits[observation.beam].sum += facing * (residual + beam_offsets_m[observation.beam] * facing);
     }
@@ -149,7 +149,7 @@ struct BeamResiduals {
 };
 
 /// Computes the distances of all returns from the planes of their cells with the current
-/// offsets. Blocks of cells run in parallel, but sums are added in a fixed order.
+/// offsets. Runs in parallel, but adds the sums in a fixed order.
 BeamResiduals compute_plane_residuals(const ReturnsByCell& cells, const std::vector<double>& beam_offsets_m) {
     constexpr std::size_t kBlock = 2048;
     BeamResiduals all{
@@ -167,8 +167,8 @@ BeamResiduals compute_plane_residuals(const ReturnsByCell& cells, const std::vec
     return all;
 }
 
-/// Updates the range offsets of all beams once.
-/// @return number and mean square of the residuals before the update
+/// Improves the range offsets of all beams by one iteration.
+/// @return number and mean square of the residuals before the iteration
 std::pair<std::size_t, double> update_range_offsets(const ReturnsByCell& cells,
                                                     std::vector<double>& beam_offsets_m) {
     const BeamResiduals r = compute_plane_residuals(cells, beam_offsets_m);
@@ -178,8 +178,8 @@ std::pair<std::size_t, double> update_range_offsets(const ReturnsByCell& cells,
         mean += r.fits[b].weight * beam_offsets_m[b];
         weight += r.fits[b].weight;
     }
-    // An offset that all ranges have in common cannot be distinguished from a different
-    // scene, so the mean offset is removed.
+    // Removes the mean offset. An offset that all beams share cannot be distinguished
+    // from a different scene.
     for (double& offset : beam_offsets_m) offset -= mean / weight;
     return {r.n, r.n > 0 ? r.squares / double(r.n) : 0.0};
 }

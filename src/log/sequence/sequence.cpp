@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Interpolates poses and boxes, and computes rays and returns in the world frame.
-//   pose(t): slerp / lerp between the neighbours of t; the end segments continue at constant velocity.
+//   pose(t): slerp / lerp between the neighbours of t; constant velocity at both ends.
 #include <relidar/log/sequence.hpp>
 
 #include <algorithm>
@@ -52,7 +52,7 @@ bool BoxTrack::contains_point(const glm::dvec3& point_m, double t_s, double marg
     const glm::dvec3 half = 0.5 * size_m + glm::dvec3(margin_m);
     const PoseTrack& track = world_from_box;
     // First compares the distance from the centre of the box. This fast test rejects most
-    // points, which then need no interpolated rotation.
+    // points, so the rotation is interpolated only for the remaining points.
     if (track.pose.size() > 1) {
         const TrackInterpolation at = find_track_position(track.time_s, t_s);
         const glm::dvec3 centre =
@@ -172,8 +172,8 @@ PoseTrack compute_mounted_track(PoseTrack carrier_track, const Pose& carrier_fro
 }
 
 PoseTrack subdivide_turning_segments(const PoseTrack& track) {
-    // Maximum rotation between two poses. Linear interpolation then moves an object 10 m
-    // away by at most 0.03 mm from its true arc.
+    // Maximum rotation between two poses. Linear interpolation of an object 10 m away
+    // then deviates by at most 0.03 mm from the true arc.
     constexpr double kMaxRotation_rad = 5e-3;
     PoseTrack fine;
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
@@ -200,7 +200,7 @@ PoseTrack shift_track(PoseTrack track, const glm::dvec3& offset_m) {
 
 namespace {
 
-/// Returns the mean position of a track within a time interval, or nothing if the
+/// Returns the mean position of a track within a time interval. Returns nothing if the
 /// interval contains no pose.
 std::optional<glm::dvec3> compute_mean_position(const PoseTrack& track, double first_s, double last_s) {
     constexpr double kSame_s = 1e-6;
@@ -272,12 +272,15 @@ WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const
 
 namespace {
 
-// A sweep has the default start if it differs by at most this fraction of the period.
+// If the start of a sweep differs from the default by at most this fraction of the
+// period, the default start is used.
 constexpr double kUsual = 0.02;
 
 /// Rotation of a LiDAR's head in one sweep, estimated from its rays.
 struct HeadRotation {
-    /// sum over the rays of exp(i azimuth), with the azimuth of the head at time 0
+    /// sum over the rays of exp(i a); a: azimuth of the head at time 0, computed from the
+    /// ray
+    /// time 0
     std::complex<double> at_zero = 0.0;
     float first_s = std::numeric_limits<float>::infinity();
 
@@ -291,8 +294,9 @@ struct HeadRotation {
 }  // namespace
 
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningSensor& sensor) {
-    // Minimum length of the mean phasor exp(i azimuth) of rays from one rotating head.
-    // Azimuth offsets of beams and uneven rotation reduce it only slightly below 1.
+    // If all rays come from one rotating head, the mean of exp(i azimuth) at time 0 has
+    // at least this length. Azimuth offsets and uneven rotation keep the length slightly
+    // below 1.
     constexpr double kTogether = 0.9;
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
@@ -322,7 +326,7 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& li
     const double period_s = lidar.period_s();
     if (!(period_s > 0.0) || rays.size() == 0) return {};
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
-    // Rays of a motion-compensated scan have equal times, which do not show the start.
+    // In a motion-compensated scan, all rays have the same time, so the start is unknown.
     if (first == last) return {};
     const double first_s = double(first);
     if (std::abs(first_s + 0.5 * period_s) < kUsual * period_s) return {};
@@ -352,8 +356,8 @@ RayTable make_nominal_rays(const Lidar& lidar, double time_s) {
 
 namespace {
 
-/// Returns when a LiDAR that does not spin measures an azimuth, relative to the time of
-/// the frame.
+/// Returns the time at which a LiDAR that does not spin measures an azimuth, relative to
+/// the time of the frame.
 double compute_measurement_offset_s(const SensorPattern& pattern, double azimuth_rad,
                                     const std::optional<SweepStart>& sweep_start) {
     const auto [n_rays, period_s, by_time, sweep] = summarise_scan_pattern(pattern);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the frames that are held out of training (paper Sec. 4): every n-th frame, the
-// frames of a published split, or the frames in a list.
+// Selects the test frames, which do not train the scene (paper Sec. 4): every n-th frame,
+// the frames of a published split, or the frames in a list.
 #include <relidar/log/sequence.hpp>
 
 #include <algorithm>
@@ -18,8 +18,8 @@
 namespace relidar {
 namespace {
 
-// With this value of test_every, a published split of the dataset is used if there is
-// one.
+// If `test_every` has this value, the published split of the dataset is used, if one
+// exists.
 constexpr int kPublishedEvery = 10;
 constexpr const char* kSetting = "dataset.test_frames";
 
@@ -44,8 +44,8 @@ IndexRange parse_frame_range(std::string_view text) {
     return {*first, *end};
 }
 
-/// Returns the indices of all frames in order. An index that several LiDARs share is
-/// listed once.
+/// Returns the indices of all frames in order. If several LiDARs have a frame with the
+/// same index, lists the index once.
 std::vector<int> list_unique_frame_numbers(const LidarSequence& sequence) {
     std::vector<int> sweeps;
     std::set<int> added_numbers;

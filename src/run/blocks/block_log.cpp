@@ -13,12 +13,11 @@
 namespace relidar {
 namespace {
 
-// Boxes farther from the sensor than this are left out, because they have hardly any
-// returns.
+// Maximum distance between a box and the sensor. Farther boxes have hardly any returns
+// and are left out.
 constexpr double kMaxBoxDistance_m = 100.0;
 
-/// Returns the frames of one block of the log, for training and for testing, in the order
-/// of the log.
+/// Returns the training and test frames of one block of the log, in the order of the log.
 std::vector<int> list_frame_indices_of_block(const TrajectoryBlock& block, const TrainTestSplit& split) {
     std::vector<int> frames = block.train;
     for (const int position : block.recorded_frames)
@@ -29,8 +28,8 @@ std::vector<int> list_frame_indices_of_block(const TrajectoryBlock& block, const
 }
 
 /// Returns the vehicle poses at the times of some frames, and the poses directly before
-/// and after each frame. The additional poses are needed to interpolate the motion during
-/// a sweep.
+/// and after each frame. The poses before and after are needed to interpolate the motion
+/// during a sweep.
 PoseTrack select_poses_around_frames(const LidarSequence& sequence, const std::vector<int>& frame_indices) {
     const PoseTrack& all = sequence.world_from_vehicle;
     std::vector<bool> is_used(all.time_s.size(), false);
@@ -55,8 +54,8 @@ bool is_box_near_any_frame(const BoxTrack& box, const LidarSequence& sequence,
 }
 
 /// Removes actors that have no box in this part of the log from the user's list of
-/// actors. If the list becomes empty, also clears the actor classes, because an empty
-/// list selects actors by class.
+/// actors. If the list becomes empty, also clears the actor classes. Otherwise the empty
+/// list would select actors by class.
 void remove_tracks_without_boxes(SceneInitialisationOptions& options, const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;
     std::vector<std::string> remaining_tracks;

@@ -14,8 +14,8 @@ namespace relidar {
 /// @return [frames] metres, world frame
 std::vector<glm::dvec3> compute_vehicle_position_per_frame(const LidarSequence& sequence);
 
-/// Returns true if a labelled box exists at the time of a frame and is at most
-/// `max_distance_m` away from the vehicle.
+/// Returns true if a labelled box exists at the time of a frame and the distance between
+/// box and vehicle is at most `max_distance_m`.
 bool is_box_within_distance(const BoxTrack& box, const LidarSequence& sequence, int frame_index,
                             double max_distance_m);
 

@@ -16,12 +16,12 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// A frame shows an actor well if its box is at most this far from the sensor. Boxes
-// farther away have few returns.
+// Maximum distance between the box of an actor and the sensor in frames that train this
+// actor well. Farther boxes have few returns.
 constexpr double kMaxActorDistance_m = 60.0;
 
-/// Counts the training frames of a block in which a box is near enough to train its
-/// actor.
+/// Counts the training frames of a block in which a box is near the sensor, so that they
+/// train its actor well.
 std::size_t count_training_frames_near_box(const BoxTrack& box, const LidarSequence& sequence,
                                            const TrajectoryBlock& block) {
     return std::size_t(std::count_if(block.train.begin(), block.train.end(), [&](int position) {
@@ -42,8 +42,8 @@ SceneBlock make_background_block(const Scene& scene, const fs::path& model_file)
     return block;
 }
 
-/// Averages the ray-drop probabilities of a sensor that were trained in several blocks of
-/// a log. The weight of a block is its number of training frames.
+/// Averages the ray-drop probabilities of a sensor over several blocks of a log. The
+/// weight of a block is its number of training frames.
 class MeanRayDropTable {
 public:
     void add_weighted_table(const RayDropTable& table, std::size_t n_training_frames) {
@@ -65,8 +65,8 @@ private:
     std::size_t n_frames_ = 0;
 };
 
-/// The model of an actor that was trained in one block of the log. If several blocks
-/// contain the actor, the model with the most sightings is used.
+/// The model of an actor that was trained in one block of the log. If several blocks have
+/// trained the same actor, the model with the most sightings is used.
 struct ActorModelCandidate {
     std::size_t sightings = 0;
     SurfelModel model;
@@ -75,7 +75,7 @@ struct ActorModelCandidate {
 };
 
 /// Adds the actors of a block to `best_actors`. If another block has trained the same
-/// actor, keeps the model with more training frames near the actor.
+/// actor, keeps the model with more training frames near this actor.
 void update_best_actors(const TrainedRun& block_run, const LidarSequence& full_sequence,
                         const TrajectoryBlock& block,
                         std::map<std::string, ActorModelCandidate>& best_actors) {
@@ -95,8 +95,7 @@ void update_best_actors(const TrainedRun& block_run, const LidarSequence& full_s
     }
 }
 
-/// Copies the vehicle poses of a block's sweeps from the trained run of this block to the
-/// track of the full log.
+/// Copies the vehicle poses of a block's sweeps to the track of the full log.
 void copy_block_poses_to_track(const TrainedRun& block_run, const LidarSequence& full_sequence,
                                const TrajectoryBlock& block, PoseTrack& full_track) {
     for (const int position : block.recorded_frames) {
@@ -104,7 +103,7 @@ void copy_block_poses_to_track(const TrainedRun& block_run, const LidarSequence&
         const PoseTrack& part_track = block_run.sequence.world_from_vehicle;
         const auto from = std::lower_bound(part_track.time_s.begin(), part_track.time_s.end(), time_s);
         const auto to = std::lower_bound(full_track.time_s.begin(), full_track.time_s.end(), time_s);
-        // Skips the frame if a track has no pose at exactly this time.
+        // Skips the frame if one of the tracks has no pose at exactly this time.
         if (from == part_track.time_s.end() || *from != time_s || to == full_track.time_s.end() ||
             *to != time_s)
             continue;
@@ -134,7 +133,7 @@ void join_trained_blocks(TrainedRun& run, const std::vector<TrajectoryBlock>& bl
     scene.sensor_drop = drop.compute_mean_table();
     run.sequence.world_from_vehicle = std::move(poses);
     // Iterates over the boxes of the log, so that the actors have the same order as in a
-    // scene without blocks.
+    // scene that is not divided into blocks.
     for (BoxTrack& box : run.sequence.boxes) {
         const auto entry = actors.find(box.id);
         if (entry == actors.end()) continue;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Divides a log into blocks, which are trained separately. Selects the sweeps that each
-// block uses. A surfel belongs to the block whose sweeps are nearest.
+// Divides a log into blocks, which are trained separately. Selects the sweeps that train
+// each block. A surfel belongs to the block whose sweeps are nearest.
 #include <relidar/run/blocks.hpp>
 
 #include <algorithm>
@@ -16,8 +16,7 @@
 namespace relidar {
 namespace {
 
-/// Returns, for each position of the vehicle, the distance in metres that it has driven
-/// so far.
+/// Returns how far the vehicle has driven, in metres, at each of its positions.
 std::vector<double> compute_cumulative_distances_m(const std::vector<glm::dvec3>& vehicle_positions) {
     std::vector<double> metres(vehicle_positions.size(), 0.0);
     for (std::size_t i = 1; i < vehicle_positions.size(); ++i)

@@ -26,12 +26,11 @@ constexpr const char* kChecksum = "crc32";
 class Crc32 {
 public:
     void update_crc(const void* bytes, std::size_t n_bytes) {
-        // Skips empty arrays, because zlib would restart the checksum if the pointer is
-        // null.
+        // Skips empty arrays, because zlib restarts the checksum if the pointer is null.
         if (n_bytes > 0) crc_ = ::crc32_z(crc_, static_cast<const Bytef*>(bytes), n_bytes);
     }
-    // Includes the terminating zero in the checksum. Without it, "ab","c" and "a","bc"
-    // would have the same checksum.
+    // Includes the terminating zero, so that the texts "ab","c" and "a","bc" have
+    // different checksums.
     void update_crc_with_text(const std::string& text) { update_crc(text.c_str(), text.size() + 1); }
     std::string format_crc_as_hex() const { return fmt::format("{:08x}", crc_); }
 
@@ -55,8 +54,8 @@ std::string compute_checksum(const Texts& metadata, const std::vector<NamedArray
     return crc.format_crc_as_hex();
 }
 
-/// Removes an entry from the metadata and returns its value. Used for entries of the file
-/// format that callers should not see.
+/// Removes an entry from the metadata and returns its value. Used for entries that belong
+/// to the file format and that callers must not see.
 std::string pop_metadata_value(Texts& metadata, const std::string& key) {
     const auto it = metadata.find(key);
     if (it == metadata.end())
@@ -87,8 +86,8 @@ int parse_iteration_number(const std::string& text) {
 Checkpoint parse_checkpoint(Texts metadata, std::vector<NamedArray> arrays) {
     const auto format = metadata.find("format"), version = metadata.find("version");
     require_equal_text("metadata format", format == metadata.end() ? "" : format->second, kFormat);
-    // Checks the version before the checksum, because another version may compute the
-    // checksum in a different way.
+    // Checks the version before the checksum, because other versions may compute the
+    // checksum differently.
     require_equal_text("metadata version", version == metadata.end() ? "" : version->second, kVersion);
     const std::string computed_checksum = compute_checksum(metadata, arrays);
     require_equal_text("checksum of the metadata and arrays", computed_checksum,
@@ -148,7 +147,7 @@ std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path&
 
 void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int max_checkpoints) {
     std::error_code failed;
-    // If this fails, writing the file below fails too and reports the error.
+    // If this call fails, the write below also fails and reports the error.
     std::filesystem::create_directories(folder, failed);
     const std::filesystem::path path =
         folder / fmt::format("iteration_{:08}.safetensors", checkpoint.iteration);
@@ -183,7 +182,7 @@ std::optional<Checkpoint> load_newest_checkpoint(
 void remove_checkpoints(const std::filesystem::path& folder) {
     std::error_code failed;
     for (const std::filesystem::path& path : list_checkpoints(folder)) std::filesystem::remove(path, failed);
-    // Removes the folder only if it is empty. Otherwise this call does nothing.
+    // Does nothing if the folder is not empty.
     std::filesystem::remove(folder, failed);
 }
 

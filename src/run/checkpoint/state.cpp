@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the training state to named arrays, and named arrays to a training state.
-// Checks the type and the shape of every array that is read.
+// Converts the training state to named arrays, and named arrays back to the training
+// state. Checks the type and the shape of every array that is read.
 #include <relidar/run/checkpoint.hpp>
 
 #include <algorithm>

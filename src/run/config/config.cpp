@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads settings from text and TOML files, and writes them as TOML. All functions use the
-// table of settings in fields.hpp. The first part of a setting's name is its TOML table.
+// table of settings in fields.hpp. The first part of a setting's name is the name of its
+// TOML table.
 #include <relidar/run/config.hpp>
 
 #include <algorithm>
@@ -32,8 +33,9 @@ using config_detail::SettingHelp;
 using config_detail::SettingValueRange;
 using config_detail::visit_all_settings;
 
-/// Value of a setting as text. A TOML file shows whether the value was in quotes. On the
-/// command line this is unknown, because the shell removes quotes.
+/// Value of a setting as text, and whether the text was in quotes. The quotes are known
+/// for a TOML file. They are unknown for the command line, because the shell removes
+/// quotes.
 struct ParsedValue {
     std::string text;
     enum class QuotedState { unknown, yes, no } quotes = QuotedState::unknown;
@@ -108,8 +110,8 @@ void flatten_toml_table(const toml::table& table, const std::string& key_prefix,
     }
 }
 
-/// Checks that a settings file contains every setting and no unknown key, like all files
-/// that to_toml() writes.
+/// Checks that a settings file contains every setting and no unknown key. Files from
+/// to_toml() fulfil this.
 /// @throws UsageError if a setting is missing or a key is unknown
 void check_settings_complete(const std::map<std::string, ParsedValue>& settings) {
     constexpr const char* kAdvice =
@@ -163,8 +165,8 @@ void set_config_value(Config& config, const std::string& key, const std::string&
 namespace {
 
 /// Reads a TOML file and applies its settings to `config`.
-/// @param check_file_settings  function that checks the settings of the file before they
-/// are applied
+/// @param check_file_settings  called with the settings of the file before they are
+/// applied
 template <class Check>
 void read_config_file(Config& config, const std::filesystem::path& path, const Check& check_file_settings) {
     const std::string text = read_text_file(path);
@@ -205,7 +207,7 @@ Config load_saved_config(const std::filesystem::path& path) {
 namespace {
 
 /// Returns the settings as TOML text, grouped by table, with a comment for each setting.
-/// @param is_key_shown  function that returns true for the keys to include
+/// @param is_key_shown  returns true for the keys that the text must contain
 template <class Shown>
 std::string format_config_as_toml(const Config& config, const Shown& is_key_shown) {
     std::string text, table;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the value of a setting to text, and text to a value. A number is written as
-// the shortest decimal text that reads back as the same value. Error messages list the
+// Converts the value of a setting to text, and text to a value. Numbers are written in
+// the shortest form from which the same value is read again. Error messages list the
 // accepted values of the setting. Private to config.
 #pragma once
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Table of all settings: key, value, accepted values, description. Keys, `--set`, TOML
 // files and `--help` are generated from this table. To add a setting, add a field in
-// <relidar/run/config.hpp> and a row here. A field without a row cannot be set by users;
-// only the presets set it. Loss weights have a separate table. Private to config.
+// <relidar/run/config.hpp> and a row here. Users cannot set a field without a row; only
+// the presets set it. Loss weights have a separate table. Private to config.
 #pragma once
 
 #include <limits>
@@ -19,12 +19,12 @@ namespace relidar::config_detail {
 struct SettingValueRange {
     double low = std::numeric_limits<double>::lowest();
     double high = std::numeric_limits<double>::max();
-    /// True if the value must be greater than `minimum`. If false, the value may also be
-    /// equal to `minimum`.
+    /// True if the value must be greater than `low`. False if it may also be equal to
+    /// `low`.
     bool above_low = false;
-    /// Accepted texts. The index of a text in this list is the value of its enum.
+    /// Accepted texts. For an enum, the index of a text is the value of the enum.
     std::vector<std::string> choices;
-    bool several = false;  ///< True if the value may contain several of the choices, separated by commas.
+    bool several = false;  ///< true if the value may contain several choices, separated by commas
 };
 
 inline SettingValueRange accept_anything() { return {}; }
@@ -58,7 +58,7 @@ inline SettingValueRange accept_some_of(std::vector<std::string> choices) {
 /// Help text of a setting, and whether only experts need the setting.
 struct SettingHelp {
     const char* text;
-    bool expert = false;  ///< True if the setting is only useful for users who know the implementation.
+    bool expert = false;  ///< true if only users who know the implementation need the setting
     SettingHelp(const char* words, bool is_expert = false) : text(words), expert(is_expert) {}
 };
 inline SettingHelp mark_expert(const char* help_text) { return {help_text, true}; }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Presets: named sets of default values. The preset `paper` has the values of
-// docs/method.md sections 2, 5 and 6. The comments of the other presets say how and why
-// they differ from it.
+// docs/method.md sections 2, 5 and 6. The comments of the other presets explain how they
+// differ from this preset, and why.
 #include <relidar/run/config.hpp>
 
 #include <fmt/format.h>
@@ -11,8 +11,9 @@
 namespace relidar {
 namespace {
 
-/// Returns the settings of the paper, which are mostly the defaults of the structs. As in
-/// the paper's evaluation, ranges are not divided by the sum of the blending weights.
+/// Returns the settings of the paper, which are mostly the defaults of the structs.
+/// Ranges are not divided by the sum of the blending weights, as in the paper's
+/// evaluation.
 Config make_paper_preset_config() {
     Config config;
     config.dataset.waymo_intensity = "clamp";
@@ -38,7 +39,7 @@ Config make_paper_preset_config() {
 /// differ from the text of the paper (docs/method.md section 5). The intensity loss
 /// includes SSIM, which needs full images. The Chamfer distance has no gradient in that
 /// program, so it is not used for training. Surfels outside their box are penalised. The
-/// errors of the released program (section 10) are not reproduced.
+/// errors of the released program (docs/method.md section 10) are not reproduced.
 Config make_released_code_preset_config() {
     Config config = make_paper_preset_config();
     config.preset = "released";
@@ -49,7 +50,8 @@ Config make_released_code_preset_config() {
 }
 
 /// Returns the settings with the best results on a real log (KITTI raw 0005,
-/// docs/results.md). Training starts from dense, smoothed points, so it adds no surfels.
+/// docs/results.md). Training adds no surfels, because it starts from dense, smoothed
+/// points.
 Config make_default_preset_config() {
     Config config;
     config.preset = "default";
@@ -60,31 +62,33 @@ Config make_default_preset_config() {
     // Small voxels give small surfels. Large surfels would blur the edges of objects.
     config.init.voxel_m = 0.1;
     config.init.voxel_growth = 0.006;    // approximately the spacing of neighbouring rays
-    config.init.normal_neighbours = 24;  // 6 points with noise of 2 cm would tilt a normal by 0.1 rad
-    // Discs of points without a clear normal, for example on leaves, face the sensor.
+    config.init.normal_neighbours = 24;  // with 6 points, noise of 2 cm would tilt a normal by 0.1 rad
+    // Points without a clear normal, for example on leaves, become discs that face the
+    // sensor.
     config.init.flatness = 0.04;
     // KITTI labels only objects that its front camera sees.
     config.init.unlabelled_movers = UnlabelledMoverPolicy::actors;
     config.init.opacity = 0.8;
-    // New surfaces have a ray-drop probability of 12 %, as typical sensors.
+    // New surfaces have a ray-drop probability of 12 %, which is typical for sensors.
     config.init.hit_margin = 2.0;
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
     config.init.second_returns = true;
-    // With a smaller value, holes would remain between the rings of a 32-beam LiDAR.
+    // A smaller value would leave holes between the rings of a 32-beam LiDAR.
     config.init.max_gap_m = 2.0;
     // With this thickness, 3D Gaussians have the same range error as flat surfels.
     config.init.thickness = 0.05;
     config.image.sh_direction = ShDirection::surfel;
     config.image.transmittance_min = 1e-3f;
-    // The Huber loss estimates the mean intensity. The L1 loss would estimate the median.
+    // With the Huber loss, the mean of the intensity is learned. With the L1 loss, the
+    // median would be learned.
     config.loss.intensity = 0.3f;
     config.loss.intensity_delta = 0.2f;  // lowers the RMSE of held-out intensities
-    // Divides the range by the sum of the blending weights. Otherwise a sum of 0.97 would
-    // move every surface by 3 %.
+    // Divides the range by the sum of the blending weights. Without this division, a sum
+    // of 0.97 would move every surface by 3 %.
     config.loss.normalised_depth = true;
     config.loss.chamfer = 0.0f;      // off, because it changes metrics by less than 1 % and takes time
-    config.loss.opacity = 0.1f;      // closes holes; the normalised range alone does not close them
+    config.loss.opacity = 0.1f;      // closes holes that remain with the normalised range
     config.loss.likelihood = 0.05f;  // this loss lowers the Chamfer distance and the median range error
     config.train.iterations = 3000;
     config.train.sh_degree_start = 1;  // models the effect of incidence on intensity from the start
@@ -101,23 +105,24 @@ Config make_default_preset_config() {
     config.train.sensor_drop = true;
     config.train.refine_poses = "sensor";  // poses drift by decimetres, which causes double walls
     config.refine.enabled = true;          // the network improves the accuracy of ray-drop
-    config.refine.frames = 200;            // limited because the images of all frames are in memory together
+    config.refine.frames = 200;  // limited because the images of all these frames are in memory together
     config.render.range = "normalised";
-    // Uses the measured azimuths of each sweep, because LiDAR heads rotate unevenly.
+    // Uses the measured azimuths of each sweep, because LiDAR heads rotate at varying
+    // speed.
     config.render.follow_sweeps = true;
     // With 64 hits per chunk, nearly every ray becomes opaque within its first chunk.
     config.trace.chunk = 64;
     return config;
 }
 
-/// Returns settings for training on a CPU in minutes: small batches of rays and fewer
+/// Returns settings for training on a CPU in minutes: fewer rays per step and fewer
 /// steps.
 Config make_quick_preset_config() {
     Config config = make_default_preset_config();
     config.preset = "quick";
     config.init.voxel_growth = 0.01;
-    // Must be below 1 - alpha_max. Otherwise the ray would end in front of an opaque
-    // surfel instead of behind it.
+    // Must be below 1 - alpha_max. Otherwise a ray would end before an opaque surfel is
+    // blended.
     config.image.transmittance_min = 9e-3f;
     // Ignores faint surfels. Training steps are about 20 % faster, and metrics change by
     // 1 %.
@@ -125,8 +130,8 @@ Config make_quick_preset_config() {
     config.image.sh_degree = 2;
     config.train.iterations = 540;
     // These learning rates are higher than in the preset `default`, because there are few
-    // steps and each step reaches few surfels. Fast-growing surfels need the limit
-    // train.max_growth.
+    // steps and each step trains few surfels. train.max_growth limits surfels that grow
+    // fast.
     config.train.opacity_rate = 0.15;
     config.train.scale_rate = 6.5e-2;
     config.train.rotation_rate = 5e-3;
@@ -141,8 +146,8 @@ Config make_quick_preset_config() {
     config.refine.network = "pixel";  // nearly as accurate as "small", in a quarter of its time
     config.refine.frames = 32;
     config.refine.epochs = 4;
-    // This small network learns at ten times the rate of the larger networks. It
-    // therefore needs only a few epochs.
+    // This small network learns at ten times the rate of the larger networks, so it needs
+    // only a few epochs.
     config.refine.rate = 2e-2;
     return config;
 }

@@ -26,7 +26,7 @@ TraceOptions make_training_trace_options(const Config& config) {
 
 TraceOptions make_rendering_trace_options(const Config& config) {
     TraceOptions options = make_base_trace_options(config);
-    // Normals are always computed, because output channels and ray-drop networks can use
+    // Always computes normals, because output channels and ray-drop networks can use
     // them.
     options.normals = get_primitive_kind(config.image.primitive).has_normals;
     if (config.render.range == "mode")

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks whether an actor has enough surfels. Finds the time when the actor is nearest to
-// a LiDAR, and counts the rays that hit its box. Compares this count with the number of
+// a LiDAR. Compares the number of rays that hit its box at this time with the number of
 // surfels.
 #include <relidar/run/edit.hpp>
 
@@ -15,7 +15,7 @@
 namespace relidar {
 namespace {
 
-/// Returns true if the line through a ray intersects a box that is centred at the origin.
+/// Returns true if the line through a ray intersects a box centred at the origin.
 bool is_box_hit_by_ray(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_direction,
                        const glm::dvec3& box_size_m) {
     double begin = 0.0, end = std::numeric_limits<double>::infinity();
@@ -33,7 +33,7 @@ bool is_box_hit_by_ray(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_dir
 }
 
 /// Returns true if the line through a ray intersects the bounding sphere of a box. This
-/// test is fast and rejects most rays before the exact test.
+/// fast test rejects most rays, so that few rays need the exact test.
 bool is_sphere_hit_by_ray(const glm::vec3& ray_origin_m, const glm::vec3& ray_direction,
                           const glm::vec3& sphere_centre_m, float radius_m) {
     const glm::vec3 to_centre = sphere_centre_m - ray_origin_m;

@@ -17,11 +17,11 @@ namespace relidar {
 namespace {
 
 enum ActorPathField { kTime, kX, kY, kZ, kYaw, kPitch, kRoll, kYawRad, kPitchRad, kRollRad, kFieldCount };
-// Number of columns in a file without a header. The columns are the first names of
+// Maximum number of columns in a file without a header. They are the first names in
 // kNames, in this order.
 constexpr std::size_t kUnnamed = 7;
 constexpr std::size_t kNeeded = 5;
-// Largest accepted number. Valid coordinates in metres, angles in degrees, and times in
+// Largest accepted number. Valid coordinates in metres, angles in degrees and times in
 // seconds since 1970 are smaller.
 constexpr double kLargest = 1e10;
 const std::vector<std::string> kNames{"time_s",    "x",        "y",       "z",         "yaw_deg",
@@ -60,8 +60,8 @@ FieldColumnIndices make_default_column_indices(std::size_t n_columns, const std:
     return at;
 }
 
-/// Reads the values of a line. A field without a column gets the value 0. A line may
-/// leave out pitch and roll at its end.
+/// Reads the values of a line. A field without a column has the value 0. Pitch and roll
+/// may be missing at the end of a line.
 /// @throws DataError naming the column that is not a number
 std::array<double, kFieldCount> parse_trajectory_row(const std::vector<std::string_view>& cells,
                                                      const FieldColumnIndices& column_indices,

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Edits the objects and tracks of a scene. Copying an object to another scene also copies
-// its surfels, unless the other scene already contains them. The surfels of a model are
-// removed when no instance uses the model any more.
+// its surfels, unless that scene already contains them. When the last instance of a model
+// is removed, its surfels are removed too.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -19,7 +19,7 @@ namespace relidar {
 namespace {
 
 /// Returns the error message for editing a labelled object that has no model. The message
-/// explains the reason and names the setting that creates a model.
+/// has the reason, and the name of the setting that creates a model.
 std::string format_missing_model_message(const std::string& track_id, std::vector<std::string> actor_ids) {
     actor_ids.push_back(track_id);
     return fmt::format(
@@ -76,8 +76,7 @@ void remove_unused_models(Scene& scene) {
     scene.surfels = std::move(surfels);
 }
 
-/// Removes the actors for which `should_keep_track` returns false. Also removes the boxes
-/// of these actors.
+/// Removes the actors for which `should_keep_track` returns false, and their boxes.
 template <class Keep>
 void remove_unselected_actors(SceneWithLog& driving, const Keep& should_keep_track) {
     std::vector<ModelInstance> remaining_instances;
@@ -101,7 +100,7 @@ std::string make_unused_track_id(const SceneWithLog& driving, const std::string&
     return fmt::format("{}-{}", id_prefix, n);
 }
 
-/// Returns a track that moves straight ahead at constant speed. It has one pose for each
+/// Returns a track that moves straight ahead at constant speed, with one pose for each
 /// frame of the log.
 PoseTrack make_straight_track(const LidarSequence& sequence, const NewActorMotion& start) {
     PoseTrack track;
@@ -137,8 +136,8 @@ void check_trajectory(const PoseTrack& track, const std::string& track_id) {
 }
 
 /// Adds interpolated poses to a track, so that consecutive poses are at most `max_step_s`
-/// apart. A box exists only at times near its poses, so this limits how long it exists
-/// before the first and after the last pose.
+/// apart. A box exists only at times near its poses. With short steps, the box appears
+/// shortly before its first pose and disappears shortly after its last pose.
 PoseTrack resample_track(const PoseTrack& track, double max_step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
@@ -154,9 +153,9 @@ PoseTrack resample_track(const PoseTrack& track, double max_step_s) {
     return fine;
 }
 
-/// Fills the unobserved sides of a vehicle by symmetry, because its new pose can turn
-/// these sides to a sensor. Does nothing if the scene has no surfels in memory or no
-/// record of the observed sides.
+/// Fills the unobserved sides of a vehicle by symmetry, because after an edit these sides
+/// can face a sensor. Does nothing if the surfels are not in memory, or if it is unknown
+/// which sides the log has observed.
 void fill_unobserved_sides_by_symmetry(SceneWithLog& driving, const std::string& track_id) {
     Scene& scene = driving.scene;
     const std::uint32_t number = scene.instances[get_actor_instance_index(driving, track_id)].model;
@@ -213,7 +212,8 @@ SceneWithLog delay_track(SceneWithLog driving, const std::string& track, double 
 std::string describe_frames_without_actor(const BoxTrack& original_box,
                                           const LidarSequence& edited_sequence) {
     const BoxTrack* box = find_box(edited_sequence, original_box.id);
-    // A set, because LiDARs that sweep at the same time have frames with the same number.
+    // Frames of LiDARs that sweep at the same time have the same number. The set contains
+    // it once.
     std::set<int> lost;
     for (const LidarFrame& frame : edited_sequence.frames)
         if (box && original_box.is_present(frame.time_s) && !box->is_present(frame.time_s))

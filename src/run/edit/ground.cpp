@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the ground plane below a position from the surfels of the background. The
-// ground is the plane that contains most of the level surfels below a box. Candidate
-// planes are fitted to random samples of three surfels. The score of a candidate depends
-// on the distances of the other surfels, as in MSAC (Torr and Zisserman 2000). The best
-// plane is refined by least squares.
+// ground is the plane that contains most of the level surfels below a box. Random samples
+// of three surfels define candidate planes. The distances of the other surfels determine
+// the score of a candidate, as in MSAC (Torr and Zisserman 2000). Least squares then
+// refine the best plane.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -24,38 +24,38 @@
 namespace relidar {
 namespace {
 
-// Surfels whose normal has a smaller |z| are not ground. Accepts slopes up to 41 degrees,
-// because normals are noisy.
+// Minimum |z| of the normal of a surfel that can be ground. Accepts slopes up to 41
+// degrees, because normals are noisy.
 constexpr double kLevelSurfel = 0.75;
-// A plane whose normal has a smaller z is not ground. Accepts slopes up to 32 degrees.
+// Minimum z of the normal of a ground plane. Accepts slopes up to 32 degrees.
 constexpr double kLevelPlane = 0.85;
-// Surfels with a lower opacity (0.05, here as a logit) are ignored, because they do not
-// form a surface.
+// Minimum opacity of a surfel, as a logit (opacity 0.05). More transparent surfels do not
+// form a surface, so they are ignored.
 constexpr double kFaintLogit = -3.0;
 // Maximum slope of the line from the sensor to the ground: height difference divided by
 // distance.
 constexpr double kSteepest = 0.25;
-// Only surfels closer to a plane than this support it. The value is half the height of a
-// kerb, because higher surfels belong to another surface.
+// Maximum distance of a surfel from the plane on which it lies. This is half the height
+// of a kerb, because surfels above a kerb belong to another surface.
 constexpr double kOnPlane_m = 0.1;
-// The least-squares fit uses only surfels closer to the plane than this. The value is
+// Maximum distance of a surfel from the plane in the least-squares fit. The value is
 // larger than the noise of street surfels, and small enough to exclude the foot of a
 // wall.
 constexpr double kFitted_m = 0.05;
-// The ground is searched in the area below the box, enlarged by these margins one after
-// another. Far from the sensor, rings are a metre apart, so a small area may contain no
-// surfel.
+// Margins around the area below the box. The ground is searched with the first margin,
+// then with the second, then with the third. Far from the sensor, a small area may
+// contain no surfel, because rings are a metre apart.
 constexpr std::array kMargins_m{0.25, 0.5, 1.0};
-// Minimum half width of the area in which the ground is fitted. The area below a
-// pedestrian is too small to measure a slope.
+// Minimum half width of the area in which the ground is fitted. A slope cannot be
+// measured in the small area below a pedestrian.
 constexpr double kSmallestBelow_m = 0.75;
 constexpr std::size_t kFewestOnPlane = 8;  // Minimum number of surfels on a ground plane.
-// Surfels must have at least this standard deviation along the narrow side of the area.
-// The surfels of a single ring are narrower, so they cannot show the slope of the ground.
+// Minimum standard deviation of the surfels along the narrow side of the area. The
+// surfels of a single ring are narrower, so the slope of the ground is unknown.
 constexpr double kNarrowest_m = 0.15;
 constexpr int kDraws = 200;
-// The height of an actor above the ground is measured at about this many positions along
-// its track.
+// Approximate number of positions along a track at which the height of an actor above the
+// ground is measured.
 constexpr int kClearanceSamples = 16;
 
 /// A plane, stored as a point on the plane and its upward normal.
@@ -104,8 +104,8 @@ glm::dvec3 compute_surfel_normal(const glm::vec4& rotation_wxyz) {
            glm::dvec3(0.0, 0.0, 1.0);
 }
 
-/// The surfels of the background whose normals are nearly vertical. If the background is
-/// stored in blocks, loads only the blocks near the given positions.
+/// The surfels of the background that are horizontal. If the background is stored in
+/// blocks, loads only the blocks near the given positions.
 class HorizontalSurfels {
 public:
     HorizontalSurfels(const SceneWithLogView& driving, const std::vector<glm::dvec2>& positions_xy)
@@ -162,8 +162,9 @@ private:
         return on;
     }
 
-    /// Returns the plane with the most points near it (RANSAC). Tests planes through
-    /// three random points each. Scores each plane by the distances of all points.
+    /// Returns the plane with the most points near it (RANSAC). Tests many planes, each
+    /// through three random points. The score of a plane depends on the distances of all
+    /// points.
     static GroundPlane find_plane_with_most_points(const std::vector<glm::dvec3>& points) {
         Random random(1);
         GroundPlane best{points.front(), {0.0, 0.0, 1.0}};
@@ -173,8 +174,8 @@ private:
             const glm::dvec3 a = any(), b = any(), c = any();
             glm::dvec3 normal = glm::cross(b - a, c - a);
             const double length = glm::length(normal);
-            // Rejects a plane that is too steep. Also rejects three points on a line,
-            // because they define no plane.
+            // Rejects steep planes. Also rejects three points on a line, because they
+            // define no plane.
             if (!(std::abs(normal.z) > kLevelPlane * length)) continue;
             normal *= (normal.z > 0.0 ? 1.0 : -1.0) / length;
             const GroundPlane plane{a, normal};
@@ -202,8 +203,8 @@ private:
             plane = {points.front() + fit.mean, fit.axes[0] * (fit.axes[0].z > 0.0 ? 1.0 : -1.0)};
             const glm::dvec2 beside = glm::abs(footprint.transform_to_footprint_frame(plane.origin_m));
             if (fit.variance[1] < kNarrowest_m * kNarrowest_m || plane.normal.z < kLevelPlane) return {};
-            // Rejects the plane if its surfels are not centred below the box, because
-            // they then cover only a part of the area.
+            // Rejects the plane if the centre of its surfels is not below the box. The
+            // surfels then cover only a part of the area.
             const glm::dvec2 middle_m = 0.5 * (footprint.half_m + footprint_margin_m);
             if (beside.x > middle_m.x || beside.y > middle_m.y) return {};
         }
@@ -224,18 +225,17 @@ Footprint make_footprint(const glm::dvec2& centre_m, double yaw_rad, const glm::
 }
 
 const BoxTrack& get_box_track_of_actor(const SceneWithLogView& driving_view, const std::string& track_id) {
-    // move_track() throws an error with the reason if the track does not belong to an
-    // actor. The moved track is not used.
+    // Calls move_track() only because it throws an error if the track does not belong to
+    // an actor. The moved track is not used.
     (void)move_track(SceneWithLog{copy_scene_without_surfels(driving_view.scene), driving_view.sequence},
                      track_id, {});
     return *find_box(driving_view.sequence, track_id);
 }
 
-/// Returns the ground plane below the actor whose box covers a position, or nothing if no
-/// box covers it. Derives the plane from the box, because the actor hides the road from
-/// the sensor.
-/// @param get_box_clearance_m  function that returns the height of the bottom of a box
-/// above the ground
+/// Returns the ground plane below an actor whose box covers a position, or nothing if no
+/// box covers it. Computes the plane from the pose of the box, because the actor hides
+/// the road from the sensor.
+/// @param get_box_clearance_m  returns the height of the bottom of a box above the ground
 std::optional<GroundPlane> estimate_ground_below_actor(
     const glm::dvec2& xy, const LidarSequence& sequence,
     const std::function<double(const BoxTrack&)>& get_box_clearance_m) {
@@ -256,8 +256,8 @@ std::optional<GroundPlane> estimate_ground_below_actor(
     return GroundPlane{at.translation - (0.5 * nearest->size_m.z + get_box_clearance_m(*nearest)) * up, up};
 }
 
-/// Returns the height of a box's bottom above the ground, as the median over positions
-/// along the box's track.
+/// Returns the height of a box's bottom above the ground: the median over positions along
+/// the track of the box.
 std::optional<double> compute_box_ground_clearance(const SceneWithLogView& driving_view,
                                                    const BoxTrack& box) {
     std::vector<glm::dvec2> positions_xy;
@@ -277,7 +277,7 @@ std::optional<double> compute_box_ground_clearance(const SceneWithLogView& drivi
     return compute_median(heights_m);
 }
 
-/// Returns the rotation of an actor that stands on a plane and faces in the direction
+/// Returns the rotation of an actor that stands on a plane and faces the direction
 /// `yaw_rad`.
 glm::dquat make_rotation_on_plane(const GroundPlane& plane, double yaw_rad) {
     const glm::dvec2 level(std::cos(yaw_rad), std::sin(yaw_rad));
@@ -354,8 +354,8 @@ NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& driving,
     };
 
     NewActorMotion start{pose_on(*plane, xy), ground_place.speed_mps};
-    // Continues unobserved ground with the mean normal of the path, because a single
-    // normal is noisy.
+    // Where the ground was not observed, uses the mean normal along the path, because a
+    // single normal is noisy.
     glm::dvec3 normal_sum = plane->normal;
     for (std::size_t i = 0; i < times_s.size(); ++i) {
         const glm::dvec2& position_m = positions[i + 1];

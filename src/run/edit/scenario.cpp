@@ -17,11 +17,11 @@
 namespace relidar {
 namespace {
 
-// Largest accepted number. Valid coordinates in metres, angles in radians, and times in
+// Largest accepted number. Valid coordinates in metres, angles in radians and times in
 // seconds are smaller.
 constexpr double kMost = 1e10;
-// Times that differ by less than this are equal. Files store times with few digits, so
-// equal times can differ slightly.
+// Times that differ by less than this count as equal, because files store times with few
+// digits.
 constexpr double kSlack_s = 1e-6;
 
 /// An XML document and its parameters. Attributes can refer to a parameter by "$name".
@@ -34,7 +34,7 @@ struct ScenarioDocument {
         throw DataError(fmt::format("{}: {}: found {}, expected {}", file, location, found_value, expected));
     }
     /// Returns the value of an attribute. If the value is "$name", returns the value of
-    /// this parameter of the scenario.
+    /// the scenario parameter with this name.
     std::string read_attribute_text(const pugi::xml_node& node, const char* attribute_name,
                                     const std::string& error_location) const {
         const std::string value = node.attribute(attribute_name).value();
@@ -60,8 +60,9 @@ struct ScenarioDocument {
     }
 };
 
-/// Returns the time at which an OpenSCENARIO start trigger fires: 0 without a condition,
-/// or its fixed simulation time. Returns nothing if other conditions decide the time.
+/// Returns the time at which an OpenSCENARIO start trigger fires. This is 0 without a
+/// condition, or the simulation time in its condition. Returns nothing for other
+/// conditions.
 std::optional<double> read_trigger_time_s(const ScenarioDocument& document, const pugi::xml_node& trigger,
                                           const std::string& error_location) {
     const pugi::xml_node group = trigger.child("ConditionGroup"), condition = group.child("Condition");
@@ -74,7 +75,7 @@ std::optional<double> read_trigger_time_s(const ScenarioDocument& document, cons
            document.read_attribute_number(condition, "delay", error_location, 0.0);
 }
 
-/// An action of an entity, and the time at which it starts. The time is missing if it
+/// An action of an entity, and the time at which it starts. The time is empty if it
 /// depends on the simulation.
 struct ScenarioAction {
     pugi::xml_node node;  ///< A PrivateAction element of the XML document.

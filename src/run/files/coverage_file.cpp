@@ -60,7 +60,7 @@ const NamedArray& require_array_with_columns(const std::vector<NamedArray>& arra
     return *array;
 }
 
-/// @throws DataError if the two arrays have different numbers of rows
+/// @throws DataError if the two arrays differ in their number of rows
 void check_equal_row_counts(const NamedArray& positions, const NamedArray& values,
                             const std::string& file_name) {
     if (positions.shape[0] != values.shape[0])

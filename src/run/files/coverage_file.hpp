@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes coverage.safetensors, which stores the space that the training scans
-// of a run have observed, and classes.safetensors, which stores the classes of the
-// background. Private to run.
+// Reads and writes two files. coverage.safetensors stores the space that the training
+// scans of a run have observed. classes.safetensors stores the classes of the background.
+// Private to run.
 #pragma once
 
 #include <filesystem>
@@ -11,15 +11,16 @@
 
 namespace relidar::run_detail {
 
-/// Writes to a file which space the log has observed. `place` [blocks,3] i4 contains the
-/// position of each block of cells, in block sizes. `cells` [blocks,32] u2 contains the
-/// observed cells (ObservedVoxelSet::Cells). Writes no file if the coverage is empty.
+/// Writes to a file which space the log has observed. `place` [blocks,3] i4 is the
+/// position of each block of cells, in units of blocks. `cells` [blocks,32] u2 has one
+/// bit per observed cell (ObservedVoxelSet::VoxelBits). Writes no file if the coverage is
+/// empty.
 void save_coverage(const std::filesystem::path& path, const ObservedVoxelSet& coverage);
-/// Reads from a file which space the log of a run has observed.
+/// Reads a file that describes which space the log of a run has observed.
 /// @throws DataError for missing arrays, wrong shapes, or cells of another size
 ObservedVoxelSet load_coverage(const std::filesystem::path& path);
 
-/// Writes a class map to a file. The array `place` [cells,3] i4 has the position of each
+/// Writes a class map to a file. The array `place` [cells,3] i4 is the position of each
 /// cell, in units of cells. The array `class` [cells,1] u2 has the classes. Writes no
 /// file if the map is empty.
 void save_class_map(const std::filesystem::path& path, const SurfaceClassMap& class_map);

@@ -67,8 +67,8 @@ glm::vec3 read_box_half_size_m(const JsonField& model) {
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
-/// Reads the distance that a person walks until the leg motion repeats. Returns 0 for a
-/// rigid model.
+/// Reads the walked distance after which the leg motion of a person repeats. Returns 0
+/// for a rigid model.
 float read_walking_stride_m(const JsonField& model) {
     return model.has_member("stride_m") ? static_cast<float>(model.at("stride_m").get_number(1e-3, 1e6))
                                         : 0.0f;
@@ -77,7 +77,7 @@ float read_walking_stride_m(const JsonField& model) {
 constexpr const char* kSurface = "surface";
 
 /// Reads which parts of an actor's box surface the log has observed. Returns nothing if
-/// the file has no such data.
+/// the file does not contain them.
 std::optional<ObservedBoxSurface> read_box_surface(const JsonField& model) {
     if (!model.has_member(kSurface)) return {};
     const JsonField field = model.at(kSurface), size = field.at("size_m");
@@ -143,8 +143,8 @@ void check_model_metadata(const std::map<std::string, std::string>& metadata, co
 
 constexpr const char* kBlocks = "blocks";
 
-/// Converts the list of background blocks to JSON. File names are relative to the model's
-/// folder.
+/// Converts the list of background blocks to JSON. File names are relative to the folder
+/// of the model.
 std::string format_blocks_json(const Scene& scene, const std::filesystem::path& model_folder) {
     nlohmann::ordered_json json = nlohmann::ordered_json::array();
     for (const SceneBlock& b : scene.blocks)

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads and writes run folders. A new folder is written under a temporary name and then
-// renamed. For an existing folder, all files are first written to a temporary subfolder
-// and then moved to the folder. config.toml is moved last, because load_run() rejects a
-// folder without this file. Every error message of load_run() names the file.
+// renamed. In an existing folder, all files are first written to a temporary subfolder
+// and then moved. config.toml is moved last, because load_run() rejects a folder without
+// this file. Every error message of load_run() names the file.
 #include <relidar/run/run.hpp>
 
 #include <cerrno>
@@ -63,7 +63,7 @@ void link_or_copy_file(const fs::path& source_file, const fs::path& target_file)
 
 /// Links or copies the files of the background blocks to `target_folder`. Returns the
 /// blocks with the new file paths.
-/// @param keep_existing_files  true to skip files that are already in the folder of the
+/// @param keep_existing_files  true: skips files that are already in the folder of the
 /// run
 std::vector<SceneBlock> link_block_files(const TrainedRun& run, const fs::path& target_folder,
                                          bool keep_existing_files) {
@@ -78,8 +78,9 @@ std::vector<SceneBlock> link_block_files(const TrainedRun& run, const fs::path& 
     return blocks;
 }
 
-/// Writes the settings of a run to config.toml. Some options are not settings, so the
-/// file cannot store them. Throws an error if such an option differs from the preset.
+/// Writes the settings of a run to config.toml. Some options of the configuration are not
+/// settings, so the file cannot store them. Throws an error if such an option differs
+/// from the preset.
 void save_run_config(const TrainedRun& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text_file(path, to_toml(run.config));
@@ -110,8 +111,8 @@ void write_run_files(const TrainedRun& run, const fs::path& folder, bool keep_bl
     run_detail::save_intensity_scatter(folder / kScatterFile, run.intensity_scatter);
 }
 
-/// Writes all files of a run to a temporary folder. Error messages name the final files
-/// in the run's folder instead of the temporary files.
+/// Writes all files of a run to a temporary folder. Error messages show the final file
+/// names, not the temporary names.
 void write_run_to_staging_folder(const TrainedRun& run, const fs::path& staging_folder,
                                  bool keep_block_files) {
     try {
@@ -153,9 +154,9 @@ bool has_file_content(const fs::path& file, const std::string& expected_bytes) {
     return does_path_exist(file) && read_file(file) == expected_bytes;
 }
 
-/// Moves the files of `staging_folder` to the run's folder. An unchanged config.toml
-/// stays in place, so that training can be resumed even if the process is killed during
-/// the move.
+/// Moves the files of `staging_folder` to the run's folder. Does not move an unchanged
+/// config.toml, so that training can be resumed even if the process is killed during the
+/// move.
 void move_staged_files(const fs::path& staging_folder, const fs::path& run_folder,
                        const std::function<void()>& remove_old_files) {
     const bool same_config =
@@ -255,9 +256,9 @@ bool is_run_folder(const fs::path& path) {
 
 void check_writable(const fs::path& folder) {
     create_folder(folder);
-    // Several processes may test the same folder, so the name of the test file contains
-    // the process id. If the process is killed here, remove_temporary_files() deletes the
-    // file later.
+    // The name of the test file contains the process id, because several processes may
+    // test the same folder. If the process is killed here, remove_temporary_files()
+    // deletes the file later.
     const std::string probe = (folder / fmt::format(".probe.tmp-{}-0", ::getpid())).string();
     const int file = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
     if (file < 0)

@@ -11,10 +11,10 @@
 namespace relidar::run_detail {
 
 /// Writes the intensity model of each LiDAR. Array names begin with the index of the
-/// LiDAR in Sequence::lidars. The decision tree of LiDAR 0 is `0.feature`, `0.child`,
-/// `0.first`, `0.count` [nodes] i4 and `0.at` [nodes] f4. The other arrays are `0.values`
-/// [returns] f4 and `0.step` [1] f8. A LiDAR without a model has no arrays. If no LiDAR
-/// has a model, no file is written.
+/// LiDAR in LidarSequence::lidars. The decision tree of LiDAR 0 is `0.feature`,
+/// `0.child`, `0.first`, `0.count` [nodes] i4 and `0.at` [nodes] f4. The other arrays are
+/// `0.values` [returns] f4 and `0.step` [1] f8. A LiDAR without a model has no arrays. If
+/// no LiDAR has a model, no file is written.
 void save_intensity_scatter(const std::filesystem::path& path,
                             const std::vector<IntensityScatterModel>& scatter_per_lidar);
 /// Reads the models of intensity noise, one per LiDAR.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loads the blocks of a scene's background from their files when the blocks are needed.
+// Loads blocks (parts of the background of a large scene) from their files.
 #include <relidar/run/run.hpp>
 
 #include <numeric>

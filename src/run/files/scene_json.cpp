@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads and writes scene.json, format version 3. Numbers are written in the shortest form
-// that reads back to the same double. A pose has seven numbers: the translation x y z,
-// then the unit quaternion w x y z. A point transforms as p_world = R(q) p + t in the
+// from which the same double is read again. A pose has seven numbers: the translation x y
+// z, then the unit quaternion w x y z. A point transforms as p_world = R(q) p + t in the
 // recentred world.
 #include "run/files/scene_json.hpp"
 
@@ -23,10 +23,11 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSceneFormat = "relidar scene";
 constexpr int kSceneVersion = 3;
-// A file with a length or a time above this value is damaged and is rejected.
+// Maximum length or time in a file. A file with a larger value is damaged and is
+// rejected.
 constexpr double kHuge = 1e12;
-// Maximum distance from the origin of the scene, which is the position of the sensor in
-// the middle frame.
+// Maximum distance from the origin of the scene. The origin is the position of the sensor
+// in the middle frame.
 constexpr double kFarthest_m = 1e6;
 // Maximum distance between the origin of the scene and the origin of the dataset's world.
 constexpr double kFarthestWorld_m = 1e9;
@@ -93,8 +94,8 @@ Json make_frames_json(const LidarSequence& sequence, const TrainTestSplit& split
     return frames;
 }
 
-/// Checks that no value is greater than `max_absolute_value` or less than `-limit`.
-/// @throws DataError for the first value outside these limits
+/// Checks that the absolute value of each number is at most `max_absolute_value`.
+/// @throws DataError for the first number above this limit
 void check_absolute_values(const JsonField& field, std::initializer_list<double> values,
                            double max_absolute_value) {
     for (const double v : values)
@@ -113,7 +114,7 @@ Pose read_pose(const JsonField& field) {
                                 "expected a quaternion of length 1");
     check_absolute_values(field, {v[0], v[1], v[2]}, kFarthest_m);
     // Does not normalise the quaternion again, because rounding would change its last
-    // digit.
+    // digits.
     return {q, {v[0], v[1], v[2]}};
 }
 
@@ -165,8 +166,8 @@ IntensityResponse read_intensity_response(const JsonField& field) {
     return r;
 }
 
-/// Reads the pose of a frame and appends it to the track. Frames at the same time share
-/// one pose.
+/// Reads the pose of a frame and appends it to the track. Frames at the same time have
+/// the same pose.
 void append_frame_pose(const JsonField& frame_json, double time_s, PoseTrack& track) {
     const Pose pose = read_pose(frame_json.at("world_from_vehicle"));
     if (!track.time_s.empty() && track.time_s.back() == time_s) return;
@@ -235,8 +236,8 @@ void read_scene_edits(const JsonField& field, SceneJsonContents& scene) {
         scene.edits.push_back({field.at(i).at("run").get_string(), field.at(i).at("edit").get_string()});
 }
 
-/// Compares each count in the file with the length of its list. This detects entries that
-/// were lost by a manual edit or a wrong merge.
+/// Compares each count in the file with the length of its list, to detect entries that a
+/// manual edit or a wrong merge has removed.
 void check_entry_counts(const JsonField& root, const SceneJsonContents& scene) {
     const auto check = [&](const char* name, std::size_t n) {
         const JsonField count = root.at("counts").at(name);
@@ -278,7 +279,7 @@ std::string format_scene_json(const TrainedRun& run) {
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const EditHistoryEntry& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
-    // Parses the new text once, to reject values that cannot be read again, for example a
+    // Parses the new text once, to reject values that cannot be read again, for example
     // NaN in a pose.
     parse_scene_json(text, "writing scene.json");
     return text + "\n";

@@ -24,7 +24,7 @@ struct SceneJsonContents {
 };
 /// Parses the text of scene.json.
 /// @param file_name  name of the file in error messages
-/// @throws DataError naming the file and the field
+/// @throws DataError if the text is invalid; the message names the file and the field
 SceneJsonContents parse_scene_json(const std::string& json_text, const std::string& file_name);
 
 }  // namespace relidar::run_detail

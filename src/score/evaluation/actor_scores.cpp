@@ -16,8 +16,8 @@ namespace relidar {
 namespace {
 
 constexpr double kMargin_m = 0.1, kSilhouette_m = 0.3;
-// Points less than this height above the bottom of a box are ignored, because they are on
-// the ground.
+// Points less than this height above the bottom of a box are ignored, because they belong
+// to the ground.
 constexpr double kFloor_m = 0.15;
 constexpr double kInlierDistance_m = 0.03, kLargeError_m = 0.3;
 constexpr double kSweep_m = 2.0;  // Maximum distance that a box moves within one sweep.
@@ -43,7 +43,7 @@ struct BoxInScan {
         return sequence.world_from_vehicle.interpolate_mounted_pose(
             t_s, sequence.lidars[std::size_t(sweep_timing.lidar)].vehicle_from_sensor);
     }
-    /// Converts a point to the frame of the box, with the poses at the time when the
+    /// Converts a point to the frame of the box. Uses the poses at the time when the
     /// LiDAR's head faces the point. Returns nothing if the point is far from the box.
     std::optional<glm::dvec3> transform_to_box_frame(const glm::dvec3& sensor_point_m) const {
         if (glm::distance(sensor_point_m, centre_m) >
@@ -71,8 +71,8 @@ double compute_mean(const std::vector<double>& values) {
     return sum / double(std::max<std::size_t>(values.size(), 1));
 }
 
-/// Adds the median, the bias and the fraction of large values of range errors to a row of
-/// metrics. Adds nothing if there are no errors.
+/// Adds metrics of range errors to a row: the median, the bias and the fraction of large
+/// errors. Adds nothing if there are no errors.
 /// @param name_prefix  prefix of the metric names
 void add_range_error_metrics(MetricValues& row, const std::string& name_prefix,
                              const std::vector<double>& range_errors_m) {

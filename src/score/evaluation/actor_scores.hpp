@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Metrics for moving boxes. Averages over a full scan hide the errors of actors, because
-// actors have few points.
+// Metrics for moving boxes. They are needed because actors have few points, so that
+// averages over a full scan hide their errors.
 #pragma once
 
 #include <vector>
@@ -22,7 +22,8 @@ struct FrameActorScores {
     ///   actors/people_*            people and cyclists
     ///   actors/vehicles_*          all other labelled boxes
     ///   actors/*_{medae_m,bias_m,above_30cm}  as in ActorScore, over all points
-    ///   actors/*_cd_m              Chamfer distance: sum of both directions, mean over boxes
+    ///   actors/*_cd_m              Chamfer distance: sum of both directions, mean over
+    ///                              boxes
     ///   actors/*_3cm               fraction of the simulated points with a real point
     ///                              within 3 cm
     ///   actors/*_f1                F1 score of the rays that return from the boxes

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Renders frames in batches, computes their metrics, and averages the metrics over all
-// frames. For a baseline, real scans are projected instead of rendered.
+// frames. For a baseline, projects real scans instead of rendering.
 #include <relidar/score/evaluation.hpp>
 
 #include <algorithm>
@@ -21,12 +21,12 @@ namespace relidar {
 namespace {
 
 constexpr double kSameTime_s = 1e-3;
-// Number of frames whose metrics are computed in parallel. All images of these frames are
-// in memory at the same time.
+// Number of frames whose metrics are computed in parallel. It is limited because all
+// images of these frames are in memory at the same time.
 constexpr std::size_t kScoredAtOnce = 16;
 
 /// Returns the sensor with which a frame is rendered, as set by config.sensor. For the
-/// grid "native", renders exactly the rays of the recorded scan.
+/// grid "native", the sensor has exactly the rays of the recorded scan.
 /// @param frame  the frame, with its scan
 SimulatedSensor make_sensor_for_frame(const Config& config, const LidarSequence& sequence,
                                       const LidarFrame& frame) {
@@ -37,7 +37,7 @@ SimulatedSensor make_sensor_for_frame(const Config& config, const LidarSequence&
 }
 
 /// Converts one flag per return of a scan to one flag per image pixel. Stores the flags
-/// as intensities of the scan and projects the scan into the image.
+/// as intensities of the scan, and then projects the scan into the image.
 std::vector<bool> convert_return_flags_to_pixels(const std::vector<bool>& return_flags, const Config& config,
                                                  const LidarFrame& frame) {
     Scan flags = frame.scan;
@@ -79,8 +79,8 @@ RenderedFrame make_frame_with_real_image(const Config& config, const LidarSequen
     return result;
 }
 
-/// Returns true if the classes of a rendered frame can be compared with labels. With
-/// another grid, labels and pixels do not correspond.
+/// Returns true if the classes of a rendered frame can be compared with labels. Labels
+/// and pixels correspond only with the grid "native".
 bool can_score_classes(const ScanRenderer& renderer, const Config& config, const LidarFrame& frame) {
     return renderer.has_background_classes() && config.sensor.grid == "native" && !frame.scan.classes.empty();
 }
@@ -104,7 +104,7 @@ std::unique_ptr<Lpips> load_lpips_network() {
 }
 
 /// Computes the metrics of several rendered frames in parallel.
-/// @param lpips_network  network for the LPIPS metric; null: leaves out this metric
+/// @param lpips_network  network for the LPIPS metric; if null, this metric is left out
 std::vector<ScoredFrame> score_rendered_frames(std::vector<RenderedFrame> rendered_frames,
                                                const Config& config, const LidarSequence& sequence,
                                                const Lpips* lpips_network) {
@@ -135,8 +135,8 @@ void add_actor_scores(std::vector<ScoredFrame>& frames, const LidarSequence& seq
     for (ScoredFrame& frame : frames) {
         const SweepTiming sweep{frame.time_s, frame.lidar, frame.start};
         const RangeImage& rendered = frame.rendered.image;
-        // Empty for a baseline without a renderer. In this case, the ranges of the image
-        // are used.
+        // Uses the ranges of the image if there is no renderer, which is the case for a
+        // baseline.
         const std::vector<float>& points_m = select_point_ranges(frame.rendered, config);
         FrameActorScores scores = compute_actor_scores(
             rendered, points_m.empty() ? rendered.range_m : points_m, frame.real, sequence, sweep);
@@ -170,8 +170,8 @@ void clear_frame_images(ScoredFrame& frame) {
     frame.real = {};
 }
 
-/// Parameters of an evaluation of many frames. To limit memory, frames are rendered and
-/// scored in small batches. Each batch frees its images before the next one starts.
+/// Parameters of an evaluation of many frames. Frames are rendered and scored in small
+/// batches to limit memory. Each batch frees its images before the next batch starts.
 struct BatchEvaluationParams {
     const std::vector<int>& positions;  ///< indices into sequence.frames
     const LidarSequence& sequence;
@@ -244,8 +244,8 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Lida
 EvaluationResult evaluate_frames(ScanRenderer& renderer, const Config& config, const LidarSequence& sequence,
                                  const std::vector<int>& frame_indices, const ProgressReporter& progress,
                                  const ScoredFrameCallback& on_frame) {
-    // Also renders the drop probability without the correction by the neural network,
-    // because reports show both.
+    // Also renders the drop probability before its correction by the neural network,
+    // because reports show both probabilities.
     if (on_frame && renderer.has_drop_network_for(make_configured_sensor(config, sequence)))
         renderer.enable_optional_channels("surfel_drop_prob");
     if (std::ranges::any_of(frame_indices, [&](int position) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Counts the points in comet tails: points at a position where a moving box was or will
-// be, but is not now.
+// Counts the points in comet tails. A comet tail is the space that a moving box occupies
+// at other times of the log, but not at the time of the point.
 #include "score/evaluation/tails.hpp"
 
 #include <algorithm>
@@ -10,13 +10,12 @@
 namespace relidar {
 namespace {
 
-// Boxes at the time of the point are enlarged by this margin, because labels do not fit
+// Margin around boxes at the time of the point. It is needed because labels do not fit
 // objects exactly.
 constexpr double kNowMargin_m = 0.3;
 constexpr double kGround_m = 0.3;
 
-/// A moving box with all its labelled poses. Together, they cover the volume that the box
-/// sweeps.
+/// The volume that a moving box sweeps: the box with all its labelled poses.
 struct SweptBoxVolume {
     const BoxTrack* box;
     std::vector<Pose> box_from_world;
@@ -53,7 +52,8 @@ bool is_point_in_swept_volume(const SweptBoxVolume& swept_volume, const glm::dve
 }
 
 /// Numbers of points: all points, and points in comet tails. A comet tail is the space
-/// that a moving box occupies at other times, but not now.
+/// that a moving box occupies at other times of the log, but not at the time of the
+/// point.
 struct CometTailPointCounts {
     std::size_t n_points = 0, n_tail_points = 0;
     std::vector<std::size_t> n_of_box;  ///< [swept] points in the tail of each box
@@ -71,7 +71,7 @@ CometTailPointCounts count_motion_trail_points_by_box(const RangeImage& image,
                                                       const LidarSequence& sequence,
                                                       const std::vector<SweptBoxVolume>& swept_volumes,
                                                       const SweepTiming& sweep) {
-    // Number of rays that a thread processes at a time.
+    // Number of rays that a thread processes in one step.
     constexpr std::size_t kRays = 2048;
     const Pose& mounted = sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor;
     return parallel_reduce(point_ranges_m.size(), kRays, [&](std::size_t begin, std::size_t end) {

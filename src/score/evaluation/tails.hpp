@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Counts comet tails. A comet tail consists of wrong points at positions where a moving
-// actor is at other times, but not now.
+// Counts points in comet tails. These are wrong points at positions that a moving actor
+// occupies at another time of the log.
 #pragma once
 
 #include <cstddef>
@@ -16,15 +16,15 @@ namespace relidar {
 /// Points in the comet tails of a scan.
 struct CometTailStatistics {
     double share = 0.0;  ///< Fraction of all returned points that are in a tail.
-    /// For each moving box, by its id, the number of points in its tail. Tails of several
-    /// boxes can contain the same point.
+    /// For each moving box, by its id, the number of points in its tail. A point can be
+    /// in the tails of several boxes.
     std::map<std::string, std::size_t> n_of_box;
 };
 /// Counts the returned points that lie in comet tails. The tail of a moving box is the
 /// volume that the box occupies at other times of the log. Volume that any box occupies
-/// now is not part of a tail. The current boxes are enlarged by 0.3 m. Points in the
-/// lowest 0.3 m of a box count as ground, not as tail. Each point is tested at the time
-/// at which the LiDAR's head faces the point.
+/// at the time of the point is not part of a tail. For this test, boxes are enlarged by
+/// 0.3 m. Points in the lowest 0.3 m of a box belong to the ground, not to a tail. The
+/// time of a point is the time at which the LiDAR's head faces the point.
 /// @param point_ranges_m [n] ranges of the points of the image
 CometTailStatistics count_motion_trail_points(const RangeImage& image,
                                               const std::vector<float>& point_ranges_m,

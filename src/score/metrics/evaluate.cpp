@@ -23,15 +23,15 @@ namespace {
 using namespace metrics_detail;
 using PointPositions = std::vector<glm::dvec3>;
 
-// Minimum mean squared error. It keeps the PSNR of identical images finite.
+// Minimum mean squared error, so that the PSNR of identical images is finite.
 constexpr double kMinSquaredError = 1e-20;
 constexpr double kFineThreshold_m = 0.05;
-// Distance threshold of the F-score in the published evaluation protocol ("peer"). This
-// protocol compares squared distances with 0.05.
+// Distance threshold of the F-score in the published evaluation protocol ("peer"): the
+// square root of 0.05, because that protocol compares squared distances with 0.05.
 constexpr double kPeerThreshold_m = 0.22360679774997896964;
 constexpr int kSsimWindow = 7;
-// LPIPS needs images with at least this edge length. Pooling layers reduce smaller images
-// to nothing.
+// Minimum edge length of an image for LPIPS. Smaller images would be empty after the
+// pooling layers.
 constexpr int kLpipsEdge = 31;
 
 PointPositions compute_points_of_masked_pixels(const RangeImage& image, const PixelMask& mask) {
@@ -51,7 +51,8 @@ struct ImagePair {
 };
 
 /// Returns the rendered and the real range image. Dropped pixels have the range 0.
-/// @param drop_threshold  rendered pixels with at least this drop probability are dropped
+/// @param drop_threshold  rendered pixels with at least this drop probability count as
+/// dropped
 ImagePair make_depth_image_pair(const RangeImage& rendered, const RangeImage& real, double drop_threshold,
                                 double max_range_m) {
     return {
@@ -69,7 +70,7 @@ ImagePair make_intensity_image_pair(const RangeImage& rendered, const RangeImage
             real.rows, real.columns, kMaxIntensity};
 }
 
-/// Computes errors, PSNR, SSIM and LPIPS of full images. Leaves out SSIM if the real
+/// Computes errors, PSNR, SSIM and LPIPS of full images. Leaves SSIM out if the real
 /// image is constant, or if the image is smaller than the SSIM window.
 void add_image_metrics(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                        const ImagePair& image_pair, const Lpips* lpips_network) {
@@ -136,7 +137,7 @@ void add_published_protocol_metrics(MetricValues& row, const RangeImage& rendere
     row["peer/f_score"] = distances.compute_f_score(kPeerThreshold_m);
 }
 
-/// Compares the rendered drop probability with the real drop (0 or 1) without a
+/// Compares the rendered drop probability with the real drop (0 or 1), without a
 /// threshold. Returns the root mean square difference over all pixels.
 double compute_drop_probability_rmse(const RangeImage& rendered, const RangeImage& real) {
     PixelValues error(real.drop_prob.size());

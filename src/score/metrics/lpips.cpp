@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes LPIPS (Zhang et al., "The Unreasonable Effectiveness of Deep Features as a
-// Perceptual Metric", CVPR 2018) with AlexNet features. Each of the five convolutions is
-// a matrix product of unrolled windows (columns) and filters (rows). It runs on the CPU,
-// which is fast enough. The weights are not part of the program, so they are read from a
-// file.
+// Perceptual Metric", CVPR 2018) with AlexNet features. Computes each of the five
+// convolutions as a matrix product of unrolled windows (columns) and filters (rows). Runs
+// on the CPU, which is fast enough. Reads the weights from a file, because they are not
+// part of the program.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
@@ -21,15 +21,15 @@ namespace {
 using Matrix = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 constexpr int kLayers = 5;
-// Minimum edge length of an image. The pooling layers reduce 31 pixels to 7, then 3, then
-// 1.
+// Minimum edge length of an image. The pooling layers reduce 31 pixels to 7, 3 and
+// finally 1.
 constexpr int kMinEdge = 31;
 constexpr double kNormFloor = 1e-10;
 constexpr float kColourShift[3] = {-0.030f, -0.088f, -0.188f};
 constexpr float kColourScale[3] = {0.458f, 0.448f, 0.450f};
 
-/// A convolution layer of AlexNet. If `pooled` is set, 3 x 3 max-pooling with stride
-/// 2 precedes the convolution.
+/// A convolution layer of AlexNet. If `pooled` is true, 3 x 3 max-pooling with stride 2
+/// precedes the convolution.
 struct ConvLayerShape {
     int out, in, edge, stride, padding;
     bool pooled;
@@ -50,8 +50,8 @@ struct FeatureMap {
 };
 
 /// Copies the window around each output pixel of a convolution to a column of a matrix
-/// (im2col). Pixels outside the image are 0.
-/// @return [in*edge*edge, rows*columns of the result]
+/// (im2col). Pixels outside the input image are 0.
+/// @return [in*edge*edge, output_rows*output_columns]
 Matrix unroll_patches(const FeatureMap& input_features, const ConvLayerShape& layer, int output_rows,
                       int output_columns) {
     Matrix windows = Matrix::Zero(Eigen::Index(layer.in) * layer.edge * layer.edge,
@@ -74,7 +74,6 @@ Matrix unroll_patches(const FeatureMap& input_features, const ConvLayerShape& la
     return windows;
 }
 
-/// Applies a convolution and a ReLU to feature images.
 FeatureMap apply_convolution_and_relu(const FeatureMap& input_features, const ConvLayerShape& layer,
                                       const std::vector<float>& filter_weights,
                                       const std::vector<float>& bias) {

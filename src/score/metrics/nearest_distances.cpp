@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes exact nearest neighbours between two point clouds, for Chamfer distance and
-// F-score. Builds a k-d tree of the target points and processes the query points in
-// parallel. Distances are in double precision, because the points of a log can be far
-// from the origin.
+// F-score. Builds a k-d tree of the target points, and processes the query points in
+// parallel. Uses double precision, because the points of a log can be far from the
+// origin.
 #include <relidar/score/metrics.hpp>
 
 #include <cmath>
@@ -17,8 +17,8 @@
 namespace relidar {
 namespace {
 
-/// Adapter that gives nanoflann access to a list of points. nanoflann defines the names
-/// of the members.
+/// Adapter that gives nanoflann access to a list of points. The names of the members must
+/// be those that nanoflann calls.
 struct KdTreeTargetCloud {
     const std::vector<glm::dvec3>& points;
 

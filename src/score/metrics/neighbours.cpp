@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes a baseline for rendering. Moves the two neighbouring real scans into another
 // sweep, and projects their points into the image of that sweep. The baseline has no
-// model of surfaces and does not fill holes. If the sensor has hardly moved, its result
-// is close to the real scan.
+// model of surfaces and does not fill holes. If the sensor hardly moves, the baseline is
+// close to the real scan.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
@@ -16,12 +16,13 @@
 namespace relidar {
 namespace {
 
-// A ray and its azimuth can be in different columns of the image. For an HDL-64E they
-// differ by up to 2.8 columns, so the search covers this many columns on each side.
+// Number of columns that are searched on each side of the column of an azimuth. The ray
+// with this azimuth can be in another column. For an HDL-64E, the difference is up to 2.8
+// columns.
 constexpr int kColumnSearch = 4;
 
-/// Returns the nearest training frame before a position of the log and the nearest one
-/// after it, from the same LiDAR. Returns only one frame if the other does not exist.
+/// Returns the nearest training frames of the same LiDAR before and after a position of
+/// the log. Returns only one frame if the other does not exist.
 std::vector<int> find_neighbouring_training_frames(const LidarSequence& sequence, int frame_index,
                                                    const std::vector<int>& training_frames) {
     const auto get_lidar = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
@@ -42,8 +43,8 @@ std::vector<int> find_neighbouring_training_frames(const LidarSequence& sequence
     return neighbours;
 }
 
-/// Returns the moving box that contains a world point at a time, or null if no box
-/// contains the point.
+/// Returns the moving box that contains a world point at a given time, or null if there
+/// is none.
 const BoxTrack* find_containing_box(const std::vector<const BoxTrack*>& moving_boxes,
                                     const glm::dvec3& point_m, double time_s) {
     const auto it = std::find_if(moving_boxes.begin(), moving_boxes.end(), [&](const BoxTrack* box) {
@@ -83,8 +84,8 @@ double compute_elevation_rad(const glm::dvec3& vector) {
     return std::asin(std::clamp(vector.z / glm::length(vector), -1.0, 1.0));
 }
 
-/// Assigns points to the rays of a table. Computes in double precision, because the
-/// cosine of 0.02 degrees rounds to 1 in single precision.
+/// Assigns points to the rays of a table. Uses double precision, because the cosine of
+/// 0.02 degrees rounds to 1 in single precision.
 struct RayTableNeighbours {
     const RayTable& rays;
 
@@ -125,8 +126,8 @@ struct RayTableNeighbours {
                     most = cos, best = {r, c};
         return best;
     }
-    /// Returns true if a point is above the highest or below the lowest row of rays, by
-    /// more than half the spacing of the rows.
+    /// Returns true if a point is above the highest or below the lowest row of rays. The
+    /// distance must be more than half the spacing of the rows.
     bool is_point_outside_ray_rows(RayPixel ray_cell, const glm::vec3& point_m) const {
         const double half_spacing =
             0.5 * std::abs(compute_elevation_rad(get_ray_direction(ray_cell)) -
@@ -152,15 +153,15 @@ Scan predict_scan_from_neighbours(const LidarSequence& sequence, int frame_index
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
             WorldReturn w = compute_world_return(sequence, frame, ray);
-            // Moves the point along its ray to the range that the LiDAR measured, which
-            // includes the range offset of the beam.
+            // Moves the point along its ray to the measured range, which includes the
+            // range offset of the beam.
             w.point_m +=
                 double(frame.scan.range_m[ray] - compute_surface_return(sequence, frame, ray).range_m) *
                 w.direction;
             glm::dvec3 world_m = w.point_m;
             if (const BoxTrack* box = find_containing_box(moving, w.point_m, w.time_s)) {
-                // In both sweeps, the LiDAR measures the box at about the same time
-                // relative to the time of the frame.
+                // In both sweeps, the LiDAR measures the box at about the same time after
+                // the time of the frame.
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);
                 if (!box->is_present(then_s)) continue;
                 world_m = box->world_from_box.interpolate_pose(then_s) *

@@ -12,8 +12,8 @@
 namespace relidar::metrics_detail {
 namespace {
 
-// The published evaluation protocol ("peer") clamps ranges and intensities to at least
-// this value.
+// Minimum of clamped ranges and intensities in the published evaluation protocol
+// ("peer").
 constexpr double kClampLow = 1e-6;
 
 double clamp_value(float value, double maximum) { return std::clamp(double(value), kClampLow, maximum); }

@@ -14,8 +14,8 @@ namespace relidar::metrics_detail {
 using PixelMask = std::vector<bool>;
 using PixelValues = std::vector<double>;
 
-// A pixel of a real image is dropped above this drop probability. Any threshold works,
-// because real drop probabilities are 0 or 1.
+// A pixel of a real image counts as dropped above this drop probability. Any value
+// between 0 and 1 works, because real drop probabilities are 0 or 1.
 inline constexpr double kRealDropThreshold = 0.5;
 inline constexpr double kMaxIntensity = 1.0;
 
@@ -30,10 +30,10 @@ PixelMask make_undropped_pixel_mask(const RangeImage& image, double drop_thresho
 /// threshold and the range is above 0. The range 0 means that the ray hit no surface.
 PixelMask make_positive_range_mask(const RangeImage& image, double drop_threshold);
 
-/// Returns all pixels, clamped to [1e-6, high]. Pixels outside the mask get the lowest
-/// value.
+/// Returns all pixels, clamped to [1e-6, maximum]. Pixels outside the mask get the value
+/// 1e-6.
 PixelValues clamp_masked_values(const std::vector<float>& values, const PixelMask& mask, double maximum);
-/// Returns only the values of pixels in the mask, clamped to [1e-6, high].
+/// Returns only the values of pixels in the mask, clamped to [1e-6, maximum].
 PixelValues select_masked_values(const std::vector<float>& values, const PixelMask& mask, double maximum);
 
 double compute_values_mean(const PixelValues& values);

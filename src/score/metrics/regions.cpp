@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes errors for regions that users examine: moving boxes, all other pixels, and
-// bands of range. Compares every pixel with a real return, even if the rendered pixel
+// bands of range. Compares every pixel that has a real return, even if the rendered pixel
 // counts as dropped. Otherwise more drops would improve the score of a region. The
 // fraction of rendered returns is a separate metric.
 #include <relidar/log/range_image.hpp>
@@ -40,7 +40,7 @@ PixelRegion make_range_band_region(const RangeImage& real_image, double min_rang
 PixelMask mask_returns_in_moving_boxes(std::vector<BoxTrack> boxes, const LidarSequence& sequence,
                                        const LidarFrame& frame, const Pose& sensor_offset) {
     const PoseTrack track = compute_mounted_track(sequence.get_world_from_sensor(frame.lidar), sensor_offset);
-    // is_moving() is expensive, so it is evaluated only once for each box.
+    // Evaluates is_moving() only once for each box, because it is slow.
     std::erase_if(boxes, [](const BoxTrack& box) { return !box.is_moving(); });
     PixelMask moving(frame.scan.range_m.size());
     for (std::size_t ray = 0; ray < moving.size(); ++ray) {
@@ -102,8 +102,8 @@ std::vector<bool> mask_returns_in_labelled_movers(const LidarSequence& sequence,
                                                   const Pose& sensor_offset) {
     std::vector<BoxTrack> labelled = sequence.boxes;
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
-    // Uses only the labelled poses of each box, without poses that discover_tracks()
-    // added. Thus runs with and without added poses are compared on the same returns.
+    // Uses only the labelled poses of each box, without the poses that discover_tracks()
+    // added. Runs with and without added poses are then compared on the same returns.
     for (BoxTrack& box : labelled) box = box.copy_labelled_poses();
     return mask_returns_in_moving_boxes(std::move(labelled), sequence, frame, sensor_offset);
 }

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes structural similarity with the defaults of scikit-image, which published LiDAR
-// tables use. These are a uniform 7 x 7 window, sample covariance (divided by 48), K1 =
-// 0.01, K2 = 0.03, and the mean over the pixels whose window is inside the image.
-//   S = (2 ma mb + C1) (2 cov + C2) / ((ma^2 + mb^2 + C1) (va + vb + C2)),   C1 = (K1 L)^2, C2 = (K2 L)^2
-// The sums over a window are computed along rows first, then along columns. Prefix sums
-// would be faster, but less precise.
+// tables use: a uniform 7 x 7 window, sample covariance (divided by 48), K1 = 0.01, K2 =
+// 0.03, and the mean over the pixels whose window is inside the image.
+//   S = (2 ma mb + C1) (2 cov + C2) / ((ma^2 + mb^2 + C1) (va + vb + C2))
+//   with C1 = (K1 L)^2, C2 = (K2 L)^2
+// Adds the values of a window along rows first, then along columns. Prefix sums would be
+// faster, but less precise.
 #include <relidar/score/metrics.hpp>
 
 #include <array>
@@ -18,8 +19,7 @@ namespace {
 
 constexpr int kWindow = 7;
 
-/// Sums over a window of two images a and b, as needed for SSIM: of a, b, a^2, b^2 and
-/// a*b.
+/// Sums over a window of two images a and b, which SSIM needs: of a, b, a^2, b^2 and a*b.
 struct SsimWindowSums {
     std::array<double, 5> sum{};
 

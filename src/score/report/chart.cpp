@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Draws line charts as inline SVG: axes with round ticks, grid lines, and one path for
-// each curve. Colours and fonts are defined by the page's style sheet (classes c0 ... c7,
-// axis, grid, faint). Therefore the charts follow the light and dark themes of the page.
+// each curve. The style sheet of the page defines colours and fonts (classes c0 ... c7,
+// axis, grid, faint), so that charts follow the light and dark themes of the page.
 #include "chart.hpp"
 
 #include <algorithm>
@@ -19,10 +19,10 @@ namespace {
 
 // Margins of a chart in SVG units, with space for the labels.
 constexpr double kLeft = 58, kRight = 14, kTop = 10, kBottom = 30;
-// Curves with more points than this are noisy, so their running mean is drawn too.
+// Curves with more points than this are noisy, so their running mean is also drawn.
 constexpr std::size_t kManyPoints = 250;
-// To draw a curve, the x axis is divided into this many intervals. At most two points per
-// interval are drawn.
+// Number of intervals into which the x axis is divided to draw a curve. At most two
+// points per interval are drawn.
 constexpr std::size_t kBuckets = 500;
 
 /// Value range of an axis and its position on the page.
@@ -49,8 +49,8 @@ struct ValueInterval {
     bool empty() const { return low > high; }
 };
 
-/// Returns true if point `point_index` of a curve can be drawn: it is finite and does not
-/// overflow the axis.
+/// Returns true if a point of a curve can be drawn: it is finite and does not overflow
+/// the axis.
 bool is_curve_point_drawable(const ReportCurve& curve, std::size_t point_index) {
     return std::abs(curve.x[point_index]) < 1e100 && std::abs(curve.y[point_index]) < 1e100;
 }
@@ -72,8 +72,8 @@ std::vector<double> make_linear_ticks(const ChartAxis& axis, int n_ticks) {
 }
 
 /// Returns the ticks of a logarithmic axis, usually the powers of ten. If there are too
-/// many powers, returns only some. If there are few, adds ticks at 2 and 5 times each
-/// power.
+/// many powers, returns only some of them. If there are few, adds ticks at 2 and 5 times
+/// each power.
 std::vector<double> make_log_ticks(const ChartAxis& axis) {
     const int first = int(std::floor(std::log10(axis.low))), last = int(std::ceil(std::log10(axis.high)));
     const int every = std::max(1, (last - first) / 6);
@@ -117,7 +117,7 @@ ChartAxis make_x_axis(const ValueInterval& value_extent, double page_low, double
 }
 
 /// Returns the indices of the points to draw: the minimum and the maximum of each
-/// interval of the x axis, so that spikes remain visible. Values that are not finite
+/// interval of the x axis. Spikes therefore remain visible. Values that are not finite
 /// become gaps.
 std::vector<std::size_t> select_drawn_point_indices(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kBuckets);
@@ -125,7 +125,7 @@ std::vector<std::size_t> select_drawn_point_indices(const ReportCurve& curve) {
     for (std::size_t first = 0; first < n; first += width) {
         std::size_t low = first, high = first;
         for (std::size_t i = first; i < std::min(n, first + width); ++i) {
-            // Keeps a value that is not finite, because it is drawn as a gap.
+            // Keeps a value that is not finite, so that the curve has a gap there.
             if (!is_curve_point_drawable(curve, i)) low = high = i;
             else if (is_curve_point_drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
             else if (is_curve_point_drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
@@ -137,20 +137,20 @@ std::vector<std::size_t> select_drawn_point_indices(const ReportCurve& curve) {
 }
 
 /// Returns the running mean of a curve at a few hundred points. Each value is the mean of
-/// the finite values in a centred window. The width of the window is 1/40 of the curve.
+/// the finite values in a window around the point. The window is 1/40 of the curve wide.
 ReportCurve compute_running_mean(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), half = n / 80, n_samples = std::min(n, kBuckets);
     ReportCurve result{curve.name, {}, {}};
     for (std::size_t sample = 0; sample < n_samples; ++sample) {
         const std::size_t middle = sample * (n - 1) / (n_samples - 1);
-        // Near the ends of the curve, the window becomes shorter but stays symmetric.
-        // Otherwise the mean would be biased there.
+        // Shortens the window on both sides near the ends of the curve. A window that is
+        // not symmetric would give a biased mean.
         const std::size_t reach = std::min({half, middle, n - 1 - middle});
         double sum = 0.0, count = 0.0;
         for (std::size_t i = middle - reach; i <= middle + reach; ++i)
             if (is_curve_point_drawable(curve, i)) sum += curve.y[i], ++count;
         result.x.push_back(curve.x[middle]);
-        // If the window has no finite value, this is NaN, which is drawn as a gap.
+        // The mean is NaN if the window has no finite value. NaN is drawn as a gap.
         result.y.push_back(sum / count);
     }
     return result;

@@ -15,8 +15,8 @@ inline constexpr int kChartColours = 8;
 
 /// Draws curves in one chart with common axes, and returns the chart as SVG. The y axis
 /// is logarithmic if all values are positive and span more than a factor of 4. Values
-/// that are not finite leave gaps. Long curves are drawn faint, with their running mean
-/// as a solid line.
+/// that are not finite leave gaps. Long curves are drawn faint, and their running mean is
+/// drawn as a solid line.
 /// @throws DataError if x and y of a curve differ in length
 std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height);
 

@@ -28,7 +28,7 @@ using report_detail::escape_html;
 using report_detail::format_number;
 
 // Maximum ratio of width to height of an image. A wider image, for example 66 x 1030
-// pixels, is stretched vertically so that its rows remain visible.
+// pixels, is stretched vertically so that its rows are visible.
 constexpr double kMaxAspect = 10.0;
 
 std::string make_html_section(const std::string& title, const std::string& body) {
@@ -72,16 +72,16 @@ std::string make_facts_html(const Report& report) {
 }
 
 /// Splits a metric's name into its group and the remainder, for example
-/// "peer/depth_rmse_m" into "peer" and "depth_rmse_m". A name without '/' has an empty
-/// group.
+/// "peer/depth_rmse_m" into "peer" and "depth_rmse_m". The group is empty if the name has
+/// no '/'.
 std::pair<std::string, std::string> split_metric_group(const std::string& metric_name) {
     const std::size_t slash = metric_name.find('/');
     if (slash == std::string::npos) return {"", metric_name};
     return {metric_name.substr(0, slash), metric_name.substr(slash + 1)};
 }
 
-/// Returns +1 if larger values of a metric are better. Returns -1 if smaller values are
-/// better, and 0 if this is unknown.
+/// Returns +1 if larger values of a metric are better, -1 if smaller values are better,
+/// and 0 if this is unknown.
 int get_improvement_sign(const std::string& metric) {
     const auto has = [&](std::string_view part) { return metric.find(part) != std::string::npos; };
     for (const char* part : {"rmse", "mae", "medae", "cd_", "lpips"})
@@ -97,8 +97,8 @@ std::optional<double> find_metric_value(const MetricValues& row, const std::stri
 }
 
 /// Returns the best value of a metric among all columns of the report. Returns nothing if
-/// it is unknown whether larger values are better, or if fewer than two columns have the
-/// metric.
+/// fewer than two columns have the metric, or if it is unknown whether larger values are
+/// better.
 std::optional<double> find_best_metric_value(const Report& report, const std::string& metric_name) {
     const int direction = get_improvement_sign(metric_name);
     std::optional<double> best;
@@ -198,8 +198,8 @@ std::string make_curves_html(const Report& report) {
 }
 
 /// Returns a table row with the time of a kernel, its percentage of `total_ms`, and a
-/// bar. The length of the bar is relative to `longest_ms`; if `longest_ms` is 0, no bar
-/// is drawn.
+/// bar. The length of the bar is relative to `longest_ms`. No bar is drawn if
+/// `longest_ms` is 0.
 std::string make_timing_row_html(const std::string& kernel_name, double ms, double total_ms,
                                  double longest_ms) {
     const bool is_valid_time = std::isfinite(ms) && ms >= 0.0;
@@ -212,8 +212,9 @@ std::string make_timing_row_html(const std::string& kernel_name, double ms, doub
                        escape_html(kernel_name), ms, share, bar);
 }
 
-/// Returns a table of kernel times, the longest first, with the total in the last row.
-/// The total is the entry "total" or, if it is missing, the sum of all entries.
+/// Returns a table of kernel times, sorted from the longest to the shortest. The last row
+/// has the total. The total is the entry "total" or, if it is missing, the sum of all
+/// entries.
 std::string make_timing_table_html(const MetricValues& kernel_times_ms) {
     std::vector<std::pair<std::string, double>> rows;
     double longest = 0.0, sum = 0.0;

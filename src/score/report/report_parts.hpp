@@ -12,7 +12,7 @@ namespace relidar::report_detail {
 
 /// Returns the HTML code of a 3D view of point clouds. The code contains the points as
 /// base64 text.
-/// @param n_views  number of views on the page, which share the size limit of the page
+/// @param n_views  number of views on the page; they share the size limit of the page
 std::string make_3d_view_html(const ReportView& view, std::size_t n_views);
 /// Returns the JavaScript code that draws all 3D views of a page.
 std::string make_3d_view_script();

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Style sheet of the report: a column of cards, with a light and a dark theme. Curve
-// colours differ in lightness as well as hue, so that colour-blind readers can
-// distinguish the curves. This also works in black-and-white print. Private to the
-// report.
+// Style sheet of the report: a column of cards, with a light and a dark theme. The
+// colours of curves differ in lightness and in hue. Colour-blind readers can therefore
+// distinguish the curves, also in black-and-white print. Private to the report.
 #pragma once
 
 #include <string_view>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes the 3D views of the report. Packs each point of a view into 8 bytes,
 // little-endian: x, y, z in centimetres (int16), intensity in steps of 1/255, and the
-// range error. The range error is stored in steps of 4 mm, up to 1 m. The value 255 means
-// an unknown error. points/report.js reads the points.
+// range error. The range error is in steps of 4 mm, up to 1 m; the value 255 means an
+// unknown error. points/report.js reads the points.
 #include "report_parts.hpp"
 
 #include <algorithm>
@@ -54,7 +54,7 @@ std::vector<std::uint8_t> pack_point_cloud(const ReportCloud& cloud, std::size_t
     return bytes;
 }
 
-/// Converts a JavaScript module so that it can be joined with others into a single
+/// Converts a JavaScript module, so that it can be joined with other modules into one
 /// script. Removes imports and the keyword `export`.
 std::string remove_imports_and_exports(std::string_view module_source) {
     std::string script;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Extracts an actor of a run as a separate run. Removes surfels that are never visible.
-// Completes the unobserved side of vehicles by mirroring.
+// Completes the unobserved side of vehicles with mirrored surfels.
 #include <relidar/simulate/assets.hpp>
 
 #include <algorithm>
@@ -16,9 +16,9 @@
 namespace relidar {
 namespace {
 
-/// Returns the name of an asset, for example "car-3". The name is a valid folder name on
-/// all systems. It contains only letters, digits, dots, dashes and underscores. If an
-/// object has no class, its track id is the name.
+/// Returns the name of an asset, for example "car-3". It contains only letters, digits,
+/// dots, dashes and underscores, so it is a valid folder name on all systems. If an
+/// object has no class, the name is its track id.
 std::string make_asset_name(const BoxTrack& box) {
     std::string name = box.category == kDiscoveredCategory ? box.id : box.category + "-" + box.id;
     for (char& c : name) {
@@ -28,8 +28,8 @@ std::string make_asset_name(const BoxTrack& box) {
     return name.front() == '.' ? "-" + name : name;
 }
 
-/// Returns true if a surfel can be visible: its opacity reaches the blending threshold,
-/// and it lies inside the box of its model.
+/// Returns true if a surfel can be visible. Its opacity must reach the blending
+/// threshold, and it must lie inside the box of its model.
 bool can_surfel_be_visible(const Surfels& surfels, std::size_t surfel_index, const SurfelModel& model,
                            const ImageFormationModel& image_model) {
     const glm::vec3 outside = glm::abs(surfels.mean[surfel_index]) - model.half_size_m;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes which parts of its actors a log has observed. Renders the scans of the log
-// with the trained scene. Therefore an object in front of an actor hides the actor.
+// with the trained scene, so that objects in front of an actor hide the actor.
 #include <relidar/simulate/assets.hpp>
 
 #include <algorithm>
@@ -10,7 +10,7 @@
 namespace relidar {
 namespace {
 
-// Sensor model that replaces a LiDAR of the log if this LiDAR has different rays in each
+// Sensor that replaces a LiDAR of the log if the rays of this LiDAR change from scan to
 // scan.
 constexpr const char* kStandIn = "HDL-64E";
 
@@ -64,7 +64,7 @@ void add_actor_returns(const RenderedScan& scan, const TrainedRun& run,
         const glm::dvec3 point_m =
             box_from_world * (world_from_firing * point_in_firing_m - run.sequence.world_offset_m);
         // Skips a return from a side of the actor that was completed with mirrored
-        // surfels. The log has not observed this side.
+        // surfels, because the log has not observed this side.
         const SurfelModel& model = run.scene.models[run.scene.instances[std::size_t(scan.instance[i])].model];
         if (model.surface && model.surface->find_mirror_completed_side(point_m)) continue;
         ActorObservations& actor = observations_by_track[box->id];

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures how much of each actor a scan shows. Compares the rays that hit the actor with
-// the rays that would hit it if the scene contained nothing else.
+// Measures how much of each actor is visible in a scan. Divides the number of rays that
+// hit the actor by the number that would hit it if the scene contained nothing else.
 #include <algorithm>
 
 #include "simulate/render/footprint.hpp"
@@ -51,8 +51,8 @@ std::vector<std::size_t> find_rays_near_instance(const std::vector<FiredRay>& ra
 
 }  // namespace
 
-/// Counts the rays of a scan whose first hit is on each instance. A ray at the edge of an
-/// actor counts only if surfaces absorb at least half of its light.
+/// For each instance, counts the rays whose first hit is on this instance. A ray at the
+/// edge of an actor counts only if surfaces absorb at least half of its light.
 std::vector<ActorVisibility> ScanRenderer::Impl::count_first_hits_per_instance(
     const RenderedScan& scan) const {
     std::vector<ActorVisibility> views;
@@ -65,8 +65,9 @@ std::vector<ActorVisibility> ScanRenderer::Impl::count_first_hits_per_instance(
     return views;
 }
 
-/// Traces the rays near each actor in a scene that contains only this actor, and counts
-/// their hits. Then removes the entries of the background and of actors without hits.
+/// For each actor, traces the nearby rays in a scene that contains only this actor, and
+/// counts their hits. Then removes the entries of the background and of actors without
+/// hits.
 void ScanRenderer::Impl::count_hits_without_occluders(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
                                                       std::vector<ActorVisibility>& actor_views) {
     const std::vector<FiredRay> rays = compute_fired_rays_in_world(sweep);

@@ -18,8 +18,8 @@
 namespace relidar {
 namespace {
 
-/// Copies points that the device computed to the arrays of `LidarPoints`. Rounds the
-/// intensities to the steps of the sensor.
+/// Copies the points that the device computed to `points`. Rounds their intensities to
+/// the steps of the sensor.
 void copy_device_points(std::span<const shared::ReturnedPoint> returned_points,
                         const IntensityScatterModel& intensity_rounding, LidarPoints& points) {
     constexpr std::size_t kTogether = 1 << 13;
@@ -72,7 +72,7 @@ PendingPoints ScanRenderer::Impl::record_commands_for_points(const SimulatedSwee
     else if (submit_mode == SubmissionTiming::now) lanes->submit_batch();
     return scan;
 } catch (...) {
-    wait_for_device();  // because the next scan may replace arrays that recorded commands use
+    wait_for_device();  // waits, because the next scan may replace arrays that recorded commands use
     throw;
 }
 
@@ -106,8 +106,8 @@ RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& pending_points,
     return result;
 }
 
-/// Waits until all submitted scans are finished, and stores their points for later calls
-/// of wait_for_points().
+/// Waits until all submitted scans are finished. Stores their points until
+/// wait_for_points() is called.
 void ScanRenderer::Impl::finish_pending_scans() {
     for (PendingPoints& scan : pending) scan.ready = collect_points(scan);
 }
@@ -143,8 +143,8 @@ RenderedPoints ScanRenderer::wait_for_points(LidarPoints memory) {
     return s.collect_points(first, std::move(memory));
 }
 
-/// Waits until the device no longer uses the arrays of this object. First submits the
-/// commands that are recorded but not submitted yet.
+/// Waits until the device no longer uses the arrays of this object. First submits
+/// commands that are only recorded.
 void ScanRenderer::Impl::wait_for_device() noexcept {
     try {
         lanes->submit_batch();

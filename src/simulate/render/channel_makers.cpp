@@ -41,8 +41,8 @@ ChannelValues make_range_spread_channel(const RenderedScan& scan, const ChannelI
     return compute_range_spread(scan);
 }
 
-/// Returns the velocity of a point on an instance, in the world frame. The motion of the
-/// limbs of a walking actor is ignored.
+/// Returns the velocity of a point on an instance, in the world frame. Ignores the motion
+/// of the limbs of a walking actor.
 glm::dvec3 compute_surface_velocity(const InstancePose& instance_pose, double time_offset_s,
                                     const glm::dvec3& point_m) {
     const glm::dvec3 middle_m =
@@ -53,7 +53,7 @@ glm::dvec3 compute_surface_velocity(const InstancePose& instance_pose, double ti
 
 /// Returns the rate of change of each ray's range:
 ///   direction * (velocity of the surface - velocity of the ray's origin)
-/// The rotation of the LiDAR's head does not count as a motion of the sensor.
+/// The rotation of the LiDAR head is not a motion of the ray's origin.
 ChannelValues make_radial_velocity_channel(const RenderedScan& scan, const ChannelInputs& context) {
     constexpr double kStep_s = 0.005;
     std::vector<float> velocity(scan.median_range_m.size(), 0.0f);
@@ -78,8 +78,8 @@ ChannelValues make_radial_velocity_channel(const RenderedScan& scan, const Chann
     return velocity;
 }
 
-/// Returns the class of the surface that each ray hits. The class of the background is
-/// the class of the place at the median range.
+/// Returns the class of the surface that each ray hits. For the background, looks up the
+/// class at the point at the median range.
 ChannelValues make_class_channel(const RenderedScan& scan, const ChannelInputs& context) {
     std::vector<std::int32_t> of_rays(scan.instance.size(), -1);
     parallel_for_in_blocks(of_rays.size(), [&](std::size_t ray) {
@@ -103,8 +103,8 @@ ChannelValues make_observed_fraction_channel(const RenderedScan& scan, const Cha
     return compute_observed_path_fractions(scan, rays, log);
 }
 
-// Returns "surface" as the cause of each return. If the scan has weather, add_weather()
-// overwrites these values later.
+// Returns "surface" as the cause of each return. If the scan has weather,
+// add_weather_to_scan() overwrites these values later.
 ChannelValues make_return_cause_channel(const RenderedScan& scan, const ChannelInputs&) {
     return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(ReturnCause::surface));
 }
@@ -134,8 +134,8 @@ constexpr ChannelComputation kMakers[] = {
 
 ChannelComputation find_channel_maker(const ChannelInfo& channel) {
     const auto* maker = std::ranges::find(kMakers, channel.name, &ChannelComputation::name);
-    // A channel without a row in the table gets no values. A test
-    // (tests/simulate/render/channels_test.cpp) checks that every channel has a row.
+    // A channel without a row in the table gets no values. The test
+    // tests/simulate/render/channels_test.cpp checks that every channel has a row.
     return maker == std::end(kMakers) ? ChannelComputation{} : *maker;
 }
 
@@ -147,8 +147,8 @@ static_assert(1 + int(ObjectKind::vehicle) == int(SurfaceClass::vehicle) &&
 std::vector<std::int32_t> compute_instance_classes(const Scene& scene, const LidarSequence& sequence) {
     std::vector<std::int32_t> classes;
     for (const ModelInstance& instance : scene.instances) {
-        // A copied actor has no box of its own, but its model has the name of the
-        // original actor's box.
+        // A copied actor has no box in the log. Its model has the name of the original
+        // actor's box.
         const BoxTrack* box = find_box(sequence, instance.track);
         if (!box) box = find_box(sequence, scene.models[instance.model].name);
         const ObjectKind kind = box ? parse_object_kind(box->category) : ObjectKind::other;

@@ -25,7 +25,7 @@ struct ChannelInputs {
     PoseTrack world_from_sensor;
     /// [instances] poses and motions during the scan
     std::vector<InstancePose> placed;
-    /// [instances] values of the channel "class", see compute_instance_classes()
+    /// [instances] classes from compute_instance_classes()
     std::vector<std::int32_t> classes = {};
     /// classes of the background; null if they are unknown
     const SurfaceClassLookup* background = nullptr;
@@ -50,7 +50,7 @@ bool is_full_rendering_needed(const std::vector<ChannelInfo>& channels);
 void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays,
                       const RenderedRayValues& rendering, const std::vector<ChannelInfo>& channels);
 /// Adds the optional channels that are computed for each beam, after its sub-rays were
-/// joined. Must be called before a network or random sampling changes the drop
+/// joined. Call this function before a network or random sampling changes the drop
 /// probabilities. Leaves out channels without values.
 void add_scan_channels(RenderedScan& scan, const ChannelInputs& context,
                        const std::vector<ChannelInfo>& channels);

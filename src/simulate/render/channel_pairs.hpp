@@ -14,7 +14,8 @@
 namespace relidar {
 
 /// Calls visit(info, values in `source`, values in `target`) for each basic channel, such
-/// as range or intensity. Leaves out time and ring, because they belong to the rays.
+/// as range or intensity. Leaves out time and ring, because they are properties of the
+/// rays.
 template <class Visit>
 void for_each_basic_channel_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
     const BasicChannels& basic = get_basic_channels();
@@ -27,8 +28,8 @@ void for_each_basic_channel_pair(const RenderedScan& source, RenderedScan& targe
     visit(basic.instance, source.instance, target.instance);
 }
 
-/// Calls visit(info, values in `source`, values in `target`) for each channel of two
-/// scans, basic or optional.
+/// Calls visit(info, values in `source`, values in `target`) for each basic and each
+/// optional channel of two scans.
 /// @param target must have the channels of `source` in the same order;
 /// make_scan_without_measurements() creates such a scan
 template <class Visit>

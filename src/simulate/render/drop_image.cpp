@@ -13,7 +13,8 @@
 namespace relidar {
 namespace {
 
-// Minimum probability of a drop and of a return. It limits the logits to -9.2 ... 9.2.
+// Minimum value of the drop probability p and of 1 - p. Limits the logits to -9.2 ...
+// 9.2.
 constexpr float kLeastProbability = 1e-4f;
 
 float compute_clamped_logit(float probability) {
@@ -21,8 +22,9 @@ float compute_clamped_logit(float probability) {
     return std::log(p / (1.0f - p));
 }
 
-/// Returns a function that computes one input channel (RELIDAR_DROP_*) for a ray. The
-/// kernel simulate/render/drop_channels computes the same values on the device.
+/// Returns a function that computes one input channel of the network (RELIDAR_DROP_*) for
+/// a ray. The kernel simulate/render/drop_channels computes the same values on the
+/// device.
 std::function<float(std::size_t)> make_channel_value_function(const RenderedScan& scan,
                                                               std::uint32_t channel_index,
                                                               const glm::vec3& origin_m) {

@@ -6,8 +6,8 @@
 
 namespace relidar {
 
-/// Returns a scan with these rays but without measurements. Its channels have no values
-/// yet.
+/// Returns a scan with the given rays, but without measurements. Its channels have no
+/// values yet.
 /// @param source_scan another scan of the same sweep, from which times, poses and channel
 /// names are copied; optional
 inline RenderedScan make_scan_without_measurements(const RayTable& rays,

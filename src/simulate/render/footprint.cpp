@@ -13,7 +13,7 @@
 namespace relidar {
 namespace {
 
-// Smallest weight of a sub-ray in a mean. Without it, sub-rays with intensity 0 would be
+// Minimum weight of a sub-ray in a mean, so that sub-rays with intensity 0 are not
 // ignored.
 constexpr float kDarkest = 1e-3f;
 
@@ -30,9 +30,9 @@ struct SubRayReturn {
     float light = 0.0f;              ///< sum of the intensities
 };
 
-/// Returns true if the hits of sub-rays are on one plane: 1 / range is then a linear
-/// function of the offsets of the sub-rays. At a grazing angle, the ranges on a plane
-/// differ, but they are one return. Returns false for fewer than five sub-rays.
+/// Returns true if sub-rays hit the same plane. On a plane, 1 / range is a linear
+/// function of the sub-ray offsets. The ranges can therefore differ, for example at a
+/// grazing angle. Returns false for fewer than five sub-rays.
 bool are_sub_rays_on_one_plane(const std::vector<std::size_t>& sub_ray_indices,
                                const std::vector<float>& ranges_m, std::size_t first_sub_ray,
                                const std::vector<glm::dvec2>& sub_ray_offsets, double range_tolerance_m) {
@@ -59,8 +59,8 @@ bool are_sub_rays_on_one_plane(const std::vector<std::size_t>& sub_ray_indices,
 void join_coplanar_groups(std::vector<SubRayReturn>& groups, const std::vector<float>& ranges_m,
                           std::size_t first_sub_ray, const std::vector<glm::dvec2>& sub_ray_offsets,
                           double range_tolerance_m) {
-    // Tries to join all groups first, then shorter and shorter sequences of groups. A
-    // single surface is thus joined in the first try.
+    // Tries to join all groups first, then shorter and shorter sequences of groups. The
+    // first try succeeds if the beam hits a single surface.
     for (std::size_t length = groups.size(); length >= 2; --length) {
         for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
             SubRayReturn joined;
@@ -112,16 +112,15 @@ float sum_over_group(const SubRayReturn& group, const std::vector<float>& values
     return sum;
 }
 
-/// Returns the mean of `sub_rays_per_ray` consecutive values, starting at index
-/// `first_index`.
+/// Returns the mean of `count` consecutive values, starting at index `first_index`.
 float compute_mean_of_slice(const std::vector<float>& values, std::size_t first_index, int count) {
     float sum = 0.0f;
     for (std::size_t i = first_index; i < first_index + std::size_t(count); ++i) sum += values[i];
     return sum / static_cast<float>(count);
 }
 
-/// Smallest intensity of a second return, relative to the strongest return. Real
-/// receivers can separate echoes down to about a tenth of the main echo.
+/// Minimum intensity of a second return, relative to the strongest return. Real receivers
+/// can detect second echoes down to about a tenth of the main echo.
 constexpr double kSecondReturnShare = 0.1;
 
 /// Returns the group of sub-rays that forms the second return, or null if there is no
@@ -172,9 +171,9 @@ public:
                                                                 : sum_over_group(strongest, of_parts) /
                                                                       static_cast<float>(n));
                 }
-                // Copies the value of the sub-ray nearest to the centre. It has
-                // the smallest index, because sub-rays are ordered from the
-                // centre outwards.
+                // Copies the value of the sub-ray nearest to the centre. This sub-ray has
+                // the smallest index, because sub-rays are ordered from the centre
+                // outwards.
                 of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
             });
         if (scan_.second_returns.empty()) return;

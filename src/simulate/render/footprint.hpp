@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Models a LiDAR beam as a cone. Samples its footprint with several sub-rays. Joins their
-// returns as the receiver of a LiDAR does. Private to render.
+// Models a LiDAR beam as a cone. Traces several sub-rays through the cone, and joins
+// their hits to returns like the receiver of a LiDAR. Private to render.
 #pragma once
 
 #include <relidar/log/sensor.hpp>
@@ -10,32 +10,32 @@ namespace relidar {
 
 /// Splits each ray into `sub_rays_per_ray` sub-rays, in the order of
 /// make_footprint_offsets(). A sub-ray has the origin, time and channel of its ray.
-/// @param sub_rays_per_ray 1, 5 or 9; any other number gives a spiral that starts next to
-/// the centre
-/// @param divergence_rad full divergence of all rays; if 0, the divergence of each ray is
-/// used
+/// @param sub_rays_per_ray 1, 5 or 9; with any other number, the sub-rays form a spiral
+/// that starts next to the centre
+/// @param divergence_rad full divergence of all rays; if 0, each ray has its own
+/// divergence
 RayTable split_rays_into_sub_rays(const RayTable& rays, int sub_rays_per_ray, double divergence_rad);
 
 /// Joins the returns of sub-rays to the returns of the beams. First groups sub-rays by
 /// range. Neighbours are in the same group if their ranges differ by less than
-/// config.return_separation_m, or if they lie on the same plane. Each group forms one
-/// return. The range of the return is the mean range of the group, weighted by intensity.
-/// The intensity of the return is the sum of intensities divided by the number of all
+/// config.return_separation_m. They are also in the same group if they lie on the same
+/// plane. Each group forms one return. Its range is the mean range of the group, weighted
+/// by intensity. Its intensity is the sum of intensities divided by the number of all
 /// sub-rays.
 ///
 /// The strongest group is the return of the beam. If config.returns is 2, the last group
-/// is the second return. If the last group is the strongest, the second strongest group
-/// is the second return instead. A second return must have at least a tenth of the
+/// is the second return. If the last group is also the strongest, the second strongest
+/// group is the second return. A second return must have at least a tenth of the
 /// strongest group's intensity. The drop probability is the mean over the sub-rays,
 /// because the returned light is the sum over the footprint. Weight, normal and instance
-/// are copied from one sub-ray of the strongest group: the sub-ray nearest to the centre.
+/// are copied from the sub-ray of the strongest group that is nearest to the centre.
 /// @param sub_ray_scan scan of split_rays_into_sub_rays(rays, config.sub_rays, ...)
 RenderedScan join_sub_rays_to_beam_returns(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
                                            const SensorConfig& config);
 
-/// Number of sub-rays of a beam that hits several surfaces. With nine sub-rays, at most
-/// one would hit a surface with a tenth of the light. At a straight edge, one outer
-/// sub-ray would report a surface that covers only 2.6 % of the footprint.
+/// Number of sub-rays of a beam that hits several surfaces. Nine sub-rays would be too
+/// few: one outer sub-ray at a straight edge would report a surface that covers only 2.6
+/// % of the footprint.
 inline constexpr int kEdgeParts = 40;
 
 /// Returns the indices of the beams that hit several surfaces, so that their sub-rays

@@ -18,8 +18,8 @@ void append_elements(std::vector<T>& target, const std::vector<T>& source) {
     target.insert(target.end(), source.begin(), source.end());
 }
 
-/// Adds the channels of a scan to the merged scan. If a channel is new, it gets no value
-/// for the rays that are already merged.
+/// Adds the channels of a scan to the merged scan. The rays that are already merged have
+/// no values in a new channel.
 /// @throws UsageError if a channel has a different type in two scans
 void add_missing_channels(RenderedScan& merged_scan, const RenderedScan& scan) {
     for (const ScanChannel& channel : copy_channels_without_values(scan.channels)) {
@@ -52,8 +52,8 @@ void append_second_return_values(ScanChannel& merged_channel, const ScanChannel&
     std::visit(add, source_channel.second);
 }
 
-/// Returns a scan with the poses of the rig (all merged sensors) and the firing times of
-/// one sensor.
+/// Returns a scan with the firing times of one sensor, but with the poses of the rig. A
+/// rig is the group of all merged sensors.
 RenderedScan make_scan_with_rig_poses(const RenderedScan& merged_scan, const RenderedScan& scan) {
     RenderedScan rig;
     rig.image.rows = scan.image.rows;
@@ -65,13 +65,13 @@ RenderedScan make_scan_with_rig_poses(const RenderedScan& merged_scan, const Ren
     return rig;
 }
 
-/// Computes the pose of a sensor in the rig's frame at the firing time of a ray.
-/// Interpolates the poses of sensor and rig separately. A fixed mounting pose would be
-/// slightly wrong, because the interpolated positions move along different straight
-/// lines.
+/// Computes the pose of a sensor in the frame of the rig at the firing time of a ray.
+/// Interpolates the poses of sensor and rig separately, because the interpolated
+/// positions move along different straight lines. A fixed mounting pose would be slightly
+/// wrong.
 class RigPoseInterpolator {
 public:
-    /// Copies the tracks of the rig, and keeps a reference to the scan of the sensor.
+    /// Copies the poses of the rig, and keeps a reference to the scan of the sensor.
     /// @param scan scan of the sensor; must outlive this object
     RigPoseInterpolator(const RenderedScan& merged, const RenderedScan& scan)
         : rig_(make_scan_with_rig_poses(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
@@ -93,8 +93,8 @@ void append_scan_channels(RenderedScan& merged_scan, const RenderedScan& scan, R
                           std::size_t first_ray) {
     const std::size_t n = scan.image.range_m.size();
     for (ScanChannel& channel : merged_scan.channels) {
-        // Copies the reference, because clang 14 cannot capture structured bindings in a
-        // lambda.
+        // Copies the reference, because lambdas cannot capture structured bindings in
+        // clang 14.
         const ChannelInfo& info = channel.info;
         const auto add = [&]<class T>(std::vector<T>& all) {
             const std::vector<T>* scan_values = find_channel_values<T>(scan.channels, info.name);
@@ -112,8 +112,8 @@ void append_scan_channels(RenderedScan& merged_scan, const RenderedScan& scan, R
     }
 }
 
-/// Fills up the lists of second returns for rays without a second return. Their ranges
-/// and intensities are 0, and their channels have no value.
+/// Extends the lists of second returns to all rays. For rays without a second return,
+/// range and intensity are 0, and the channels have no value.
 void pad_second_returns(RenderedScan& merged_scan) {
     const std::size_t n = merged_scan.image.range_m.size();
     for (AdditionalReturns& second : merged_scan.second_returns)
@@ -124,8 +124,8 @@ void pad_second_returns(RenderedScan& merged_scan) {
                        channel.second);
 }
 
-/// Adds the numbers of rays that hit the actors and their unobserved sides to the numbers
-/// of the merged scan.
+/// For each actor, adds the number of rays that hit the actor to the number in the merged
+/// scan. Does the same for each unobserved side of an actor.
 void merge_actor_ray_counts(RenderedScan& merged_scan, const RenderedScan& scan) {
     for (const ActorVisibility& view : scan.actor_views) {
         const auto existing_view =

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the points of a scan on the host. src/CMakeLists.txt compiles this file
-// without fused multiply-add. The positions are then bitwise equal to the positions that
-// the device computes.
+// without fused multiply-add, so that the positions are bitwise equal to the positions
+// that the device computes.
 #include <relidar/simulate/place_points.hpp>
 
 #include <algorithm>
@@ -16,7 +16,7 @@ namespace {
 
 constexpr std::size_t kPointsTogether = 4096;
 
-/// A return that becomes a point. See LidarPoints::return_number.
+/// Index of a return that becomes a point (LidarPoints::return_number).
 struct RayReturnIndex {
     std::size_t ray;
     std::uint8_t number;
@@ -39,7 +39,7 @@ std::vector<RayReturnIndex> list_returns_to_output(const RenderedScan& scan,
 }
 
 /// Returns the poses of the sensor during a scan, in the frame of the points. Returns no
-/// poses if the points stay in the sensor's frame.
+/// poses if the points are in the sensor's frame.
 std::vector<shared::SensorPose> list_sensor_poses_in_points_frame(
     const RenderedScan& scan, const std::optional<Pose>& dataset_from_points) {
     if (!dataset_from_points || scan.time_offset_s.empty()) return {};
@@ -50,7 +50,7 @@ std::vector<shared::SensorPose> list_sensor_poses_in_points_frame(
                                     double(first_s), double(last_s));
 }
 
-/// Returns the last pose before a time. Selects the same pose as the shader
+/// Returns the last pose before a time. Must select the same pose as
 /// shaders/simulate/render/sensor_way.glsl.
 const shared::SensorPose& find_pose_before(const std::vector<shared::SensorPose>& poses,
                                            float time_offset_s) {

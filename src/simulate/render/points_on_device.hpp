@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the points of scans on the device. Copies them to the host while the next scan
-// is rendered. Private to render.
+// Computes the points of scans on the device. The points of a scan are copied to the host
+// while the device renders the next scan. Private to render.
 #pragma once
 
 #include <algorithm>
@@ -18,17 +18,17 @@ namespace relidar {
 
 class DeviceSensorRays;
 
-/// Number of rays from which the program estimates how many rays pass through space that
-/// the log did not observe. The error of the estimate is one or two percent.
+/// Number of sampled rays for estimating how many rays pass through space that the log
+/// did not observe. The error of the estimate is one or two percent.
 inline constexpr std::size_t kSampledRays = 1024;
 
 /// Options for computing the points of a scan.
 struct PointComputeOptions {
-    /// Poses of the sensor in the frame of the points. It has a single pose if the sensor
-    /// does not move.
+    /// Poses of the sensor in the frame of the points. If the sensor does not move, there
+    /// is only one pose.
     const PoseTrack& points_from_sensor;
     double time_s;  ///< time of the sweep
-    bool of_image;  ///< true if points use the range of the image; false if they use the median range
+    bool of_image;  ///< true: points use the range of the image; false: the median range
     bool refined;   ///< true if the drop probabilities of the ray-drop network are used
 };
 
@@ -49,24 +49,24 @@ public:
     /// the host.
     /// @param capped_ray_count device counter of the rays that reached the maximum number
     /// of traversal passes
-    /// @return host buffers that receive the points; they are reused when the caller
-    /// releases them
+    /// @return host buffers that receive the points. Later scans reuse the buffers after
+    /// the caller has released them
     std::shared_ptr<PointReadbackSlot> record_point_commands(Stream& stream, const DeviceSensorRays& rays,
                                                              const PointComputeOptions& options,
                                                              const Array<std::uint32_t>& capped_ray_count);
 
     struct GatheredPoints {
         std::span<const shared::ReturnedPoint> points;
-        /// [sampled rays] distance to the surface in metres; get_sampled_ray_index()
-        /// returns the index of a sampled ray
+        /// [sampled rays] distance to the surface in metres. get_sampled_ray_index()
+        /// returns the ray of each element
         std::span<const float> requested_m;
         std::uint32_t n_capped;
     };
     /// Waits until the points are copied to these host buffers.
     /// @return valid until the buffers are reused
     static GatheredPoints wait_for_copied_points(Stream& stream, PointReadbackSlot& host_buffers);
-    /// Returns the index of the k-th sampled ray. The distance to its surface is copied
-    /// to the host even if the ray has no return.
+    /// Returns the index of a sampled ray. For these rays, the distance to the surface is
+    /// copied to the host even if the ray has no return.
     /// @param sample_index index below count_sampled_rays()
     static std::size_t get_sampled_ray_index(std::size_t sample_index, std::size_t n_rays) {
         return sample_index * n_rays / count_sampled_rays(n_rays);

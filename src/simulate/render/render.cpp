@@ -44,7 +44,6 @@ TraceOptions make_trace_options(const Config& config) {
     return make_rendering_trace_options(config);
 }
 
-/// Copies the measurements of the rays to the arrays of a scan.
 void copy_measurements_to_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays) {
     const std::size_t n = measured_rays.size();
     for (std::vector<float>* values : {&scan.image.range_m, &scan.median_range_m, &scan.mean_range_m,
@@ -63,16 +62,16 @@ void copy_measurements_to_scan(RenderedScan& scan, std::span<const shared::Measu
     }
 }
 
-/// Drops beams whose range is outside the sensor's limits. Before, only the ranges of
-/// their sub-rays were compared with the limits.
+/// Drops beams whose range is outside the sensor's limits. Needed because until now only
+/// the ranges of the sub-rays were compared with the limits.
 void drop_out_of_range_beams(RenderedScan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))
             scan.image.drop_prob[i] = 1.0f;
 }
 
-/// Replaces the drop probabilities of a scan by the output of a network. A probability of
-/// 1 stays, because such a ray hit nothing that the sensor can measure.
+/// Replaces the drop probabilities of a scan by the output of a network. Keeps a
+/// probability of 1, because such a ray hits nothing that the sensor can measure.
 void replace_drop_probabilities(RenderedScan& scan, std::span<const float> network_output) {
     std::vector<float>& drop_prob = scan.image.drop_prob;
     for (std::size_t i = 0; i < drop_prob.size(); ++i)
@@ -89,8 +88,8 @@ WeatherSensorProperties make_weather_sensor(const Config& config, const RayTable
     if (config.sensor.divergence_mrad > 0.0) result.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
     else if (divergence_rad > 0.0) result.divergence_rad = divergence_rad;
     if (intensity_step > 0.0) result.darkest = 0.5 * intensity_step;
-    // The sensor reports every intensity below half a step as 0. Uses the middle of this
-    // interval.
+    // The sensor reports every intensity below half a step as 0. Assumes the mean of
+    // these intensities.
     result.weakest_reflectivity = 0.5 * result.darkest;
     result.separation_m = config.sensor.return_separation_m;
     result.min_range_m = limits.min_m, result.max_range_m = limits.max_m;
@@ -163,7 +162,7 @@ ChannelInputs ScanRenderer::Impl::make_scan_context(const SimulatedSweep& sweep)
 /// Loads the part of the scene around the sensor, and moves the instances to their poses.
 void ScanRenderer::Impl::prepare_scene_for_sweep(const ParallelScanResources& lane,
                                                  const SimulatedSweep& sweep) {
-    // Waits for pending scans, because loading parts of the scene can replace the
+    // Waits for pending scans, because loading blocks of the scene can replace the
     // renderer that these scans use.
     if (!sweeps.get_scene_layout().blocks.empty()) finish_pending_scans();
     const glm::vec3 sensor_m(sweep.pose.translation);
@@ -195,7 +194,7 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace_commands(Para
             glm::vec3(sweep.pose.translation + sweeps.get_log().world_offset_m - first_origin_m));
     return recorded;
 } catch (...) {
-    wait_for_device();  // because the next scan may replace arrays that recorded commands use
+    wait_for_device();  // waits, because the next scan may replace arrays that recorded commands use
     throw;
 }
 
@@ -219,7 +218,7 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
     scan.track = shift_track(sweep.world_from_sensor, offset_m);
     scan.world_from_sensor = {sweep.pose.rotation, sweep.pose.translation + offset_m};
     scan.time_s = sweep.time_s;
-    // If there is a ray-drop network, adds the incidence channel, because it is an input
+    // Adds the incidence channel if there is a ray-drop network, because it is an input
     // of the network.
     std::vector<ChannelInfo> channels = settings.channels;
     if (lanes->get_drop_network() && !has_channel(kIncidence))
@@ -231,8 +230,8 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
                                                : std::span<const float>{}};
 }
 
-/// Traces several sub-rays for each beam and joins them to one return. If a beam hits
-/// several surfaces, traces it again with more sub-rays.
+/// Traces several sub-rays for each beam and joins them to returns. If a beam hits
+/// several surfaces, traces the beam again with more sub-rays.
 RenderedScan ScanRenderer::Impl::trace_beams_with_sub_rays(const SimulatedSweep& sweep,
                                                            SensorConfig beam_config) {
     const RayTable& rays = sweep.get_rays();
@@ -260,7 +259,7 @@ void ScanRenderer::Impl::correct_drops_with_network(RenderedScan& scan) {
                                              scan, lanes->get_drop_network()->inputs, first_origin_m)));
 }
 
-/// Converts expected values to measured values. Draws random returns, adds weather, and
+/// Converts expected values to random measurements: draws returns, adds weather, and
 /// rounds intensities to the steps of the sensor.
 void ScanRenderer::Impl::apply_noise_and_weather(RenderedScan& scan, const SimulatedSweep& sweep,
                                                  std::optional<std::uint64_t> noise_seed) {
@@ -309,7 +308,7 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep,
     if (plan.network == Network::cells) scan = bin_scan_into_grid(scan, *sensor.grid);
     if (plan.network == Network::device) replace_drop_probabilities(scan, drops);
     else if (plan.network != Network::none) correct_drops_with_network(scan);
-    // Traces more rays, so `drops` is invalid afterwards.
+    // This call traces more rays, so `drops` is invalid afterwards.
     if (settings.has_views) count_hits_without_occluders(sweep, plan, views);
     if (!has_channel(kIncidence))
         std::erase_if(scan.channels,
@@ -336,8 +335,8 @@ void ScanRenderer::set_visible_instances(const std::vector<bool>& visible_flags)
 }
 
 void ScanRenderer::set_drop_network(const RayDropNetwork& network) {
-    // The result is not used. The call throws an error if the network has inputs that
-    // cannot be rendered.
+    // Called only because it throws an error if the network has inputs that cannot be
+    // rendered.
     list_drop_channel_indices(network.inputs);
     impl_->finish_pending_scans();
     impl_->lanes->set_drop_network(network);

@@ -67,7 +67,7 @@ void ParallelScanResourcePool::set_max_lanes(int count) {
 std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_sensor_rays(
     Device& device, const SimulatedSensor& sensor, const RayTable& ray_table,
     const std::function<float(std::size_t)>& get_no_return_probability) {
-    // limits for the rays that stay in device memory, where they need 0.2 GB
+    // limits for the rays that stay in device memory; they need at most 0.2 GB
     constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;
     const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_log_lidar);
     const auto matching_rays = std::ranges::find_if(
@@ -76,13 +76,13 @@ std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_sensor_rays(
         std::rotate(cached_sensor_rays.begin(), matching_rays, matching_rays + 1);
         return cached_sensor_rays.front();
     }
-    // Returns true if an entry can be overwritten: no pending scan uses its rays, and it
-    // is empty or belongs to the same sensor.
+    // Returns true if an entry can be overwritten. No pending scan may use its rays. The
+    // entry must be empty or belong to the same sensor.
     const auto is_free = [&](const std::shared_ptr<DeviceSensorRays>& rays) {
         return rays.use_count() == 1 &&
                (rays->get_ray_table().size() == 0 || rays->get_sensor_name() == name);
     };
-    // Overwrites the entry of the same sensor, whose rays may differ from scan to scan.
+    // Overwrites the entry of the same sensor if the rays of the sensor have changed.
     auto free_entry = std::ranges::find_if(cached_sensor_rays, is_free);
     if (free_entry == cached_sensor_rays.end())
         free_entry = cached_sensor_rays.insert(free_entry, std::make_shared<DeviceSensorRays>(device));

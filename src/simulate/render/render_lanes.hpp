@@ -22,12 +22,12 @@ namespace relidar {
 class ResidentScene;
 
 /// Device resources for rendering one scan. Scans that are rendered in parallel use
-/// different lanes.
+/// different resources.
 struct ParallelScanResources {
-    /// copy of the scene on the device; null if this lane uses the original scene
+    /// copy of the scene on the device; null if the original scene is used
     std::unique_ptr<Renderer> copy = {};
-    /// Rays of recently used sensors on the device, sorted from the most to the least
-    /// recently used sensor.
+    /// Rays of recently used sensors on the device. The most recently used sensor is
+    /// first.
     std::vector<std::shared_ptr<DeviceSensorRays>> cached_sensor_rays;
     DevicePointComputer points;
     std::optional<RayDropRefiner> refiner = {};
@@ -43,16 +43,16 @@ struct ParallelScanResources {
         const std::function<float(std::size_t)>& get_no_return_probability);
 };
 
-/// All lanes of a scene. A lane has the device resources for one scan at a time, so that
-/// several scans can be rendered in parallel.
+/// The resources of all scans that are rendered in parallel. They are called lanes; a
+/// lane renders one scan at a time.
 class ParallelScanResourcePool {
 public:
     ParallelScanResourcePool(Device& device, ResidentScene& scene);
 
     /// Returns the lane for a scan that is not part of a batch.
     ParallelScanResources& get_unbatched_lane() { return first_; }
-    /// Returns the lane for the next scan of a batch. Begins a batch if none is open.
-    /// Creates the lanes at the first call.
+    /// Returns the lane for the next scan of a batch. Begins a batch if there is none.
+    /// The first call creates the lanes.
     ParallelScanResources& get_next_batch_lane();
     bool has_open_batch() const { return batch_.has_value(); }
     /// Submits the GPU commands of all scans of the batch.
@@ -67,8 +67,8 @@ public:
     const RayDropNetwork* get_drop_network() const {
         return first_.refiner ? &first_.refiner->network() : nullptr;
     }
-    /// Returns the object that runs the ray-drop network in a lane. Creates the object at
-    /// the first call.
+    /// Returns the object that runs the ray-drop network in a lane. The first call
+    /// creates the object.
     RayDropRefiner& get_or_create_drop_refiner(ParallelScanResources& lane);
     int get_max_lanes() const { return most_; }
     void set_max_lanes(int count);

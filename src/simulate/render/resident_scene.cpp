@@ -41,8 +41,8 @@ void ResidentScene::load_blocks(const std::vector<std::size_t>& block_indices) {
     loaded_ = block_indices;
 }
 
-/// Returns the blocks (parts of a large scene) that a scan needs, plus other loaded
-/// blocks that fit into memory. Prefers the most recently needed blocks.
+/// Returns the blocks (parts of a large scene) that a scan needs. Adds other loaded
+/// blocks while they fit into memory, and prefers the most recently needed blocks.
 std::vector<std::size_t> ResidentScene::add_recently_needed_blocks(
     std::vector<std::size_t> block_indices) const {
     double bytes = 0.0;

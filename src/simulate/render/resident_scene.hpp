@@ -17,10 +17,10 @@
 
 namespace relidar {
 
-/// A scene on the device. A large scene is divided into blocks, and only blocks near the
-/// sensor must be loaded. Other blocks stay loaded while they fit into
-/// config.render.memory_mib. The least recently needed blocks are removed first. A scene
-/// without blocks is loaded in the constructor.
+/// A scene on the device. A large scene is divided into blocks. Only blocks near the
+/// sensor must be loaded. Other loaded blocks stay while they fit into
+/// config.render.memory_mib. The least recently needed blocks are removed first. The
+/// constructor loads a scene without blocks.
 class ResidentScene {
 public:
     ResidentScene(Device& device, const Scene& scene, const Config& config, const RendererOptions& options);
@@ -28,14 +28,14 @@ public:
     /// Loads all blocks of the scene within the range of a sensor.
     /// @param sensor_position_m [3] position of the sensor, world frame
     /// @param max_range_m maximum range of its rays
-    /// @throws DataError as read_blocks()
+    /// @throws DataError if the file of a block is invalid
     void load_blocks_near_sensor(const glm::vec3& sensor_position_m, double max_range_m);
     /// Returns the renderer of the loaded scene. Call load_blocks_near_sensor() before.
     Renderer& renderer() { return *renderer_; }
     bool is_loaded() const { return renderer_.has_value(); }
     /// Copies a scene without blocks on the device, so that several scans can be rendered
-    /// in parallel. The copy uses the stream of renderer(), which must outlive it. Waits
-    /// until the copy is finished.
+    /// in parallel. The copy uses the stream of renderer(), so that object must outlive
+    /// the copy. Waits until the copy is finished.
     /// @throws DeviceError if memory is exhausted
     std::unique_ptr<Renderer> copy_to_new_renderer();
     /// Returns the kernel times of all renderings so far.
@@ -50,16 +50,15 @@ private:
     const RendererOptions options_;
     const double memory_bytes_;
     const bool has_model_copy_;
-    Scene scene_;  ///< blocks, and the parts that always stay in memory; empty if the scene has no blocks
+    Scene scene_;  ///< blocks and parts that always stay in memory; empty without blocks
     std::optional<Renderer> renderer_;
     std::vector<std::size_t> loaded_;  ///< blocks on the device, in ascending order
-    /// [blocks] number of the last scan that needed the block, or 0 if no scan has needed
-    /// it
+    /// [blocks] number of the last scan that needed the block; 0 if no scan has needed it
     std::vector<std::uint64_t> last_needed_;
     std::uint64_t scans_ = 0;
     double bytes_per_surfel_ = 0.0;  ///< measured when blocks were loaded last
-    /// `past_` holds the kernel times of replaced renderers. `times_` also includes the
-    /// times of the current renderer.
+    /// `past_` has the kernel times of replaced renderers. `times_` has these times plus
+    /// the times of the current renderer.
     KernelTimes past_, times_;
 };
 

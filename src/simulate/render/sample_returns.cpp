@@ -14,8 +14,8 @@
 namespace relidar {
 namespace {
 
-// Constant that is mixed into the seed for the intensities. Their random numbers are then
-// independent of the random numbers for drops and ranges.
+// Constant that is mixed into the seed for the intensities, so that their random numbers
+// are independent of the random numbers for drops and ranges.
 constexpr std::uint64_t kOfIntensities = 0x696E74656E736974ull;
 
 }  // namespace
@@ -67,8 +67,8 @@ void sample_random_returns(RenderedScan& scan, const RangeNoiseTable& noise,
         for (std::size_t i = 0; i < drawn.size(); ++i)
             if (returning[i] != 0) scan.image.intensity[i] = drawn[i];
     }
-    // Shifts the mean range by the same noise as the median range, so that their
-    // difference does not change.
+    // Adds the noise of the median range to the mean range, so that their difference does
+    // not change.
     for (std::size_t i = 0; i < ranges_m.size(); ++i) scan.mean_range_m[i] += ranges_m[i] - likely_m[i];
     scan.image.range_m = ranges_m;
     scan.median_range_m = std::move(ranges_m);

@@ -10,8 +10,8 @@
 namespace relidar {
 namespace {
 
-/// A ray-drop network with this image name corrects the rays of the sensor. With other
-/// names, it corrects the cells of a grid.
+/// A ray-drop network with this image name corrects the rays of the sensor. A network
+/// with another name corrects the cells of a grid.
 constexpr const char* kNative = "native";
 
 SensorConfig make_beam_config(const SimulatedSensor& sensor, const Config& config) {
@@ -46,13 +46,13 @@ void check_beams_can_be_split(const RayTable& rays, const SensorConfig& beam_con
                         beam_config.sub_rays, rays.size(), kMaxRays));
 }
 
-/// Returns true if the network exists and can correct an image with this name and this
-/// number of rows and columns.
+/// Returns true if there is a network and it can correct an image with this name and
+/// size.
 bool can_network_correct_image(const RayDropNetwork* network, const std::string& image_name, int rows,
                                int columns) {
     if (!network || network->image != image_name) return false;
-    // A network with 1 x 1 convolutions processes each ray separately, so it needs no
-    // image.
+    // A network with 1 x 1 convolutions processes each ray separately, so an image of one
+    // pixel is enough.
     const int side = network->taps == 1 ? 1 : std::max(2, network->compute_min_image_side());
     return rows >= side && columns >= side;
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides which steps of a scan run, and whether they run on the device or on the host.
-// No other code makes this decision. Private to render.
+// Decides which steps render a scan, and whether these steps run on the device or on the
+// host. No other code makes this decision. Private to render.
 #pragma once
 
 #include <vector>
@@ -18,17 +18,16 @@ struct ScanRenderSettings {
     bool has_views = false;  ///< if true, scans have RenderedScan::actor_views
 };
 
-/// Describes which steps the rendering of a scan consists of. The device always traces
-/// the rays.
+/// The steps that render a scan. The device always traces the rays.
 struct ScanRenderPlan {
     /// number of sub-rays and number of returns of each beam; the host joins the sub-rays
     SensorConfig beams;
     /// Rays that the ray-drop network corrects: traced rays on the device, joined beams,
     /// or cells of a grid.
     enum class RayDropStage { none, device, beams, cells } network = RayDropStage::none;
-    /// True if the device computes the points. This requires a scan without sub-rays,
-    /// grid, channels, weather and random sampling. Otherwise place_points() computes the
-    /// same points on the host.
+    /// True if the device computes the points. The scan must not have sub-rays, grid,
+    /// channels, weather or random sampling. Otherwise place_points() computes the same
+    /// points on the host.
     bool points_on_device = false;
 
     bool has_sub_rays() const { return beams.sub_rays > 1; }

@@ -26,8 +26,8 @@ class ParallelScanResourcePool;
 class DeviceSensorRays;
 struct ParallelScanResources;
 
-/// Points of a submitted scan. The caller has not collected them with wait_for_points()
-/// yet.
+/// Points of a submitted scan that the caller has not yet collected with
+/// wait_for_points().
 struct PendingPoints {
     std::optional<RenderedPoints> ready = {};  ///< the points, if the host computed them
     std::shared_ptr<DeviceSensorRays> rays = {};
@@ -36,7 +36,7 @@ struct PendingPoints {
     Pose dataset_from_points = {};
     double time_s = 0.0;
     double max_range_m = 0.0;  ///< maximum range of the sensor
-    double step = 0.0;         ///< step to which intensities are rounded, see IntensityScatterModel
+    double step = 0.0;         ///< step to which intensities are rounded (IntensityScatterModel)
     std::shared_ptr<DevicePointComputer::PointReadbackSlot> points = {};
     Renderer* renderer = nullptr;
 };
@@ -44,7 +44,7 @@ struct PendingPoints {
 struct ScanRenderer::Impl {
     Device& device;
     const Config config;
-    const glm::dvec3 first_origin_m;  ///< origin of the first ray, see get_first_vehicle_position()
+    const glm::dvec3 first_origin_m;  ///< origin that get_first_vehicle_position() returns
     ScanRenderSettings settings;
     SimulatedSweepBuilder sweeps;
     ResidentScene scene;
@@ -55,8 +55,8 @@ struct ScanRenderer::Impl {
     std::deque<PendingPoints> pending = {};  ///< requested scans, sorted from the oldest to the newest
 
     Impl(Device& on, const Scene& all, const Config& settings_of_run, const LidarSequence& sequence);
-    /// A scan of traced rays. `drops` has the drop probabilities of the network if the
-    /// network ran on the device. It is valid until the next scan is traced.
+    /// A scan of traced rays. If the network ran on the device, `drops` has its drop
+    /// probabilities. `drops` is valid until the next scan is traced.
     struct TracedScan {
         RenderedScan scan;
         std::span<const float> drops;

@@ -9,8 +9,8 @@
 namespace relidar {
 namespace {
 
-// A ray counts as observed by the log if at least this share of its path lies in observed
-// space.
+// A ray counts as observed if at least this share of its path lies in space that the log
+// observed.
 constexpr float kMinObservedFraction = 0.5f;
 
 bool is_mostly_unobserved(float observed_fraction) { return observed_fraction < kMinObservedFraction; }
@@ -20,8 +20,8 @@ RayWithSurfaceRange make_visibility_ray(const RenderedScan& scan, std::size_t ra
             glm::dvec3(scan.image.direction[ray_index]), scan.median_range_m[ray_index]};
 }
 
-/// Returns the share of a ray's path that lies in space observed by the log. The path
-/// ends at the surface that the ray hits, or at the maximum range.
+/// Returns the share of a ray's path in space that the log observed. The path ends at the
+/// surface that the ray hits, or at the maximum range.
 float compute_observed_path_fraction(const RayWithSurfaceRange& ray, const LogObservedSpace& observed_space) {
     Pose world_from_firing = ray.dataset_from_firing;
     world_from_firing.translation -= observed_space.world_offset_m;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the observed share of a simulated ray: the share of its path in space that the
-// log observed. Private to render.
+// For a simulated ray, computes the share of its path that lies in space observed by the
+// log. Private to render.
 #pragma once
 
 #include <functional>
@@ -14,7 +14,7 @@ namespace relidar {
 /// The space that the log observed, and the range limit of the simulated sensor.
 struct LogObservedSpace {
     const ObservedVoxelSet& coverage;  ///< observed space; empty if it is unknown
-    glm::dvec3 world_offset_m;         ///< see Sequence::world_offset_m
+    glm::dvec3 world_offset_m;         ///< see LidarSequence::world_offset_m
     double max_range_m;                ///< maximum range of the simulated sensor
 };
 
@@ -39,8 +39,8 @@ std::vector<float> compute_observed_path_fractions(const RenderedScan& scan,
                                                    const LogObservedSpace& observed_space);
 
 /// Sets RenderedScan::unseen_share to the share of rays that count as unobserved. Uses
-/// the channel "seen" if the scan has it. Otherwise samples kSampledRays rays. Leaves the
-/// value empty if the log has no coverage.
+/// the channel "seen" if the scan has it. Otherwise samples kSampledRays rays. Sets no
+/// value if the log has no coverage.
 void set_unobserved_ray_fraction(RenderedScan& scan, const LogObservedSpace& observed_space);
 
 }  // namespace relidar

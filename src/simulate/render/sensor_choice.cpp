@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the sensor to simulate. Also implements range grids, because published results
-// use them. Such a dataset bins real points into an image with linear elevation and
-// azimuth. The simulation bins the simulated points of the real beams in the same way.
+// Selects the sensor to simulate. Also implements range grids, which published results
+// use: points are binned into an image with linear elevation and azimuth. The simulation
+// bins the simulated points of the real beams in the same way.
 #include <relidar/simulate/render.hpp>
 
 #include <algorithm>
@@ -20,24 +20,22 @@ namespace relidar {
 
 namespace {
 
-/// A simulated ray becomes a point of the grid only if its blending weight is at least
-/// this value.
+/// Minimum blending weight of a simulated ray that becomes a point of the grid.
 constexpr float kLeastWeight = 0.05f;
 
 RangeLimits get_configured_range_limits(const Config& config, const LidarSequence& sequence) {
     return {config.dataset.min_range_m, resolve_max_range(config, sequence).dataset.max_range_m};
 }
 
-/// Returns the rays of a sensor, or no rays if the sensor has different rays in every
-/// scan.
+/// Returns the rays of a sensor. Returns no rays if they differ from scan to scan.
 template <class Make>
 RayTable make_rays_if_time_invariant(const std::optional<SensorPattern>& pattern, const Make& make_table) {
     return pattern && summarise_scan_pattern(*pattern).has_rays_by_time ? RayTable{} : make_table();
 }
 
 /// Returns true if the rays of the simulated sensor fire at different times (a rolling
-/// shutter). Either the setting requires a rolling shutter, or the LiDARs of the log have
-/// one.
+/// shutter). This is the case if the setting requires it, or if the LiDARs of the log
+/// have a rolling shutter.
 bool is_rolling_shutter_simulated(const Config& config, const LidarSequence& sequence) {
     return config.sensor.rolling_shutter == RollingShutter::yes || sequence.rolling_shutter;
 }
@@ -98,8 +96,8 @@ void copy_ray_to_grid_cell(const RenderedScan& source_scan, std::size_t ray_inde
     target_scan.time_offset_s[cell_index] = source_scan.time_offset_s[ray_index];
 }
 
-/// Sets the drop probability of a cell to the smallest drop probability of its rays,
-/// because one return is enough to fill the cell.
+/// Lowers the drop probability of a cell to the drop probability of a ray in this cell.
+/// The cell keeps the smallest value, because one return is enough to fill it.
 void merge_drop_probability_into_cell(const RenderedScan& source_scan, std::size_t ray_index,
                                       RenderedScan& target_scan, std::size_t cell_index) {
     for_each_channel_pair(

@@ -19,8 +19,8 @@
 namespace relidar {
 namespace {
 
-/// Returns true if two tables have the same bytes. Compares in parallel, because the ray
-/// table of a scan has several megabytes.
+/// Returns true if two tables have the same bytes. Compares in parallel, because a ray
+/// table has several megabytes.
 template <class Values>
 bool are_bytes_equal(const Values& first, const Values& second) {
     if (first.size() != second.size()) return false;
@@ -140,7 +140,7 @@ void DeviceSensorRays::upload_ray_table(const RayTable& rays, const std::string&
                       .channel = rays.channel[index]};
     });
     if (all.size() > measured_.size()) {  // measured_ is allocated last
-        table_ = {};  // is_ray_table_uploaded() must not find arrays that could not be allocated
+        table_ = {};  // if an allocation below fails, is_ray_table_uploaded() then returns false
         rays_ = {}, fired_ = {}, measured_ = {};  // frees the old arrays before allocating larger ones
         rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
         fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in the world");

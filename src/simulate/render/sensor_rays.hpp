@@ -25,7 +25,7 @@ struct RayMeasurementOptions {
     const std::vector<Beam>& beams;
     const IntensityResponse& response;
     RangeLimits limits;
-    /// A ray hits nothing if the blending weights of its surfels sum up to less than this
+    /// A ray hits nothing if the sum of its surfels' blending weights is below this
     /// value.
     float min_weight;
 };
@@ -36,8 +36,8 @@ public:
 
     /// Uploads the rays of a sensor if they are not on the device yet. Pending GPU
     /// commands must not use the old rays.
-    /// @param sensor_name name of the sensor; two sensors with the same rays can have
-    /// different `get_no_return_probability`
+    /// @param sensor_name name of the sensor. Needed because two sensors with the same
+    /// rays can have different `get_no_return_probability`
     /// @param get_no_return_probability returns the probability that the sensor never
     /// gets a return along a ray
     void upload_ray_table(const RayTable& rays, const std::string& sensor_name,
@@ -56,7 +56,7 @@ public:
     void record_measurement(Stream& stream, const RenderedBatch& rendered_batch,
                             const RayMeasurementOptions& options);
     /// Records GPU commands that run a ray-drop network on the measured rays. Afterwards
-    /// get_drop_probability_address() returns the result.
+    /// get_drop_probability_address() returns the address of the result.
     /// @param relative_sensor_position_m [3] position of the sensor relative to
     /// get_first_vehicle_position()
     /// @throws DataError if the image or the channels do not match the network
@@ -76,13 +76,13 @@ public:
     const std::string& get_sensor_name() const { return sensor_; }
     const Array<shared::SensorRay>& get_device_rays() const { return rays_; }
     const Array<shared::MeasuredRay>& get_device_measurements() const { return measured_; }
-    /// Returns the device address of the drop probabilities that the last call of
-    /// record_drop_network() computed.
+    /// Returns the device address of the drop probabilities from the last
+    /// record_drop_network().
     Address<float, shared::DropProbabilities> get_drop_probability_address() const {
         return get_address(refined_);
     }
-    /// Returns the poses of the sensor during a sweep. The pose at the firing time of a
-    /// ray is interpolated between them.
+    /// Returns poses of the sensor during a sweep. To get the pose at the firing time of
+    /// a ray, interpolate between them.
     std::vector<shared::SensorPose> list_poses_during_sweep(const PoseTrack& world_from_sensor,
                                                             double sweep_time_s) const;
 
@@ -100,8 +100,8 @@ private:
     Kernel<shared::DropChannelsParams> drop_channels_;
     Array<shared::RenderedSurface> no_surfaces_;  ///< a single entry of zeros
     Array<float, shared::DropSamples> samples_;   ///< inputs of the ray-drop network
-    /// output of the ray-drop network; null if the network did not run after the last
-    /// call of record_measurement()
+    /// Output of the ray-drop network. Null if the network did not run after the last
+    /// record_measurement().
     const Array<float, shared::DropProbabilities>* refined_ = nullptr;
 };
 
@@ -109,9 +109,9 @@ private:
 /// @throws DataError for an unknown input
 std::vector<std::uint32_t> list_drop_channel_indices(const std::vector<std::string>& channel_names);
 
-/// Returns the poses of a sensor during a sweep in the format of the kernels. The list
-/// starts with the last pose before the first ray. The list ends with the first pose
-/// after the last ray.
+/// Returns the poses of a sensor during a sweep in the format of the kernels. The first
+/// pose is the last pose before the first ray. The last pose is the first pose after the
+/// last ray.
 /// @param first_offset_s time offset of the first ray
 /// @param last_offset_s time offset of the last ray
 std::vector<shared::SensorPose> list_poses_through_sweep(const PoseTrack& world_from_sensor,

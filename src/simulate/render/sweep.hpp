@@ -15,8 +15,8 @@ namespace relidar {
 struct SimulatedSweep {
     const SimulatedSensor& sensor;
     double time_s = 0.0;
-    /// Rays of this sweep, if they differ from the rays of the sensor. They differ if the
-    /// pattern changes from scan to scan, or if all rays fire at the same time.
+    /// Rays of this sweep, if they differ from the rays of the sensor. This happens if
+    /// the pattern changes from scan to scan, or if all rays fire at the same time.
     std::optional<RayTable> changed_rays = {};
     PoseTrack world_from_sensor = {};  ///< poses of the sensor; a single pose if the sensor does not move
     Pose pose = {};                    ///< pose of the sensor at `time_s`
@@ -34,16 +34,16 @@ public:
     /// Shows only the selected instances in all following sweeps.
     /// @throws UsageError if the number of instances is wrong
     void set_visible_instances(const std::vector<bool>& shown);
-    /// Returns the sensor with the head azimuths that were measured in the sweep of the
-    /// log at `time_s`. See align_sensor_with_sweep().
+    /// Returns the sensor with the head azimuths that the LiDAR of the log measured in
+    /// the sweep at `time_s` (align_sensor_with_sweep()).
     SimulatedSensor align_azimuths_with_log(const SimulatedSensor& sensor, double time_s) const;
-    /// Returns the sweep of a sensor on the vehicle of the log, which drives its recorded
-    /// path.
+    /// Returns the sweep of a sensor on the vehicle of the log. The vehicle drives along
+    /// its recorded path.
     /// @param sensor must outlive the sweep
     /// @param sensor_offset pose of the sensor relative to its recorded mounting
     SimulatedSweep make_sweep_on_recorded_path(const SimulatedSensor& sensor, double time_s,
                                                const Pose& sensor_offset);
-    /// Returns a sweep with the poses that a request contains.
+    /// Returns a sweep with the poses of a request.
     /// @throws DataError if poses or times are invalid
     SimulatedSweep make_sweep_of_request(const SimulatedSensor& sensor, const ScanRequest& request);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Counts the rays of a scan that meet an unobserved side of an actor. The log has no
-// points on such a side. The side is completed by mirrored surfels, or rays pass through
+// points on such a side. Either mirrored surfels complete the side, or rays pass through
 // it.
 #include <relidar/simulate/render.hpp>
 
@@ -34,7 +34,7 @@ std::pair<double, int> find_ray_entry_into_box(const glm::dvec3& origin, const g
     return {enter_m, axis};
 }
 
-/// An actor with a side that the log did not observe, or that was completed by symmetry.
+/// An actor with sides that the log did not observe. Mirrored surfels may complete them.
 struct PartlyObservedActor {
     const std::string* track;
     const PoseTrack* world_from_box;
@@ -42,8 +42,8 @@ struct PartlyObservedActor {
     const ObservedBoxSurface* surface;
     std::int32_t instance;                ///< index of the actor in Scene::instances
     ObservedSideFractions side_coverage;  ///< observed or completed fraction of each side
-    /// sphere in the world frame that contains the box during the scan; rays that miss
-    /// the sphere are skipped quickly
+    /// Sphere in the world frame that contains the box during the scan. Rays that miss
+    /// the sphere are skipped.
     glm::dvec3 centre_m{0.0};
     double radius_m = 0.0;
     std::array<std::size_t, kBoxSides> n_through{}, n_completed{};
@@ -55,7 +55,7 @@ struct PartlyObservedActor {
                glm::dot(to_centre, to_centre) - along_m * along_m < radius_m * radius_m;
     }
 
-    /// Counts a ray if it hits a side that was completed by symmetry, or if it enters the
+    /// Counts a ray if it hits a side that mirrored surfels complete, or if it enters the
     /// box through an unobserved side. All coordinates are in the box frame.
     /// @param range_m range of the return; 0 if the ray has no return
     /// @param hits_actor true if the return is a surface of this actor

@@ -50,7 +50,8 @@ constexpr const char *kPose = ".foxglove.Pose", *kVector = ".foxglove.Vector3",
                      *kQuaternion = ".foxglove.Quaternion";
 
 /// Message types of the Foxglove schema. Shapes that relidar never writes are declared
-/// without fields, because readers expect an empty list for each shape.
+/// without fields, because readers expect a list for each kind of shape, even if the list
+/// is empty.
 const std::initializer_list<ProtobufMessageType> kMessages = {
     {"Vector3", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}}},
     {"Quaternion", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}, {4, "w", kDouble}}},
@@ -298,12 +299,12 @@ std::string format_vector(const glm::dvec3& vector) {
     return fmt::format("{:.6g} {:.6g} {:.6g}", vector.x, vector.y, vector.z);
 }
 
-/// Returns a foxglove.SceneUpdate message with the boxes of the actors. These boxes
+/// Returns a foxglove.SceneUpdate message with the boxes of the actors. The new boxes
 /// replace all earlier boxes. Each box has its own time stamp. Velocities are in the
 /// world frame.
 std::string make_actor_boxes_message(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
-    // Value ALL of SceneEntityDeletionType. It also removes boxes of actors that have
-    // disappeared.
+    // Value ALL of SceneEntityDeletionType. It deletes all earlier boxes, so that no
+    // boxes of absent actors remain.
     constexpr int kAll = 1;
     std::string bytes, all;
     pbf_writer writer(bytes), deletion(all);
@@ -351,9 +352,10 @@ std::vector<RecordedMessage> make_vehicle_transform_messages(const RecordedSweep
     return messages;
 }
 
-/// Returns one message with the poses of all sensors on the vehicle. The message is
-/// repeated with every scan, so that a player that starts in the middle of the file
-/// receives it. Protobuf messages with repeated fields can simply be concatenated.
+/// Returns one message with the poses of all sensors on the vehicle. Each scan repeats
+/// the message for players that start in the middle of the file. The message joins one
+/// message per sensor, because protobuf messages with repeated fields can be
+/// concatenated.
 std::vector<RecordedMessage> make_sensor_mounting_messages(const RecordedRig& rig,
                                                            const RecordedSweep& moment) {
     std::string bytes;

@@ -14,15 +14,15 @@
 namespace relidar::scan_files {
 namespace {
 
-// latest possible time in a ROS time stamp, whose seconds are a signed 32-bit integer
+// Latest time of a ROS time stamp, whose seconds are a signed 32-bit integer.
 constexpr double kLatest_s = 2147483647.0;
-// Interval between recorded poses in seconds. Readers interpolate between two recorded
-// poses. For a sensor that is 2 m from the vehicle's origin and turns with 1 rad/s, the
-// interpolation error is 0.03 mm.
+// Interval between recorded poses in seconds. Readers interpolate between them. If a
+// sensor is 2 m from the vehicle's origin and turns with 1 rad/s, the interpolation error
+// is 0.03 mm.
 constexpr double kPoseStep_s = 0.01;
 
-/// Adds times from `first_s` to `last_s` at intervals of kPoseStep_s. Also adds the times
-/// of the track's poses between these limits.
+/// Adds times from `first_s` to `last_s` at intervals of kPoseStep_s. Between these
+/// limits, also adds the times of the track's poses.
 void append_pose_sample_times(std::vector<double>& times_s, const PoseTrack& track, double first_s,
                               double last_s) {
     const int n = std::max(1, static_cast<int>(std::ceil((last_s - first_s) / kPoseStep_s)));
@@ -33,8 +33,8 @@ void append_pose_sample_times(std::vector<double>& times_s, const PoseTrack& tra
     if (begin < end) times_s.insert(times_s.end(), begin, end);
 }
 
-/// Merges the actors of several scans with the same time stamp. Sums up the points of an
-/// actor, and keeps the largest visible share.
+/// Merges the actors of several scans with the same time stamp. For an actor in several
+/// scans, adds up its points, and keeps the largest visible share.
 void merge_recorded_actors(std::vector<RecordedActor>& merged_actors, std::vector<RecordedActor> new_actors) {
     for (RecordedActor& actor : new_actors) {
         const auto existing_actor = std::ranges::find(merged_actors, actor.name, &RecordedActor::name);
@@ -103,8 +103,8 @@ RecordedSweep SweepRecorder::convert_scans_to_moment(std::span<const RenderedSca
 }
 
 /// Returns the poses of the vehicle at the given times.
-/// @param scan scan of the first sensor, from whose path the path of the vehicle is
-/// computed
+/// @param scan scan of the first sensor; the path of the vehicle is computed from the
+/// path of this sensor
 std::vector<RecordedPose> SweepRecorder::compute_vehicle_poses(const RenderedScan& scan,
                                                                std::vector<double> times_s) {
     std::ranges::sort(times_s);
@@ -115,8 +115,8 @@ std::vector<RecordedPose> SweepRecorder::compute_vehicle_poses(const RenderedSca
     std::vector<RecordedPose> poses;
     for (const double t_s : times_s) {
         const std::uint64_t time_ns = make_time_stamp_ns(t_s);
-        // Sweeps can overlap in time. Skips times for which a pose has already been
-        // written.
+        // Skips times for which a pose was already written, because sweeps can overlap in
+        // time.
         if (last_pose_ns_ && time_ns <= *last_pose_ns_) continue;
         poses.push_back({time_ns, world_from_vehicle(t_s), compute_object_velocity(world_from_vehicle, t_s)});
         last_pose_ns_ = time_ns;

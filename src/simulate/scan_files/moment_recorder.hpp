@@ -14,17 +14,18 @@
 namespace relidar::scan_files {
 
 /// Converts scans to the data of a recording, in order of time. A RecordedSweep has the
-/// poses, points and boxes of one scan of each sensor.
+/// poses, points and boxes of one scan per sensor.
 class SweepRecorder {
 public:
     explicit SweepRecorder(std::vector<ScanOutputOptions> sensors) : sensors_(std::move(sensors)) {}
     RecordedRig make_recorded_rig() const;
-    /// Converts the scans of all sensors at the same time.
-    /// @param scans one scan per sensor
+    /// Converts the scans of one moment.
+    /// @param scans one scan per sensor, all with the same time
     /// @throws DataError if times decrease, or if the file format cannot represent them
     RecordedSweep convert_scans_to_moment(std::span<const RenderedScan> scans);
-    /// Returns the number of whole seconds that is added to all times of the log, because
-    /// times in files cannot be negative. The first scan determines this number.
+    /// Returns the number of whole seconds that are added to all times of the log. The
+    /// first scan determines this number. It is needed because times in files cannot be
+    /// negative.
     double get_time_shift_s() const { return shift_s_.value_or(0.0); }
 
 private:

@@ -35,7 +35,7 @@ struct ScanInOutputFrame {
 };
 
 /// Calls visit(info, values) for each channel of the output files, in the order of the
-/// files. Second returns are written as the channels range_2 and intensity_2.
+/// files. Second returns have the channels range_2 and intensity_2.
 template <class Visit>
 void for_each_file_channel(const ScanInOutputFrame& placed_scan, Visit&& visit) {
     const RenderedScan& scan = placed_scan.scan;
@@ -61,7 +61,7 @@ void for_each_file_channel(const ScanInOutputFrame& placed_scan, Visit&& visit) 
 /// Transforms the rays of a scan to the coordinate frame that the output format selects.
 /// @param world_from_deskewed pose of the frame of motion-compensated points
 /// @param file_notes metadata of the files
-/// @throws DataError if a channel is invalid, as check_channel_names_and_sizes()
+/// @throws DataError if check_channel_names_and_sizes() finds an invalid channel
 ScanInOutputFrame transform_scan_to_output_frame(const RenderedScan& scan, const ScanOutputOptions& format,
                                                  const Pose& world_from_deskewed, int frame_number,
                                                  FileMetadata file_notes = {});

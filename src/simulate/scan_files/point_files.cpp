@@ -19,8 +19,8 @@
 namespace relidar {
 namespace {
 
-/// A field of a point, with its types in PLY and PCD. PLY knows the 16-bit type as ushort
-/// and as uint16. The files use uint16, because Open3D does not read ushort.
+/// A field of a point, with its types in PLY and PCD. In PLY, the 16-bit type has two
+/// names, ushort and uint16. The files use uint16, because Open3D does not read ushort.
 struct PointFileField {
     std::string name;
     const char* ply_type;
@@ -41,7 +41,7 @@ std::vector<PointFileField> list_point_file_fields(const LidarPoints& points) {
     return fields;
 }
 
-/// Returns the name of a field in a PLY file, where normals have the names nx, ny and nz.
+/// Returns the name of a field in a PLY file. Normals have the names nx, ny and nz.
 std::string get_ply_field_name(const std::string& field_name) {
     for (const char* axis : {"x", "y", "z"})
         if (field_name == std::string("normal_") + axis) return std::string("n") + axis;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Defines what a recording stores for all scans of the same time. These types do not
-// depend on the message format.
+// Defines the data that a recording stores for one moment, from the scans of all sensors.
+// These types do not depend on the message format.
 #pragma once
 
 #include <cmath>
@@ -50,15 +50,14 @@ struct RecordedActor {
     std::string name, category;
     glm::dvec3 size_m;  ///< length, width and height
     bool is_parked = false;
-    /// State at the time when the rotating sensor points at the actor. Only at this time,
-    /// the box of a moving actor matches its points.
+    /// State at the time when the rotating sensor points at the actor. The box of a
+    /// moving actor matches its points only at this time.
     BoxState faced;
     BoxState at_stamp;                    ///< state at the time stamp of the point cloud
-    std::size_t n_points;                 ///< first returns of the scan on the actor
-    std::optional<double> visible_share;  ///< see ActorInScan; no value if it was not computed
+    std::size_t n_points;                 ///< number of first returns of the scan on the actor
+    std::optional<double> visible_share;  ///< empty if it was not computed
 };
 
-/// Converts a time in seconds to a time stamp in nanoseconds.
 inline std::uint64_t convert_to_nanoseconds(double time_s) {
     return std::uint64_t(std::llround(1e9 * time_s));
 }
@@ -68,8 +67,8 @@ struct RecordedSweep {
     /// poses in ascending order of time, all later than the poses of earlier scans
     std::vector<RecordedPose> poses;
     /// [sensors] point cloud of each sensor. `time_s` is the firing time of the first
-    /// ray, in the time of the file. Motion-compensated points are in the sensor's frame
-    /// at `time_s`.
+    /// ray, as a time of the file. Motion-compensated points are in the sensor's frame at
+    /// `time_s`.
     std::vector<LidarPoints> clouds;
     /// actors at the time stamp of each point cloud
     std::map<std::uint64_t, std::vector<RecordedActor>> actors;

@@ -7,7 +7,7 @@ namespace relidar::scan_files {
 
 std::span<const RecordingFormat> list_recording_formats() {
     // The empty key `serialized_metadata` makes rosbag2 read quality-of-service policies
-    // as numbers, as in bags before version 9.
+    // as numbers. Bags before version 9 also store numbers.
     static const RecordingFormat formats[] = {
         {"mcap", "scans.mcap", "", "protobuf", "protobuf", {}, list_foxglove_topics},
         {"rosbag",

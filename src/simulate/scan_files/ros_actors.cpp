@@ -30,8 +30,8 @@ std::string make_detections_message(std::uint64_t stamp_ns, const Actors& actors
 }
 
 /// Maps a word in the class name of an object to its label in
-/// autoware_perception_msgs/ObjectClassification. The first matching word decides, so
-/// longer words come first, for example "caravan" before "car".
+/// autoware_perception_msgs/ObjectClassification. The first matching word decides.
+/// Therefore longer words precede shorter words, for example "caravan" precedes "car".
 struct AutowareLabel {
     const char* word;
     std::uint8_t number;
@@ -52,8 +52,7 @@ std::uint8_t get_autoware_label(std::string category) {
 }
 
 /// Adds a UUID that depends only on a name, so that an actor has the same UUID in all
-/// files. The UUID consists of two FNV-1a hashes. Its version is 8, which means a custom
-/// UUID.
+/// files. The UUID consists of two FNV-1a hashes. Its version is 8 (custom UUID).
 void add_uuid_of_name(CdrWriter& cdr, const std::string& name) {
     constexpr int kVersionByte = 6, kVariantByte = 8;
     std::string bytes;
@@ -69,9 +68,9 @@ void add_uuid_of_name(CdrWriter& cdr, const std::string& name) {
     }
 }
 
-/// Returns a message with the boxes of all actors. The objects have no time stamps of
-/// their own, so their poses are at the time of the message. Readers can extrapolate them
-/// with the velocities.
+/// Returns a message with the boxes of all actors. The objects have no separate time
+/// stamps, so their poses are at the time of the message. Readers can extrapolate the
+/// poses with the velocities.
 std::string make_tracked_objects_message(std::uint64_t stamp_ns, const Actors& actors) {
     constexpr std::uint8_t kOrientationAvailable = 2, kBoundingBox = 0;
     CdrWriter cdr;
@@ -79,8 +78,8 @@ std::string make_tracked_objects_message(std::uint64_t stamp_ns, const Actors& a
     cdr.append_aligned_number(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_uuid_of_name(cdr, actor.name);
-        // existence probability, then one class with its label and probability; both
-        // probabilities are 1
+        // Existence probability, then one class with its label and probability. Both
+        // probabilities are 1.
         cdr.append_aligned_number(1.0f)
             .append_aligned_number(std::uint32_t(1))
             .append_aligned_number(get_autoware_label(actor.category))

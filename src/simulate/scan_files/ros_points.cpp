@@ -26,12 +26,12 @@ const std::vector<RosField> kAutoware = {{"x", 0, kRosFloat32},          {"y", 4
                                          {"azimuth", 16, kRosFloat32},   {"elevation", 20, kRosFloat32},
                                          {"distance", 24, kRosFloat32},  {"time_stamp", 28, kRosUint32}};
 
-/// Values of the field `get_return_type`, as Nebula defines them.
+/// Values of the field `return_type`, as Nebula defines them.
 enum ReturnType : std::uint8_t { kLast = 1, kStrongest = 3, kSecondStrongest = 8 };
 
 /// Returns the type of a return: strongest, last or second strongest. A second return is
-/// the last return if its range is larger than the range of the first return. Otherwise,
-/// the second return is the second strongest.
+/// the last return if it is farther away than the first return. Otherwise it is the
+/// second strongest.
 ReturnType get_return_type(const LidarPoints& cloud, std::size_t point_index) {
     const bool second = !cloud.return_number.empty() && cloud.return_number[point_index] == 2;
     if (!second || point_index == 0) return kStrongest;
@@ -122,8 +122,8 @@ std::vector<RecordedTopic> list_ros_cloud_topics(const RecordedRig& rig, std::si
         });
     };
     std::vector<RecordedTopic> topics{of_type(topic, kPlainType)};
-    // This topic contains azimuth and elevation relative to the sensor. It is left out if
-    // the points are in the world frame.
+    // Leaves this topic out if the points are in the world frame, because it contains
+    // azimuth and elevation relative to the sensor.
     if (!rig.world) topics.push_back(of_type(topic + "_xyzircaedt", kAutowareType));
     return topics;
 }

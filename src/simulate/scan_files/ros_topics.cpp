@@ -62,9 +62,8 @@ RecordedTopic make_pose_topic(const char* name, const char* message_type,
     });
 }
 
-/// Returns the topic /tf_static with the poses of the sensors on the vehicle. The message
-/// is repeated with every scan, so that a player that starts in the middle of the file
-/// receives it.
+/// Returns the topic /tf_static with the poses of the sensors on the vehicle. Each scan
+/// repeats the message for players that start in the middle of the file.
 RecordedTopic make_static_transform_topic(const RecordedRig& rig) {
     const auto message = [rig](const RecordedSweep& moment) {
         CdrWriter cdr;

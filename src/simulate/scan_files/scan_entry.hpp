@@ -11,8 +11,8 @@
 
 namespace relidar::scan_files {
 
-/// Returns the JSON object that describes one scan in scans.json. It contains the boxes
-/// of the actors if the visibility of the actors was computed.
+/// Returns the JSON object that describes one scan in scans.json. If the visibility of
+/// actors was computed, the object contains their boxes.
 /// @param frame_number frame number
 /// @param file_names names of the scan's files in the folder
 std::string make_scan_entry_json(int frame_number, const RenderedScan& scan, const ScanOutputOptions& format,

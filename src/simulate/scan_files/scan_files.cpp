@@ -30,7 +30,6 @@ using scan_files::transform_scan_to_output_frame;
 
 constexpr const char* kUnits = "metres, seconds; intensity and drop_prob 0 to 1";
 
-/// Returns the 4 x 4 matrix of a pose in row-major order.
 std::vector<double> get_row_major_matrix(const Pose& pose) {
     const glm::dmat4 columns = to_matrix(pose);
     std::vector<double> numbers;

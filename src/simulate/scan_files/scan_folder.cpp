@@ -27,8 +27,8 @@ using Json = nlohmann::ordered_json;
 constexpr const char* kSummary = "scans.json";
 
 /// Returns true if a file name is scans.json, the name of a recording or capture, or
-/// frame_<number>.<format>. Only such files are removed, so that files of other programs
-/// stay.
+/// frame_<number>.<format>. Only files with such names are removed, because other
+/// programs may have files in the folder.
 bool is_output_file_name(const fs::path& name) {
     const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
     if (name == kSummary || scan_files::PacketFileWriter::is_packet_file_name(name) ||

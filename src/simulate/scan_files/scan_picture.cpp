@@ -11,7 +11,8 @@ namespace relidar {
 
 namespace {
 
-// Ratio of width to height of each picture. Several pictures are stacked to one image.
+// Ratio of width to height of each picture. The image contains several pictures, one
+// above the other.
 constexpr double kPictureAspect = 8.0;
 // Upper end of the colour scale in metres. All larger ranges have the same colour.
 constexpr float kFarthest_m = 80.0f;

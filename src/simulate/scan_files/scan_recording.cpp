@@ -45,9 +45,9 @@ void RecordingFileWriter::write_moment_messages(const RecordedSweep& moment, dou
         writer_.add_metadata("relidar", values);
     }
     for (const ScanMessage& message : make_messages_in_time_order(topics_, moment)) {
-        // Log times in the file must not decrease, although sweeps can overlap. A message
-        // that is earlier than the previous message gets the log time of the previous
-        // message.
+        // Log times in the file must not decrease, although sweeps can overlap. If a
+        // message is earlier than the previous message, it gets the log time of the
+        // previous message.
         last_logged_ns_ = std::max(last_logged_ns_, message.time_ns);
         writer_.add_message(channels_[message.topic], last_logged_ns_, message.bytes);
     }

@@ -25,9 +25,9 @@ public:
     RecordingFileWriter(const RecordingFileWriter&) = delete;
     RecordingFileWriter& operator=(const RecordingFileWriter&) = delete;
 
-    /// Writes the messages of all scans of the same time.
-    /// @param time_shift_s offset that converts times of the log to times of the file;
-    /// all calls must use the same offset
+    /// Writes the messages of all scans with the same time.
+    /// @param time_shift_s offset that converts times of the log to times of the file.
+    /// All calls must use the same offset
     void write_moment_messages(const RecordedSweep& moment, double time_shift_s);
     void finish();
 

@@ -11,12 +11,12 @@ namespace {
 
 constexpr double kVelocityStep_s = 0.005;
 
-/// Samples the rays of a scan evenly, to find the ray that points at an object.
+/// Evenly spaced sample of the rays of a scan, to find the ray that points at an object.
 class SampledScanRays {
 public:
     explicit SampledScanRays(const RenderedScan& scan) : scan_(scan) {
         constexpr std::size_t kMost = 4096;
-        // The step is odd, so that different columns are selected in each row.
+        // The step is odd, so that the sample contains different columns of each row.
         const std::size_t n = scan.image.direction.size(), step = (n / kMost) | 1;
         for (std::size_t i = 0; i < n; i += step)
             rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
@@ -26,7 +26,7 @@ public:
     /// world frame of the dataset
     template <class PositionFunction>
     double find_time_facing_point(const PositionFunction& get_position_m) const {
-        // Number of repeated searches. Both the point and the sensor move until the
+        // Number of searches. Each search uses the positions of point and sensor at the
         // firing time that the previous search found.
         constexpr int kRounds = 3;
         double time_s = scan_.time_s;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the boxes of the actors in a scan, the time at which the sensor faces each box,
-// and how much of each actor the scan shows.
+// Finds the boxes of the actors in a scan. Computes the time at which the sensor faces
+// each box, and how much of each actor is visible in the scan.
 #pragma once
 
 #include <functional>
@@ -19,15 +19,15 @@ struct ActorInScan {
     std::function<Pose(double)> world_from_box;
     /// Time at which the sensor points at the actor, in the time of the log.
     double faced_s;
-    std::size_t n_points;  ///< first returns of the scan on the actor
-    /// Rays that hit the actor first, divided by the rays that would hit it if the scene
-    /// contained only this actor. No value if ScanRenderer::enable_actor_visibility() was
-    /// not called, or if no ray would hit the actor.
+    std::size_t n_points;  ///< number of first returns of the scan on the actor
+    /// Number of rays that hit the actor first, divided by the number that would hit it
+    /// if the scene contained only this actor. No value if no ray would hit the actor, or
+    /// if ScanRenderer::enable_actor_visibility() was not called.
     std::optional<double> visible_share;
 };
 
-/// Returns the actors of `format` that are present during a scan.
-/// @param format must outlive the result
+/// Returns the actors of the log that are present during a scan.
+/// @param format output options with the log; must outlive the result
 std::vector<ActorInScan> find_actors_present_in_scan(const RenderedScan& scan,
                                                      const ScanOutputOptions& format);
 

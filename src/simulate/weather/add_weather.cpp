@@ -9,8 +9,8 @@
 namespace relidar {
 namespace {
 
-// Constant that is mixed into the seed of the weather. The weather is then independent of
-// the random numbers for sampled returns.
+// Constant that is mixed into the seed of the weather, so that weather and sampled
+// returns have independent random numbers.
 constexpr std::uint64_t kOfWeather = 0x77656174686572ull;
 constexpr const char* kSource = "source";
 
@@ -44,7 +44,6 @@ void clear_surface_values_of_ray(RenderedScan& scan, std::size_t ray_index) {
                 channel.values);
 }
 
-/// Applies the weather to the rays of a scan.
 class ScanWeatherApplier {
 public:
     ScanWeatherApplier(RenderedScan& scan, const WeatherInput& input)
@@ -87,9 +86,9 @@ private:
         return std::min(
             static_cast<float>(echo.reflectivity * input_.response.compute_range_factor(echo.range_m)), 1.0f);
     }
-    /// Returns the distance that the light of a ray travels through the air: up to the
-    /// first opaque surface, or to the maximum range. The surface stops the light even if
-    /// the sensor reports no return.
+    /// Returns the distance that the light of a ray travels through the air: to the first
+    /// opaque surface, or to the maximum range. A surface without a return also stops the
+    /// light.
     double compute_free_path_m(const RayWeatherState& ray) const {
         const float median_m = scan_.median_range_m[ray.index];
         const bool is_blocked =

@@ -8,8 +8,8 @@
 namespace relidar {
 namespace {
 
-/// Returns the second return of a dual-return sensor. Normally, this is the last return.
-/// If the strongest return is also the last, the function returns the second strongest.
+/// Returns the second return of a dual-return sensor. This is the last return, or the
+/// second strongest return if the strongest return is also the last.
 LidarEcho select_second_return(const EchoCandidates& candidates, const LidarEcho& strongest,
                                double min_separation_m) {
     LidarEcho last, next;
@@ -46,9 +46,9 @@ WeatherRaySimulator::WeatherRaySimulator(const Weather& weather, const WeatherSe
                                          std::vector<std::unique_ptr<RayWeatherEffect>> effects)
     : sensor_(sensor), alpha_(compute_extinction_coefficient(weather)), effects_(std::move(effects)) {}
 
-/// Returns the reflectivity of a surface. An intensity below one step of the sensor does
-/// not determine the reflectivity. Then a random value is drawn, between the weakest
-/// detectable reflectivity and one step.
+/// Returns the reflectivity of a surface. If the intensity is below one step of the
+/// sensor, the reflectivity is unknown. The function then draws a random value between
+/// the weakest detectable reflectivity and one step.
 double WeatherRaySimulator::draw_surface_reflectivity(const LidarEcho& surface_echo, Random& random) const {
     const double step = 2.0 * sensor_.darkest;
     if (surface_echo.reflectivity >= step) return surface_echo.reflectivity;

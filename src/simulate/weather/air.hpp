@@ -18,7 +18,7 @@
 
 namespace relidar {
 
-// Range in metres from which the receiver sees the laser beam. Air that is nearer returns
+// Range in metres at which the receiver begins to see the laser beam. Nearer air returns
 // no light to the receiver (Hahner et al. 2021).
 inline constexpr double kOverlap_m = 1.0;
 inline constexpr double kLight_m_s = 299792458.0;
@@ -43,12 +43,12 @@ struct WeatherInput {
     const RenderedScan& scan;  ///< scan in clear air, without weather
     /// model of how the reported intensity of a surface depends on its range
     const IntensityResponse& response;
-    glm::dvec3 world_offset_m{0.0};  ///< see Sequence::world_offset_m
+    glm::dvec3 world_offset_m{0.0};  ///< see LidarSequence::world_offset_m
     /// Traces additional rays through the scene at the time of the scan.
     std::function<RenderedRayValues(const WorldRays&)> trace = {};
     std::uint64_t seed = 0;
     /// [rays] true if an object close to the sensor blocks the ray. A blocked ray has no
-    /// returns from fog, rain, snow or noise. An empty list means that no ray is blocked.
+    /// returns from fog, rain, snow or noise. If the list is empty, no ray is blocked.
     std::vector<std::uint8_t> blind = {};
 };
 
@@ -71,8 +71,8 @@ using EchoCandidates = std::vector<EchoCandidate>;
 class RayWeatherEffect {
 public:
     virtual ~RayWeatherEffect() = default;
-    /// Changes the return of the surface that a ray hits, before the air attenuates the
-    /// light.
+    /// Changes the return of the surface that a ray hits. The simulation calls this
+    /// function before the air attenuates the light.
     virtual void modify_surface_return(RayWeatherState& /*ray*/) const {}
     /// Adds the possible returns that the effect causes on a ray, for example from
     /// raindrops.
@@ -87,19 +87,19 @@ struct EchoPair {
 };
 
 /// Simulates what a sensor measures along a ray in weather. The air attenuates the return
-/// of the surface, and weather effects add their own returns.
+/// of the surface, and weather effects add more returns.
 class WeatherRaySimulator {
 public:
     /// Creates the weather effects for the rays of a scan.
-    /// @throws UsageError if the weather is invalid, like check_weather()
+    /// @throws UsageError for weather that check_weather() rejects
     explicit WeatherRaySimulator(const WeatherInput& input);
     /// Creates the simulation with a given list of weather effects.
     WeatherRaySimulator(const Weather& weather, const WeatherSensorProperties& sensor,
                         std::vector<std::unique_ptr<RayWeatherEffect>> effects);
-    /// Computes the returns that the sensor measures along a ray. Normally, the second
-    /// return is the last one. If the strongest return is also the last, the second
-    /// return is the second strongest. Both returns are at least `separation_m` apart.
-    /// Returns below the detection threshold are left out.
+    /// Computes the returns that the sensor measures along a ray. The second return is
+    /// the last one, or the second strongest if the strongest return is also the last.
+    /// Both returns are at least WeatherSensorProperties::separation_m apart. Leaves out
+    /// returns below the detection threshold.
     EchoPair compute_echoes_in_weather(RayWeatherState ray, std::uint64_t seed) const;
 
 private:
@@ -112,18 +112,18 @@ private:
                              Random& random) const;
 };
 
-/// Adds a return to the candidates if it is bright enough after the air has attenuated
-/// its light.
+/// Adds a return to the candidates if the sensor can detect it after the air has
+/// attenuated its light.
 /// @param transmission  share of the light that the air does not absorb or scatter
 /// @param min_reflectivity  minimum reflectivity of the object
 void append_echo_if_detectable(EchoCandidates& candidates, LidarEcho echo,
                                const WeatherSensorProperties& sensor, double transmission,
                                double min_reflectivity = 0.0);
 
-/// Adds weather to a scan. Surfaces become darker, or their rays are dropped. Where the
+/// Adds weather to a scan. Surfaces become darker, or their rays are dropped. If the
 /// weather itself causes a return, the ray gets the range and intensity of this return.
-/// Its instance is then -1, and it has no surface values. The channel `source` stores the
-/// cause of each return. In clear air, nothing else changes. The result depends only on
+/// The ray then has instance -1 and no surface values. The channel `source` stores the
+/// cause of each return. Clear air changes only this channel. The result depends only on
 /// seed and time, not on the number of threads.
 /// @param scan  the scan of the input
 void add_weather_to_scan(RenderedScan& scan, const WeatherInput& weather_input);

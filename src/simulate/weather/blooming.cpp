@@ -17,7 +17,7 @@
 namespace relidar {
 namespace {
 
-// Constant that is mixed into the seed. The random factor of each beam is then
+// Constant that is mixed into the seed, so that the random factor of each beam is
 // independent of the other random numbers of the weather.
 constexpr std::uint64_t kOfBeams = 0x626C6F6F6D696E67ull;
 constexpr float kSaturated = 0.95f;
@@ -68,8 +68,8 @@ std::vector<RetroReflector> find_retro_reflectors(const RenderedScan& scan) {
     return reflectors;
 }
 
-/// Returns the stray light that a ray in this direction receives from all reflectors. It
-/// still has to be multiplied by the random factor X and by the setting `bloom`.
+/// Returns the stray light that a ray in this direction receives from all reflectors. The
+/// caller must multiply it by the random factor X and by the setting `bloom`.
 LidarEcho compute_stray_light_echo(const std::vector<RetroReflector>& reflectors,
                                    const glm::dvec3& ray_direction) {
     std::vector<double> share;
@@ -92,8 +92,8 @@ LidarEcho compute_stray_light_echo(const std::vector<RetroReflector>& reflectors
 
 /// Computes the stray-light return of each ray of a scan. Surfaces with an intensity of
 /// at least kSaturated are reflectors. The brightest reflector determines the range.
-/// @return [rays] returns; a single ray without stray light has an empty return; an empty
-/// list if there are no reflectors
+/// @return [rays] returns, with an empty return for a ray without stray light. Empty list
+/// if there are no reflectors
 std::vector<LidarEcho> compute_stray_light_per_ray(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
     const std::vector<RetroReflector> reflectors = find_retro_reflectors(scan);

@@ -16,13 +16,13 @@ namespace relidar {
 namespace {
 
 constexpr double kFogStep_m = 0.05;  // Range step in metres of the table of backscattered power.
-// Backscatter coefficient of fog (per metre and steradian), multiplied by the visibility
-// in metres (Rasshofer et al. 2011).
+// Backscatter coefficient of fog (per metre and steradian) times the visibility in metres
+// (Rasshofer et al. 2011).
 constexpr double kBackscatter = 0.046;
 // Standard deviation of the logarithm of the fog density. The value is an assumption.
 constexpr double kFogSpread = 1.0;
-// Upper limit of the fog density, as a number of standard deviations. Denser fog is
-// ignored, because it is very rare.
+// Maximum fog density, as a number of standard deviations. Ignores denser fog, because it
+// is very rare.
 constexpr double kRareFog = 5.0;
 
 double compute_fog_extinction(const Weather& weather) { return std::log(20.0) / weather.fog_visibility_m; }

@@ -34,8 +34,8 @@ ParticleDistribution make_rain_drop_distribution(const Weather& weather) {
 }
 
 /// Returns the size distribution of snowflakes by the diameter of the melted flake (Gunn
-/// and Marshall 1958). A flake is wider than its melted drop, because the density of a
-/// flake is a tenth of the density of water.
+/// and Marshall 1958). A flake is wider than its melted drop, because its density is a
+/// tenth of the density of water.
 ParticleDistribution make_snow_flake_distribution(const Weather& weather) {
     return {ReturnCause::snow, 3.8e3 * std::pow(weather.snow_mm_h, -0.87),
             2.55 * std::pow(weather.snow_mm_h, -0.48), std::cbrt(10.0), 0.25};
@@ -93,8 +93,8 @@ private:
     std::vector<double> expected_;
 
     /// Returns the diameter of the smallest particle that the sensor detects at a range,
-    /// in millimetres of liquid water. Returns infinity if even a particle as wide as the
-    /// beam reflects too little light.
+    /// in millimetres of liquid water. Returns infinity if the sensor detects not even a
+    /// particle as wide as the beam.
     double compute_min_detectable_diameter_mm(double range_m) const {
         const double share = sensor_.compute_detection_threshold(range_m) * range_m * range_m *
                              std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;

@@ -20,8 +20,9 @@ namespace {
 constexpr double kIrradiance = 0.65;
 constexpr double kSun_rad = 4.65e-3;  // angular radius of the sun
 constexpr double kSun_sr = kPi * kSun_rad * kSun_rad;
-// Sunlight that a dusty sensor window scatters, per steradian, at an angle of one degree.
-// It decreases with 1 / angle^2. In total, the window scatters 5 % of the light.
+// Sunlight that a dusty sensor window scatters, per steradian, at an angle of one degree
+// from the sun. It decreases with 1 / angle^2. In total, the window scatters 5 % of the
+// light.
 constexpr double kScatter_sr = 5.0;
 constexpr double kDegree_rad = kPi / 180.0;
 constexpr double kFilter_nm = 20.0;

@@ -2,7 +2,7 @@
 // Models water on level ground as a smooth film on a diffuse surface (Lekner and Dorf,
 // "Why some things are darker when wet", Applied Optics 1988). The water darkens the
 // ground and mirrors objects. The effect finds the ground in a scan and traces the
-// mirrored rays. docs/architecture.md names this file as the example of a weather effect.
+// mirrored rays.
 #include <cmath>
 #include <limits>
 #include <unordered_map>
@@ -29,11 +29,11 @@ constexpr double kFlat_m = 0.1;
 constexpr double kSteepest = 0.25;  // maximum slope of ground, rise over run
 constexpr double kFewest = 6.0;     // minimum number of points for a plane
 // Minimum width in metres of the area that the points cover. If the points form a
-// narrower strip, the slope across the strip is unknown and set to 0.
+// narrower strip, the slope across the strip is unknown. The slope is then set to 0.
 constexpr double kWidth_m = 0.2;
 
-/// Sums over the points near the lowest height of a grid cell, from which a plane is
-/// fitted. Coordinates are relative to the sensor, along the axes of the world.
+/// Sums over the points near the lowest height of a grid cell. A plane is fitted to these
+/// points. Coordinates are relative to the sensor, along the axes of the world.
 struct GroundGridCell {
     double lowest_m = std::numeric_limits<double>::infinity();
     double n = 0.0, zz = 0.0;
@@ -78,7 +78,7 @@ GroundPlane fit_ground_plane_to_cell(const GroundGridCell& cell) {
     const glm::dvec2 right = cell.products / cell.n - mean.z * glm::dvec2(mean);
     const glm::dvec2 slope =
         glm::dvec2(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / (xx * yy - xy * xy);
-    // variance of the heights around the plane, slightly increased by the term `ridge`
+    // variance of the heights around the plane; `ridge` increases it slightly
     const double squared_m2 = zz - glm::dot(slope, right);
     return {mean.z - glm::dot(slope, glm::dvec2(mean)), slope,
             squared_m2 < kFlat_m * kFlat_m && glm::length(slope) < kSteepest};
@@ -127,10 +127,10 @@ GroundPlane fit_plane_around_point(const GroundGrid& cells, const glm::dvec3& po
 
 /// Finds the rays that hit level ground below the sensor. Only background points within
 /// kLayer_m of the lowest point of a cell are candidates. A cell is ground if the
-/// candidates of the 3 x 3 cells around it fit a plane. The material of the ground is
-/// ignored.
-/// @return [rays] unit normal of the ground in the world frame of the dataset; 0 for rays
-/// that do not hit ground or have no return
+/// candidates of the 3 x 3 cells around it fit a plane. Ignores the material of the
+/// ground.
+/// @return [rays] unit normal of the ground in the world frame of the dataset, or 0 for
+/// rays without a return from ground
 std::vector<glm::dvec3> estimate_level_ground_normals(const RenderedScan& scan) {
     const std::vector<glm::dvec3> points = compute_background_points_below(scan);
     const GroundGrid cells = make_ground_cells(points);
@@ -162,9 +162,9 @@ double compute_mean_water_reflectance() {
 /// Effect of wet ground on a ray that hits the ground.
 struct WetGroundRay {
     double through_water = 1.0;  // brightness of the wet ground relative to the dry ground
-    LidarEcho mirrored{};  // return of the object that the ray hits after the water has mirrored the ray
-    // share of the light that remains after two reflections at the water: on the way to
-    // the object and back
+    LidarEcho mirrored{};        // return of the object that the mirrored ray hits
+    // share of the light that remains after two reflections at the water, one on the way
+    // to the object and one on the way back
     double mirrors = 0.0;
 };
 
@@ -203,8 +203,8 @@ MirroredRays mirror_rays_in_wet_ground(const WeatherInput& input,
         const double albedo = scan.image.intensity[i] / input.response.compute_range_factor(range_m);
         wet_rays[i].through_water = 1.0 - share + share * compute_wet_reflectance_ratio(cosine, albedo);
         wet_rays[i].mirrors = share * std::pow(compute_water_reflectance(cosine), 2);
-        // Skips the mirrored ray if its return cannot be stronger than the return of the
-        // ground, which is nearer.
+        // Skips the mirrored ray if the return of the ground, which is nearer, is
+        // stronger.
         if (scan.second_returns.empty() && wet_rays[i].mirrors <= wet_rays[i].through_water * albedo)
             continue;
         wet_rays[i].mirrored.range_m = range_m;
@@ -273,8 +273,8 @@ double compute_water_reflectance(double cosine) {
 }
 
 double compute_wet_reflectance_ratio(double cosine, double albedo) {
-    // share of the light from the ground that total internal reflection keeps in the
-    // water film
+    // share of the light from the ground that stays in the water film because of total
+    // internal reflection
     static const double trapped_fraction = 1.0 - (1.0 - compute_mean_water_reflectance()) / (kWater * kWater);
     const double passes = 1.0 - compute_water_reflectance(cosine);
     return passes * passes / (kWater * kWater * (1.0 - std::clamp(albedo, 0.0, 1.0) * trapped_fraction));

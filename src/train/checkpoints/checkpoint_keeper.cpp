@@ -17,8 +17,8 @@
 namespace relidar {
 
 namespace {
-// Number of checkpoints that are kept. The older one is used if the newest is damaged by
-// a failure of the machine.
+// Number of checkpoints that are kept. If a failure of the machine damages the newest
+// checkpoint, the older one is used.
 constexpr int kMaxCheckpoints = 2;
 }  // namespace
 
@@ -79,8 +79,8 @@ bool CheckpointKeeper::should_save_checkpoint(int step) const {
 
 void CheckpointKeeper::save_training_state(TrainLoop& loop, const TrainResult& result,
                                            double training_time_s) {
-    // Sets the time before writing. If the disk is full, the next attempt is then made
-    // when the next checkpoint should be written, not immediately.
+    // Sets the time before writing. If the disk is full, the next attempt then waits for
+    // the time of the next checkpoint.
     last_ = Clock::now();
     if (!folder_.is_enabled()) return;
     folder_.save_checkpoint_or_report({result.iterations, texts_.get(), {}}, [&](Checkpoint& checkpoint) {

@@ -17,8 +17,8 @@ namespace relidar {
 
 class TrainLoop;
 
-/// Folder with the checkpoints of a training. A failed write prints a note, and training
-/// continues.
+/// Folder with the checkpoints of a training. If a write fails, prints a note and
+/// training continues.
 class CheckpointFolder {
 public:
     /// Opens the folder. Keeps the two newest checkpoints, because a failure of the
@@ -33,8 +33,8 @@ public:
 
     bool is_enabled() const { return !folder_.empty(); }
     int get_newest_iteration() const { return newest_; }
-    /// Writes a checkpoint. If the disk or the memory is full, it prints a note and
-    /// training continues.
+    /// Writes a checkpoint. If the disk or the memory is full, prints a note and training
+    /// continues.
     /// @param add_state  adds the state to the checkpoint
     /// @throws DataError if the state contains NaN or infinity, because training could
     /// not continue from it
@@ -53,10 +53,10 @@ public:
                      const TrainSession& session);
 
     /// Returns true if a checkpoint must be written after this iteration. Checkpoints are
-    /// written after a fixed number of iterations or minutes. If the folder already has a
-    /// checkpoint, the last iteration also gets one.
+    /// written after a fixed number of iterations or minutes. The last iteration also
+    /// gets a checkpoint if the folder already has one.
     bool should_save_checkpoint(int step) const;
-    /// Writes the state after result.iterations to a checkpoint. If the disk is full, it
+    /// Writes the state after result.iterations to a checkpoint. If the disk is full,
     /// prints a note and training continues.
     /// @throws DataError if the state contains NaN or infinity, because training could
     /// not continue from it
@@ -66,8 +66,8 @@ private:
     using Clock = std::chrono::steady_clock;
     const TrainConfig& config_;
     CheckpointFolder folder_;
-    /// Settings and hashes that every checkpoint of this training contains. A separate
-    /// thread computes them, because hashing a log takes some time.
+    /// Settings and hashes that every checkpoint of this training contains. Computed by a
+    /// separate thread, because hashing a log takes some time.
     std::shared_future<std::map<std::string, std::string>> texts_;
     Clock::time_point last_ = Clock::now();
 };

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores what a training depends on in its checkpoint: the values of the settings, and
-// hashes of the log and the scene. A resumed training compares them, to check that the
-// checkpoint belongs to the same training. Private to train.
+// Stores in a checkpoint what the training depends on: the values of the settings, and
+// hashes of the log and the scene. A resumed training compares them with its own, to
+// check that the checkpoint belongs to the same training. Private to train.
 #pragma once
 
 #include <map>
@@ -23,7 +23,7 @@ struct ResumeFingerprint {
 };
 
 /// Returns hashes of a log and of the scans of its training frames. If two logs differ,
-/// the first hash that differs is the best explanation.
+/// the first hash that differs explains the difference best.
 std::vector<ResumeFingerprint> compute_log_fingerprints(const LidarSequence& sequence,
                                                         const TrainTestSplit& split);
 /// Returns a hash of all surfels of a scene, including its blocks.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the settings that must not change when training is resumed. Saves and restores
-// the training log and the elapsed times.
+// Compares settings with a checkpoint when training is resumed. Saves and restores the
+// training log and the elapsed times.
 #include "train/checkpoints/resume.hpp"
 
 #include <algorithm>
@@ -20,8 +20,8 @@ namespace {
 // Prefixes of settings that are used only after training.
 constexpr std::array kFollows{"refine.", "render."};
 /// Settings that may change when training is resumed, because they do not change the
-/// result of an iteration. Paths may change too, because the contents of the log are
-/// compared instead.
+/// result of an iteration. Paths may also change, because the contents of the log are
+/// compared.
 constexpr std::array kFree{"dataset.path",
                            "dataset.sequence",
                            "dataset.poses",

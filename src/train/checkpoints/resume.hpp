@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes the part of a checkpoint that is not the state of the training loop:
+// Reads and writes the parts of a checkpoint outside the state of the training loop:
 // settings, log lines, times. Private to train.
 #pragma once
 
@@ -31,8 +31,8 @@ void read_training_result(const Checkpoint& checkpoint, const Config& config, Tr
 Scene read_checkpoint_scene(const Checkpoint& checkpoint);
 
 /// Adds a line to the training log. Estimates the remaining time from the speed after the
-/// first line, because drivers still compile kernels before that line. In the first line,
-/// the remaining time is infinite.
+/// first line. Earlier iterations are slower, because drivers still compile kernels. In
+/// the first line, the remaining time is infinite.
 /// @param elapsed_s  seconds since training started
 void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
                      double elapsed_s);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Trains the ray-drop network, which is the last stage of training (paper, section 3.5).
 // Renders training frames once, and trains the network to predict which rays the sensor
-// dropped. The images use the nominal rays of the sensor. In a measured scan, only rays
-// with a return have jitter. The jitter would reveal to the network which rays returned.
+// dropped. The images use the nominal rays of the sensor. Measured rays have jitter only
+// if they have a return, so the jitter would reveal the answer to the network.
 #include <algorithm>
 #include <map>
 #include <optional>
@@ -25,8 +25,8 @@ bool should_use_range_grid(const Config& config) {
     return config.refine.image == "grid" && config.sensor.grid != "native";
 }
 
-/// Returns the rays of a frame's LiDAR. If the network corrects grid images (refine.image
-/// = grid), returns one ray for each grid cell.
+/// Returns the rays of a frame's LiDAR. If the setting refine.image is "grid", returns
+/// one ray for each grid cell, because the network then corrects grid images.
 SimulatedSensor make_training_sensor(const Config& config, const LidarSequence& sequence,
                                      const LidarFrame& frame) {
     if (!should_use_range_grid(config)) return choose_nominal_sensor_of_frame(config, sequence, frame);
@@ -38,13 +38,12 @@ SimulatedSensor make_training_sensor(const Config& config, const LidarSequence& 
 }
 
 /// Rotates the rays towards the next column by a fraction of the column spacing. The
-/// scene fits the original rays unusually well, because it was trained with them. Images
-/// along the rotated rays are as accurate as images of frames that were not used for
-/// training.
+/// scene was trained with the original rays, so it fits them unusually well. Images along
+/// the rotated rays are as accurate as images of frames that were not used for training.
 RayTable rotate_rays_by_column_fraction(RayTable rays, float column_fraction) {
     const RayTable original = rays;
-    // Minimum cosine of the angle between neighbouring columns. It excludes the pair of
-    // last and first column if the field of view is not a full turn.
+    // Minimum cosine of the angle between neighbouring columns. If the field of view is
+    // not a full turn, the last and the first column are not neighbours.
     constexpr float kMinNeighbourCosine = 0.9f;
     for (std::size_t i = 0; i < original.size(); ++i) {
         const std::size_t row = i / std::size_t(original.columns),
@@ -58,7 +57,7 @@ RayTable rotate_rays_by_column_fraction(RayTable rays, float column_fraction) {
 }
 
 /// Converts the measured drops of rays to drops of the grid cells: 0 returned, 1 dropped,
-/// -1 unknown. A cell is unknown if one of its returns is unknown.
+/// -1 unknown. If one of the returns of a cell is unknown, the cell is unknown.
 std::vector<float> convert_ray_drops_to_grid(const Config& config, const LidarFrame& frame,
                                              const std::vector<float>& ray_drops) {
     std::vector<float> cells = make_measured_image(config, frame.scan).drop_prob;
@@ -88,8 +87,8 @@ std::vector<int> select_frames_with_image_rays(const Config& config, const Lidar
     return most == by_shape.end() ? std::vector<int>{} : most->second;
 }
 
-/// Renders training frames. Returns the rendered inputs of the ray-drop network together
-/// with the measured drops. Returns nothing if the user stopped the program.
+/// Renders training frames. Returns the inputs of the ray-drop network together with the
+/// measured drops. Returns nothing if the user stopped the program.
 std::vector<RayDropImage> make_training_images(Device& device, const TrainedRun& run, const Config& config,
                                                const RayDropTrainingSession& session) {
     const std::vector<int> positions = select_evenly_spaced_frames(
@@ -121,8 +120,8 @@ std::vector<RayDropImage> make_training_images(Device& device, const TrainedRun&
         if (should_use_range_grid(config)) dropped = convert_ray_drops_to_grid(config, frame, dropped);
         images.back().dropped = stripes.select_stripe_values(dropped);
         for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
-            // Excludes rays that always drop, because the output of the network does not
-            // change them.
+            // Excludes rays that the scene always drops, because the output of the
+            // network does not change them.
             if (scan.image.drop_prob[i] == 1.0f) images.back().dropped[i] = -1.0f;
         if (session.stop && session.stop()) return {};
     }

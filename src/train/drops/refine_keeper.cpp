@@ -52,8 +52,8 @@ void RayDropCheckpointKeeper::save_checkpoint_if_due(const RayDropTrainProgress&
     const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_time = minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
     if (!folder_.is_enabled() || !(ends_epoch || by_time || is_stopping)) return;
-    // Sets the time before writing. If the disk is full, the next attempt is then made
-    // when the next checkpoint should be written, not immediately.
+    // Sets the time before writing. If the disk is full, the next attempt then waits for
+    // the time of the next checkpoint.
     last_ = Clock::now();
     folder_.save_checkpoint_or_report({progress.step, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
         get_state().visit_state(CheckpointWriter(checkpoint));

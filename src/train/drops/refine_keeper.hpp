@@ -31,8 +31,8 @@ private:
     using Clock = std::chrono::steady_clock;
     const double minutes_;
     CheckpointFolder folder_;
-    /// Settings and hashes that every checkpoint of this training contains. A separate
-    /// thread computes them, because hashing a log takes some time.
+    /// Settings and hashes that every checkpoint of this training contains. Computed by a
+    /// separate thread, because hashing a log takes some time.
     std::shared_future<std::map<std::string, std::string>> texts_;
     Clock::time_point last_ = Clock::now();
 };

@@ -12,15 +12,16 @@ namespace relidar {
 namespace {
 
 constexpr int kColumnsPerBin = 3;
-// The expected drop rate of an azimuth bin is averaged over this many neighbouring bins
-// on each side.
+// Number of neighbouring bins on each side over which the expected drop rate of an
+// azimuth bin is averaged.
 constexpr int kNeighbours = 2;
-// Minimum number of rays from which a drop rate is computed. With fewer rays, a blind
-// spot of the sensor cannot be distinguished from a hole in the scene.
+// Minimum number of rays from which a drop rate is computed. With fewer rays, a hole in
+// the scene would look like a blind spot of the sensor.
 constexpr std::uint32_t kCertainRays = 60;
-// Weight of the prior in a drop rate, as a number of rays. The rate of the neighbouring
-// bins is computed with this many additional returned rays. The rate of a bin is computed
-// with this many additional rays that drop with the neighbours' rate.
+// Weight of the prior in a drop rate, as a number of rays. The drop rate of the
+// neighbouring bins is computed with this many additional returned rays. The drop rate of
+// a bin is computed with this many additional rays, which drop at the rate of the
+// neighbours.
 constexpr double kPriorRays = 8.0;
 // minimum width of a sector without returns, as a share of the full circle
 constexpr double kLeastSector = 10.0 / 360.0;
@@ -32,15 +33,15 @@ int choose_azimuth_bin_count(const LidarSequence& sequence) {
     return std::max(1, columns / kColumnsPerBin);
 }
 
-/// Calls visit(first, n) for each sector, which is a run of neighbouring bins that fulfil
-/// a condition. Ignores sectors that are narrower than the minimum. Does nothing if all
-/// bins fulfil the condition.
+/// Calls visit_sector(first, n) for each sector, which is a run of n neighbouring bins
+/// that fulfil a condition. Ignores sectors that are narrower than the minimum. Does
+/// nothing if all bins fulfil the condition.
 template <class Condition, class Visit>
 void for_each_sector(int n_bins, const Condition& is_bin_in_sector, const Visit& visit_sector) {
     int begin = 0;
     while (begin < n_bins && is_bin_in_sector(begin)) ++begin;
     if (begin == n_bins) return;
-    for (int k = 1, run = 0; k <= n_bins; ++k) {  // ends at the bin outside where it begins
+    for (int k = 1, run = 0; k <= n_bins; ++k) {  // the last bin is `begin`, which is outside all sectors
         if (is_bin_in_sector((begin + k) % n_bins)) {
             ++run;
             continue;
@@ -50,8 +51,8 @@ void for_each_sector(int n_bins, const Condition& is_bin_in_sector, const Visit&
     }
 }
 
-/// Returns how much the azimuth offsets of a LiDAR's beams differ: largest minus
-/// smallest, in bins.
+/// Returns the difference between the largest and the smallest azimuth offset of a
+/// LiDAR's beams, in bins.
 int compute_azimuth_spread_bins(const SpinningSensor& sensor, int n_bins) {
     const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
     return int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * n_bins));
@@ -158,8 +159,8 @@ void mark_unobserved_sectors_as_dropped(RayDropTable& drop_table, const RayDropT
             },
             [&](int first, int count) {
                 for (const std::size_t row : rows) {
-                    // The azimuth offsets differ between beams. Extends the sector of
-                    // each beam by neighbouring bins that have hardly any returns.
+                    // Adds the neighbouring bins in which a beam has hardly any returns,
+                    // because beams have different azimuth offsets.
                     int begin = first, end = first + count;
                     while (first - begin < spread && is_blind_at(row, begin - 1)) --begin;
                     while (end - first - count < spread && is_blind_at(row, end)) ++end;

@@ -2,7 +2,7 @@
 // Estimates from the training frames which rays the sensor itself drops (paper section
 // 3.5). Before training, rays that hardly ever return are excluded from the losses.
 // Otherwise the scene would learn the shadow of the vehicle as a property of the ground.
-// After training, the program counts the rays for which the scene predicts a return. The
+// After training, the program uses only rays for which the scene predicts a return. The
 // drop probability is the dropped fraction of these rays.
 #pragma once
 
@@ -23,15 +23,15 @@ public:
     /// simultaneously.
     void count_ray(const LidarFrame& frame, std::size_t ray_index);
     /// Returns the drop rate of each bin, for rays that are dropped persistently. Uses
-    /// intervals of neighbouring bins with at least 60 rays. Examples are 20 sweeps in
-    /// one bin, or one sweep in 20 bins. A bin gets the highest drop rate of all
-    /// intervals that contain it, but at most the drop rate of the bin itself. If a beam
-    /// has fewer than 60 rays in total, its drop rate is 0. The drop rate is 1 in a
-    /// sector of at least 10 degrees in which the beam never fires.
+    /// intervals of neighbouring bins with at least 60 rays, for example 20 sweeps in one
+    /// bin or one sweep in 20 bins. A bin gets the highest drop rate of all intervals
+    /// that contain it, but at most the drop rate of the bin itself. If a beam has fewer
+    /// than 60 rays in total, its drop rate is 0. The drop rate is 1 in a sector of at
+    /// least 10 degrees in which the beam never fires.
     RayDropTable estimate_persistent_drop_rates() const;
-    /// Returns the drop rate of each bin. Also works for short logs, because it mixes the
-    /// rate of a bin with the rate of its neighbours, which counts like 8 more rays. The
-    /// neighbours' rate is computed with 8 additional returned rays.
+    /// Returns the drop rate of each bin. Mixes the rate of a bin with the rate of its
+    /// neighbours, so that short logs are sufficient. The neighbours have the weight of 8
+    /// rays. Their rate is computed with 8 additional returned rays.
     RayDropTable estimate_drop_rates() const;
     std::size_t get_bin_count() const { return rays_.size(); }
 
@@ -49,7 +49,7 @@ private:
     /// Sets the drop rate of a beam to 1 in sectors in which it never fires.
     void mark_unfired_sectors_as_dropped(RayDropTable& drop_table, int channel) const;
     /// Returns the drop rate of a bin and its neighbours together. Adds a fixed number of
-    /// returned rays, so that bins with few rays get a low rate.
+    /// returned rays, so that the rate is low if the bins have few rays.
     double estimate_local_drop_rate(int channel, int bin) const;
 };
 
@@ -59,9 +59,9 @@ RayDropTable estimate_observed_drop_rates(const LidarSequence& sequence,
                                           const std::vector<int>& frame_indices);
 
 /// Sets the drop probability to 1 in sectors that a LiDAR does not observe. These are
-/// sectors of at least 10 degrees in which no beam has a return. The cause is a field of
-/// view set in the sensor, or a part of the vehicle. The scene has no surfaces in these
-/// sectors, so it cannot predict the drops.
+/// sectors of at least 10 degrees in which no beam has a return. Either the sensor is set
+/// to a smaller field of view, or the vehicle hides the sector. The scene has no surfaces
+/// in these sectors, so it cannot predict the drops.
 /// @param drop_table  input and output
 /// @param observed_drop_rates  result of estimate_observed_drop_rates()
 void mark_unobserved_sectors_as_dropped(RayDropTable& drop_table, const RayDropTable& observed_drop_rates,

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Selects stripes of columns of an image, to train a network that processes single
-// pixels. Such a network has about a thousand parameters, so it does not need every pixel
-// of every frame. A stripe has neighbouring columns, because rays with similar directions
-// are traced faster.
+// pixels. Such a network has about a thousand parameters, so a part of the pixels is
+// enough. A stripe has neighbouring columns, because rays with similar directions are
+// traced faster.
 #pragma once
 
 #include <cstddef>
@@ -12,8 +12,8 @@
 
 namespace relidar {
 
-/// Returns a number n such that every n-th stripe of the image gives about 32,768 pixels.
-/// A number below 2 means the full image.
+/// Returns a number n. Every n-th stripe of the image together has about 32,768 pixels. A
+/// number below 2 means the full image.
 inline int choose_stripe_interval(const RayTable& rays) { return int(rays.size()) / 32768; }
 
 /// Some vertical stripes of an image. The image covers a full turn, so its last column is
@@ -25,7 +25,7 @@ public:
     /// Selects the stripes of a frame. Uses the full image if `stripe_interval` is below
     /// 2 or larger than the number of stripes.
     /// @param stripe_interval  n selects every n-th stripe
-    /// @param frame_number  number of the frame; each frame starts one stripe later, so
+    /// @param frame_number  number of the frame. Each frame starts one stripe later, so
     /// that the frames together use all columns
     ImageStripes(int stripe_interval, const RayTable& rays, std::size_t frame_number)
         : rows_(std::size_t(rays.rows)), columns_(std::size_t(rays.columns)) {

@@ -24,7 +24,7 @@ struct BatchSampler::Impl {
 
 namespace {
 
-/// Selection of n columns of an image, spread over the image with a fixed stride.
+/// n columns of an image, with a fixed distance (stride) between the selected columns.
 struct StridedColumns {
     std::uint32_t stride = 1;
     std::uint32_t n = 0;  ///< number of columns; 0 if the batch does not consist of columns
@@ -49,8 +49,8 @@ StridedColumns choose_column_window(const TrainingFrameData& frame, const TrainC
     return n < image.columns ? StridedColumns{1, n} : StridedColumns{};
 }
 
-/// Selects every n-th group of neighbouring columns. In a group, neighbouring rays have
-/// similar directions and are traced faster.
+/// Selects every n-th group of neighbouring columns. The rays of a group have similar
+/// directions, so they are traced faster.
 StridedColumns choose_every_nth_column_group(const TrainingFrameData& frame, const TrainConfig& config) {
     const std::uint32_t stride = std::min(choose_ray_stride(frame, config), frame.image.columns);
     return frame.image.has_image_layout() && stride > 1 ? StridedColumns{stride, frame.image.columns / stride}
@@ -98,8 +98,7 @@ BatchSampler::BatchSampler(Device& device, const Config& config, const std::vect
 }
 BatchSampler::~BatchSampler() = default;
 
-/// This function and get_frame_column() in shaders/train/columns.glsl select the same
-/// columns. Change both together.
+/// Must select the same columns as get_frame_column() in shaders/train/columns.glsl.
 std::size_t SampledBatch::get_frame_ray_index(std::uint32_t batch_ray_index) const {
     if (window.columns == 0) return rays.first + std::size_t(batch_ray_index) * rays.stride;
     const std::uint32_t row = batch_ray_index / window.n_columns, column = batch_ray_index % window.n_columns,
@@ -118,8 +117,8 @@ std::uint32_t BatchSampler::draw_first_column(const TrainingFrameData& frame, Ra
     std::uint32_t choices = count_batches(frame);
     if (columns.n > 0) {
         const ImageShape image = get_frame_image_shape(frame);
-        // In an image that is not a full turn, a window of columns must not continue past
-        // the last column.
+        // A window of columns must not extend beyond the last column, except in an image
+        // that covers a full turn.
         choices = image.circular || columns.stride > 1 ? image.columns : image.columns - columns.n + 1;
     }
     return static_cast<std::uint32_t>(random.draw_uint64() % choices);
@@ -149,9 +148,9 @@ SampledBatch BatchSampler::gather_nth_batch(Stream& stream, const TrainingFrameD
              .first_column = first_column,
              .column_stride = columns.stride,
              .n_columns = columns.n});
-        // The loss is divided by a number of rays. Uses the count of the full frame times
-        // the share of the batch, so that the loss is unbiased. With the count of the
-        // batch, a sector with few returns would get a higher weight.
+        // The loss is divided by a number of rays. Uses the number of the full frame
+        // times the share of the batch, so that the loss is unbiased. With the number of
+        // the batch, a sector with few returns would get a higher weight.
         const double share = double(n) / frame.n_rays;
         return {{&b.rays, 0, 1, n, columns.n, &b.targets},
                 {&b.targets,

@@ -15,11 +15,10 @@ namespace relidar {
 struct Config;
 struct TrainingFrameData;
 
-/// Describes which columns of a frame are copied into a batch. See
-/// shared::GatherColumnsParams for the selection.
+/// Columns of a frame that are copied into a batch (shared::GatherColumnsParams).
 struct ColumnWindow {
-    /// number of columns of the full frame; 0 if the batch uses the frame's arrays
-    /// without a copy
+    /// number of columns of the full frame; 0 if the batch reads the arrays of the frame
+    /// directly
     std::uint32_t columns = 0;
     std::uint32_t first = 0;
     std::uint32_t stride = 1;
@@ -32,17 +31,17 @@ struct SampledBatch {
     TargetBatch targets;
     ColumnWindow window{};
 
-    /// Returns the index in the frame of ray `batch_ray_index` of the batch.
+    /// Returns the index in the frame of a ray of the batch.
     std::size_t get_frame_ray_index(std::uint32_t batch_ray_index) const;
 };
 
-/// Selects about train.rays_per_iteration rays of a frame; 0 means all rays. By default,
-/// it selects every n-th group of RELIDAR_COLUMN_GROUP neighbouring columns, starting at
-/// a random column. Groups are faster than single columns, because rays that are traced
-/// together visit the same tree nodes. Some losses need images
-/// (Config::has_neighbour_pixel_loss): structural similarity and normal consistency. For
-/// these losses it selects one window of neighbouring columns. In a frame without image
-/// order, it selects every n-th ray.
+/// Selects about train.rays_per_iteration rays of a frame, or all rays if this setting is
+/// 0. By default, selects every n-th group of RELIDAR_COLUMN_GROUP neighbouring columns,
+/// starting at a random column. Groups are faster than single columns, because
+/// neighbouring rays visit the same tree nodes. Structural similarity and normal
+/// consistency compare neighbouring pixels (Config::has_neighbour_pixel_loss). With these
+/// losses, the batch is one window of neighbouring columns. In a frame without image
+/// order, selects every n-th ray.
 class BatchSampler {
 public:
     /// Creates the device arrays for batches.
@@ -53,9 +52,9 @@ public:
     /// Records GPU commands that copy a random batch to the batch arrays. The batch is
     /// valid until the next call.
     SampledBatch sample_random_batch(Stream& stream, const TrainingFrameData& frame, Random& random);
-    /// Records GPU commands that copy one of several batches, which together contain all
-    /// rays of a frame. A few columns can be missing or repeated where a full turn
-    /// closes. Batches that are windows of columns do not cover the frame.
+    /// Records GPU commands that copy one of several batches. The batches together
+    /// contain all rays of a frame. At the end of a full turn, a few columns can be
+    /// missing or repeated. Batches that are windows of columns do not contain all rays.
     /// @param first_column  start of the first batch, from draw_first_column()
     /// @param batch_index  index of the batch
     SampledBatch gather_nth_batch(Stream& stream, const TrainingFrameData& frame, std::uint32_t first_column,

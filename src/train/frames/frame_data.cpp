@@ -16,12 +16,12 @@ namespace relidar {
 namespace {
 
 /// A moving box without a model, enlarged by a margin. Training ignores the returns
-/// inside it.
+/// inside this box.
 struct MovingBoxMask {
     InstancePose placed;
     glm::dvec3 half_size_m;
-    /// radius of a sphere around the box centre; the sphere contains the box during the
-    /// full sweep
+    /// Radius of a sphere around the box centre. The sphere contains the box during the
+    /// full sweep.
     double reach_m;
 
     bool can_hit_box(const WorldRay& ray) const {
@@ -50,8 +50,8 @@ std::vector<MovingBoxMask> list_masked_boxes_in_sweep(const LidarSequence& seque
     return result;
 }
 
-/// Returns true if a ray hit a moving box, or may have hit it and has no return. Training
-/// ignores such a ray.
+/// Returns true if training must ignore a ray. This is a ray that hit a moving box, or a
+/// ray without a return that may have hit such a box.
 /// @param time_offset_s  firing time of the ray, relative to the reference time of the
 /// sweep
 bool is_ray_masked(const std::vector<MovingBoxMask>& masked_boxes, const WorldRay& ray, double time_offset_s,
@@ -92,8 +92,8 @@ std::uint32_t find_max_rays_per_frame(std::span<const TrainingFrameData> frames)
 }
 
 RayBatch TrainingFrameData::make_strided_batch(std::uint32_t first_ray, std::uint32_t stride) const {
-    // True if the rays form complete columns of the image. This requires that the stride
-    // divides the number of columns.
+    // True if the rays form complete columns of the image. The number of columns must be
+    // a multiple of the stride.
     const bool is_column_subset = image.columns % stride == 0 && first_ray < stride;
     return {&get_device_rays(),
             first_ray,

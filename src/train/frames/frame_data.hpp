@@ -19,13 +19,13 @@
 namespace relidar {
 
 /// Device arrays with the rays of a frame. They can be longer than the frame, because
-/// frames of different lengths use the same arrays in turn.
+/// frames of different lengths use the same arrays.
 struct FrameArrays {
     Array<DeviceRay> rays;        ///< [n] rays, computed from the poses at the start of training
     Array<DeviceTarget> targets;  ///< [n] measurements
-    /// [n] position of each ray's firing time on the vehicle's track: index of the
-    /// previous pose, counted from TrainingFrameData::first_knot, and the fraction of the
-    /// way to the next pose. Empty if poses are not corrected.
+    /// [n] position of each ray's firing time on the vehicle's track. Consists of the
+    /// index of the previous pose, relative to TrainingFrameData::first_knot, and the
+    /// fraction of the way to the next pose. Empty if poses are not corrected.
     Array<shared::RayPlace> track_positions;
 };
 
@@ -39,11 +39,11 @@ struct TrainingFrameData {
     /// index of the first vehicle pose that the rays of this frame need
     std::size_t first_knot = 0;
     std::uint32_t n_knots = 0;                  ///< number of vehicle poses that the rays need
-    std::shared_ptr<const FrameArrays> arrays;  ///< arrays that hold the frame while it is on the device
+    std::shared_ptr<const FrameArrays> arrays;  ///< arrays with the rays while the frame is on the device
     /// [n] rays from corrected sensor poses; null if poses are not corrected
     const Array<DeviceRay>* moved_rays = nullptr;
-    /// Number of rays with a return, without ignored rays. Set when the frame is uploaded
-    /// for the first time.
+    /// Number of rays with a return, without ignored rays. Set by the first upload of the
+    /// frame.
     double n_returned = 0.0;
     double n_known_rays = 0.0;
     std::vector<InstancePose> placed;   ///< poses of all instances of the scene

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts a sweep to the form that published methods use for training. The result is an
-// image with elevation and azimuth cells (train.grid). It replaces the fired rays.
+// Converts a sweep to an image with elevation and azimuth cells (train.grid), which
+// published methods use for training. The image replaces the fired rays.
 #pragma once
 
 #include <relidar/log/sensor.hpp>
@@ -9,10 +9,10 @@
 namespace relidar {
 
 /// Returns the frame with one ray for each cell of the grid. The ray starts at the sensor
-/// origin and passes through the centre of the cell. A cell takes the range, intensity,
+/// origin and passes through the centre of the cell. A cell gets the range, intensity,
 /// time and beam of its nearest return (Eq. 6-7). A cell without a return becomes a
-/// dropped ray. The time of a dropped ray is the time at which the LiDAR's head faces the
-/// cell. Second returns are removed.
+/// dropped ray. Its time is the time at which the LiDAR's head faces the cell. Second
+/// returns are removed.
 LidarFrame convert_frame_to_grid(const LidarSequence& sequence, const LidarFrame& frame,
                                  const RangeImageGrid& grid);
 

@@ -11,7 +11,7 @@ SimulatedSensor choose_nominal_sensor_of_frame(const Config& config, const Lidar
     SimulatedSensor sensor = choose_sensor("native", config, sequence, frame.lidar);
     if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns)
         sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
-    sensor.rolling_shutter = sequence.rolling_shutter;  // Uses the same setting as the measured scan.
+    sensor.rolling_shutter = sequence.rolling_shutter;  // same setting as in the measured scan
     return sensor;
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Provides the rays and the measured drops of training frames. After training, they are
-// compared with rendered frames, to estimate properties of the sensor. Private to train.
+// compared with rendered frames to estimate properties of the sensor. Private to train.
 #pragma once
 
 #include <vector>
@@ -14,17 +14,17 @@
 
 namespace relidar {
 
-/// Returns the nominal rays of a frame's LiDAR, or the rays of the scan if the scan has
-/// other rows and columns.
+/// Returns the nominal rays of a frame's LiDAR. If the scan has other rows and columns,
+/// returns the rays of the scan instead.
 SimulatedSensor choose_nominal_sensor_of_frame(const Config& config, const LidarSequence& sequence,
                                                const LidarFrame& frame);
 
-/// Selects the measurements that are ignored: those of moving objects without a model in
-/// the scene.
+/// Selects the measurements that are ignored. They belong to moving objects without a
+/// model in the scene.
 IgnoredMeasurements make_scene_mask_rules(const Config& config, const Scene& scene);
 
-/// Returns 0 for each returned ray of a frame and 1 for each dropped ray. Returns -1 for
-/// a ray that hit, or may have hit, a moving object without a model in the scene.
+/// Returns for each ray of a frame whether it was dropped: 0 returned, 1 dropped. Returns
+/// -1 if the ray hit, or may have hit, a moving object without a model in the scene.
 std::vector<float> find_measured_drops(const LidarSequence& sequence, const LidarFrame& frame,
                                        const IgnoredMeasurements& mask_rules);
 

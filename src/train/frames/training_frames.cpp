@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Keeps the first frames of the log in device memory. Training uses frames in random
-// order, so it does not matter which frames stay there. All other frames share one set of
-// arrays. One set is enough, because the stream uploads a frame only after the iteration
-// of the previous frame.
+// order, so any frames can be kept. All other frames share one set of arrays. One set is
+// enough, because the stream uploads a frame only after the iteration of the previous
+// frame.
 #include "train/frames/training_frames.hpp"
 
 #include <algorithm>

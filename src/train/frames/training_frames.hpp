@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Manages all training frames. Keeps frames in device memory up to a memory budget.
-// Uploads every other frame to shared arrays when training uses the frame. Therefore
-// device memory does not grow with the log.
+// Uploads other frames to shared arrays when training uses them, so that device memory
+// does not grow with the log.
 #pragma once
 
 #include <cstdint>
@@ -42,14 +42,13 @@ public:
     TrainingFrameData& operator[](std::size_t index) { return frames_[index]; }
     /// Returns the rule that selects the measurements that training ignores.
     const IgnoredMeasurements& get_mask_rules() const { return use_.unknown; }
-    /// Returns the number of frames that stay in device memory.
     std::size_t count_resident_frames() const { return n_staying_; }
 
     /// Uploads frame `frame_index` if it is not in device memory. The arrays of an
     /// uploaded frame are valid until the next upload.
     TrainingFrameData& make_frame_resident(Stream& stream, std::size_t frame_index);
-    /// Announces that frame `frame_index` is used next. If the frame must be uploaded, a
-    /// background thread starts to compute its rays.
+    /// Announces the frame that is used next. If it must be uploaded, a background thread
+    /// starts to compute its rays.
     void prefetch_frame(std::size_t frame_index);
 
 private:
@@ -64,7 +63,7 @@ private:
     const FrameUploadOptions use_;
     std::vector<TrainingFrameData> frames_;
     std::size_t n_staying_ = 0;  ///< number of frames that stay on the device; they are the first frames
-    /// arrays that are shared by all frames that do not stay in device memory
+    /// arrays that all other frames share
     std::shared_ptr<const FrameArrays> shared_;
     std::future<HostFrameArrays> prefetched_frame_;
     std::size_t prefetched_index_ = 0;

@@ -34,26 +34,26 @@ public:
                                       TrainingFrameData& frame);
     /// Records GPU commands that convert gradients of rays to gradients of the sensor
     /// poses before and after the firing time. Call move_rays_to_corrected_poses() for
-    /// the same frame before. The viewing direction of the spherical harmonics is treated
-    /// as a constant.
+    /// the same frame before. Treats the viewing direction of the spherical harmonics as
+    /// a constant.
     void record_pose_gradient_sums(Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
                                    const Array<float, shared::DeviceRayGradients>& ray_gradients);
     /// Returns the partial sums of the last record_pose_gradient_sums(): [kRows, maximum
     /// poses of a frame, 6].
     const Array<float>& get_partial_gradient_sums() const { return rows_; }
-    /// Sums up the partial sums, and returns one gradient for each pose of a frame.
+    /// Adds up the partial sums. Returns one gradient for each pose of a frame.
     std::vector<PoseGradient> sum_pose_gradients(std::span<const float> partial_sums,
                                                  const TrainingFrameData& frame) const;
 
 private:
-    /// Number of workgroups that share the gradient sum of a pose, so that the GPU has
-    /// enough parallel work.
+    /// Number of workgroups that compute the gradient sum of a pose together, so that the
+    /// GPU has enough parallel work.
     static constexpr std::uint32_t kRows = 16;
 
     std::uint32_t most_knots_;
     Array<DeviceRay>
         moved_;  ///< [maximum rays of a frame] rays of the frame of the last move_rays_to_corrected_poses()
-    Array<shared::PoseKnot> knots_;  ///< [most_knots_] poses of the frame of the last move()
+    Array<shared::PoseKnot> knots_;  ///< [most_knots_] poses of the same frame
     Array<float, shared::KnotGradientRows> rows_;
     Kernel<shared::MoveRaysParams> move_;
     Kernel<shared::KnotGradientsParams> gradients_;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Aligns held-out scans with the trained scene. Estimates the six pose parameters of each
-// scan from its returns. The metrics then measure the quality of the scene without the
-// pose error of the scan.
+// Aligns held-out scans, which do not train the scene, with the trained scene. Estimates
+// the six pose parameters of each scan from its returns. The metrics then measure the
+// quality of the scene without the pose error of the scan.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -17,7 +17,7 @@
 namespace relidar {
 namespace {
 
-// A rendered ray hits a solid surface if its blending weight is at least this value.
+// Minimum blending weight of a rendered ray that hits a solid surface.
 constexpr float kFewestWeight = 0.5f;
 
 /// Renders the trained background, to which scans are aligned. Excludes actors, because
@@ -82,7 +82,7 @@ HeldOutPoseReport place_held_out(Device& device, TrainedRun& run, const HeldOutP
     PoseTrack track = run.sequence.world_from_vehicle;
     std::vector<double> moved_m;
     // Indices of the vehicle poses of the held-out sweeps. LiDARs that sweep at the same
-    // time share a pose, so their scans are aligned together.
+    // time have the same pose, so their scans are aligned together.
     std::set<std::size_t> poses;
     for (const int position : run.split.test)
         poses.insert(run.sequence.get_pose_index(run.sequence.frames[std::size_t(position)]));

@@ -22,12 +22,11 @@ namespace {
 constexpr double kFinalShare = 0.1;
 /// Learning rates are multiples of train.pose_rate_m, the learning rate of the sensor
 /// position in metres. The rotation rate in radians is a tenth of this rate, because most
-/// returns are about 10 m away. The rates of boxes are ten times as high as the rates of
-/// the sensor. The initial errors of boxes are about ten times the errors of a registered
-/// sensor.
+/// returns are about 10 m away. The rates of boxes are ten times the rates of the sensor,
+/// because the initial errors of boxes are about ten times as large.
 constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
 /// Weights of the squared pose corrections in the loss, per square metre and per square
-/// radian. They are small, so that they affect only poses that no ray constrains.
+/// radian. The weights are small, so that they affect only poses that no ray constrains.
 constexpr double kPriorPerM2 = 0.01, kPriorPerRad2 = 0.1;
 
 LidarSequence copy_log_without_scans(const LidarSequence& sequence) {
@@ -40,8 +39,8 @@ LidarSequence copy_log_without_scans(const LidarSequence& sequence) {
     return result;
 }
 
-/// Allocates host buffers for an array that is copied in each iteration, one per pending
-/// iteration.
+/// Allocates host buffers for an array that every iteration copies. Pending iterations
+/// need separate buffers.
 void allocate_readbacks(std::vector<ReadbackBuffer>& readbacks, Device& device, std::size_t n_floats,
                         const char* description) {
     while (readbacks.size() < kReadbackLag)
@@ -159,11 +158,11 @@ void PoseRefiner::apply_oldest_pose_update(Stream& stream) {
         Twist twist;
         std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6,
                     twist.begin());
-        // The gradient belongs to the time interval in which the actor is visible. Gives
-        // one half to each end of the interval.
+        // Gives half of the gradient to each end of the time interval in which the actor
+        // is visible.
         for (double& g : twist) g *= 0.5;
-        // An actor that was absent has a gradient of zero, which add_pose_gradient()
-        // ignores.
+        // add_pose_gradient() ignores the gradient of an absent actor, because it is
+        // zero.
         for (std::size_t end = 0; end < 2; ++end)
             actors_[k].correction.add_pose_gradient(pending_iterations_.actor_time_s[2 * k + end], twist);
         actors_[k].correction.run_adam_step(

@@ -3,7 +3,7 @@
 // (train.refine_poses). The device computes the gradients. The host updates the poses in
 // double precision, which is fast because there are few poses. Each update is applied a
 // fixed number of iterations later, so that the host does not wait (readback_lag.hpp). A
-// checkpoint includes the pending gradients. Therefore a resumed training gives the same
+// checkpoint includes the pending gradients, so that a resumed training gives the same
 // result.
 #pragma once
 
@@ -40,22 +40,22 @@ public:
     ~PoseRefiner();
 
     bool is_active() const { return is_active_; }
-    /// Returns the gradients that the backward pass must compute for
-    /// record_pose_gradients().
+    /// Returns the gradients that record_pose_gradients() needs. The backward pass must
+    /// compute them.
     GradientSelection get_required_gradients() const;
     /// Moves a frame to the corrected poses: its rays, actors and sensor position. The
     /// frame must be on the device.
     void move_frame_to_corrected_poses(Stream& stream, TrainingFrameData& frame);
-    /// Records GPU commands that compute the pose gradients of a batch and copy them to
-    /// the host, where apply_pose_updates_until() uses them later.
+    /// Records GPU commands that compute the pose gradients of a batch and copy these
+    /// gradients to the host. A later apply_pose_updates_until() uses the gradients.
     /// @param step  counts from 1
     void record_pose_gradients(Stream& stream, std::size_t frame_index, const TrainingFrameData& frame,
                                const SampledBatch& batch, const DeviceGradients& gradients, int step);
     /// Updates the poses with the gradients of all pending iterations up to `last_step`,
     /// in order. Waits for these gradients if necessary.
     void apply_pose_updates_until(Stream& stream, int last_step);
-    /// Waits for the pending gradients without updating the poses, so that a checkpoint
-    /// can store the gradients.
+    /// Waits for the pending gradients so that a checkpoint can store them. Does not
+    /// update the poses.
     void fetch_pending_gradients(Stream& stream);
     RefinedPoses get_refined_poses() const;
 
@@ -81,7 +81,7 @@ private:
         TrackCorrection correction;
     };
 
-    /// Iterations whose pose gradients are still to be applied, oldest first.
+    /// Iterations whose pose gradients were not applied yet, oldest first.
     struct PendingPoseIterations {
         std::vector<std::uint64_t> step;
         /// index of the iteration's frame in the list of training frames
@@ -89,7 +89,7 @@ private:
         /// [iterations, actors, 2] start and end of the time in which each actor was
         /// visible
         std::vector<double> actor_time_s;
-        /// [iterations, floats_of_rays_ + floats_of_instances_] gradients; filled by
+        /// [iterations, floats_of_rays_ + floats_of_instances_] gradients; written by
         /// fetch_pending_gradient()
         std::vector<float> gradient;
     };

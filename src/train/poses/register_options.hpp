@@ -12,7 +12,7 @@ inline bool should_register_sensor_poses(const TrainConfig& config) {
 }
 
 /// Returns the registration options that follow from the settings. The caller must set
-/// `stop`, `progress` and `group`.
+/// RegistrationOptions::stop, progress and group.
 RegistrationOptions make_registration_options(const LidarSequence& sequence, const Config& config);
 
 }  // namespace relidar

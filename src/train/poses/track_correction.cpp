@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Implements the Adam optimizer (Kingma and Ba 2015) for a few poses, on the host. The
-// second moment decays faster than usual, because a pose gets only tens of gradients in a
-// training.
+// second moment decays faster than usual, because each pose gets only tens of gradients.
 #include "train/poses/track_correction.hpp"
 
 #include <algorithm>

@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Corrects the poses of a track by gradient descent. Pose k becomes (exp([w_k]x) R_k, T_k
 // + v_k). v is in metres in the world frame. w is a rotation vector in the world's axes
-// about the origin of the pose. Times between two poses still use interpolated poses, so
-// the corrections also move the interpolated poses. To first order, the pose at a
-// fraction s moves by (1 - s) times the previous correction plus s times the next
-// correction.
+// about the origin of the pose. Poses at other times are interpolated. To first order, a
+// pose at a fraction s of the way to the next pose moves by (1 - s) times the previous
+// correction plus s times the next correction.
 #pragma once
 
 #include <cstdint>
@@ -27,17 +26,17 @@ public:
     explicit TrackCorrection(PoseTrack track);
 
     const PoseTrack& get_uncorrected_track() const { return track_; }
-    /// Returns the correction of a pose. A pose that was not optimised yet gets the
-    /// interpolated correction of the nearest optimised poses, or zero if there are none.
+    /// Returns the correction of a pose. If the pose was not optimised yet, interpolates
+    /// between the nearest optimised poses. Returns zero if no pose was optimised.
     Twist interpolate_correction(std::size_t pose_index) const;
     PoseTrack make_corrected_track() const;
 
     /// Adds a loss gradient dL/d(v, w), for the pose at a given time or for one of the
-    /// recorded poses. The next call of run_adam_step() uses the sum of the gradients.
+    /// recorded poses. The next run_adam_step() uses the sum of these gradients.
     void add_pose_gradient(double t_s, const Twist& gradient);
     void add_pose_gradient(std::size_t pose_index, double weight, const Twist& gradient);
     /// Performs one Adam step on the loss and the prior. Changes only poses that got a
-    /// gradient since the last step.
+    /// gradient after the last step.
     void run_adam_step(const PoseStepRates& step);
     /// Removes the rigid motion that all corrections have in common, so that the scene
     /// does not drift. The loss does not constrain this motion, because moving the scene

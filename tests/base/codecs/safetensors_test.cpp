@@ -132,8 +132,8 @@ TEST_F(Safetensors, RefusesHeadersThatDoNotHold) {
     refused("{\"__metadata__\":3,\"a\":" + entry("F32", "[2]", "[0,8]") + "}");
 }
 
-// Reads many arrays. A JSON parser that compares each new name with all earlier names
-// would take quadratic time.
+// Reads many arrays quickly. A JSON parser that compares each new name with all earlier
+// names would need quadratic time.
 TEST_F(Safetensors, ReadsManyArraysInTheOrderOfTheFile) {
     std::string header = "{";
     constexpr int kArrays = 25000;

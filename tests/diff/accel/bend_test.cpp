@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks walking actors (diff/accel/proxies, diff/accel/bvh_refit). When the surfels of a
-// walking model move, its tree must be refitted. All other trees must not change.
+// Checks walking actors, whose limbs move (kernels diff/accel/proxies,
+// diff/accel/bvh_refit). When the surfels of a walking model move, its tree must be
+// refitted. All other trees must not change.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -21,8 +22,8 @@ class Bend : public test::DeviceTest {
 protected:
     static constexpr std::uint32_t kFirstWalker = 1200, kSurfels = 2000;
 
-    /// Makes actors on a background. The second actor and the last two actors walk. A
-    /// further actor has no surfels.
+    /// Makes actors in front of a background. The second actor and the last two actors
+    /// walk, which means that their limbs move. A further actor has no surfels.
     static Scene make_walkers(PrimitiveType primitive) {
         test::TraversalCase random_case = test::make_random_case(3, kSurfels, 0);
         if (primitive == PrimitiveType::gaussian) random_case = test::to_gaussians(random_case, 4);

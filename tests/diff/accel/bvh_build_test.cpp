@@ -215,8 +215,9 @@ TEST_F(BvhBuild, BuildsAreEqualBitForBit) {
     }
 }
 
-/// Computes the bounding box of a surfel in double precision. The half size along x is k
-/// |(s_u a_u.x, s_v a_v.x)|, where sigma exp(-k^2 / 2) = 1 / 255.
+/// Computes the bounding box of a surfel in double precision. Its half size along x is k
+/// |(s_u a_u.x, s_v a_v.x)|. At k standard deviations from the mean, the opacity has
+/// fallen to 1 / 255: sigma exp(-k^2 / 2) = 1 / 255.
 test::HostBox compute_expected_box(const Surfels& surfels, std::size_t index) {
     const double sigma = 1.0 / (1.0 + std::exp(-double(surfels.opacity_logit[index]))),
                  k = std::sqrt(2.0 * std::log(255.0 * sigma));

@@ -37,8 +37,8 @@ HostBox compute_surfel_box(const HostBvhCopy& bvh, std::size_t surfel);
 struct Slot {
     bool inner = false;
     std::uint32_t child = 0;  ///< child node of an inner slot
-    /// Range of `order` that a leaf slot refers to. The slot is empty if the count is 0
-    /// and the slot is not an inner node.
+    /// Range of `order` with the surfels of a leaf slot. If the count is 0, the slot is
+    /// empty or an inner node.
     std::uint32_t first = 0, count = 0;
 };
 std::array<Slot, RELIDAR_BVH_WIDTH> list_slots(const shared::BvhNode& node);

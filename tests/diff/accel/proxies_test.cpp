@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the proxy geometry of surfels (diff/accel/proxies) and the acceleration
-// structure (M3, Fig. 3). Proxies must contain all points with sigma G >= alpha_min, so
-// that rays at the rim hit. A refit must follow moved surfels. Moving an instance must
-// not build a bottom-level structure.
+// Checks the triangles or boxes that bound surfels ("proxies", kernel diff/accel/proxies)
+// and the acceleration structure (M3, Fig. 3). A proxy must contain all points where the
+// surfel's opacity is at least alpha_min, so that rays at the rim hit. A refit must
+// follow moved surfels. Moving an instance must not build a bottom-level structure.
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -109,7 +109,7 @@ TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
             for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 1.001)).hits)
                 EXPECT_EQ(n, 0u) << "opacity " << opacity;
         }
-    // A surfel with an opacity below alpha_min has no proxy.
+    // A surfel whose opacity is below the smallest blended opacity has no proxy.
     Renderer renderer(device(), make_background_scene(make_one_surfel(1.0f / 256.0f)), {});
     renderer.prepare_view(glm::vec3(0.0f));
     for (const std::uint32_t n : renderer.render_rays(make_rim_rays(0.5f, 0.1)).hits) EXPECT_EQ(n, 0u);

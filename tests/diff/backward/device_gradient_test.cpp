@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the gradients of the device (diff/backward/trace and scene/activate_vjp) with
-// the backward pass of the double reference (Eq. 9; M7, M8). Covers every parameter of
-// every surfel and the rays, in both SH direction modes. Additional central differences
-// on the device test the complete chain. The reference itself is tested in
-// reference_gradient_test.cpp.
+// Compares the gradients of the device (kernels diff/backward/trace and
+// scene/activate_vjp) with the backward pass of the double reference (Eq. 9; M7, M8).
+// Covers every parameter of every surfel and the rays, with SH evaluated along the ray
+// and along the surfel. Additional central differences on the device test the complete
+// chain. reference_gradient_test.cpp tests the reference itself.
 #include <cmath>
 #include <span>
 
@@ -21,7 +21,7 @@ using test::make_random_upstream;
 using test::Outputs;
 using test::Passes;
 
-/// Combination of a method that finds hits and a method that sums their gradients.
+/// Combination of a method to find hits and a method to sum their gradients.
 struct Way {
     const char* name;
     BackwardOptions options;
@@ -47,7 +47,8 @@ constexpr Way kGradientMethods[] = {
     {"lists", {.reduction = GradientReduction::gather}, 64, HitSortMethod::lists},
     {"gather without room for all",
      {.reduction = GradientReduction::gather, .coalesced_atomics = true, .hits_per_ray = 2}}};
-/// number of methods in the short test: both sums and all methods that find hits
+/// number of methods in the short test; they include both ways to sum gradients, and hits
+/// from lists and from traversal
 constexpr std::size_t kFewMethods = 3;
 
 constexpr std::optional<RangeLikelihoodKernel> kKernel = RangeLikelihoodKernel{0.3f};
@@ -58,8 +59,8 @@ struct How {
     /// If true, the software traversal tests all methods instead of the first
     /// kFewMethods. Used for a single scene of each gradient layout.
     bool tests_all_methods = false;
-    /// If true, tests only the first two methods, because the method that finds hits
-    /// makes no difference here.
+    /// If true, tests only the first two methods. Used where the method to find hits
+    /// makes no difference.
     bool brute_force = false;
     double tolerance = test::kKernelGradient;
     Outputs outputs = Outputs::image;
@@ -70,7 +71,8 @@ class DeviceGradient : public test::DeviceTest {
 protected:
     std::span<const Way> list_variants(const How& options) {
         if (options.brute_force) return std::span(kGradientMethods).first(2);
-        // Sums of gradients do not depend on the traversal, so one traversal tests all.
+        // Sums of gradients do not depend on the traversal. All methods are therefore
+        // tested with only one traversal.
         const bool tests_all_methods =
             options.tests_all_methods && device().traversal() == RayTracingBackend::software;
         return tests_all_methods ? std::span(kGradientMethods)
@@ -201,8 +203,8 @@ TEST_F(DeviceGradient, Gaussians) {
                      "3D Gaussians, boxes, SH along sensor -> mean, 2 instances");
 }
 
-/// Tests the ablation of the paper with a single drop logit: the hit logits count as 0
-/// and have no gradient. Uses the first two scenes again.
+/// Tests the variant with a single drop logit per ray (an ablation of the paper). The hit
+/// logits then count as 0 and have no gradient. Uses the first two scenes again.
 TEST_F(DeviceGradient, SingleDropLogit) {
     test::RandomSceneOptions options;
     options.seed = 31;
@@ -215,9 +217,9 @@ TEST_F(DeviceGradient, SingleDropLogit) {
                      "one drop logit, SH along sensor -> mean");
 }
 
-/// Tests the image and the likelihood (M12) together, with short chunks and long lists.
-/// The tolerance is the same as in DeviceGradient.Likelihood, which tests the likelihood
-/// without the image.
+/// Tests the image and the likelihood (M12) together, with few hits per chunk and long
+/// hit lists. The tolerance is the same as in DeviceGradient.Likelihood, which tests the
+/// likelihood without the image.
 TEST_F(DeviceGradient, ImageAndLikelihood) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 72;
@@ -240,9 +242,9 @@ TEST_F(DeviceGradient, ImageAndLikelihood) {
         "image and likelihood, opaque with clamps");
 }
 
-/// Tests only the likelihood (M12). In small rows the hits of many rays cancel, so that
-/// rounding errors of exp and division become visible. These errors are up to 3 and 2.5
-/// units in the last place on a GPU, and half a unit on a CPU.
+/// Tests only the likelihood (M12). In gradient rows with small values, contributions of
+/// many hits cancel, so that rounding errors of exp and division become visible. These
+/// errors are up to 3 and 2.5 units in the last place on a GPU, and half a unit on a CPU.
 TEST_F(DeviceGradient, Likelihood) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 64;

@@ -75,9 +75,9 @@ TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
     }
 }
 
-/// If unused rows need no zeros, a CPU processes only the surfels that hits have marked.
-/// The test compares bits, because gathered sums are equal in every run. Atomics use the
-/// same marks.
+/// A CPU processes only the surfels that a hit has marked, if the gradient rows of all
+/// other surfels need not be zeroed. Gathered sums must be equal in every bit. Sums with
+/// atomics must mark the same surfels.
 TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         reference::Settings settings;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the likelihood (M12) from end to end. Compares the forward pass, the losses and
-// the backward pass on the device with central differences of the double forward pass.
-// Covers all parameters that affect the likelihood, the rays, and the poses of instances
-// and of the sensor, without and with the image losses.
+// Tests the likelihood of measured ranges (M12) from end to end. Compares the forward
+// pass, the losses and the backward pass on the device with central differences of the
+// double forward pass. Covers all parameters that affect the likelihood, the rays, and
+// the poses of instances and of the sensor. Runs without and with the image losses.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -230,9 +230,9 @@ std::vector<std::vector<double>> collect_actual_rows(const DeviceGradients& grad
 using Rows = std::vector<std::pair<std::string, std::vector<double>>>;
 
 /// Returns the same problem with the largest errors that Vulkan allows for exp and
-/// division, each with a random sign. Applies the errors to the exp of scales, to the
-/// sigmoid of opacities, to the exp of hits one standard deviation from the mean, and to
-/// the division that computes distances along a ray.
+/// division, each with a random sign. The errors apply to the exp of scales and to the
+/// sigmoid of opacities. They also apply to the exp of hits one standard deviation from
+/// the mean, and to the division that computes distances along a ray.
 WallProblem rounded(const WallProblem& problem, std::uint64_t seed) {
     WallProblem moved = problem;
     std::mt19937_64 random(seed);
@@ -325,9 +325,9 @@ LossWeights make_weights(float image, float likelihood) {
 TEST_F(LikelihoodGradient, Alone) { expect_agreement(make_weights(0.0f, 1.0f), "likelihood"); }
 TEST_F(LikelihoodGradient, WithTheImageLosses) { expect_agreement(make_weights(0.1f, 0.3f), "all terms"); }
 
-/// Tests two surfels that are 30 cm apart. The measured range of the ray is the range of
-/// the second surfel. In closed form S = w_0 k + w_1 with k = 1 / (1 + (0.3 / s)^2).
-/// Tests the pair at 80 m and at 3 m.
+/// Tests two surfels that are 30 cm apart, at 80 m and at 3 m. The measured range of the
+/// ray is the range of the second surfel. In closed form the likelihood is S = w_0 k +
+/// w_1 with k = 1 / (1 + (0.3 / s)^2).
 TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
     for (const double start : {3.0, 79.0}) {
         const double t[] = {double(float(start)), double(float(start + 0.3))}, opacity[] = {0.6, 0.5};

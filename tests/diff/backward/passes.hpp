@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs the forward and backward pass of a random scene on the device with random upstream
-// gradients.
+// Runs the forward and backward pass of a random scene on the device. The derivatives of
+// the loss with respect to the image ("upstream gradients") are random.
 #pragma once
 
 #include <vector>
@@ -24,9 +24,9 @@ inline glm::dquat make_rotation_by(const glm::dvec3& rotation_vector) {
                : glm::dquat(1.0, 0.0, 0.0, 0.0);
 }
 
-/// Returns options that trace boxes, with chunks of 4 hits for harmonics along the ray
-/// and of 16 along the surfel. All tests use these chunk sizes, because creating kernels
-/// takes most of the test time.
+/// Returns options that trace boxes. A chunk (hits fetched together) has 4 hits with SH
+/// along the ray, and 16 hits with SH along the surfel. All tests use these sizes,
+/// because creating kernels takes most of the test time.
 inline RendererOptions make_options(const ImageFormationModel& model) {
     return {.accel = {.proxy = ProxyShape::boxes},
             .trace = {.chunk = model.sh_direction == ShDirection::ray ? 4 : 16}};
@@ -47,7 +47,8 @@ struct Passes {
     glm::vec3 view_origin;
 
     /// Creates the renderer and both passes.
-    /// @param g [>= rays] upstream gradients of all rays, until a loss overwrites them
+    /// @param g [>= rays] derivatives of the loss with respect to all rendered rays,
+    /// until a loss overwrites them
     Passes(Device& device, const ImageFormationModel& model, const RandomScene& s,
            const std::vector<reference::PixelGradient>& g, const RendererOptions& options,
            const BackwardOptions& sums = {})

@@ -111,8 +111,8 @@ protected:
             placed.world_from_model = start, placed.change = {};
             add_twist(table, "differences, pose", differences, lanes(poses.data() + 6 * k, 6));
         }
-        // With moving instances the sensor's gradient is only an approximation (see
-        // DeviceGradients::sensor), so it is not compared.
+        // If instances move during the sweep, the sensor's gradient
+        // (DeviceGradients::sensor) is only an approximation, so it is not compared.
         if (!options.moving)
             add_twist(table, "differences, sensor",
                       compute_twist_differences([&](const glm::dvec3& vector, const glm::dvec3& w) {
@@ -184,8 +184,9 @@ Scene make_background_and_actor(std::uint32_t n_background, std::uint32_t n_acto
     return layout;
 }
 
-/// Uses a street and an actor with several blocks of surfels each, and random gradients
-/// of the hits. Compares with sums in double and checks that all runs give the same bits.
+/// Tests a street and an actor with so many surfels that each is summed in several
+/// blocks. The gradients of the hits are random. Compares with sums in double and checks
+/// that all runs give the same bits.
 TEST_F(PoseGradient, ManyBlocksOfSurfels) {
     const Scene layout = make_background_and_actor(2500, 1100);
     const std::size_t n = layout.surfels.size();

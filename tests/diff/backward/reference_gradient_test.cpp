@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the backward pass of the double reference (M7, M8) with central differences of
 // its forward pass (M1-M5). Covers every parameter group, the ray, the view origin and
-// instance poses, in both SH direction modes, with more hits than a chunk. Also checks
-// the radial part of the rotation, chunking and clamps.
+// instance poses. SH are evaluated along the ray and along the surfel, and rays have more
+// hits than a chunk (the hits fetched together). Also checks the radial part of the
+// rotation, chunking and clamps.
 #include <gtest/gtest.h>
 
 #include "base/parallel.hpp"
@@ -65,8 +66,9 @@ struct Row {
     std::vector<double> expected, actual;
 };
 
-/// Returns the problem with only the rays that hit a surfel. All other rays have a margin
-/// to the surfel (random_scene.hpp), so small changes of the surfel do not affect them.
+/// Returns the problem with only the rays that hit a surfel. All other rays pass the
+/// surfel at a distance (random_scene.hpp), so small changes of the surfel do not affect
+/// them.
 Problem select_one_surfel(Problem problem, std::size_t surfel) {
     const BruteForce provider = problem.brute();
     std::size_t n_selected_rays = 0;
@@ -189,7 +191,8 @@ TEST(ReferenceGradient, EveryParameterShAlongSurfel) {
                              "SH along sensor -> mean, 3 instances, chunk 4");
 }
 
-/// Tests only the likelihood (M12). All other tests include the image.
+/// Tests the likelihood of measured ranges (M12) without the image. All other tests
+/// include the image.
 TEST(ReferenceGradient, LikelihoodAlone) {
     test::RandomSceneOptions options;
     options.seed = 6;
@@ -227,8 +230,8 @@ TEST(ReferenceGradient, GaussiansOpaqueShAlongSurfel) {
                              "3D Gaussians, opaque, SH along sensor -> mean, chunk 2");
 }
 
-/// Counts the blended hits that are clamped at alpha_max and the rays that end by the
-/// T_min rule.
+/// Counts the blended hits whose opacity is clamped at alpha_max. Also counts the rays
+/// that end because little light passes (T_min).
 std::pair<int, int> count_clamps_and_stopped_rays(const Problem& problem) {
     int clamps = 0, stops = 0;
     const BruteForce provider = problem.brute();

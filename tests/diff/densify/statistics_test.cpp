@@ -84,8 +84,9 @@ TEST_F(Statistics, SumsAndCountsOverBatches) {
 }
 
 /// Surfel i covers i + 1 rays in each of three frames, all with the same gradient. The
-/// loss is a mean over the batch. Batches of every s-th ray must give the same statistics
-/// as batches of all rays, also for surfels that most batches miss.
+/// loss is a mean over the batch. Batches with every s-th ray must give the same
+/// statistics as batches with all rays. This also applies to surfels that most batches
+/// miss.
 TEST_F(Statistics, EveryStridethRayCountsAsTheWholeFrame) {
     constexpr std::uint32_t kN = 40, kRays = 1000, kStride = 16;
     const auto mean_of = [&](std::uint32_t stride, int n_batches) {

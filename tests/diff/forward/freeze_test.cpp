@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the rendering of a frozen scene with the rendering of the original scene. The
-// actors are turned, walking or absent.
+// Compares the original scene with a scene whose actors are baked into the background by
+// bake_surfels_to_world(). Both must render the same image. The actors are turned,
+// walking or absent.
 #include <algorithm>
 #include <cmath>
 #include <random>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares two methods of the forward pass for every hit provider: hit lists
-// (diff/forward/append, sort_hits, blend) and chunks (diff/forward/trace). Uses the
+// Compares two methods of the forward pass: hit lists (diff/forward/append, sort_hits,
+// blend) and chunks (diff/forward/trace). Runs them with every traversal. Uses the
 // conformance cases of traversal: empty, long and full lists, equal depths, and hits that
 // are reported twice. render_test.cpp, on_demand_test.cpp and tests/diff/backward compare
 // both methods with the double reference.
@@ -156,7 +156,7 @@ protected:
                                        .order = HitSortMethod::lists,
                                        .initial_list_capacity = list_capacity});
                     // Allows a few differences, because rounding in a different kernel
-                    // can decide whether a product is below T_min.
+                    // can decide whether the transmittance is below its limit T_min.
                     EXPECT_LE(count_differences(actual, expected), test_case.rays.size() / 5000)
                         << test_case.name << ", " << provider.name << ", room " << list_capacity << ", T_min "
                         << least;
@@ -204,7 +204,8 @@ TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
     }
 }
 
-/// Sorts lists of every possible length, including hits at equal distance.
+/// Sorting must work for lists of every possible length, including hits at equal
+/// distance.
 TEST_F(Lists, PutHitsInOrderWhateverTheirNumber) {
     constexpr std::uint32_t kMost = 512;
     for (const int n :

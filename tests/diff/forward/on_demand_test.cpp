@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares optional outputs of the forward pass with the double reference: blended
-// normals, the likelihood (M12) and the surface with the largest weight (M13). Uses
-// random scenes with instances, several chunk sizes, lists, and rays with many hits. The
-// optional outputs must not change any bit of the image.
+// normals, the likelihood of the measured range (M12), and the surface with the largest
+// weight (M13). Uses random scenes with instances, several chunk sizes, hit lists, and
+// rays with many hits. The optional outputs must not change any bit of the image.
 #include <algorithm>
 #include <utility>
 
@@ -105,8 +105,8 @@ TEST_F(OnDemand, AgreesWithDoubleReference) {
     }
 }
 
-/// Tests the surface with the largest weight (M13). Uses only rays whose gaps and weights
-/// determine this surface clearly.
+/// Tests the surface with the largest weight (M13). Skips rays for which rounding could
+/// select a different surface.
 TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
     constexpr float kGap = 0.3f;
     test::RandomSceneOptions options;
@@ -142,8 +142,8 @@ TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
     EXPECT_GT(other_than_first, 10);
 }
 
-/// Tests that the rays of a batch use the correct measured ranges. A batch without
-/// targets must not render a likelihood.
+/// Each ray of a batch must use its own measured range. A batch without targets must not
+/// render a likelihood.
 TEST_F(OnDemand, LikelihoodOfEveryThirdRay) {
     test::RandomSceneOptions options;
     options.seed = 27, options.rays = 60;

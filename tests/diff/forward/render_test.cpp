@@ -63,7 +63,7 @@ Expected render_reference(const test::RandomScene& scene, const reference::Setti
     return e;
 }
 
-/// Method to find and sort hits. Lists are long enough for all rays or only for some
+/// Method to find and sort hits. Hit lists are long enough for all rays, or only for some
 /// rays.
 struct Way {
     ProxyShape proxy;
@@ -139,8 +139,8 @@ TEST_F(Forward, MovedInstanceIsSeenWhereItStands) {
     }
 }
 
-/// With a single drop logit, the stored hit logits must have no effect. M6 becomes a
-/// sigmoid, and a ray without hits is dropped.
+/// With a single drop logit, the stored hit logits must have no effect. The drop
+/// probability (M6) becomes a sigmoid, and a ray without hits is dropped.
 TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         reference::Settings settings;

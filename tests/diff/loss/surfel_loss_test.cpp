@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares diff/loss/surfel_loss with the double reference for a background without a box
-// and two actors. Gradients must be added to existing gradients in touched rows only.
-// Training must move surfels back into their box.
+// Compares diff/loss/surfel_loss, the penalty for surfels outside their box, with the
+// double reference. The scene has a background without a box and two actors. Gradients
+// must be added only to rows of surfels that already have a gradient. Training must move
+// surfels back into their box.
 #include <cmath>
 #include <random>
 
@@ -38,7 +39,7 @@ Scene random_scene() {
     return scene;
 }
 
-/// Tests all rows of surfels, then only touched rows of 3D Gaussians.
+/// Tests all surfels, and then only those 3D Gaussians that already have a gradient.
 TEST_F(SurfelLossTest, AgreesWithReference) {
     Scene scene = random_scene();
     LossWeights weights;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the inputs of the ray-drop network (diff/network/drop_inputs) with plain
-// loops. Scene channels rotate around the sensor, and sensor channels do not rotate. The
-// start value of the output is the rendered logit.
+// loops. Training turns each image by a number of columns: channels of the scene are
+// shifted, channels of the sensor are not. The start value of the output is the rendered
+// logit.
 #include "../../support/device.hpp"
 #include "diff/shared/refine.h"
 #include "gpu/stream.hpp"

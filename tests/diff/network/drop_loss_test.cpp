@@ -73,7 +73,8 @@ TEST_F(DropLossTest, AgreesWithReference) {
     }
 }
 
-/// The derivative must match the mean that the device computes.
+/// The derivative must match central differences of the mean cross-entropy that the
+/// device computes.
 TEST_F(DropLossTest, DerivativeIsThatOfTheScore) {
     const std::size_t n = 37;
     const Data d = make_random_data(n);

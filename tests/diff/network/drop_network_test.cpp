@@ -256,7 +256,8 @@ TEST(DropNetworkShape, PaperHasAbout65MillionParameters) {
     RayDropNetworkOptions options;
     options.network = "paper";
     options.rays = "origin,direction";
-    // Channels: d, intensity, beta, origin, and the elevation of the direction.
+    // Channels: depth, intensity, drop probability, origin (3), and the elevation of the
+    // direction.
     EXPECT_EQ(list_network_input_channels(options).size(), 7u);
     EXPECT_NEAR(double(count_network_parameters(options)), 6.5e6, 0.1e6);
 }

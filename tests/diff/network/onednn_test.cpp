@@ -62,8 +62,8 @@ ImageBatch pad_images(const ImageBatch& images, int margin) {
     return result;
 }
 
-/// Computes the transpose of pad_images(), which pads images: adds the gradients of the
-/// padding to the columns from which it was copied.
+/// Computes the transpose of pad_images(): adds the gradients of the padded columns to
+/// the columns from which they were copied.
 ImageBatch folded(const ImageBatch& images, int margin) {
     ImageBatch result(images.n, images.channels, images.rows, images.columns - 2 * margin);
     for (int image = 0; image < images.n; ++image)
@@ -284,8 +284,8 @@ TEST_F(OneDnnResample, PoolingAgrees) {
     }
 }
 
-/// Doubles the number of columns, so that padding does not move the pixel centres. Rows
-/// may have any size.
+/// Compares upsampling. The number of columns is doubled, because padding would otherwise
+/// move the pixel centres. Rows may have any size.
 TEST_F(OneDnnResample, UpsamplingAgrees) {
     struct Sizes {
         ImageBatchSize small, large;

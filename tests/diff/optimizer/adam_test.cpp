@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares diff/optimizer/adam with Adam in double for every parameter group. Also covers
-// untouched rows, inactive SH coefficients, and the learning-rate schedule.
+// surfels without a gradient, inactive SH coefficients, and the learning-rate schedule.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -48,8 +48,8 @@ struct Scalar {
     }
 };
 
-/// Uses three models, the second without surfels. Means have a learning rate per model.
-/// All other parameters share their rates.
+/// The means of each model must learn at the rate of this model. All other parameters
+/// share their rates. Uses three models, the second without surfels.
 TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     const std::uint32_t n = 90, n_fixed = 11;
     std::vector<shared::ModelEntry> entries(3);
@@ -86,7 +86,7 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     }
 }
 
-/// A launch with more workgroups than one dimension of a dispatch can have. Each
+/// Uses a launch with more workgroups than one dimension of a dispatch can have. Each
 /// parameter must get one step. The first step of Adam is the learning rate in the
 /// direction of the gradient.
 TEST_F(AdamTest, StepsEachParameterOnceInALargeLaunch) {
@@ -156,9 +156,9 @@ void for_each_parameter(const Surfels& start, const Surfels& actual, std::uint32
     }
 }
 
-/// Tests one thread per row and one thread per float. Rows without gradients either do
-/// not exist, decay (in some or all steps), or stay unchanged. In the last two cases the
-/// first rows are fixed.
+/// Tests one thread per row and one thread per float. In the first case all rows have a
+/// gradient. In the second case, parameters of rows without a gradient decay. In the
+/// third case, these rows stay unchanged. In the last two cases the first rows are fixed.
 TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     const std::uint32_t n = 133;
     const std::vector<float> bounds = make_some_bounds(n);

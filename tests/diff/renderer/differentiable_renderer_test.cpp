@@ -107,8 +107,8 @@ TEST_F(Differentiable, EmptyLanesAreZeroAndOnlyRequestedValuesReturn) {
     EXPECT_TRUE(all.poses.empty() && all.sensor.empty() && all.rays.empty());
 }
 
-/// Arrays that consist of several allocations must give the same bits. Each page of
-/// memory is a separate piece.
+/// Arrays that consist of several allocations must give the same bits. Here each page of
+/// memory is a separate allocation.
 TEST_F(Differentiable, ArraysOfSeveralAllocationsGiveTheSameBits) {
     Device::Impl& impl = device().impl();
     if (!impl.binds_sparse) GTEST_SKIP() << "no sparse binding";

@@ -103,7 +103,7 @@ TraversalCase make_equal_depth_case() {
     Random random(7);
     for (int i = 0; i < 50; ++i)
         add_ray(c, {0, 0, 0}, glm::dvec3(5, uniform(random, -1, 1), uniform(random, -1, 1)));
-    // the ray passes the corner that both triangles of each proxy share
+    // the ray passes the diagonal that the two triangles around each surfel share
     add_ray(c, {0, 0, 0}, {1, 0, 0});
     return c;
 }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Declares conformance cases that every hit provider must pass (docs/architecture.md
-// section 9). A case has a scene and rays in the library's float arrays, so that host and
-// device providers receive the same bits. The expected hits are computed by brute force
-// with the canonical intersection in float.
+// Declares scenes and rays that test every method to find the hits of rays ("hit
+// provider", docs/architecture.md section 9). Values are in the library's float arrays,
+// so that methods on host and device receive the same bits. The expected hits are
+// computed by testing all surfels in float.
 #pragma once
 
 #include <string>
@@ -36,13 +36,13 @@ TraversalCase make_single_case();
 /// Makes exact copies of surfels at the same position, within a model and in several
 /// instances.
 TraversalCase make_equal_depth_case();
-/// Makes a scene with 100 surfels along each ray, which is more than any chunk.
+/// Makes a scene with 100 surfels along each ray, more than a search returns at a time.
 TraversalCase make_long_list_case();
 /// Makes a scene with `count` surfels along each ray, three at each distance. No ray
 /// stops early.
 TraversalCase make_tied_list_case(int count);
-/// Makes rays through the diagonals, edges and corners of the proxies, and rays 1 %
-/// inside and outside the rim alpha = alpha_min.
+/// Makes rays through the diagonals, edges and corners of the rectangles that bound
+/// surfels. Further rays pass 1 % inside and outside the visible rim (alpha = alpha_min).
 TraversalCase make_outline_case(std::uint64_t seed, int n_rays);
 /// |n . d| between 1e-3 and 1e-2.
 TraversalCase make_grazing_case(std::uint64_t seed, int n_rays);
@@ -60,8 +60,8 @@ TraversalCase make_street_test_case(const Surfels& street, const RayTable& rays,
 /// Gaussian has an invalid thickness.
 TraversalCase to_gaussians(TraversalCase test_case, std::uint64_t seed);
 /// Makes 3D Gaussians that are larger than the distances between them. Rays start inside
-/// many Gaussians, and proxies extend over several chunks. The scene also contains
-/// needles and discs with axis ratios of 1000 and more.
+/// many Gaussians, and each Gaussian overlaps more hits than a search returns at a time.
+/// The scene also contains needles and discs with axis ratios of 1000 and more.
 TraversalCase make_crowded_case(std::uint64_t seed, int n_gaussians, int n_rays);
 /// Returns all cases of 3D Gaussians, with sizes that take seconds on a slow device.
 std::vector<TraversalCase> make_gaussian_cases(std::uint64_t seed, int n_rays);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Provides the fixture for the traversal conformance tests of the device. Compares
-// collected hits with a host provider. Both use the same float intersection, so the
-// ordered ids must be equal. Differences within rounding (a hit on its outline, two
-// almost equal t) are counted and limited.
+// Provides the fixture for the traversal tests of the device. Compares the hits of the
+// device with the hits that a method on the host finds. Both use the same float
+// intersection, so the ordered ids must be equal. Differences within rounding (a hit on
+// its outline, two almost equal t) are counted and limited.
 #pragma once
 
 #include <algorithm>
@@ -40,7 +40,7 @@ inline CollectedHits convert_to_world(CollectedHits hits, const SceneAndPoses& p
 
 class DeviceHits : public DeviceTest {
 protected:
-    /// Compares every ray of a case with a host provider that intersects in float.
+    /// Compares every ray of a case with the hits that a host method finds in float.
     HitDifferences compare(const TraversalCase& test_case, const reference::HitProvider& expected,
                            const CollectedHits& actual) {
         const reference::World world = to_world(test_case);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Classifies the differences between the hits of two providers (docs/architecture.md
+// Classifies the differences between the hits that two methods find (docs/architecture.md
 // sections 6 and 9; boundaries of M1 and M2).
 #include "hit_comparison.hpp"
 
@@ -45,8 +45,8 @@ bool is_on_boundary(const reference::World& world, const ImageFormationModel& mo
     const bool is_flat = r.primitive == PrimitiveType::surfel;
     const double t_error = is_flat ? 4e-7 * size_m / std::abs(along.z) : of_axes / glm::length(along);
     const double log_alpha = std::log(r.sigma) - 0.5 * glm::dot(uvw, uvw);
-    // The density of a Gaussian does not change to first order along the ray at its
-    // maximum.
+    // A Gaussian has its maximum along the ray at t. A small error of t therefore does
+    // not change its density to first order.
     const double uvw_error = of_axes + (is_flat ? glm::length(glm::dvec2(along)) * t_error : 0.0);
     // true for NaN
     const bool at_cut = !(std::abs(log_alpha - std::log(double(model.alpha_min))) >

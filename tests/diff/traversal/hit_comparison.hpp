@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the ordered hits of two providers. Ids and order should be equal. Differences
+// Compares the ordered hits of two methods. Ids and order should be equal. Differences
 // are classified as flips, swaps and errors. A flip is a hit on the opacity limit (M2) or
-// on the near plane, within single precision. A swap means two t that rounding cannot
-// distinguish. Tests require no errors, and no or few flips and swaps.
+// on the near plane, within single precision. A swap means two distances t that rounding
+// cannot distinguish. Tests require no errors, and no or few flips and swaps.
 #pragma once
 
 #include <string>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the hit providers of the host. Embree over proxies (M3) must return the same
-// ordered ids as brute force over the same float records, for chunk sizes 1 to 32. Float
-// and double intersections may differ only on boundaries. find_next_hits must fulfil its
-// contract (list_all_hits throws otherwise).
+// Tests the methods to find hits on the host. Embree with bounding triangles (M3) must
+// return the same ordered ids as a test of all surfels in float, for 1 to 32 hits at a
+// time. Float and double intersections may differ only on boundaries. find_next_hits must
+// fulfil its contract; otherwise list_all_hits throws.
 #include <gtest/gtest.h>
 
 #include <cstdio>
@@ -57,7 +57,8 @@ TEST(HostProviders, EmbreeAgreesOnAllCases) {
     }
 }
 
-/// The double reference computes each pose with a separate formula (sine and cosine).
+/// Hits of models that move during the sweep must agree. The double reference computes
+/// each pose with a different formula (sine and cosine).
 TEST(HostProviders, AgreeOnModelsThatMove) {
     for (const TraversalCase& c : test::make_moving_cases(kSeed, 3000)) {
         const World world = to_world(c);

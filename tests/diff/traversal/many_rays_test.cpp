@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Traces many random rays through instances, surfels at equal distance, and surfels that
-// must never be hit. Traces them after a build, after refits and after a rebuild. Device
-// providers must return the same hits as brute force on the device and as the host
-// (Embree for surfels). Uses 10^4 rays per state. RELIDAR_MANY_RAYS=1000000 uses more.
+// must never be hit. Traces them after a build, after refits (updates of the boxes) and
+// after a rebuild. All methods of the device must return the same hits as a test of all
+// surfels on the device and as the host. Uses 10^4 rays per state;
+// RELIDAR_MANY_RAYS=1000000 uses more.
 #include <cstdio>
 #include <cstdlib>
 #include <limits>
@@ -126,7 +127,8 @@ TEST_P(ManyRays, AgreeAfterBuildRefitAndRebuild) {
     AccelerationStructure accel(device(), scene, {});
     std::mt19937 random(5);
     const auto update = [&](bool rebuild) {
-        // The surfel ranges of this case are consecutive, so the indices are the same.
+        // The surfel ranges of this case are consecutive, so a surfel has the same index
+        // in the case and in the scene.
         scene.get_surfel_parameters().upload(case_.surfels);
         scene.compute_surfel_records(stream, model_, glm::vec3(0.0f));
         accel.update_bvh(stream, scene, rebuild);

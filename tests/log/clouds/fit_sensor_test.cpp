@@ -76,8 +76,8 @@ TEST(FindBeams, NoneWhereElevationsDoNotGather) {
     EXPECT_TRUE(estimate_beams({make_points_on(wide, 1)}).empty());
 }
 
-// In a scan of TIER IV's nebula, the lowest four beams of a QT128 that return have 1 to 4
-// points.
+// Beams with few returns must be kept. In a scan from TIER IV's nebula, the lowest four
+// beams of a QT128 with returns have 1 to 4 points.
 TEST(FindBeams, KeepsBeamsWithFewReturns) {
     SpinningSensor truth = std::get<SpinningSensor>(find_built_in_sensor("QT128", 900, 10.0)->pattern);
     for (Beam& beam : truth.beams) beam = {.elevation_rad = beam.elevation_rad};

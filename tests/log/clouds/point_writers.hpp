@@ -19,8 +19,8 @@ struct FilePoint {
 };
 using FilePoints = std::vector<FilePoint>;
 
-/// Returns a PCD file with the fields x y z float32, intensity uint8 (0 to 255), ring
-/// uint16, timestamp float64, and a padding field "_" of 3 bytes.
+/// Returns a PCD file. Fields: x y z float32, intensity uint8 (0 to 255), ring uint16,
+/// timestamp float64, and a padding field "_" of 3 bytes.
 std::string make_pcd_text(const FilePoints& points);
 std::string make_pcd_binary(const FilePoints& points);
 std::string make_pcd_compressed(const FilePoints& points);

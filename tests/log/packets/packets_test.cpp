@@ -79,8 +79,9 @@ T number_at(const std::string& bytes, std::size_t offset) {
     return value;
 }
 
-/// Compares with manual 63-9243. Laser k of a VLP-16 has the elevation -15 + k for even k
-/// and k for odd k. It fires k * 2.304 us after the first laser. A block has two firings.
+/// Compares with manual 63-9243. Laser k of a VLP-16 has an elevation of -15 + k degrees
+/// for even k, and of k degrees for odd k. Laser k fires k * 2.304 us after laser 0. A
+/// block has two firings.
 TEST(Packets, OfAVlp16AreThoseOfItsManual) {
     const SpinningSensor sensor = make_sensor_named("VLP-16");
     const std::vector<SensorPacket> packets = make_packets_of(sensor, {.start_ns = kStart_ns}, 2);
@@ -124,8 +125,8 @@ TEST(Packets, OfAVlp16AreThoseOfItsManual) {
 }
 
 /// Compares with the user manual of the PandarXT. The tail of a packet contains the
-/// return mode and the motor speed. It also contains the date from 1900, the time of the
-/// second, a constant and the packet number.
+/// return mode and the motor speed. The date, counted from 1900, the time within the
+/// second, a constant and the packet number follow.
 TEST(Packets, OfAnXt32HaveModeDateAndNumber) {
     const std::vector<SensorPacket> packets =
         make_packets_of(make_sensor_named("XT32"), {.start_ns = kStart_ns, .returns = 2}, 1, true);
@@ -149,8 +150,9 @@ TEST(Packets, OfAnXt32HaveModeDateAndNumber) {
 }
 
 /// Compares with the user manual of the PandarQT. The tail of a packet contains the motor
-/// speed, the time of the second, the return mode, a constant, the date from 1900 and the
-/// packet number. The time is the start of the first block minus 25.71 us.
+/// speed, the time within the second, the return mode and a constant. The date, counted
+/// from 1900, and the packet number follow. The time is the start of the first block
+/// minus 25.71 us.
 TEST(Packets, OfAQt64HaveTheFieldsOfItsManual) {
     const SpinningSensor sensor = make_sensor_named("QT64");
     const std::vector<SensorPacket> packets = make_packets_of(sensor, {.start_ns = kStart_ns}, 1);
@@ -212,9 +214,9 @@ TEST(Packets, OfAQt128AlternateBetweenItsLasers) {
     EXPECT_NEAR(double(n_lit) / sensor.columns, 0.8 * 96.0, 0.5);
 }
 
-/// Compares with the user manual of the OT128. It has two modes: 1800 firings of all
-/// lasers per turn, or 3600 firings in two sequences, in which 29 and 31 lasers are
-/// silent.
+/// Compares with the user manual of the OT128. The sensor has two modes. In the first
+/// mode, all lasers fire 1800 times per turn. In the second mode, 3600 firings alternate
+/// between two sequences, in which 29 and 31 lasers are silent.
 TEST(Packets, OfAnOt128HaveTheModeOfTheirColumns) {
     for (const int columns : {1800, 3600}) {
         const SpinningSensor sensor = make_sensor_named("OT128", columns);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Detects roads that are driven again. Covers a drive around a block with drifted
-// odometry, a drive that crosses itself only because its poses are wrong, and a street
-// that is driven once.
+// Detects roads that are driven again. One drive goes around a block with drifted
+// odometry. A second drive crosses itself only because its poses are wrong. A third drive
+// follows a street once.
 #include <cmath>
 
 #include <gtest/gtest.h>

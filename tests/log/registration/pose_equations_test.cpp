@@ -19,7 +19,7 @@ struct Problem {
     PoseTrack track;
     std::vector<SubsampledPoint> points;
     std::vector<WorldPointWithOrigin> placed;
-    /// planes that were fitted with different weights than the weights of the equations
+    /// planes that were fitted with weights that differ from the weights in the equations
     std::vector<LocalPlane> planes;
     std::vector<std::vector<std::uint32_t>> members;  ///< [planes]
     double scale_m = 0.1;

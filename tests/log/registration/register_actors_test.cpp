@@ -52,9 +52,9 @@ TrackError measure_error_of_track(const BoxTrack& box, const BoxTrack& exact) {
     return result;
 }
 
-/// The car drives ahead of the sensor, so that only its rear is visible. The rear
-/// determines the position along the track and the yaw. Only the labels determine the
-/// position across the track.
+/// Registration must correct labels that drift. The car drives ahead of the sensor, so
+/// that only its rear is visible. The rear determines the position along the track and
+/// the yaw. Only the labels determine the position across the track.
 TEST(RegisterActors, CorrectsDriftingLabels) {
     SyntheticOptions options;
     options.n_frames = 30, options.rows = 64, options.columns = 1024;

@@ -60,8 +60,8 @@ void expect_registered(const RegistrationResult& registration, const PoseTrack& 
     }
 }
 
-/// Each sweep covers a fifth of the street, so only the equations of all poses connect
-/// the two ends of the street.
+/// Each sweep covers a fifth of the street. The two ends of the street are therefore
+/// connected only if the poses of all sweeps are solved together.
 TEST(RegisterScans, LongStreetStaysWhereItIs) {
     SyntheticOptions options;
     options.seed = 7, options.n_frames = 400, options.rows = 32, options.columns = 256;
@@ -87,8 +87,8 @@ TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
         split, "drift of 20 cm");
 }
 
-/// Registers three sweeps with a held-out sweep among them. The planes of only two scans
-/// need more points of each scan.
+/// Two training sweeps must suffice, with a held-out sweep between them. With only two
+/// scans, a plane needs more points of each scan.
 TEST(RegisterScans, TwoScansAreEnough) {
     const LidarSequence street = make_street_of(3);
     const PoseTrack& exact = street.world_from_vehicle;

@@ -73,7 +73,9 @@ TEST(SeveralLidars, OneFindsWhatTheOtherMissed) {
     EXPECT_LT(test::error_of(registration.world_from_vehicle, exact, all_poses(street)).worst_m, 0.02);
 }
 
-/// The rays of a sweep have times between poses of both LiDARs, in any order.
+/// A LiDAR that sweeps at other times must get interpolated poses. The times of its rays
+/// lie between poses of both LiDARs. The rays are in any order.
+/// any order.
 TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
     for (const double off_s : {0.05, 0.01, 0.09}) {
         const LidarSequence street = make_staggered_street(off_s);

@@ -194,8 +194,9 @@ RenderedIntensityImage crop_image(const RenderedIntensityImage& image, int rows,
             cut(image.elevation_rad)};
 }
 
-/// Tiles are drawn in parallel. The widths give a narrow last tile, a single tile, and a
-/// tile that is narrower than the columns that a tile looks ahead.
+/// Tiles of an image are drawn in parallel, and each tile looks ahead by some columns.
+/// The result must equal drawing ray after ray. The widths give a narrow last tile, a
+/// single tile, and a tile narrower than the columns ahead.
 TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
     const IntensityScatterModel scatter = fit_intensity_scatter(make_scans(40, grain));
     for (const auto& [rows, columns] :

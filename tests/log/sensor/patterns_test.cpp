@@ -20,8 +20,9 @@ const RosetteSensor kRosette{.name = "r",
                              .n_rays = 5000,
                              .period_s = 0.1};
 
-/// Tests the sum of two rotating deflections of equal size. Its length must be 2 |cos| of
-/// half the angle between them, and its direction must be their mean direction.
+/// A rosette is the sum of two rotating deflections of equal size. The length of the sum
+/// must be 2 |cos| of half the angle between them. Its direction must be their mean
+/// direction.
 TEST(Patterns, RosetteIsTheSumOfTwoTurningDeflections) {
     const double time_s = 12.34;
     const RayTable rays = make_rays(kRosette, time_s);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the range grid. Rays and projection must be inverse to each other (Eq. 6-7), and
-// the nearest point must determine the value of a pixel.
+// Checks range images with a regular grid. The projection of a ray must give the pixel of
+// this ray (Eq. 6-7). If several points fall into a pixel, the nearest point must
+// determine its value.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>

@@ -28,9 +28,9 @@ SpinningSensor sensor() {
     return result;
 }
 
-/// Returns the azimuth error of a firing. It is a parabola from 3 mrad at the first
-/// firing to -5 mrad at the last firing. An error within packets of seven firings is
-/// added.
+/// Returns the azimuth error of a firing. It falls as a parabola from 3 mrad at the first
+/// firing to -5 mrad at the last firing. A second error repeats within each packet of
+/// seven firings.
 double compute_unevenness(int firing) {
     const double x = double(firing) / kColumns;
     return 3e-3 - 4e-3 * x - 4e-3 * x * x + 4e-4 * (firing % 7 - 3);

@@ -154,9 +154,8 @@ TEST(MovingBox, IsNoneThatDriftsNoFasterThanPosesDo) {
     EXPECT_TRUE(hurried.is_moving()) << "for half a second";
 }
 
-/// A parked car whose labels are interpolated must not count as moving. As in nuScenes,
-/// it is labelled twice a second with errors of up to 10 cm, and interpolated to twenty
-/// sweeps a second.
+/// The labels of a parked car jitter by up to 10 cm. As in nuScenes, they are set twice a
+/// second and interpolated to twenty sweeps a second. The car must not count as moving.
 TEST(MovingBox, IsNoneThatJittersHoweverOftenItIsLabelled) {
     std::mt19937 random(3);
     std::uniform_real_distribution<double> off(-0.1, 0.1);

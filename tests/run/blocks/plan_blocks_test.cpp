@@ -27,8 +27,8 @@ glm::dvec3 place(const LidarSequence& log, int position) {
     return log.world_from_vehicle.pose[std::size_t(position)].translation;
 }
 
-/// Checks that each frame belongs to a single block, in order, and that the training
-/// frames of a block are exactly the frames within the halo.
+/// Checks that each frame belongs to exactly one block, in order. Checks that a block is
+/// trained with exactly the frames that are at most `halo_m` away from it.
 void expect_valid(const LidarSequence& log, const TrainTestSplit& split,
                   const std::vector<TrajectoryBlock>& blocks, double halo_m) {
     std::vector<int> all_recorded_frames;

@@ -166,8 +166,8 @@ TEST_F(CheckpointFile, KeepsTheNewestAndLeavesNoFuture) {
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 40);
     put(list_checkpoints(folder / "c").back(), "damaged");  // training resumes from 30 ...
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 30);
-    // Damage in checkpoint 40: it must not count as newer than the checkpoints that are
-    // saved after checkpoint 30.
+    // Checkpoint 40 is damaged, so training has resumed from checkpoint 30 and saves
+    // checkpoint 35. Checkpoint 40 must not count as newer.
     save_checkpoint(folder / "c", example(35), 2);
     EXPECT_EQ(list_checkpoints(folder / "c").size(), 2u);
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 35);

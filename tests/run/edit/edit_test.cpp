@@ -87,9 +87,10 @@ TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
     EXPECT_EQ(d.scene.sensor_drop.probability, std::vector<float>{0.25f}) << "the sensor has not changed";
 }
 
-/// The van has labels from 0 to 0.9 s. If it is delayed by 0.4 s, it is absent from
-/// frames 0 to 3, because a track extends half a step before its first pose. With a
-/// different path from 0.2 to 0.5 s, it is absent from frames 0, 1, 6, 7, 8 and 9.
+/// The program must report in how many frames an edited actor is absent. The van has
+/// labels from 0 to 0.9 s. Delayed by 0.4 s, it is absent from frames 0 to 3, because a
+/// track extends half a step before its first pose. With a different path from 0.2 to 0.5
+/// s, it is absent from frames 0, 1, 6, 7, 8 and 9.
 TEST(Edit, SaysHowManyFramesLoseAnActor) {
     const SceneWithLog before = example();
     const BoxTrack van = box(before, "van");

@@ -127,7 +127,7 @@ TEST(Ground, PathFollowsAHill) {
         const glm::dvec3 ahead = pose.rotation * glm::dvec3(1, 0, 0);
         EXPECT_NEAR(ahead.z / std::hypot(ahead.x, ahead.y), climb, 0.01) << i;
     }
-    // The last pose is at x = 24 m. The hill ends at 20 m.
+    // The last pose is at x = 24 m, but the hill ends at 20 m.
     EXPECT_NEAR(start.unseen_m, 10.0, 1e-9);
 }
 

@@ -87,7 +87,7 @@ TEST_F(ActorScoresOf, RangesThatAreTooLongHaveThisBias) {
 }
 
 /// Moves a point of the last frame to the position that the centre of a car had in the
-/// first frame.
+/// first frame. The scores must count this point as a trace behind the car.
 TEST_F(ActorScoresOf, APointWhereACarWasIsInItsTail) {
     const LidarFrame& last = street.frames.back();
     const BoxTrack* fastest = nullptr;

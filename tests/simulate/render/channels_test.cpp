@@ -120,7 +120,8 @@ TEST(Channels, ACellHasThemOfItsRay) {
     }
 }
 
-/// Five sub-rays hit the same surface at 10 m with equal intensities.
+/// The five sub-rays of a beam hit the same surface at 10 m with equal intensities. The
+/// beam must get the channels of the sub-ray that is nearest to its middle.
 TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
     RenderedScan parts = make_marked_scan(5);
     parts.median_range_m.assign(5, 10.0f), parts.image.intensity.assign(5, 0.5f);

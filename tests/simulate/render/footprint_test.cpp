@@ -168,8 +168,8 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
     EXPECT_NEAR(scan.second_returns[0].intensity[0], 2 * 0.2f / 5, kTolerance);
 }
 
-/// A road at a grazing angle has ranges that differ by metres within a single footprint.
-/// Also tests a road with a wall in front of its upper part.
+/// A road at a grazing angle must give a single return, although its ranges differ by
+/// metres within a footprint. Also tests a road with a wall in front of its upper part.
 TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
     const RayTable ray = make_one_ray({std::cos(0.04f), 0.0f, -std::sin(0.04f)}),
                    parts = split_rays_into_sub_rays(ray, 9, 4e-3);

@@ -112,7 +112,8 @@ TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
 }
 
 /// Van and sensor drive around a centre 20 m to the left of the sensor, so the van does
-/// not move relative to the sensor.
+/// not move relative to the sensor. Its front must be 8 m behind the sensor for every
+/// ray.
 TEST_F(MovingActors, AVanThatFollowsRoundABendIsNotTorn) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels front;

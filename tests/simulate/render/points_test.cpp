@@ -217,8 +217,8 @@ TEST_F(PointsOfScans, OfASensorThatStandsAndAmongActorsOfTheCaller) {
     expect_equal(renderer->wait_for_points(), empty, "no actor");
 }
 
-/// Always has two pending scans of different sensors and positions, and renders other
-/// scans between them.
+/// Two scans of different sensors and positions are always pending. Other scans are
+/// rendered between them. No scan may get points of another scan.
 TEST_F(PointsOfScans, ManyInFlightDoNotMix) {
     make_renderer();
     const std::vector<SimulatedSensor> sensors = {sensor("native"), sensor("VLP-16:300x10"),
@@ -236,9 +236,10 @@ TEST_F(PointsOfScans, ManyInFlightDoNotMix) {
     }
 }
 
-/// Requests more scans than are rendered together, exactly as many, and fewer. Two rigs
-/// are pending, and a further batch is read before it was submitted. Launches of
-/// different lanes alternate, so that the test detects data that lanes share by mistake.
+/// Scans that are rendered together must have the same points as scans that are rendered
+/// alone. Requests more scans than fit into a batch, exactly as many, and fewer. Two rigs
+/// are pending, and a further batch is read before it was submitted. Launches of parallel
+/// scans alternate, so that the test detects arrays that they share by mistake.
 TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         config.image.sh_direction = direction;

@@ -89,8 +89,9 @@ TEST_F(RayDrop, OfOneRayAloneIsThatOfTheRayInAnImage) {
         expect_same_rays(scan, scan_of(select_rays(all, {ray}), test::make_network_of_rays()), {ray});
 }
 
-/// Rotates a static sensor by 180 degrees. The rays in the world are equal, but the order
-/// of their azimuths is different.
+/// Drops must not depend on the yaw of the sensor. Rotates a static sensor by 180
+/// degrees. The rays in the world are equal, but the order of their azimuths is
+/// different.
 TEST_F(RayDrop, DoesNotDependOnTheSensorsYaw) {
     RayTable all = rays();
     std::fill(all.time_offset_s.begin(), all.time_offset_s.end(), 0.0f);
@@ -114,8 +115,8 @@ TEST_F(RayDrop, DoesNotDependOnTheSensorsYaw) {
                      order);
 }
 
-/// Tests beams, sub-rays, cells of a grid, a sensor whose rays mostly point into the sky,
-/// and points from the device.
+/// A ray that hits nothing must be dropped. Tests beams, sub-rays, cells of a grid, a
+/// sensor whose rays mostly point into the sky, and points from the device.
 TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
     for (const char* name : {"native", "kitti360", "VLP-16:300x10"})
         for (const int sub_rays : {1, 5})

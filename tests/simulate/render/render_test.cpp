@@ -59,8 +59,8 @@ double compute_strip_share(double value) {
     return 2.0 / kPi * (std::asin(value) + value * std::sqrt(1.0 - value * value));
 }
 
-/// A footprint of 0.2 m diameter hits the post. The edge of the post is at the radius of
-/// its Gaussian where half of the light passes.
+/// A footprint of 0.2 m diameter hits the post and the wall behind it. Both must be
+/// returned. The edge of the post is where half of the light passes its Gaussian.
 TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
     LidarSequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
@@ -89,7 +89,7 @@ TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
 }
 
 /// The beams of a table have different divergence and hit the same post. Only the wide
-/// beam also measures the wall behind the post.
+/// beam may also measure the wall behind the post.
 TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
     RayTable rays{1,
                   3,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the share of unobserved space that scans report. Scans a street from its road,
-// from the side, from below and from far away.
+// Tests the share of a scan's rays that cross space which the log has not observed. Scans
+// a street from its road, from the side, from below and from far away.
 #include <algorithm>
 
 #include <relidar/log/dataset.hpp>

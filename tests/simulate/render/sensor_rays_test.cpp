@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the rays of a sensor on the device. Compares fired rays
-// (simulate/render/fire_rays) with make_world_ray() in double precision, measured rays
-// (simulate/render/measure_rays) with Beam, limits and M6, and network channels
-// (simulate/render/drop_channels) with make_network_input_image().
+// Tests the rays of a sensor on the device. Compares fired rays (kernel
+// simulate/render/fire_rays) with make_world_ray() in double precision. Compares measured
+// rays (measure_rays) with the beam model, range limits and drop probability (M6).
+// Compares network channels (drop_channels) with make_network_input_image().
 #include "simulate/render/sensor_rays.hpp"
 
 #include <cmath>
@@ -56,8 +56,9 @@ double measure_largest_error(Device& device, const RayTable& rays, const PoseTra
     return farthest;
 }
 
-/// Tolerances: at 400 m from the origin, neighbouring floats differ by 3e-5 m. An error
-/// of 5e-7 in a direction is 0.04 mm at 80 m.
+/// Fired rays must start at the pose of the sensor at their firing time. At 400 m from
+/// the origin, neighbouring floats differ by 3e-5 m. An error of 5e-7 in a direction is
+/// 0.04 mm at 80 m.
 TEST_F(SensorRaysTest, AreFiredFromWhereTheSensorIsThen) {
     const RayTable rays = make_spinning_rays(301);  // fired from -0.05 to 0.05 s
     const double tolerance = 6e-7;

@@ -133,8 +133,9 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
     EXPECT_GT(fog, kRays / 2);
 }
 
-/// After 40 m of fog in both directions, 2e-2 of the light remains. The wall has a power
-/// of 3e-3, which is below the weakest detectable return.
+/// Returns that are too weak must be dropped. After 40 m of fog in both directions, 2e-2
+/// of the light remains. The wall has a power of 3e-3, which is below the weakest
+/// detectable return.
 TEST(WeatherOnScans, WhatIsTooWeakIsDropped) {
     WeatherSensorProperties sensor;
     sensor.min_range_m = 39.9;  // excludes returns of the fog
@@ -175,8 +176,8 @@ TEST(WeatherOnScans, SecondReturnsSayWhyTheyAreThere) {
     }
 }
 
-/// Threads process blocks of 4096 rays, so that a scan with fewer rays uses only a single
-/// thread.
+/// The same seed must give the same scan on any number of threads. Threads process blocks
+/// of 4096 rays, so that a scan of 4096 rays uses only one thread.
 TEST(WeatherOnScans, TheSameSeedIsTheSameOnAnyNumberOfThreads) {
     const Weather weather{.fog_visibility_m = 100.0, .rain_mm_h = 20.0};
     RenderedScan a = make_wall_at(40.0f, 0.1f), b = a, other = a,

@@ -193,9 +193,9 @@ void expect_same(const LidarSequence& log, bool has_second) {
         ASSERT_EQ(loaded_points[i].second, expected_points[i].second) << i;
         ASSERT_NEAR(loaded_points[i].time_s, expected_points[i].time_s, 2e-6) << i;
         ASSERT_NEAR(loaded_points[i].intensity, expected_points[i].intensity, 1e-6) << i;
-        // Poses of frames would be too coarse. At 10 m/s in a curve of 0.5 rad/s, the
-        // chord of 0.1 s deviates by 6 mm, and extrapolation after the last frame by 5
-        // cm. The recording has a pose every 10 ms. The chords of these poses deviate by
+        // Poses of frames would be too coarse. At 10 m/s in a curve of 0.5 rad/s, a chord
+        // of 0.1 s deviates from the curve by 6 mm. Extrapolation after the last frame
+        // deviates by 5 cm. The recording has a pose every 10 ms, whose chords deviate by
         // only 0.1 mm.
         ASSERT_LT(glm::distance(loaded_points[i].world_m, expected_points[i].world_m), 3e-4) << i;
     }

@@ -90,8 +90,9 @@ TEST_F(Recordings, AppearWhenTheyAreFinished) {
     EXPECT_EQ(list_scan_files(folder).size(), 3u) << "the next rendering knows them";
 }
 
-/// The sensor faces the car with its second ray, 62.5 ms after the time of the scan. At
-/// this time, the car has driven 0.625 m.
+/// The box in scans.json must have its position at the time when the sensor faces the
+/// car. The second ray faces the car 62.5 ms after the time of the scan. At this time,
+/// the car has driven 0.625 m.
 TEST_F(Recordings, ScansJsonHasTheBoxesAtTheTimeOfTheirRay) {
     format.instance_names = {"background", "car"};
     format.actors = {{.id = "car",

@@ -178,9 +178,9 @@ TEST(Weather, AWallIsDarkerByTheFormula) {
     }
 }
 
-/// A target of 10 % is visible up to the range R at which 0.1 exp(-2 alpha R) / R^2
-/// equals the weakest power: R = W(alpha sqrt(0.1 / weakest)) / alpha. The ray has two
-/// returns, and the target is the last return.
+/// A target of 10 % must be visible up to the range R at which 0.1 exp(-2 alpha R) / R^2
+/// equals the weakest power. With Lambert's W, R = W(alpha sqrt(0.1 / weakest)) / alpha.
+/// The ray has two returns, and the target is the last return.
 TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
     for (const double visibility_m : {30.0, 50.0, 150.0, 400.0}) {
         const WeatherSensorProperties sensor = make_sensor_to(100.0);
@@ -463,9 +463,9 @@ TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
     EXPECT_LT(rain_before, clear - 200);
 }
 
-/// A surface with intensity 0 in the log has a brightness that is uniformly distributed
-/// from 0.0025 to 0.01. If the share A of its light passes the weather, surfaces below
-/// 0.0025 / A are hidden.
+/// The share of hidden surfaces must follow a closed form. A surface with intensity 0 in
+/// the log has a brightness that is uniformly distributed from 0.0025 to 0.01. If the
+/// share A of its light passes the weather, surfaces below 0.0025 / A are hidden.
 TEST(ThinWeather, HidesAsManyDarkSurfacesAsTheClosedForm) {
     for (const double rain_mm_h : {5.0, 25.0, 100.0})
         for (const double range_m : {20.0, 50.0}) {

@@ -65,7 +65,7 @@ TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
     EXPECT_EQ(compute_water_film_fraction(3.0), 1.0);
 }
 
-/// The weakest return has a reflectivity of 0.005 at 80 m.
+/// The sensor detects a reflectivity of at least 0.005 at 80 m.
 TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
     const LidarEcho ground = make_ground_at(40.0, 0.1), mirrored{60.0, 0.5, ReturnCause::mirror};
     // the power is 0.001 at 40 m, which is less than the weakest detectable power 0.00125

@@ -153,7 +153,8 @@ TEST(Sunlight, ElsewhereChangesNothing) {
     }
 }
 
-/// A reflectivity of 0.002 at 4 m has the same power as a reflectivity of 0.05 at 20 m.
+/// The stronger of two echoes must be returned. A reflectivity of 0.002 at 4 m has the
+/// same power as a reflectivity of 0.05 at 20 m.
 TEST(StrayLight, WinsOverWhatIsWeaker) {
     const WeatherSensorProperties sensor = make_sensor_to_60_m();
     LidarEcho stray{4.0, 0.002, ReturnCause::blooming};

@@ -44,7 +44,8 @@ struct BenchTimes {
     /// Number of rendered scans per second. Measured only if the benchmark uses a trained
     /// run.
     std::optional<double> scans_per_s;
-    /// The same for a rig whose sensors are measured one after the other.
+    /// Number of rendered scans per second if the sensors of a rig are rendered one after
+    /// the other.
     std::optional<double> separate_scans_per_s = {};
 };
 

@@ -27,7 +27,7 @@ struct BenchCase {
 };
 
 /// Creates a benchmark of the synthetic benchmark street with the settings of the paper.
-/// @param shrink_with_count see make_benchmark_street_surfels()
+/// @param shrink_with_count if true, the surfels become smaller as their number grows
 BenchCase make_street_benchmark(std::uint32_t n_surfels, bool shrink_with_count, const RayTable& rays);
 
 /// Creates a benchmark from a trained run. Casts the rays of the run's sensor at the

@@ -276,8 +276,8 @@ void run_eval_command(const EvalOptions& command_options, const std::string& com
     evaluate_trained_run(options, ranks, command_line);
 }
 
-/// Checks the options that the user has combined with --table.
-/// @throws UsageError if one of them is an option for scoring
+/// Checks that the option --table is not combined with options for scoring.
+/// @throws UsageError if such an option is given
 void check_table_option_conflicts(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {
         if (option->count() == 0 || option->get_positional() || option->check_lname("table") ||

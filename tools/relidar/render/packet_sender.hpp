@@ -41,8 +41,8 @@ void check_packet_target(const PacketDestination& target);
 /// @param formats  formats of the output files
 /// @param merges_scans  true if the scans of all sensors are merged into one
 /// @param n_processes  number of MPI processes
-/// @throws UsageError in the same cases as check_packet_target(). Also if merged scans
-/// should be written as packets, or several processes should send packets.
+/// @throws UsageError in the same cases as check_packet_target(). Also if the packets
+/// would be those of merged scans, or if several processes would send packets.
 void check_packet_options(const PacketDestination& target, const std::vector<std::string>& formats,
                           bool merges_scans, int n_processes);
 

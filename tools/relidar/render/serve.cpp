@@ -88,8 +88,9 @@ serve::ServerOptions make_server_options(const ServeCommandOptions& options) {
     return server;
 }
 
-/// Sends the scans of clients as packets. Starts new packets if the sensor changes or if
-/// the time does not increase.
+/// Sends the scans of clients as network packets of a sensor. If the sensor changes or
+/// the time does not increase, first sends the pending packets and then starts a new
+/// stream.
 class PacketScanSender {
 public:
     explicit PacketScanSender(PacketDestination target) : target_(std::move(target)) {

@@ -73,8 +73,8 @@ TrainOptions resolve_log_and_output_folder(TrainOptions options) {
     return options;
 }
 
-/// Returns the settings of a training. A resumed training uses its saved settings, unless
-/// --preset or --config is given.
+/// Returns the settings of a training. A resumed training uses its saved settings. If
+/// --preset or --config is given, these options replace the saved settings.
 Config make_initial_config(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
     if (!options.resume || options.from_preset || !is_file(saved))

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Moves the sensor with keys. While a key is pressed, the sensor moves at a constant
-// speed. Very short key presses, for example of a screen keyboard, count as SHORTEST_MS.
-// This moves the sensor by half a metre.
+// speed. Very short key presses, for example of a screen keyboard, count as SHORTEST_MS,
+// so that the sensor moves by at least half a metre.
 
 /** Direction of each key: ahead, left, up, turn. */
 const DIRECTIONS = {

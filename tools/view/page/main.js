@@ -26,8 +26,8 @@ import { Timeline } from './timeline.js';
 const SENSOR_HEIGHT_M = 1.8;
 const SHORTEST_ERROR_M = 0.1;     // Minimum length of an error line.
 const GRID_REACH_M = 80;
-// Size of real points. They are smaller than simulated points, so that they do not hide
-// them.
+// Size of real points relative to simulated points. Real points are smaller, so that
+// simulated points stay visible.
 const REAL_SIZE = 0.6;
 // Minimum time between two changes of the URL. Browsers reject more than a few changes
 // per second.

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads Argoverse 2 sensor logs. A sweep is a table with the points of both LiDARs. The
-// dataset stores all points in the vehicle frame at the time in the file name (motion
-// compensation). The reader undoes this compensation with the poses of the frames. The
-// rays are later placed with the same poses, so points keep their position in the world.
+// dataset has moved all points to the vehicle frame at the time in the file name (motion
+// compensation). The reader undoes this with the poses of the frames. relidar computes
+// world points with the same poses, so the points keep their positions in the world.
 #include "log/readers/argoverse2/argoverse2.hpp"
 
 #include <algorithm>
@@ -29,7 +29,8 @@ namespace fs = std::filesystem;
 using namespace argoverse2;
 
 constexpr const char* kLidarNames[] = {"up_lidar", "down_lidar"};
-// Maximum offset in nanoseconds of a point's time from its sweep: two revolutions.
+// Maximum difference in nanoseconds between the time of a point and the time of its
+// sweep: two revolutions.
 constexpr std::int64_t kLongestOffset_ns = 200'000'000;
 constexpr double kFarthestHit_m = 1e4;  // limit of a point's distance
 
@@ -72,7 +73,7 @@ std::vector<SweepFile> select_sweeps_in_range(const std::vector<SweepFile>& swee
     return {sweeps.begin() + begin, sweeps.begin() + end};
 }
 
-/// Reads one rigid transform from each row of a table: quaternion w x y z, and
+/// Reads a rigid transform from each row of a table: a quaternion w x y z, and a
 /// translation in metres.
 std::vector<Pose> read_pose_from_each_row(const Feather& table) {
     std::vector<double> q[4], t[3];
@@ -103,8 +104,8 @@ std::vector<Lidar> read_lidars(const fs::path& calibration_file) {
             throw DataError(
                 fmt::format("{}, column 'sensor_name': the sensor {} is missing", table.name(), name));
         const Pose& mounted = poses[std::size_t(row - names.begin())];
-        // Both LiDARs rotate clockwise, seen from above. The lower one is mounted upside
-        // down, so its rotation is counterclockwise in its own frame.
+        // Seen from above, both LiDARs rotate clockwise. The lower LiDAR is mounted
+        // upside down, so it rotates counterclockwise in its own frame.
         const bool upright = (mounted.rotation * glm::dvec3(0, 0, 1)).z > 0.0;
         lidars.push_back({name, make_vlp32c_sensor(upright), mounted});
     }
@@ -197,8 +198,8 @@ LidarSweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vect
     return sweeps;
 }
 
-/// For each sweep and LiDAR, adds a frame with its scan, unless the LiDAR has no points
-/// in the sweep.
+/// Adds a frame with a scan for each sweep and LiDAR. Adds no frame if the LiDAR has no
+/// points in the sweep.
 void append_sweeps_as_frames(LidarSequence& sequence, const std::vector<SweepFile>& sweep_files,
                              const PoseTrack& vehicle_poses, LidarSweepPairs sweeps,
                              const ProgressReporter& progress, const ScanErrorCollector& broken_scans) {
@@ -235,8 +236,8 @@ void append_sweeps_as_frames(LidarSequence& sequence, const std::vector<SweepFil
         });
 }
 
-/// Reads the box labels of the loaded sweeps. In the file, boxes are in the vehicle frame
-/// at the time of their sweep.
+/// Reads the box labels of the loaded sweeps. In the file, a box is in the vehicle frame
+/// at the time of its sweep.
 std::vector<BoxTrack> read_box_tracks_at_sweeps(const fs::path& annotation_file,
                                                 const std::vector<SweepFile>& sweeps,
                                                 const PoseTrack& vehicle_poses) {

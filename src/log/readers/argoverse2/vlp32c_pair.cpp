@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Geometry and timing of the VLP-32C. The sensor fires its 32 lasers in pairs while the
 // head rotates: one pair every 2.304 us, all lasers every 55.296 us. The azimuth of a
-// laser is measured from the azimuth of the head at the first pair. So it is the azimuth
-// offset of the laser plus the rotation since the first pair.
+// laser relative to the head at the first pair is therefore a sum: the azimuth offset of
+// the laser plus the rotation since the first pair.
 #include "log/readers/argoverse2/vlp32c_pair.hpp"
 
 #include <algorithm>
@@ -20,7 +20,7 @@ namespace {
 constexpr double kCycle_ns = 55296.0, kRate_hz = 10.0;
 constexpr const char* kName = "VLP-32C";
 
-/// Laser number in Argoverse's files, modulo 32, of each channel of a VLP-32C. The
+/// For each channel of a VLP-32C, the laser number in Argoverse's files, modulo 32. The
 /// numbers were derived from the times and elevations of points in a published sweep.
 constexpr std::array<int, kLasers> kNumbers = {31, 13, 1,  17, 29, 9, 3,  21, 27, 12, 5,  16, 25, 8, 7,  20,
                                                22, 2,  10, 28, 23, 6, 11, 24, 18, 0,  14, 30, 19, 4, 15, 26};
@@ -47,8 +47,8 @@ std::array<LaserRowTiming, kLasers> make_vlp32c_laser_table() {
     return laser_table;
 }
 
-/// Returns the mean absolute difference between the elevations of points and of their
-/// lasers. Clamps each difference to one degree, so that outliers have little influence.
+/// Returns the mean absolute difference between the elevation of a point and of its
+/// laser. Limits each difference to one degree, so that outliers have little influence.
 double compute_mean_elevation_error(const RawSweep& sweep, int laser_group, const Pose& vehicle_from_lidar) {
     const std::array<LaserRowTiming, kLasers> laser_table = make_vlp32c_laser_table();
     const Pose lidar_from_vehicle = inverse(vehicle_from_lidar);
@@ -65,9 +65,9 @@ double compute_mean_elevation_error(const RawSweep& sweep, int laser_group, cons
     return n > 0.0 ? sum / n : 0.0;
 }
 
-/// Returns for each point the number of its firing cycle, counted from the time stamp of
-/// the sweep. The stamp is not the start of a cycle, so the phase of the cycles is
-/// estimated from all points.
+/// Returns for each point the number of its firing cycle, in which all lasers fire once.
+/// Counts from the time stamp of the sweep. The stamp is not the start of a cycle, so the
+/// start is estimated from all points.
 std::vector<int> compute_firing_cycle_numbers(const std::vector<double>& cycle_start_times_ns) {
     std::complex<double> sum = 0.0;
     for (const double t : cycle_start_times_ns) sum += std::polar(1.0, 2.0 * kPi * t / kCycle_ns);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Model of the two VLP-32C of Argoverse 2. Contains the directions of the lasers. Finds
-// the laser numbers of each LiDAR, and the firing that measured each point.
+// Model of the two VLP-32C of Argoverse 2: directions of the lasers. Finds the laser
+// numbers of each LiDAR, and the firing that measured each point.
 #pragma once
 
 #include <array>
@@ -27,23 +27,23 @@ struct RawSweep {
 SpinningSensor make_vlp32c_sensor(bool clockwise);
 
 /// Finds out which LiDAR has the laser numbers 0 to 31. Returns {0, 1} for the first
-/// LiDAR and {1, 0} for the second. Compares the elevations of points with those of the
-/// lasers in both cases.
+/// LiDAR and {1, 0} for the second. Compares the elevations of points with the elevations
+/// of the lasers in both cases.
 std::array<int, 2> match_lidars_to_laser_groups(const RawSweep& sweep,
                                                 const std::array<Pose, 2>& vehicle_from_lidar);
 
 /// The points that one LiDAR measured in a sweep.
 struct LidarSweepPoints {
-    /// points in the frame of the moving LiDAR at the time of each point, with rings,
-    /// times and firings
+    /// points with rings, times and firings, each in the frame of the moving LiDAR at the
+    /// time of the point
     LidarPoints points;
     SweepFirings sweep;
 };
-/// Returns the points of one LiDAR in a sweep. Selects the points by the half of the
-/// laser numbers. Lasers fire in 16 pairs, so the time and the laser of a point give its
+/// Returns the points of one LiDAR in a sweep. The laser numbers 0 to 31 belong to one
+/// LiDAR, and 32 to 63 to the other LiDAR. The time and the laser of a point give its
 /// firing. Keeps firings without points, for example where the vehicle blocks all beams.
-/// @param world_from_sensor  poses with which the dataset moved the points to the time of
-/// the sweep
+/// @param world_from_sensor  poses with which the dataset moved the points to the time
+/// of the sweep
 LidarSweepPoints extract_lidar_sweep(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
                                      const PoseTrack& world_from_sensor, double sweep_time_s);
 

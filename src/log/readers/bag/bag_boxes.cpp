@@ -27,7 +27,7 @@ public:
     explicit WorldPoseLookup(const BoxTransformContext& places) : transform_context_(places) {}
 
     /// Returns the pose of a coordinate frame in the world frame, or nothing if the bag
-    /// does not contain this pose at the time.
+    /// does not contain the pose at this time.
     std::optional<Pose> find_frame_pose_in_world(const std::string& frame_id, double t_s) {
         if (transform_context_.is_world_of_poses && frame_id == transform_context_.poses.world) return Pose{};
         auto cached_entry = apart_.find(frame_id);
@@ -60,8 +60,8 @@ std::size_t sort_and_deduplicate_labels(std::vector<BoxLabel>& labels) {
     });
 }
 
-/// Gives all labels of an object its most frequent category and its median size, because
-/// object trackers change both over time.
+/// Object trackers change the category and the size of an object over time. Gives all
+/// labels of an object its most frequent category and its median size.
 void unify_category_and_size_by_id(std::vector<BoxLabel>& labels) {
     std::map<std::string, std::vector<const BoxLabel*>> things;
     for (const BoxLabel& label : labels) things[label.id].push_back(&label);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the boxes of a recording to tracks in the world frame. The boxes may be given
-// in any frame of the recording.
+// Converts the boxes of a recording to tracks in the world frame. A message may store
+// boxes in any coordinate frame of the recording.
 #pragma once
 
 #include <functional>
@@ -22,8 +22,8 @@ struct BoxTransformContext {
     const SelectedPoseSource& poses;
     std::string vehicle;  ///< frame whose poses are known
     std::function<Pose(double)> world_from_vehicle;
-    /// True if the vehicle poses come from the bag. Boxes in the world frame of the bag
-    /// then need no transform.
+    /// True if the vehicle poses are from the bag. Boxes in the bag's world frame then
+    /// need no transform.
     bool is_world_of_poses = false;
 };
 
@@ -31,8 +31,8 @@ struct LoadedBoxTracks {
     std::vector<BoxTrack> tracks;
     std::vector<std::string> notes;
 };
-/// Reads the boxes of a topic and joins the boxes of each object to a track. Ignores
-/// boxes more than one time step outside the time of the log.
+/// Reads the boxes of a topic and joins the boxes of each object to a track. Accepts
+/// times up to one time step before the first or after the last frame.
 /// @param frame_times_s  times of the frames of the log in seconds, ascending
 LoadedBoxTracks read_box_tracks_from_bag(const BagRecording& bag, const BoxTopic& box_topic,
                                          const BoxTransformContext& world_transforms,

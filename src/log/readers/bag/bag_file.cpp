@@ -29,12 +29,11 @@ bool is_bag_or_pcap_file(const fs::path& file) {
     return is_pcap_file(file) || std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
 }
 
-/// The fields of rosbag2's metadata.yaml that describe the files. The parser reads line
-/// by line and accepts only the layout that rosbag2 writes.
+/// The parts of rosbag2's metadata.yaml that describe the files. The parser reads line by
+/// line and accepts only the layout that rosbag2 writes.
 struct RosbagMetadata {
     std::vector<std::string> files;
-    /// compression ("zstd") and what it is applied to ("file" or "message"), in lower
-    /// case
+    /// compression ("zstd"), and what is compressed ("file" or "message"), in lower case
     std::string compression, mode;
 };
 
@@ -62,7 +61,7 @@ RosbagMetadata read_rosbag2_metadata(const fs::path& file) {
     return metadata;
 }
 
-/// Returns the bag files of a folder without metadata.yaml. Sorts numbers in names by
+/// Lists the bag files of a folder without metadata.yaml. Sorts numbers in names by
 /// value, so NAME_2 precedes NAME_10.
 std::vector<fs::path> list_recording_files(const fs::path& folder) {
     std::vector<fs::path> parts;
@@ -93,7 +92,7 @@ BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
     } else if (does_path_exist(path / kMetadata)) {
         metadata = read_rosbag2_metadata(path / kMetadata);
         for (const std::string& name : metadata.files) {
-            // The folder may have been renamed, so only the file name is used.
+            // Uses only the file name, because the folder may have been renamed.
             const fs::path file = path / fs::path(name).filename();
             if (does_path_exist(file)) paths_.push_back(file);
             else

@@ -32,8 +32,8 @@ struct BagTopic {
 struct MessagePosition {
     static constexpr std::uint64_t kNoChunk = std::numeric_limits<std::uint64_t>::max();
 
-    /// Byte offset of the chunk that contains the message, or of the message itself if it
-    /// is not in a chunk. In SQLite, the row number of the message.
+    /// Byte offset of the chunk (block of messages) that contains the message. Without a
+    /// chunk, byte offset of the message. In SQLite, the row number of the message.
     std::uint64_t at = 0;
     std::uint64_t in_chunk = kNoChunk;  ///< byte offset of the message's record in the unpacked chunk
     std::uint32_t file = 0;             ///< index of the file in the recording
@@ -44,8 +44,8 @@ struct MessagePosition {
 struct BagMessage {
     std::size_t topic = 0;    ///< index in Bag::topics()
     std::int64_t log_ns = 0;  ///< time of recording
-    /// Bytes of the message, valid only during the callback. Empty if the caller did not
-    /// request the messages of this topic.
+    /// Bytes of the message, valid only during the callback. Empty if the caller
+    /// requested only the times of this topic.
     std::string_view bytes;
     MessagePosition message_position;
 };
@@ -69,14 +69,13 @@ private:
 class BagFile {
 public:
     virtual ~BagFile() = default;
-    /// Callbacks of for_each_message().
     struct MessageReadCallbacks {
         const TopicFilter& topic_filter;
         const MessageCallback& message_callback;
         std::function<void(const std::string&)> note;  ///< receives problems of the file
         std::function<void(double)> done;  ///< receives the fraction of the file that has been read
     };
-    /// Reads all messages in file order and passes each one to `pass.take`.
+    /// Reads all messages in file order. Passes each message to `message_callback`.
     /// @throws DataError with the problem and its byte offset
     virtual void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) = 0;
     /// Reads the bytes of one message. Thread-safe.

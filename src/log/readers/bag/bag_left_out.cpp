@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Is compiled instead of the bag reader if its libraries are missing or RELIDAR_BAGS is
-// off. Then loading a recording throws an error.
+// Replaces the bag reader if its libraries are missing or RELIDAR_BAGS is off. Loading a
+// recording then throws an error.
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>

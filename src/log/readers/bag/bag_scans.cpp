@@ -87,7 +87,7 @@ LidarPoints BagScanProvider::read_points_of_cloud(std::size_t frame_index, const
     const PointCloudUnits& units = lidars_[at.lidar].units;
     folder::PointTable table = read_or_reuse_point_table(frame_index, cloud.message_position);
     if (units.zero == PointTimeReference::none) table.remove_fields(folder::PointAttribute::time);
-    // time on the clock of the points that corresponds to time 0 of the frame
+    // time of the frame, on the clock of the point times
     double zero_s = at.time_s - cloud_time_s;
     if (units.zero == PointTimeReference::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
     if (units.zero == PointTimeReference::sensor_clock)

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the point clouds of a recording and converts them to the scans of the log's
-// frames.
+// Reads the point clouds of a recording. Converts them to the scans of the log's frames.
 #pragma once
 
 #include <functional>
@@ -29,9 +28,9 @@ struct FrameCloudMessage {
 struct LidarTopic {
     const CloudTopic* clouds = nullptr;
     PointCloudUnits units = {};
-    /// Clouds that were read to estimate units, so that they are not read again.
+    /// Clouds that were already read to estimate units.
     std::map<MessagePosition, folder::PointTable> samples = {};
-    SpinningSensor sensor = {};  ///< sensor of a topic of packets; unused for a topic of clouds
+    SpinningSensor sensor = {};  ///< sensor of a topic with packets; unused for clouds
 };
 /// Reads a few clouds of a topic and estimates the units of their values.
 /// @param cloud_period_s  time between clouds in seconds
@@ -43,10 +42,10 @@ using LidarPoseFunction = std::function<Pose(std::size_t lidar, double time_s)>;
 
 class BagScanProvider : public folder::ScanProvider {
 public:
-    /// Creates a source of scans that reads a cloud only when its scan is requested.
-    /// @param cloud_topic  [frames] cloud of each frame
-    /// @param deskewed_by  LiDAR poses that were used to motion-compensate the points of
-    /// the bag. The source undoes this compensation
+    /// Creates a source of scans. It reads a cloud only when its scan is requested.
+    /// @param clouds  [frames] cloud of each frame
+    /// @param deskewed_by  LiDAR poses with which the points of the bag were
+    /// motion-compensated. The source undoes this compensation
     BagScanProvider(const BagRecording& bag, const std::vector<LidarTopic>& lidars,
                     const std::vector<FrameCloudMessage>& clouds, LogClock clock,
                     LidarPoseFunction deskewed_by = {})

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads boxes from vision_msgs/Detection3DArray and Autoware's TrackedObjects. The layout
-// depends on the version of vision_msgs, and some recordings do not name the version. So
-// the reader tries all known versions and uses the version that consumes the complete
-// message.
+// of vision_msgs depends on its version, which some recordings do not name. So the reader
+// tries all known versions and uses the version that reads the message completely.
 #include <algorithm>
 #include <cmath>
 #include <iterator>
@@ -31,7 +30,7 @@ glm::dvec3 read_vector3(MessageReader& reader) {
     return v;
 }
 
-/// A box with the values of the message, which are not checked yet.
+/// A box with the values of the message, which have not been checked.
 struct UncheckedBox {
     MessageHeader header;
     std::string id, category;
@@ -57,7 +56,7 @@ void add_box_if_valid(BoxListMessage& box_list, const UncheckedBox& unchecked_bo
 struct DetectionMessageLayout {
     bool has_text;      ///< true if classes are strings, false if they are numbers
     bool has_cloud;     ///< true if the message has the field source_cloud
-    bool is_flagged;    ///< true if the message has the flag is_tracking
+    bool is_flagged;    ///< true if the message has the field is_tracking
     bool has_identity;  ///< id, formerly tracking_id
 };
 constexpr DetectionMessageLayout kDetectionLayouts[] = {
@@ -96,8 +95,8 @@ BoxListMessage read_detections_with_layout(MessageReader reader, const Detection
                          read_most_probable_class(reader, layout),
                          read_position_and_quaternion(reader),
                          read_vector3(reader)};
-        // Also skips is_dense, the last field of source_cloud, which read_point_cloud()
-        // leaves unread.
+        // Also skips is_dense, the last field of source_cloud, because read_point_cloud()
+        // does not read it.
         if (layout.has_cloud) read_point_cloud(reader), reader.read_number<std::uint8_t>();
         if (layout.is_flagged) reader.read_number<std::uint8_t>();
         if (layout.has_identity) box.id = reader.read_string();
@@ -156,8 +155,8 @@ std::string read_uuid(MessageReader& reader) {
     return std::ranges::all_of(bytes, [](char character) { return character == '\0'; }) ? "" : text;
 }
 
-/// Reads the shape of an object and sets the size of its box. A polygon has no length and
-/// width, so the bounding box of its footprint is used.
+/// Reads the shape of an object and sets the size of its box. For a polygon, uses the box
+/// around its footprint, because a polygon has no length and width.
 void read_shape_into_box(MessageReader& reader, UncheckedBox& box) {
     constexpr std::uint8_t kPolygon = 2;
     const auto type = reader.read_number<std::uint8_t>();

@@ -14,8 +14,7 @@ namespace relidar::bag {
 /// The point cloud topics that are loaded.
 struct SelectedCloudTopics {
     std::vector<std::size_t> lidars;  ///< indices in BagIndex::clouds; each LiDAR has a different frame
-    /// main LiDAR, as an index in `lidars`; each of its clouds starts a new frame of the
-    /// log
+    /// main LiDAR, as an index in `lidars`; each of its clouds starts a new frame
     std::size_t main = 0;
     std::vector<std::string> notes;
 };
@@ -27,7 +26,7 @@ struct SelectedCloudTopics {
 SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex& survey,
                                         const std::vector<std::string>& requested_topics);
 
-/// Which vehicle poses a bag provides, and the clock of its time stamps.
+/// Which vehicle poses of a bag are used, and which clock gives the times.
 struct SelectedPoseSource {
     LogClock clock = LogClock::stamps;
     std::int64_t zero_ns = 0;  ///< time of the first cloud; it becomes 0 s in the log
@@ -49,13 +48,12 @@ SelectedPoseSource choose_vehicle_poses(const BagRecording& bag, const BagIndex&
                                         const CloudTopic& main_lidar_clouds,
                                         const std::string& requested_frame_or_topic);
 
-/// The selected topic of boxes.
 struct SelectedBoxTopic {
     const BoxTopic* topic = nullptr;  ///< box topic in BagIndex::boxes, or null
     std::vector<std::string> notes;
 };
-/// Selects the topic with the most boxes that have a track id. If several topics have
-/// equally many, selects the first one by name.
+/// Selects the topic with the most boxes that have a track id. If two topics have the
+/// same number, selects the first one by name.
 SelectedBoxTopic choose_box_topic(const BagRecording& bag, const BagIndex& survey);
 
 }  // namespace relidar::bag

@@ -16,8 +16,8 @@
 namespace relidar::bag {
 namespace {
 
-// The sweep rate of a further LiDAR, divided by the rate of the main LiDAR, must be in
-// this interval.
+// A further LiDAR is loaded only if its sweep rate, divided by the rate of the main
+// LiDAR, is in this interval.
 constexpr double kLeastRate = 0.5, kMostRate = 2.0;
 
 std::string format_topics(const BagRecording& bag) {
@@ -29,8 +29,8 @@ std::string format_topics(const BagRecording& bag) {
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
-/// A ROS package with packets that relidar cannot decode, and the driver that converts
-/// them to point clouds.
+/// A ROS package whose packets relidar cannot decode, and the driver that converts the
+/// packets to point clouds.
 struct PacketDriver {
     const char* package;
     const char* driver;
@@ -42,8 +42,8 @@ constexpr PacketDriver kDrivers[] = {
     {"seyond/", "seyond_ros_driver"},
 };
 
-/// Returns the end of an error message for a bag without clouds. It explains why topics
-/// that may contain clouds could not be read.
+/// Returns the end of the error message for a bag without clouds. The text explains why
+/// topics that may contain clouds could not be read.
 std::string explain_missing_clouds(const BagRecording& bag, const BagIndex& survey) {
     std::string text;
     for (const std::string& note : bag.get_file_problems()) text += fmt::format(" ({})", note);
@@ -75,8 +75,8 @@ std::string explain_missing_clouds(const BagRecording& bag, const BagIndex& surv
     return text;
 }
 
-/// Returns a score that is higher for raw measurements of a LiDAR: highest for packets,
-/// then for clouds with times, rings and return numbers, then for clouds with many
+/// Returns a score that is higher if a topic has raw measurements. Packets have the
+/// highest score, then clouds with times, rings and return numbers, then clouds with many
 /// points.
 double compute_raw_data_score(const CloudTopic& cloud_topic) {
     if (!cloud_topic.packets.empty()) return 200.0;
@@ -96,14 +96,14 @@ bool is_cloud_frame_one_of(const CloudTopic& cloud_topic, const std::array<const
     return std::ranges::find(frame_names, cloud_topic.frame) != frame_names.end();
 }
 
-/// Returns true if the clouds are in the frame of a single sensor. Clouds in the vehicle
-/// frame are usually merged from several sensors, and clouds in a world frame are maps.
+/// Returns false for clouds in the vehicle frame, which are usually merged from several
+/// sensors. Also returns false for clouds in a world frame, which are maps.
 bool is_in_sensor_frame(const CloudTopic& clouds) {
     return !is_cloud_frame_one_of(clouds, kOfWorld) && !is_cloud_frame_one_of(clouds, kOfVehicle);
 }
 
-/// Throws if the frame of a topic shows that it does not contain LiDAR scans. If this is
-/// only probable, adds a note for the user.
+/// Checks by the frame of a topic whether the topic contains LiDAR scans. Throws if it
+/// certainly does not, and adds a note for the user if it probably does not.
 void check_clouds_in_sensor_frame(const std::string& topic_name, const CloudTopic& clouds,
                                   SelectedCloudTopics& choice) {
     if (is_cloud_frame_one_of(clouds, kOfWorld))
@@ -119,7 +119,7 @@ void check_clouds_in_sensor_frame(const std::string& topic_name, const CloudTopi
             topic_name, clouds.frame));
 }
 
-/// Returns the number of sweeps per second. It is below the message rate if a sweep
+/// Returns the number of sweeps per second. The message rate is higher if a sweep
 /// consists of several messages.
 double estimate_sweep_rate_hz(const BagIndex& survey, const CloudTopic& clouds) {
     const TopicStatistics& facts = survey.facts[clouds.topic];
@@ -144,9 +144,9 @@ std::vector<std::size_t> find_cloud_topic_indices(const BagRecording& bag, const
     return lidars;
 }
 
-/// Returns the frame that identifies the LiDAR of a topic: the frame of its clouds. If a
-/// driver computed the clouds from packets in the same bag, returns the frame of the
-/// packets instead.
+/// Returns the frame_id that identifies the LiDAR of a topic. Usually this is the
+/// frame_id of the clouds. If a driver computed the clouds from packets in the same bag,
+/// it is the frame_id of the packets.
 const std::string& get_lidar_frame_id(const BagIndex& survey, const CloudTopic& cloud_topic) {
     for (const CloudTopic& other : survey.clouds)
         if (!other.revolutions.empty() &&
@@ -155,7 +155,8 @@ const std::string& get_lidar_frame_id(const BagIndex& survey, const CloudTopic& 
     return cloud_topic.frame;
 }
 
-/// Selects one topic for each LiDAR: the one with the highest score for raw measurements.
+/// If a LiDAR has several topics, selects the topic with the least processed data. For
+/// example, packets are better than clouds.
 std::vector<std::size_t> select_one_topic_per_lidar(const BagIndex& survey) {
     const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
     const bool any_of_sensor = std::ranges::any_of(

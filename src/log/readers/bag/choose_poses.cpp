@@ -12,7 +12,7 @@
 namespace relidar::bag {
 namespace {
 
-/// A possible source of vehicle poses: a pose topic, or a path in the tree of transforms.
+/// A possible source of vehicle poses: a pose topic, or a chain of transforms.
 struct PoseSourceCandidate {
     /// reference frame of the poses: the frame of the topic, or an ancestor of the
     /// LiDAR's frame
@@ -22,9 +22,9 @@ struct PoseSourceCandidate {
     std::string about;
 };
 
-/// Returns the frame of the vehicle. It is the first frame on the path from the sensor to
-/// the frame `ancestor_frame` that moves relative to its parent. If no frame moves,
-/// returns the sensor's frame.
+/// Returns the frame of the vehicle. On the path from the sensor to the frame
+/// `ancestor_frame`, this is the first frame that moves relative to its parent. If no
+/// frame moves, returns the sensor's frame.
 std::string find_vehicle_frame(const FrameTree& frame_tree, const std::vector<std::string>& frames_to_root,
                                const std::string& ancestor_frame) {
     for (const std::string& frame : frames_to_root) {
@@ -72,7 +72,7 @@ PoseSourceCandidate make_pose_source_from_topic(const BagRecording& bag, const F
     return source;
 }
 
-/// Returns the pose topic with the most messages. Odometry topics are preferred.
+/// Returns the pose topic with the most messages. Prefers odometry topics.
 const PoseTopic* find_best_pose_topic(const BagRecording& bag, const BagIndex& survey) {
     const auto best = std::ranges::max_element(survey.poses, {}, [&](const PoseTopic& p) {
         return std::pair(bag.topics()[p.topic].type == "nav_msgs/Odometry", p.samples.size());

@@ -13,8 +13,8 @@
 namespace relidar::bag {
 namespace {
 
-/// Returns the memory layout of a point: its known fields, sorted by offset, with unused
-/// fields that fill the gaps.
+/// Returns the memory layout of a point: its known fields, sorted by offset. Unused
+/// fields fill the gaps between the known fields.
 std::vector<folder::PointField> make_point_layout(
     const CloudMessage& cloud, const std::vector<CloudMessage::CloudField>& sorted_fields) {
     std::vector<folder::PointField> layout;
@@ -46,7 +46,7 @@ std::string copy_points_as_packed_bytes(const CloudMessage& cloud,
     points.reserve(cloud.height * row);
     for (std::size_t r = 0; r < cloud.height; ++r)
         points += cloud.data.substr(r * (cloud.height > 1 ? cloud.row_step : 0), row);
-    // The last point may be truncated, so its missing bytes become 0.
+    // The last point may be truncated. Its missing bytes become 0.
     points.resize(cloud.height * row, '\0');
     if (!cloud.is_big_endian) return points;
     for (std::size_t i = 0; i < cloud.size(); ++i)

@@ -27,7 +27,7 @@ std::string_view to_string_view(const protozero::data_view& view) { return {view
 glm::dvec4 read_xyzw(pbf_reader reader) {
     glm::dvec4 v(0.0);
     while (reader.next()) {
-        // Reads the tag before the value, because reading the value resets the tag.
+        // Reads the tag first, because reading the value resets it.
         const int at = int(reader.tag()) - 1;
         if (at >= 0 && at < 4 && reader.wire_type() == pbf_wire_type::fixed64) v[at] = reader.get_double();
         else reader.skip();
@@ -84,8 +84,8 @@ CloudMessage::CloudField read_foxglove_point_field(pbf_reader reader) {
     return field;
 }
 
-/// Throws if a cloud has a pose other than the identity, which the reader does not
-/// support.
+/// Throws if a cloud has a pose other than the identity. The reader does not support such
+/// clouds.
 void check_pose_is_identity(pbf_reader reader) {
     while (reader.next()) {
         if (reader.tag() > 2 || reader.wire_type() != kBytes) {
@@ -190,8 +190,8 @@ FoxgloveCube read_cube(pbf_reader reader) {
     return cube;
 }
 
-/// Reads a foxglove.KeyValuePair. Returns its value, or an empty string if it has another
-/// key.
+/// Reads a foxglove.KeyValuePair. Returns its value if it has the expected key, otherwise
+/// an empty string.
 std::string read_value_if_key_matches(pbf_reader reader, std::string_view expected_key) {
     std::string key, value;
     while (reader.next()) {
@@ -202,8 +202,8 @@ std::string read_value_if_key_matches(pbf_reader reader, std::string_view expect
     return key == expected_key ? value : "";
 }
 
-/// Reads a scene entity. If it consists of exactly one cube, adds it to the list as a
-/// box.
+/// Reads a scene entity. An entity that consists of exactly one cube is added to the list
+/// as a box.
 void add_box_from_scene_entity(BoxListMessage& box_list, pbf_reader reader) {
     BoxMessage box;
     std::vector<FoxgloveCube> cubes;

@@ -7,8 +7,8 @@
 namespace relidar::bag {
 namespace {
 
-// Poses are valid up to this time before the first and after the last sample, about one
-// sweep.
+// Poses are extrapolated at most this far before the first and after the last sample.
+// This is about one sweep.
 constexpr double kBeside_s = 0.1;
 constexpr std::size_t kDeepest = 64;  // maximum depth of the tree
 
@@ -61,7 +61,7 @@ void FrameTree::add_transform(const TransformMessage& transform, std::int64_t re
     if (transform.child.empty() || transform.child == transform.header.frame) return;
     FrameTreeEdge& link = parents_[transform.child][transform.header.frame];
     link.is_static = is_static;
-    if (is_static) link.samples.clear();  // keeps only the latest sample of a static transform
+    if (is_static) link.samples.clear();  // a static transform keeps only its latest sample
     if (!link.samples.empty())
         link.changes =
             link.changes || are_poses_different(link.samples.front().pose, transform.parent_from_child);
@@ -97,8 +97,8 @@ std::optional<Pose> FrameTree::find_constant_transform(const std::string& target
                                    source_chain = list_frames_to_root(source_frame);
     const auto common = std::ranges::find_first_of(source_chain, target_chain);
     if (common == source_chain.end()) return std::nullopt;
-    // Multiplies the transforms from a frame up to the common ancestor of both frames.
-    // Returns nothing if one of them changes over time.
+    // Multiplies the transforms from a frame up to the common ancestor. Returns nothing
+    // if one of the transforms changes over time.
     const auto climb = [&](const std::vector<std::string>& frame_chain) -> std::optional<Pose> {
         Pose pose;
         for (const std::string& frame : frame_chain) {

@@ -18,8 +18,8 @@ namespace relidar::bag {
 /// The clock that defines all times of a log.
 enum class LogClock {
     stamps,  ///< time stamps in the message headers, which are the times of measurement
-    /// Times at which the recorder received the messages. Used if sensors and poses have
-    /// clocks that are not synchronised.
+    /// Times at which the recorder received the messages. Used if the clocks of sensors
+    /// and poses are not synchronised.
     recorder
 };
 
@@ -31,18 +31,18 @@ struct StampedPose {
     std::int64_t get_time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }
 };
 
-/// Pose of a frame in one of its ancestor frames as a function of time: the product of
-/// all transforms in between.
+/// Pose of a frame in one of its ancestor frames as a function of time. It is the product
+/// of all transforms in between.
 class TransformChain {
 public:
     void append_constant_transform(Pose transform) { links_.push_back({{0.0}, {transform}}); }
-    /// Adds a transform that changes over time, given by samples in any order.
+    /// Appends a transform that changes over time. Its samples can be in any order.
     /// @param time_origin_ns  time in nanoseconds that becomes 0 s
     void append_moving_transform(const std::vector<StampedPose>& pose_samples, LogClock clock,
                                  std::int64_t time_origin_ns);
     Pose compute_pose_at(double t_s) const;
-    /// Returns true if all changing transforms have samples at a time. Times up to 0.1 s
-    /// before the first or after the last sample are included.
+    /// Returns true if all changing transforms have a pose at this time. Poses exist up
+    /// to 0.1 s before the first and after the last sample.
     bool covers_time(double t_s) const;
     bool is_moving() const;
 
@@ -52,8 +52,8 @@ private:
     std::vector<PoseTrack> links_;
 };
 
-/// Pose of frame `from` in frame `to` as a function of time. Stores the poses of both
-/// frames in their nearest common ancestor.
+/// Pose of a source frame in a target frame as a function of time. Stores the pose of
+/// each frame in their nearest common ancestor.
 struct RelativeFramePose {
     TransformChain above_from_to, above_from_from;
 
@@ -73,9 +73,8 @@ public:
     std::vector<std::string> list_frames_to_root(const std::string& start_frame) const;
     /// Returns true if the pose of a frame in its parent frame changes over time.
     bool is_frame_moving(const std::string& frame) const;
-    /// Returns the pose of frame `source_frame` in frame `target_frame`, if it is
-    /// constant. Returns nothing if a transform between the frames is missing or changes
-    /// over time.
+    /// Returns the pose of frame `source_frame` in frame `target_frame`. Returns nothing
+    /// if a transform between the frames is missing or changes over time.
     std::optional<Pose> find_constant_transform(const std::string& target_frame,
                                                 const std::string& source_frame) const;
     /// Returns the pose of a frame in its ancestor frame `ancestor_frame` as a function
@@ -95,8 +94,8 @@ private:
     struct FrameTreeEdge {
         std::vector<StampedPose> samples;
         bool is_static = false;  ///< from /tf_static
-        /// True if the samples differ. Drivers often repeat a constant transform on /tf,
-        /// so several equal samples do not mean that the frame moves.
+        /// True if the samples differ. Equal samples mean that the frame does not move,
+        /// because drivers often repeat a constant transform on /tf.
         bool changes = false;
     };
     std::map<std::string, std::map<std::string, FrameTreeEdge>> parents_;  ///< by frame, then by parent

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loads a recording in two passes. The first pass finds the topics, clouds and poses in
-// bounded memory. The second pass reads only the clouds of the requested frames. These
-// clouds become scans in the same way as the scans of a plain folder.
+// Loads a recording in two passes. The first pass finds the topics, clouds and poses,
+// with limited memory. The second pass reads only the clouds of the requested frames.
+// These clouds become scans in the same way as the scan files of a plain folder.
 #include "log/readers/bag/load_ros_bag.hpp"
 
 #include <algorithm>
@@ -27,8 +27,8 @@ using namespace bag;
 
 constexpr std::int64_t kSecond_ns = 1000000000;
 constexpr double kLeastStep_s = 2e-3;  // minimum time between sweeps
-// Clouds of several LiDARs are one sweep if their times differ by at most this share of
-// the main LiDAR's sweep period.
+// Clouds of several LiDARs form one sweep if their times differ by at most this value.
+// The unit is the sweep period of the main LiDAR.
 constexpr double kBeside = 0.6;
 
 class BagLogLoader {
@@ -87,7 +87,7 @@ private:
     std::vector<FrameCloudMessage> frames_;  ///< cloud of each frame
     bool has_poses_ = false;                 ///< the recording has poses
     /// True if relidar wrote the bag with motion-compensated points. All points of a
-    /// cloud are then in the sensor frame at the time of its stamp.
+    /// cloud are then in the sensor frame at the time stamp of the cloud.
     bool is_deskewed_ = false;
 
     const CloudTopic& get_cloud_topic(std::size_t lidar_index) const {
@@ -229,8 +229,8 @@ private:
         }
     }
 
-    /// Adds the LiDARs to the log. The frame of a single LiDAR is the vehicle frame.
-    /// Several LiDARs have mounting poses on the vehicle.
+    /// Adds the LiDARs to the log. If there is one LiDAR, its frame is the vehicle frame.
+    /// Several LiDARs have poses on the vehicle.
     void add_lidars_to_sequence() {
         const bool is_one = clouds_.lidars.size() == 1;
         sequence_.lidars.clear();
@@ -266,8 +266,8 @@ private:
         return pose;
     }
 
-    /// Reads vehicle poses from a file of the user, which lists them by frame number or
-    /// by time.
+    /// Reads vehicle poses from a file of the user. The file lists them by frame number
+    /// or by time.
     std::vector<Pose> read_user_poses_at_scans() {
         std::vector<folder::SequenceHeaderFrame> frames;
         for (const FrameCloudMessage& frame : frames_)
@@ -279,8 +279,8 @@ private:
         return *poses;
     }
 
-    /// Adds the boxes of the bag to the log. If vehicle poses come from a file of the
-    /// user, boxes keep their positions relative to the vehicle.
+    /// Adds the boxes of the bag to the log. If the vehicle poses are from a file of the
+    /// user, the boxes move with the vehicle.
     void add_boxes_to_sequence() {
         if (!boxes_.topic) return;
         BoxTransformContext transform_context{survey_.frames, poses_, {}, {}, has_poses_};

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads MCAP files (mcap.dev/spec). A record consists of a code, a length of 8 bytes, and
-// a body. The reader does not use the index. It reads the records one after another, so
-// it can also read files without index, summary or footer.
+// a body. Reads the records one after another without the index. Files without index,
+// summary or footer can therefore be read too.
 #include <algorithm>
 #include <array>
 #include <map>
@@ -149,8 +149,7 @@ private:
         }
     }
 
-    /// Reads the metadata record that only relidar writes. Ignores other metadata
-    /// records.
+    /// Reads a metadata record that relidar wrote. Ignores all other metadata records.
     void read_relidar_metadata(ByteReader reader) {
         if (reader.read_length_prefixed_string() != "relidar") return;
         for (ByteReader pairs(reader.read_length_prefixed_string()); pairs.count_remaining_bytes() > 0;) {

@@ -51,14 +51,14 @@ public:
         std::memcpy(&value, raw, sizeof(T));
         return value;
     }
-    /// Reads a string, without the terminating 0 that CDR counts in the length.
+    /// Reads a string. Removes the terminating 0, which CDR counts in the length.
     std::string_view read_string() {
         std::string_view text = read_bytes(read_number<std::uint32_t>());
         if (!is_ros1_ && !text.empty() && text.back() == '\0') text.remove_suffix(1);
         return text;
     }
-    /// Reads the length of a list.
-    /// @param min_entry_bytes  minimum size of a list entry in bytes
+    /// Reads the number of entries of a list.
+    /// @param min_entry_bytes  minimum size of an entry in bytes
     /// @throws DataError if the rest of the message is too short for so many entries
     std::size_t read_list_length(std::size_t min_entry_bytes) {
         const auto n = read_number<std::uint32_t>();

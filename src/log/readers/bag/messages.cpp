@@ -18,7 +18,7 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kMostPointStep = 65536;
-constexpr double kUnitLength = 1e-2;  // maximum difference of a quaternion's length from 1
+constexpr double kUnitLength = 1e-2;  // maximum difference between 1 and the length of a quaternion
 
 struct MessageTypePurpose {
     const char* type;
@@ -93,8 +93,8 @@ void check_cloud_layout(const CloudMessage& cloud) {
 }
 
 /// Reads a CustomMsg of the Livox drivers. A point has the fields offset_time (uint32,
-/// ns), x, y, z (float32), reflectivity, tag and line (uint8). CDR pads all points but
-/// the last to 20 bytes.
+/// ns), x, y, z (float32), reflectivity, tag and line (uint8). In CDR, each point except
+/// the last has 20 bytes, including padding.
 CloudMessage read_livox_cloud(MessageReader& reader) {
     constexpr std::size_t kPoint = 19;
     CloudMessage cloud;
@@ -114,8 +114,8 @@ CloudMessage read_livox_cloud(MessageReader& reader) {
     return cloud;
 }
 
-/// Reads a geometry_msgs/TransformStamped, or the pose at the start of a
-/// nav_msgs/Odometry, which has the same fields.
+/// Reads a geometry_msgs/TransformStamped. Also reads the pose at the start of a
+/// nav_msgs/Odometry, because it has the same fields.
 TransformMessage read_transform(MessageReader& reader) {
     TransformMessage transform{read_header(reader), std::string(reader.read_string()), {}};
     if (transform.child.starts_with('/')) transform.child.erase(0, 1);
@@ -135,7 +135,7 @@ MessageHeader read_header(MessageReader& reader) {
     if (reader.is_ros1()) reader.read_number<std::uint32_t>();  // skips the sequence number
     const std::int64_t stamp_ns = read_ros_time_ns(reader);
     std::string frame(reader.read_string());
-    // Removes the leading slash that ROS 1 frame names may have, so that names can be
+    // Removes the leading slash that ROS 1 frame names may have. Names can then be
     // compared.
     if (frame.starts_with('/')) frame.erase(0, 1);
     return {stamp_ns, std::move(frame)};

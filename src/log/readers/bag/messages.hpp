@@ -40,7 +40,7 @@ struct CloudMessage {
     std::size_t size() const { return std::size_t(height) * width; }
 };
 
-/// The pose of a child frame in its parent frame at a time.
+/// The pose of a child frame in its parent frame at one time.
 struct TransformMessage {
     MessageHeader header;  ///< header.frame is the parent frame
     std::string child;     ///< name of the child frame; empty if the message does not contain it
@@ -63,7 +63,7 @@ struct BoxListMessage {
 };
 
 /// What the messages of a topic are used for. Boxes without a track id (nameless_boxes)
-/// are not loaded, because they cannot be joined to tracks.
+/// cannot be joined to tracks, so they are not loaded.
 enum class MessagePurpose { nothing, cloud, packets, metadata, transforms, pose, boxes, nameless_boxes };
 MessagePurpose get_topic_use(const BagTopic& topic);
 

@@ -21,9 +21,9 @@
 namespace relidar::bag {
 namespace {
 
-/// A chunk is damaged if it unpacks to more than kMostUnpacked times its packed size.
-/// Sizes up to kAlwaysUnpacked bytes are always accepted. Point clouds usually unpack to
-/// three times their size.
+/// If a chunk unpacks to more than kMostUnpacked times its packed size, it is damaged.
+/// Point clouds usually unpack to three times their size. Sizes up to kAlwaysUnpacked
+/// bytes are always accepted.
 constexpr std::uint64_t kMostUnpacked = 8, kAlwaysUnpacked = std::uint64_t(8) << 20;
 
 void unpack_bz2(std::string_view source, std::span<char> target) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads parts of a file. Also unpacks compressed chunks and caches the most recent ones.
+// Reads parts of a file. Also unpacks compressed chunks and caches the latest ones.
 #pragma once
 
 #include <cstdint>
@@ -38,8 +38,8 @@ private:
     std::uint64_t size_ = 0;
 };
 
-/// Caches the last unpacked chunks by their byte offset. A few are enough, because the
-/// messages of a chunk are usually read one after another.
+/// Caches the last unpacked chunks by their byte offset. A few chunks are enough, because
+/// the messages of a chunk are usually read one after another.
 class ChunkCache {
 public:
     SharedBytes get_or_unpack_chunk(std::uint64_t chunk_offset,
@@ -53,7 +53,7 @@ private:
 
 /// Unpacks a chunk. The compression is "", "none", "lz4", "zstd" or "bz2". Uncompressed
 /// chunks are not copied.
-/// @param unpacked_size unpacked size according to the file; impossible sizes are
+/// @param unpacked_size  unpacked size according to the file. Impossible sizes are
 /// rejected before memory is allocated
 /// @throws DataError if the chunk is damaged
 SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& compressed_chunk,

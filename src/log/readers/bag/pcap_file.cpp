@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads network captures (pcap, pcapng, also compressed with gzip) with libpcap. The
-// packets of each LiDAR become a topic. The topic is named after the LiDAR's address and
-// the destination port. Up to kRun packets of a topic form one message. The position of a
+// packets of each LiDAR become a topic, whose name is the LiDAR's address and the
+// destination port. A message contains up to kRun packets of a topic. The position of a
 // message is the byte offset of its first packet in the file.
 #include <arpa/inet.h>
 #include <pcap/pcap.h>
@@ -33,8 +33,8 @@ namespace {
 
 constexpr std::size_t kRun = 64, kMostStreams = 256, kMostPending = 64, kMostDatagram = 65535;
 constexpr unsigned kIpv4 = 0x0800, kIpv6 = 0x86dd, kUdp = 17;
-// All fragments of a datagram arrive within this time. Identification numbers repeat
-// later for other datagrams.
+// All fragments of a datagram arrive within this time. Later, other datagrams have the
+// same identification number.
 constexpr std::int64_t kTogether_ns = 1000000000;
 
 unsigned read_big_endian_uint16(std::string_view bytes, std::size_t offset) {
@@ -48,8 +48,8 @@ unsigned get_byte_or_zero(std::string_view bytes, std::size_t offset) {
 
 /// An unfragmented IP packet, or one fragment of an IP packet.
 struct IpPacket {
-    /// Address of the sender as text, and the bytes that are equal in all fragments of a
-    /// datagram.
+    /// `from`: address of the sender as text. `key`: bytes that are equal in all
+    /// fragments of a datagram.
     std::string from, key;
     std::size_t offset = 0;  ///< byte offset of the fragment in the packet; 0 for an unfragmented packet
     bool has_more = false;   ///< true if more fragments follow this fragment
@@ -58,8 +58,8 @@ struct IpPacket {
 
 std::optional<IpPacket> parse_udp_ipv4_packet(std::string_view packet) {
     const std::size_t head = 4 * (get_byte_or_zero(packet, 0) & 15);
-    // Removes the padding of the Ethernet frame. A length of 0 is ignored, because
-    // network cards that split packets do not write the length.
+    // Removes the padding of the Ethernet frame. Ignores a length of 0, because network
+    // cards that split packets do not write the length.
     if (const std::size_t length = read_big_endian_uint16(packet, 2); length >= 20)
         packet = packet.substr(0, length);
     if (head < 20 || packet.size() < head || get_byte_or_zero(packet, 9) != kUdp) return std::nullopt;
@@ -122,8 +122,8 @@ struct Datagram {
     std::string bytes;
 };
 
-/// Reassembles fragmented IP packets. Fragments may be late or repeated, and fragments of
-/// several packets may be interleaved.
+/// Reassembles fragmented IP packets. Fragments may arrive late, twice, or mixed with
+/// fragments of other packets.
 class IpReassembler {
 public:
     /// Adds an IP packet or a fragment.
@@ -264,8 +264,9 @@ public:
     }
 
 private:
-    /// What distinguishes the streams of a capture: sender and destination port, LiDAR
-    /// product, and metadata of an Ouster. The product is null for other datagrams.
+    /// Key of a stream in a capture: sender and destination port, LiDAR product, and
+    /// metadata of an Ouster. The product is null for datagrams that are not LiDAR
+    /// packets.
     using CaptureStreamKey =
         std::tuple<std::string, const packets::LidarProduct*, const packets::OusterMetadata*>;
     struct CaptureStream {
@@ -274,12 +275,13 @@ private:
         const packets::LidarProduct* product = nullptr;
         std::string run;
         std::size_t n = 0;
-        /// Byte offsets in the file of the first frame of the current message, and of its
-        /// first datagram. They differ if fragments of several datagrams are interleaved.
+        /// `at`: byte offset of the first frame of the current message in the file.
+        /// `first_at`: byte offset of its first datagram. They differ if fragments of
+        /// several datagrams are mixed.
         std::uint64_t at = 0, first_at = 0;
         std::int64_t log_ns = 0;
-        /// Maps the byte offset of a message to the offset of its first datagram, if the
-        /// two differ.
+        /// Byte offset of the first datagram, by the byte offset of its message. Only for
+        /// messages in which the two offsets differ.
         std::map<std::uint64_t, std::uint64_t> late_runs;
         /// Histogram of datagram sizes in bytes, for streams of unknown products.
         std::map<std::size_t, std::size_t> n_of_bytes;
@@ -339,8 +341,8 @@ private:
             constexpr std::int64_t kLatest_s = 4'000'000'000;  // later times are damaged
             if (std::int64_t(head->ts.tv_sec) < 0 || std::int64_t(head->ts.tv_sec) > kLatest_s) continue;
             const std::string_view frame(reinterpret_cast<const char*>(data), head->caplen);
-            // libpcap was opened with nanosecond precision, so tv_usec contains
-            // nanoseconds
+            // Contains nanoseconds in tv_usec, because libpcap was opened with this
+            // precision.
             const std::int64_t stamp_ns = std::int64_t(head->ts.tv_sec) * 1000000000 + head->ts.tv_usec;
             const std::optional<IpPacket> packet = parse_ip_packet(frame, link_);
             if (!packet) continue;
@@ -363,8 +365,9 @@ private:
                 ouster.get()};
     }
 
-    /// Adds notes for the user about packets that look like Ouster packets by their size
-    /// but cannot be decoded. Also adds a note if two senders match the same metadata.
+    /// Adds notes for the user about packets that cannot be decoded, although they have
+    /// the size of Ouster packets. Also adds a note if two senders match the same
+    /// metadata.
     void report_undecoded_ouster_packets(const MessageReadCallbacks& callbacks) const {
         std::map<const packets::OusterMetadata*, std::string> senders;
         for (const auto& [key, stream] : streams_) {
@@ -400,7 +403,7 @@ private:
         if (stream.product) stream.ouster = find_ouster_format(datagram);
         if (packets::is_livox_point_packet(get_udp_payload(datagram))) stream.livox_frame = datagram.source;
         std::string name = datagram.source;
-        // If two Ousters use the same address and port, the serial number distinguishes
+        // Two Ousters can use the same address and port. The serial number distinguishes
         // them.
         for (const auto& [other, known] : streams_)
             if (stream.ouster && known.ouster && std::get<0>(other) == datagram.source)
@@ -422,8 +425,8 @@ private:
                    ? n_datagrams == kRun
                    : elapsed_ns >= packets::kLivoxCloud_ns || n_datagrams == packets::kMostLivoxPackets;
     }
-    /// Returns true if the sensor paused before a datagram, so that the datagram begins a
-    /// new message. Only for Livox sensors.
+    /// Returns true if a Livox sensor paused before a datagram. The datagram then begins
+    /// a new message.
     /// @param n_datagrams  number of datagrams in the message so far
     /// @param elapsed_ns  time from the first datagram of the message to this datagram
     static bool is_datagram_after_pause(const CaptureStream& stream, std::size_t n_datagrams,

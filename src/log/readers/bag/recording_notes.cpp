@@ -14,10 +14,9 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kMostLines = 40;
-// A sweep is missing if a time step is longer than this multiple of the usual step.
+// If a time step is longer than this multiple of the usual step, a sweep is missing.
 constexpr double kGap = 1.6;
-// Time stamps have jumped if their difference from the recording time changes by more
-// than this.
+// Time stamps have jumped if time stamp minus recording time changes by more than this.
 constexpr double kJump_s = 0.5;
 
 std::string format_cloud_topic_note(const CloudTopic& clouds) {
@@ -66,8 +65,8 @@ std::vector<std::string> format_line_per_topic(const BagRecording& bag, const Ba
         const TopicStatistics& facts = survey.facts[t];
         std::string line = fmt::format("topic {}: {}", shorten_for_error_message(topic.name),
                                        shorten_for_error_message(topic.type));
-        // For a network capture, the reader itself groups packets into messages, so the
-        // number and rate of messages mean nothing.
+        // Number and rate of messages mean nothing for a network capture, because the
+        // reader itself groups packets into messages.
         const bool is_run = topic.type == packets::kDatagrams;
         if (!is_run) line += fmt::format(", {} messages", facts.n);
         if (!is_run && facts.compute_message_rate_hz() > 0.0)

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads ROS 1 bags of format 2.0 (wiki.ros.org/Bags/Format/2.0). A record consists of a
-// header with named values, and data. Each of these parts follows a length of 4 bytes.
-// The reader reads the records one after another, so it can also read a bag without an
-// index.
+// header with named values, and data. A length of 4 bytes precedes each of these two
+// parts. Reads the records one after another, so a bag without an index can also be read.
 #include <map>
 #include <optional>
 
@@ -117,8 +116,8 @@ private:
     ChunkCache chunks_;
     std::map<std::uint32_t, std::size_t> connections_;  ///< topic of each connection
 
-    /// Returns the header of a record and the position of its data, or nothing if the
-    /// file ends within the record.
+    /// Returns the header of a record and the position of its data. Returns nothing if
+    /// the file ends within the record.
     std::optional<Ros1RecordExtent> find_record_extent(std::uint64_t record_offset) const {
         const auto length_at = [&](std::uint64_t length_offset) -> std::optional<std::uint32_t> {
             if (length_offset > file_.size() || file_.size() - length_offset < 4) return std::nullopt;

@@ -53,8 +53,9 @@ public:
     SqliteFile(const std::filesystem::path& path, bool packed)
         : name_(path.string()), packed_(packed), bytes_(RandomAccessFile(path).size()) {
         std::error_code failed;
-        // A -wal file (write-ahead log) can contain the last messages. SQLite ignores it
-        // in immutable mode, so this mode is used only without such a file.
+        // A -wal file (write-ahead log) can contain the last messages. SQLite ignores
+        // this file in immutable mode, so immutable mode is used only if the file does
+        // not exist.
         const bool is_open = std::filesystem::exists(path.string() + "-wal", failed);
         sqlite3* database = nullptr;
         const int code =
@@ -62,7 +63,7 @@ public:
                             &database, SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
         database_.reset(database);
         if (code != SQLITE_OK) throw_database_error("opening the database");
-        // No value can be larger than the file; 1 MiB is added as a margin.
+        // No value can be larger than the file. The margin is 1 MiB.
         sqlite3_limit(database, SQLITE_LIMIT_LENGTH,
                       int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
         sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
@@ -93,7 +94,7 @@ public:
             callbacks.done(last > 0 ? double(row) / double(last) : 0.0);
             BagMessage message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
             SharedBytes unpacked;
-            // Reads only the bytes of messages that the caller requested.
+            // Reads bytes only for topics that the caller requested.
             if (callbacks.topic_filter(topics.topics()[topic->second])) {
                 message.bytes = get_bytes_column(rows.get(), 3);
                 if (packed_) {
@@ -143,8 +144,8 @@ private:
         if (code != SQLITE_ROW && code != SQLITE_DONE) throw_database_error("reading the list of messages");
         return code == SQLITE_ROW;
     }
-    /// Reads the next row of a query. In a damaged file, ends the query with a note, so
-    /// that earlier messages remain usable.
+    /// Reads the next row of a query. If the file is damaged, ends the query with a note.
+    /// Messages before the damage remain usable.
     bool read_next_row_or_note_damage(sqlite3_stmt* statement, const MessageReadCallbacks& callbacks) const {
         const int code = sqlite3_step(statement);
         if (code != SQLITE_CORRUPT && (code & 0xFF) != SQLITE_IOERR) {
@@ -162,7 +163,7 @@ private:
         return read_next_row(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
     }
 
-    /// Checks that a name belongs to a real table. A view with this name could run an
+    /// Checks that a name belongs to a real table. A view with this name could contain an
     /// endless query.
     void check_table_exists(const char* table_name) const {
         const Statement row = prepare_statement(fmt::format(

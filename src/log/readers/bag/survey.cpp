@@ -42,8 +42,8 @@ public:
         }
     }
 
-    /// Returns true if some packets precede the metadata that is needed to decode them.
-    /// They are then decoded in a second pass.
+    /// Returns true if some packets were recorded before the metadata that are needed to
+    /// decode them. These packets are then decoded in a second pass.
     bool needs_second_pass() const { return !late_.empty(); }
     bool is_topic_for_second_pass(std::size_t topic_index) const { return late_.contains(topic_index); }
     void process_message_in_second_pass(const BagMessage& message) {
@@ -54,8 +54,8 @@ public:
             if (facts.n_broken++ == 0) facts.broken = error.what();
         }
     }
-    /// Reads sensor metadata from files next to the recording. A network capture needs
-    /// them before its first packet, a bag before the second pass.
+    /// Reads sensor metadata from files next to the recording. For a network capture,
+    /// call it before the first packet. For a bag, call it before the second pass.
     void read_ouster_metadata_files() {
         if (has_read_metadata_) return;
         has_read_metadata_ = true;
@@ -120,8 +120,8 @@ private:
         clouds.packets.add_packets_of_message(views, message.log_ns, message.message_position, calibration);
     }
 
-    /// Adds the sensor metadata in a message. Drivers repeat it, so only the first
-    /// message of a topic is used. Ignores messages with other content.
+    /// Adds the sensor metadata in a message. Uses only the first message of a topic,
+    /// because drivers repeat it. Ignores messages with other content.
     void add_ouster_metadata_of_message(const BagTopic& topic, const BagMessage& message) {
         if (std::ranges::any_of(ousters_, [&](const auto& ouster) { return ouster->where == topic.name; }))
             return;
@@ -164,8 +164,8 @@ private:
     }
 };
 
-/// Adds missing transforms of Ouster LiDARs, whose packets do not name a frame. Uses the
-/// frames of Ouster's driver, rotated by 180 degrees to relidar's sensor frame.
+/// Packets of Ouster LiDARs do not name a frame. Adds their missing transforms with the
+/// frame names of Ouster's driver, rotated by 180 degrees to relidar's sensor frame.
 void add_missing_ouster_transforms(const BagRecording& bag, BagIndex& survey) {
     std::vector<CloudTopic*> ousters;
     for (CloudTopic& clouds : survey.clouds)
@@ -189,8 +189,7 @@ void add_missing_ouster_transforms(const BagRecording& bag, BagIndex& survey) {
 }
 
 /// Joins clouds that are parts of a revolution. The revolution gets the time of its
-/// middle part, because it begins at the back and the middle part is measured facing
-/// forward.
+/// middle part, because the head then faces forward.
 void join_partial_revolutions(CloudTopic& cloud_topic) {
     const JoinedRevolutions joined = join_clouds_to_revolutions(std::exchange(cloud_topic.arcs, {}));
     if (joined.revolutions.empty()) return;

@@ -34,7 +34,7 @@ struct CloudIndexEntry {
     std::uint32_t n_points = 0;
     MessagePosition message_position;
     std::size_t revolution_index = 0;  ///< index in CloudTopic::revolutions; used only for a topic of packets
-    /// Clouds that are joined to this revolution. Empty if the cloud itself is a full
+    /// Clouds that are joined to this revolution. Empty if the cloud is a full
     /// revolution.
     std::vector<RevolutionPart> parts = {};
 
@@ -44,17 +44,17 @@ struct CloudIndexEntry {
 struct CloudTopic {
     std::size_t topic = 0;
     std::string frame;  ///< frame of the first cloud
-    /// For a topic of packets: frames in which drivers publish the clouds that they
-    /// compute from these packets.
+    /// For a topic of packets: frames of the clouds that drivers compute from these
+    /// packets.
     std::vector<std::string> driver_frames;
     std::vector<CloudMessage::CloudField> fields;  ///< fields of the first cloud
-    /// Clouds with points, in the order of the recording. Clouds that are parts of a
-    /// revolution are joined to full revolutions.
+    /// Clouds with points, in the order of the recording. Clouds that were parts of a
+    /// revolution are already joined.
     std::vector<CloudIndexEntry> clouds;
     std::string parts_about;           ///< text about the joined clouds; empty if no clouds are joined
     std::vector<RevolutionPart> arcs;  ///< used during the survey
     std::size_t n_empty = 0;
-    /// index of the packets, for a topic of packets; each revolution becomes a cloud
+    /// index of the packets, if the topic contains packets; each revolution is a cloud
     packets::PacketIndex packets;
     std::vector<packets::PacketRevolution> revolutions;
 
@@ -92,8 +92,8 @@ struct BagIndex {
     FrameTree frames;
 };
 
-/// Reads all messages of a recording once and lists its content. Counts invalid messages
-/// instead of throwing.
+/// Reads all messages of a recording once and lists its content. Invalid messages are
+/// counted; they do not cause an error.
 /// @throws DataError if a file is damaged
 BagIndex index_bag_messages(BagRecording& bag, const ProgressReporter& progress);
 

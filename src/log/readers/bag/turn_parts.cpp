@@ -15,18 +15,18 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kSamples = 256, kBins = 60;
-// A cloud that covers a wider azimuth range is not a part of a revolution. It is a full
-// one, in which the vehicle blocks some directions.
+// Maximum azimuth range of a part of a revolution. A cloud with a wider range is a full
+// revolution in which the vehicle blocks some directions.
 constexpr double kMostOfPart = 300.0 * kPi / 180.0;
-// If the clouds together leave a wider azimuth range empty, the LiDAR scans a window
-// instead of rotating.
+// If all clouds together leave a wider azimuth range empty, the LiDAR scans a window and
+// does not rotate.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// Clouds are joined if their azimuth steps are similar. kTogether: minimum length of the
-// mean of the steps as unit vectors; 1 if all steps are equal. kAbut: maximum relative
-// difference between a step and the azimuth range of a cloud.
+// Clouds are joined if the azimuth steps between them are similar. kTogether: minimum
+// length of the mean of the steps as unit vectors; 1 if all steps are equal. kAbut:
+// maximum relative difference between a step and the azimuth range of a cloud.
 constexpr double kTogether = 0.8, kAbut = 0.4;
-// A part of a revolution is missing if a time step is longer than this multiple of the
-// usual step.
+// If a time step is longer than this multiple of the usual step, a part of a revolution
+// is missing.
 constexpr double kPause = 1.6;
 constexpr double kDegrees = 180.0 / kPi;
 
@@ -51,9 +51,10 @@ const CloudMessage::CloudField* find_float_field(const CloudMessage& cloud, cons
 }
 
 /// Returns the azimuth range that contains points: the circle without its widest gap.
+/// gap.
 std::optional<AzimuthArc> find_occupied_azimuth_range(const std::array<bool, kBins>& is_bin_occupied) {
     std::size_t widest = 0, end = 0, run = 0;
-    // Visits the bins twice, because a gap may cross the end of the circle.
+    // Counts every bin twice, because a gap may cross the end of the circle.
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = is_bin_occupied[b % kBins] ? 0 : run + 1;
         if (run > widest) widest = run, end = b + 1;
@@ -79,12 +80,12 @@ double compute_widest_azimuth_gap_rad(const std::vector<RevolutionPart>& clouds)
 /// How clouds divide a revolution of the LiDAR into parts.
 struct RevolutionPartition {
     /// Median azimuth range of a part, and mean azimuth step to the next part. The step
-    /// is negative for clockwise rotation, and for half revolutions, whose direction is
-    /// unknown.
+    /// is negative for clockwise rotation. It is also negative for half revolutions,
+    /// because their direction is unknown.
     double extent_rad, step_rad;
     double step_s;
-    /// Azimuth at which a revolution begins: the boundary between two parts that is
-    /// nearest to the back of the sensor.
+    /// Azimuth at which a revolution begins. This is the boundary between two parts that
+    /// is nearest to the back of the sensor.
     double cut_rad;
 };
 
@@ -135,7 +136,7 @@ JoinedRevolutions join_clouds_to_revolutions(std::vector<RevolutionPart> partial
     const std::optional<RevolutionPartition> parts = estimate_revolution_parts(partial_clouds);
     JoinedRevolutions joined;
     if (!parts) return joined;
-    // Returns the rotation from the start of the revolution to a part, 0 to 2 pi.
+    // Returns the rotation between the start of the revolution and a part, 0 to 2 pi.
     const auto turned = [&](const RevolutionPart& part) {
         const double angle =
             (parts->step_rad < 0.0 ? -1.0 : 1.0) * (double(part.arc.middle_rad) - parts->cut_rad);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Joins clouds to full revolutions, because some drivers publish halves or slices of a
-// revolution as separate clouds.
+// Joins clouds to full revolutions. Some drivers publish halves or slices of a revolution
+// as separate clouds.
 #pragma once
 
 #include <cstdint>
@@ -12,7 +12,7 @@
 
 namespace relidar::bag {
 
-/// Range of azimuths about the z axis that contains a set of points.
+/// Interval of azimuths that contains a set of points.
 struct AzimuthArc {
     float middle_rad = 0.0f, extent_rad = 0.0f;
 };
@@ -29,13 +29,14 @@ struct RevolutionPart {
 };
 
 struct JoinedRevolutions {
-    /// Clouds of each revolution, sorted by time. Empty if clouds need not be joined.
+    /// Clouds of each revolution, sorted by time. Empty if the clouds are full
+    /// revolutions.
     std::vector<std::vector<RevolutionPart>> revolutions;
     std::size_t n_left_out = 0;  ///< parts of incomplete revolutions
     std::string about;
 };
 /// Joins clouds that are parts of a revolution. Joins nothing if the clouds are full
-/// revolutions, or if the LiDAR scans a window instead of rotating.
+/// revolutions, or if the LiDAR scans a window and does not rotate.
 /// @param partial_clouds  all clouds of a topic
 JoinedRevolutions join_clouds_to_revolutions(std::vector<RevolutionPart> partial_clouds);
 

@@ -8,7 +8,7 @@
 
 namespace relidar::bag {
 
-/// Returns the path of a file without the extension ".gz" of a compressed file.
+/// Removes the extension ".gz" from a path, if the path has this extension.
 std::filesystem::path remove_gz_extension(const std::filesystem::path& file);
 
 /// A file that is open for reading. The caller must close it.

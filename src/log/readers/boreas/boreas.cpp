@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads Boreas sequences. Each line of lidar_poses.csv contains the position and the
-// angles of the LiDAR in an East-North-Up frame. The angles rotate frames instead of
-// vectors. So the rotation from the LiDAR to the East-North-Up frame is
+// angles of the LiDAR in an East-North-Up frame. The angles rotate frames, not vectors.
+// So the rotation from the LiDAR to the East-North-Up frame is
 //   C = C_1(roll) C_2(pitch) C_3(yaw) = R_x(-roll) R_y(-pitch) R_z(-yaw),
 // and not the usual R_z(yaw) R_y(pitch) R_x(roll). The reader checks this convention:
 // with the right convention, the vehicle drives forward and along the road.
@@ -27,14 +27,15 @@ constexpr std::size_t kPoseNumbers = 12;
 constexpr std::size_t kFirstAngle = 6;
 constexpr double kMicrosecond = 1e-6;
 constexpr double kMostGap_s = 0.5;  // maximum time between two poses; the dataset has one pose per scan
-// Another angle convention is better if it increases the forward component of the driving
-// direction by this value. Curves have a smaller effect.
+// Another convention for the angles replaces the documented one if it increases the
+// forward component of the driving direction by this value. The effect of curves is
+// smaller.
 constexpr double kClearlyForward = 0.05;
-// Another angle convention is also better if the vertical spread of the motions decreases
-// to less than this ratio.
+// Another convention for the angles also replaces the documented one if it reduces the
+// vertical spread of the motions to less than this ratio.
 constexpr double kClearlyLevel = 0.7;
-// The vertical spread is compared only if the vehicle has driven at least this many
-// metres, counted in steps of one metre.
+// Minimum distance in metres that the vehicle must drive before the vertical spread of
+// its motions is compared.
 constexpr std::size_t kFewestSteps = 50;
 constexpr double kBrightest = 255.0;
 
@@ -63,8 +64,8 @@ ForwardDirection read_forward_direction(const fs::path& calibration_file) {
     return {inverse(applanix_from_lidar).rotation * glm::dvec3(0, 1, 0), true};
 }
 
-/// Convention of the angles in pose files: how roll, pitch and yaw give the rotation from
-/// the LiDAR to the world.
+/// Convention for the angles in pose files: how roll, pitch and yaw define the rotation
+/// from the LiDAR to the world.
 struct EulerAngleConvention {
     const char* name;
     double sign;     ///< sign of the angles
@@ -97,15 +98,15 @@ PoseTrack make_lidar_pose_track(const std::vector<stamped::StampedPoseRow>& pose
     return track;
 }
 
-/// Returns how well the motion of the vehicle agrees with its forward direction, at most
-/// 1.
+/// Returns how well the motion of the vehicle agrees with its forward direction. 1 is
+/// perfect.
 double compute_forward_motion_score(const stamped::DrivingDirection& driving,
                                     const ForwardDirection& forward) {
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
-/// Reads the poses of the LiDAR. Boreas documents an angle convention. Another convention
-/// is used only if the vehicle then clearly drives forward better.
+/// Reads the poses of the LiDAR with the angle convention that Boreas documents. Uses
+/// another convention only if the vehicle then clearly drives forward better.
 PoseTrack read_boreas_poses(const fs::path& pose_file, const stamped::StampedLog& log,
                             const ForwardDirection& forward_direction, std::vector<std::string>& notes) {
     const std::vector<stamped::StampedPoseRow> rows = stamped::read_stamped_rows(pose_file, kPoseNumbers);

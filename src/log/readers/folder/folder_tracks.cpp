@@ -21,8 +21,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Frames up to this time before the first and after the last pose are accepted, about one
-// sweep.
+// Frames outside the time of the poses are accepted if they are at most this much earlier
+// or later. The limit is about one sweep.
 constexpr double kMostBeyond_s = 0.1;
 constexpr double kLargestOfTrack = 1e12;  // maximum value of all lengths and times
 constexpr double kUnit = 1e-3;            // tolerance of a quaternion's length
@@ -44,8 +44,8 @@ std::vector<std::string_view> split_at_spaces(std::string_view line) {
     return words;
 }
 
-/// Returns true for a line with column names: a comment that contains "qw", or a line
-/// whose first word is not a number.
+/// Returns true for a line with column names. This is a comment that contains "qw", or a
+/// line whose first word is not a number.
 bool is_line_of_column_names(const std::string& line) {
     const std::vector<std::string_view> words =
         split_at_spaces(trim_spaces(line).substr(trim_spaces(line).starts_with('#') ? 1 : 0));
@@ -90,8 +90,8 @@ std::vector<double> parse_pose_row(const std::string& line, std::size_t expected
     return *v;
 }
 
-/// Rejects pose files without times. Their rows x y z and a quaternion would otherwise be
-/// read as a time, a position and three angles.
+/// Throws for pose files without times. Otherwise their rows (x y z and a quaternion)
+/// would be read as a time, a position and three angles.
 void check_poses_have_times(const PoseRows& pose_rows, const std::string& file_name) {
     const auto ends_with_quaternion = [](const std::vector<double>& row) {
         return row.size() == 7 &&
@@ -154,8 +154,8 @@ PoseTrack invert_track(PoseTrack track) {
     return track;
 }
 
-/// Adds the inverse poses to a list of possible interpretations, because a pose file may
-/// contain sensor-from-world poses.
+/// Adds the inverse poses to a list of possible meanings, because a pose file may contain
+/// sensor-from-world poses.
 std::vector<PoseInterpretation> append_inverse_interpretations(
     std::vector<PoseInterpretation> interpretations) {
     const std::size_t n = interpretations.size();
@@ -165,8 +165,8 @@ std::vector<PoseInterpretation> append_inverse_interpretations(
     return interpretations;
 }
 
-/// Returns all possible interpretations of a pose file, for example with another order of
-/// the quaternion. The documented one is first.
+/// Returns all possible meanings of the numbers in a pose file, for example another order
+/// of the quaternion. The documented meaning is first.
 std::vector<PoseInterpretation> list_pose_interpretations(const PoseRows& pose_rows) {
     using Row = std::vector<double>;
     const auto angles = [](const Row& row, double unit) {
@@ -260,7 +260,7 @@ std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
             throw DataError(fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers",
                                         pose_file.string()));
         const std::vector<PoseInterpretation> readings = list_pose_interpretations(rows);
-        // Only relidar writes these column names, so the meaning of the numbers is
+        // Only relidar writes these column names. The meaning of the numbers is therefore
         // certain.
         if (rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos)
             return interpolate_poses_at_frames(readings[0].world_from_vehicle, frames, pose_file.string());
@@ -271,7 +271,7 @@ std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
     std::vector<int> numbers;
     for (const SequenceHeaderFrame& frame : frames) numbers.push_back(frame.number);
     std::vector<Pose> poses = kitti::read_pose_matrices(pose_file, numbers);
-    PoseTrack track;  // one pose per time, because LiDARs of the same sweep share a pose
+    PoseTrack track;  // one pose per time; LiDARs of the same sweep share a pose
     for (std::size_t i = 0; i < frames.size(); ++i) {
         if (!track.time_s.empty() && frames[i].time_s == track.time_s.back()) continue;
         track.time_s.push_back(frames[i].time_s);

@@ -59,7 +59,7 @@ folder::OverlapScanPairs read_consecutive_scan_pairs(const folder::SequenceHeade
     const auto read = [&](const SequenceHeaderFrame& frame) {
         const folder::PointTable table = folder::read_point_file(frame.scan, head.units.columns);
         folder::PointFileUnits units = head.units;
-        units.intensity_max = 1.0;  // any scale works, because the intensities are not used here
+        units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
         std::vector<glm::vec3> points =
             folder::convert_table_to_points(table, units, frame.time_s, frame.scan.string()).position_m;
         for (glm::vec3& p : points) p = glm::vec3(mounting * glm::dvec3(p));
@@ -78,8 +78,8 @@ folder::OverlapScanPairs read_consecutive_scan_pairs(const folder::SequenceHeade
     return pairs;
 }
 
-/// Reads the vehicle poses in poses.txt. Without this file, returns identity poses if the
-/// user selects another source of poses.
+/// Reads the vehicle poses in poses.txt. If the file is missing and the user selected
+/// another source of poses, returns identity poses.
 std::vector<Pose> read_vehicle_poses_of_frames(const fs::path& folder, const folder::SequenceHeader& head,
                                                const std::vector<SequenceHeaderFrame>& frames,
                                                const DatasetOptions& options,
@@ -94,14 +94,14 @@ std::vector<Pose> read_vehicle_poses_of_frames(const fs::path& folder, const fol
                     file.string()));
 }
 
-/// Replaces the vehicle poses of the log by poses from a file. Boxes keep their positions
-/// relative to the vehicle.
+/// Replaces the vehicle poses of the log by poses from a file. The boxes move with the
+/// vehicle.
 void replace_vehicle_poses(LidarSequence& sequence, const folder::SequenceHeader& head,
                            const std::vector<SequenceHeaderFrame>& frames, const fs::path& pose_file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
     if (pose_file == kNoPoses) {
         track.pose.resize(track.time_s.size());
-        // A log that relidar has converted may already contain this note.
+        // If relidar converted the log, it may already contain this note.
         const auto& notes = sequence.notes;
         if (std::find(notes.begin(), notes.end(), kitti::kNoPosesNote) == notes.end())
             sequence.notes.push_back(kitti::kNoPosesNote);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Loads plain folders, which contain sequence.json, poses.txt, boxes.json and scans.
-// Users write such folders from their own logs. `relidar convert` writes them from any
+// Users write such folders from their own logs. `relidar convert` creates them from any
 // supported format.
 #pragma once
 

@@ -4,7 +4,7 @@
 // to multiples of the tick size:
 //   max over tick, left of | mean exp(2 pi i (azimuth - asin(left / rho)) / tick) |
 // The second step fits the azimuth offset of each beam, in full ticks. It maximises the
-// number of ticks at which this beam and other beams have returns.
+// number of ticks at which a beam and other beams have returns.
 #include "log/readers/kitti/firing_lattice.hpp"
 
 #include <algorithm>
@@ -26,7 +26,7 @@ constexpr int kEncoderTicks = 4000;
 // maximum azimuth offset of a beam from the head; real HDL-64Es have at most 0.16 rad
 constexpr double kMaxOffset_rad = 0.35;
 // The sensor fired at an encoder tick if at least this many beams have a return there.
-// Stray points occur in fewer beams.
+// Fewer returns can be stray points.
 constexpr int kMinLasers = 4;
 
 /// Azimuth and inverse distance from the spin axis, for each point of one beam.
@@ -40,8 +40,8 @@ std::array<BeamPolarPoints, kRings> convert_to_polar_rings(const std::vector<con
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);
             const double rho = std::hypot(p.x, p.y);
-            // Skips near points. The files have a resolution of about a millimetre, so
-            // the azimuths of near points are not accurate enough.
+            // Skips near points. The files are rounded to about a millimetre, so the
+            // azimuths of near points are inaccurate.
             if (rho < 2.0) continue;
             polar[scan->ring[i]].azimuth_rad.push_back(std::atan2(p.y, p.x));
             polar[scan->ring[i]].inverse_rho.push_back(1.0 / rho);
@@ -61,8 +61,8 @@ std::complex<double> compute_mean_phase(const BeamPolarPoints& polar, double enc
     return n > 0 ? sum / static_cast<double>(n) : sum;
 }
 
-/// How the azimuths of one beam fit a grid of encoder ticks. left_offset_m: distance of
-/// the beam from the spin axis. phase_rad: offset from the grid. concentration: 1 for a
+/// How well the azimuths of one beam fit a grid of encoder ticks. left_offset_m: distance
+/// of the beam from the spin axis. phase_rad: offset from the grid. concentration: 1 is a
 /// perfect fit.
 struct TickGridPhase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
@@ -81,7 +81,8 @@ void refine_phase_by_least_squares(TickGridPhase& phase, const BeamPolarPoints& 
         n += 1, su += u, se += e, suu += u * u, sue += u * e;
     }
     const double spread = n * suu - su * su;
-    // Points at similar distances cannot separate the left offset from the phase.
+    // If all points have similar distances, the left offset cannot be separated from the
+    // phase.
     if (n < 16 || spread < 1e-4 * n * n) return;
     const double left = (n * sue - su * se) / spread;
     phase.left_m += left;
@@ -94,8 +95,8 @@ TickGridPhase fit_azimuth_phase_of_beam(const BeamPolarPoints& polar, double enc
     for (int mm = -60; mm <= 60; mm += 2) {
         const std::complex<double> mean = compute_mean_phase(polar, encoder_tick_rad, mm * 1e-3, stride);
         const double gain = std::abs(mean) - best.concentration;
-        // Selects the left offset with the highest concentration. The offset 0 is
-        // preferred below unless another offset is clearly better.
+        // Selects the left offset with the highest concentration. The code below prefers
+        // offset 0 if no other offset is clearly better.
         if (mm == -60 || gain > 0.0)
             best = {mm * 1e-3, std::arg(mean) * encoder_tick_rad / (2.0 * kPi), std::abs(mean)};
     }
@@ -129,8 +130,8 @@ TickGridPhasesByRing fit_phases_of_all_rings(const std::array<BeamPolarPoints, k
 }
 
 /// Estimates the firings per revolution from the mean azimuth step between consecutive
-/// points of a beam. Steps longer than 1.5 times the median cross dropped rays and are
-/// ignored.
+/// points of a beam. Ignores steps longer than 1.5 times the median, because there are
+/// dropped rays in between.
 int estimate_firings_per_revolution(const std::vector<const ScanWithRings*>& scans) {
     std::vector<double> steps;
     for (const ScanWithRings* scan : scans) {
@@ -167,9 +168,9 @@ EncoderTicksByBeam compute_encoder_ticks_per_beam(const ScanWithRings& scan, con
     return ticks;
 }
 
-/// Returns for each scan and each encoder tick whether at least `min_beams` beams have a
-/// return there.
-/// @param beam_shifts  [beams] offset that is subtracted from the ticks of a beam
+/// Returns for each scan and encoder tick whether at least `min_beams` beams have a
+/// return at this tick.
+/// @param beam_shifts  [beams] number that is subtracted from the ticks of each beam
 std::vector<std::vector<char>> find_fired_ticks(const std::vector<EncoderTicksByBeam>& ticks_of_scans,
                                                 const std::vector<int>& beam_shifts, int n_ticks,
                                                 int min_beams) {
@@ -187,8 +188,8 @@ std::vector<std::vector<char>> find_fired_ticks(const std::vector<EncoderTicksBy
 }
 
 /// Returns the shift of a beam, in full ticks, for which most of its ticks are also ticks
-/// of other beams. Returns 0 unless another shift matches at least 1 % more of the ticks.
-/// If several shifts are equally good, returns the shift that is nearest to 0.
+/// of other beams. Returns 0 if no other shift matches at least 1 % more of the ticks. Of
+/// equally good shifts, returns the one nearest to 0.
 /// @param is_tick_fired  [scans][ticks] true if other beams have returns at the tick
 int find_best_tick_shift(const std::vector<EncoderTicksByBeam>& ticks_of_scans, std::size_t ring,
                          const std::vector<std::vector<char>>& is_tick_fired, int n_ticks, int max_shift) {
@@ -229,8 +230,8 @@ std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBe
     }
     std::vector<int> shift(kRings, 0);
     auto pattern = find_fired_ticks(reference, shift, n_ticks, 1);
-    // First compares each beam with the beam that has the most points, then with all
-    // beams.
+    // First compares each beam with the beam that has the most points. Then compares it
+    // with all beams.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] =
@@ -262,7 +263,7 @@ std::vector<Beam> BeamFiringGrid::make_beams(const BeamCones& cones) const {
 
 BeamFiringGrid fit_firing_lattice(const std::vector<const ScanWithRings*>& scans) {
     // Minimum mean concentration of azimuths at the encoder ticks for a valid fit. It is
-    // 0.98 on KITTI, and near 0 for evenly distributed azimuths.
+    // 0.98 on KITTI, and near 0 for azimuths that are not on ticks.
     constexpr double kMinConcentration = 0.8;
     const std::array<BeamPolarPoints, kRings> polar = convert_to_polar_rings(scans);
     BeamFiringGrid lattice;

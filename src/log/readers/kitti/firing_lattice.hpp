@@ -3,10 +3,9 @@
 // about 2152 times per revolution. An encoder with ticks of 0.09 degrees measures the
 // head angle of each firing. So the azimuth of a point of beam k is
 //   azimuth = head + offset_k + asin(left_k / rho),   head = tick * n + constant
-// with the same tick size for all beams. The azimuth offset and the left offset of each
-// beam are fitted to the log. With these offsets, the firings of each sweep can be
-// computed. If a beam has no point at a firing, the ray is a dropped ray (without a
-// return).
+// with the same tick size for all beams. The offsets offset_k and left_k of each beam are
+// fitted to the log. They give the firings of each sweep. If a beam has no point at a
+// firing, the ray is a dropped ray (without a return).
 #pragma once
 
 #include <array>
@@ -18,12 +17,12 @@
 
 namespace relidar::kitti {
 
-/// Possible azimuths of the LiDAR's head (a regular grid), and the offsets of each beam
-/// from the head.
+/// Regular grid of the azimuths at which the LiDAR's head can fire. Also has the offsets
+/// of each beam from the head.
 struct BeamFiringGrid {
     EncoderTickGrid head;
-    /// True if the azimuths show no ticks of a rotary encoder. The sensor is then assumed
-    /// to fire at every step of the grid.
+    /// True if the azimuths show no encoder ticks. The sensor is then assumed to fire at
+    /// every step of the grid.
     bool every_tick = false;
     /// azimuth of each beam relative to the head; the mean of all beams is 0
     std::array<double, kRings> offset_rad{};
@@ -36,11 +35,11 @@ struct BeamFiringGrid {
 };
 
 /// Fits the head azimuths and the beam offsets to a few scans. If the azimuths show no
-/// encoder ticks, as in a resampled log, returns even steps and zero offsets.
+/// encoder ticks, for example in a resampled log, returns even steps and zero offsets.
 BeamFiringGrid fit_firing_lattice(const std::vector<const ScanWithRings*>& scans);
 
 /// Returns the encoder ticks at which the sensor fired in a sweep, in order of time. The
-/// head rotates clockwise, so azimuths decrease from +pi.
+/// first azimuth is near +pi. Azimuths decrease, because the head rotates clockwise.
 std::vector<int> find_fired_encoder_ticks(const ScanWithRings& scan, const BeamFiringGrid& lattice);
 
 }  // namespace relidar::kitti

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Assigns the points of an HDL-64E to rings by their order in the file. Fits a cone z =
-// z0 + rho * tan(elevation) to each ring by least squares. The lenses of both blocks of
-// 32 beams are above or below the origin of the sensor. So the elevation as seen from the
-// origin depends on the range, but the angle of the cone does not.
+// z0 + rho * tan(elevation) to each ring by least squares. Beams do not start at the
+// origin of the sensor, because the lenses are above or below it. So the elevation seen
+// from the origin depends on the range, but the angle of the cone does not.
 #include "log/readers/kitti/hdl64_rings.hpp"
 
 #include <algorithm>
@@ -26,8 +26,8 @@ double compute_height_residual_m(const BeamCone& cone, const RhoHeightSample& sa
     return sample.z_m - cone.z0_m - sample.rho_m * cone.tan_el;
 }
 
-/// Fits a line z(rho) to points by least squares. Ignores points farther than
-/// max_residual_m from the line `previous_line`.
+/// Fits a line z(rho) to points by least squares. Ignores points whose distance from the
+/// line `previous_line` is more than max_residual_m.
 BeamCone fit_line_to_inliers(const std::vector<RhoHeightSample>& samples, const BeamCone& previous_line,
                              double max_residual_m) {
     double n = 0, sr = 0, sz = 0, srr = 0, srz = 0;
@@ -36,8 +36,8 @@ BeamCone fit_line_to_inliers(const std::vector<RhoHeightSample>& samples, const 
         n += 1, sr += s.rho_m, sz += s.z_m, srr += s.rho_m * s.rho_m, srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
-    // Points at similar distances do not determine the slope. Coordinates are rounded to
-    // 0.3 mm, so the slope would have an error above 5e-5.
+    // If all points have similar distances, they do not determine the slope. Coordinates
+    // are rounded to 0.3 mm, so the slope would have an error above 5e-5.
     if (n < 16 || spread < 36.0 * n) return {};
     const double slope = (n * srz - sr * sz) / spread;
     return {(sz - slope * sr) / n, slope, static_cast<std::size_t>(n)};
@@ -57,8 +57,8 @@ BeamCone fit_cone(const std::vector<RhoHeightSample>& samples) {
     return cone;
 }
 
-/// Height of the lasers in a block of 32, as a linear function of the slope of the beam:
-/// z0 = mean_z0 + slope * (tan_elevation - mean_tan).
+/// Height of the lasers in a block of 32 beams, as a linear function of the slope of the
+/// beam: z0 = mean_z0 + slope * (tan_elevation - mean_tan).
 struct LaserHeightFit {
     double mean_tan = 0.0, mean_z0 = 0.0, slope = 0.0;
     double compute_height_m(double tan_elevation) const {
@@ -81,8 +81,8 @@ LaserHeightFit fit_block_height_line(const BeamCones& cones, const std::vector<s
     return line;
 }
 
-/// Estimates the slope of a beam whose points are at too similar distances to fit slope
-/// and height. The height follows from the other beams of its block. The slope is then
+/// Estimates the slope of a beam whose points have too similar distances for a fit. The
+/// height of the beam is computed from other beams of its block of 32. The slope is then
 /// the median over the points.
 double estimate_tan_elevation(const std::vector<RhoHeightSample>& samples, const LaserHeightFit& block_line,
                               double initial_tan_elevation) {
@@ -96,7 +96,7 @@ double estimate_tan_elevation(const std::vector<RhoHeightSample>& samples, const
     return initial_tan_elevation;
 }
 
-/// Estimates the slopes and heights of beams that could not be fitted from the fitted
+/// Estimates slope and height of each beam that could not be fitted. Uses the fitted
 /// beams in the same block of 32.
 void estimate_unfitted_cones(BeamCones& cones,
                              const std::array<std::vector<RhoHeightSample>, kRings>& samples_of_rings,
@@ -169,8 +169,7 @@ BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
     int most = 0;
     for (const ScanWithRings* scan : scans) {
         most = std::max(most, scan->n_rings);
-        // Accepts 65 rings too, because a single stray point can look like the start of a
-        // ring.
+        // Accepts 65 rings too. A single stray point can look like the start of a ring.
         if (scan->n_rings != kRings && scan->n_rings != kRings + 1) continue;
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);

@@ -34,9 +34,9 @@ struct BeamCone {
 };
 using BeamCones = std::array<BeamCone, kRings>;
 
-/// Splits the points of a KITTI scan into rings. The file stores ring after ring, and
-/// each ring starts at the forward direction. A new ring begins where the azimuth steps
-/// from the 4th to the 1st quadrant. Ring numbers are limited to 63.
+/// Splits the points of a KITTI scan into rings. The file stores one ring after the
+/// other, and each ring starts at the forward direction. A new ring begins where the
+/// azimuth changes from the 4th to the 1st quadrant. Ring numbers are limited to 63.
 ScanWithRings split_points_into_rings(std::vector<glm::vec4> points);
 
 /// Fits the cone of each ring to several scans by robust least squares.
@@ -46,8 +46,8 @@ BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
                                 const std::string& error_location);
 
 /// Corrects ring numbers by the distances of points from the cones. The order of the
-/// points gives wrong numbers if a beam has no returns. It also does so if the last point
-/// of a ring was rounded to azimuth 0.
+/// points gives wrong numbers in two cases: a beam has no returns, or the last point of a
+/// ring was rounded to azimuth 0.
 void correct_ring_numbers(ScanWithRings& scan, const BeamCones& cones);
 
 }  // namespace relidar::kitti

@@ -2,8 +2,8 @@
 // Reads KITTI-360. The dataset contains poses of the IMU (x forward, y right, z down).
 // The poses of the LiDAR are
 //   world_from_velo = world_from_imu * imu_from_cam0 * inverse(velo_from_cam0)
-// Scans are not motion-compensated. A pose is valid at the time when the head of the
-// LiDAR faces forward, as in KITTI raw.
+// Scans are not motion-compensated. As in KITTI raw, the time of a pose is the moment
+// when the head of the LiDAR faces forward.
 #include "log/readers/kitti/kitti_360.hpp"
 
 #include <algorithm>
@@ -77,8 +77,8 @@ std::map<int, Pose> read_lidar_pose_per_frame(const fs::path& dataset_folder, co
     return poses;
 }
 
-/// Returns the pose of a frame. A missing pose is interpolated if its neighbours are at
-/// most half a second apart, or if the car stands still. Otherwise returns nothing.
+/// Returns the pose of a frame. Interpolates a missing pose if its neighbours are at most
+/// half a second apart, or if the car stands still. Otherwise returns nothing.
 std::optional<Pose> find_or_interpolate_pose(const std::map<int, Pose>& poses_by_frame, int frame_number) {
     constexpr int kMaxFrameGap = 5;
     constexpr double kStanding_m = 0.2;
@@ -94,7 +94,7 @@ std::optional<Pose> find_or_interpolate_pose(const std::map<int, Pose>& poses_by
     return interpolate(before->second, after->second, double(frame_number - before->first) / apart);
 }
 
-/// Adds all frames with a pose to the log, and notes for the user about interpolated and
+/// Adds all frames with a pose to the log. Adds notes for the user about interpolated and
 /// missing poses.
 void add_frames_with_pose(LidarSequence& sequence, const std::vector<int>& frame_numbers,
                           const std::vector<double>& frame_times_s,
@@ -120,8 +120,8 @@ void add_frames_with_pose(LidarSequence& sequence, const std::vector<int>& frame
                                              format_number_list(without)));
 }
 
-/// Returns the file with the box labels of a drive. The folder train_full has priority
-/// over the smaller folder train.
+/// Returns the file with the box labels of a drive. Prefers the folder train_full to the
+/// smaller folder train.
 /// @return empty path if neither folder contains the file
 fs::path find_box_label_file(const fs::path& dataset_folder, const std::string& drive_name) {
     for (const char* set : {"train_full", "train"}) {
@@ -131,8 +131,8 @@ fs::path find_box_label_file(const fs::path& dataset_folder, const std::string& 
     return {};
 }
 
-/// Adds frames, poses and boxes to the log. The boxes are labelled in the dataset's world
-/// frame, so they are left out if the poses come from another file.
+/// Adds frames, poses and boxes to the log. Leaves out the boxes if the poses are from a
+/// user's file, because boxes are in the dataset's world frame.
 void add_frames_and_boxes(LidarSequence& sequence, const fs::path& dataset_folder,
                           const RequestedDrive& drive, const std::vector<int>& frame_numbers,
                           const fs::path& user_pose_file) {

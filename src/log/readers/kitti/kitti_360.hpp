@@ -10,10 +10,10 @@
 
 namespace relidar {
 
-/// Loads one drive. The option DatasetOptions::sequence is the name of the drive's folder
-/// or the four digits in this name. It can also be a sequence name of the LiDAR-RT paper
-/// (ks1 to ks4, kd1 to kd6), which is a part of drive 0000. The world frame of the
-/// dataset has x east, y north and z up.
+/// Loads one drive. The option DatasetOptions::sequence is the name of the drive's
+/// folder, or the four digits in this name. It can also be a sequence name of the
+/// LiDAR-RT paper (ks1 to ks4, kd1 to kd6), which means a part of drive 0000. The world
+/// frame of the dataset has x east, y north and z up.
 /// @param folder  folder that contains data_3d_raw
 /// @throws DataError with file and field
 /// @throws UsageError if the drive is unknown or no scan is in the requested range

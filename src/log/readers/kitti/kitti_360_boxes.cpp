@@ -22,8 +22,8 @@
 namespace relidar::kitti {
 namespace {
 
-/// A class of objects that can move. Objects of all other classes (buildings, ground,
-/// poles) are background.
+/// A class of objects that can move. All other classes (buildings, ground, poles) belong
+/// to the background.
 struct MovableClass {
     int id;
     const char* name;
@@ -50,8 +50,8 @@ int read_integer_field(const pugi::xml_node& object, const char* field_name, std
     return static_cast<int>(*value);
 }
 
-/// Returns the class of an object, or null if it cannot move. In drive 0004, objects have
-/// text labels instead of class numbers.
+/// Returns the class of an object, or null if such objects cannot move. In drive 0004,
+/// objects have text labels instead of class numbers.
 const MovableClass* find_movable_class(const pugi::xml_node& object, const std::string& error_location) {
     const bool has_number = !object.child("semanticId").empty();
     const int id = has_number ? read_integer_field(object, "semanticId", {}, error_location) : 0;
@@ -62,8 +62,8 @@ const MovableClass* find_movable_class(const pugi::xml_node& object, const std::
     return nullptr;
 }
 
-/// Reads the 4x4 transform of an object from a unit box to the world. It contains the
-/// pose and the size of the object.
+/// Reads the 4x4 transform of an object from a unit cube to the world. The transform
+/// contains the pose and the size of the object.
 glm::dmat4 read_box_transform(const pugi::xml_node& object, const std::string& error_location) {
     const pugi::xml_node matrix = object.child("transform");
     const int rows = read_integer_field(matrix, "rows", {}, error_location + ": transform"),
@@ -87,9 +87,9 @@ glm::dmat4 read_box_transform(const pugi::xml_node& object, const std::string& e
     return m;
 }
 
-/// Computes the size and the pose of a box from its transform. A transform with a
-/// reflection is no pose, so the width axis is then flipped, which does not change the
-/// box.
+/// Computes the size and the pose of a box from its transform. If the transform contains
+/// a reflection, flips the width axis. The box stays the same, but its rotation becomes
+/// valid.
 void set_label_size_and_pose(BoxLabel& label, const glm::dmat4& world_from_unit_box,
                              const std::string& error_location) {
     glm::dmat3 axes(world_from_unit_box);
@@ -107,7 +107,7 @@ void set_label_size_and_pose(BoxLabel& label, const glm::dmat4& world_from_unit_
 }
 
 /// Returns the track id of an object: semanticId * 1000 + instanceId. Objects of drive
-/// 0004 lack these numbers, so their id consists of class, "moving" and index.
+/// 0004 have no such numbers, so their id consists of class, "moving" and index.
 std::string make_kitti_track_id(const pugi::xml_node& object, const MovableClass& movable_class,
                                 bool is_moving, const std::string& error_location) {
     if (object.child("instanceId").empty())

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads the poses and the calibration of a KITTI raw drive. Poses are read from a file
 // with 12 numbers per line, or are computed from GPS/IMU data (OXTS):
-//   x = s R lon, y = s R ln tan(pi/4 + lat/2), z = alt,  s = cos(first latitude), R = 6378137 m,
-//   rotation R_z(yaw) R_y(pitch) R_x(roll)
+//   x = s R lon, y = s R ln tan(pi/4 + lat/2), z = alt,  s = cos(first latitude),
+//   R = 6378137 m,  rotation R_z(yaw) R_y(pitch) R_x(roll)
 #include "log/clouds/folder_head.hpp"
 #include "log/clouds/log_files.hpp"
 
@@ -23,8 +23,8 @@ namespace {
 
 // Maximum coordinate of a pose in metres. UTM coordinates are smaller (up to 10^7).
 constexpr double kLargestCoordinate_m = 1e8;
-// Maximum distance between two poses of a log. Farther points would get wrong keys of
-// grid cells, which are unique up to 105 km (base/cell_key.hpp).
+// Maximum distance between two poses of a log. Grid cells have unique keys only up to 105
+// km (base/cell_key.hpp).
 constexpr double kLongestLog_m = 1e5;
 
 /// Checks that the positions of all poses are plausible.
@@ -75,8 +75,8 @@ fs::path make_oxts_file_path(const fs::path& drive_folder, int frame_number) {
     return drive_folder / "oxts/data" / fmt::format("{:010d}.txt", frame_number);
 }
 
-/// Reads the pose of the IMU in one frame, in Mercator coordinates relative to latitude
-/// and longitude 0.
+/// Reads the pose of the IMU in one frame. The position is in Mercator coordinates, whose
+/// origin is at latitude and longitude 0.
 Pose read_imu_pose_from_oxts(const fs::path& oxts_file, std::optional<double>& mercator_scale) {
     const std::vector<std::string> lines = split_lines(read_text_file(oxts_file));
     const std::vector<double> v = parse_finite_numbers(lines.empty() ? "" : lines[0], 30, oxts_file.string());
@@ -94,7 +94,7 @@ Pose read_imu_pose_from_oxts(const fs::path& oxts_file, std::optional<double>& m
 }
 
 /// Returns the first frame with an OXTS file. It defines the Mercator scale and the
-/// origin of the poses, so that they do not depend on the requested frames.
+/// origin of the poses. The poses are then the same for all requested ranges of frames.
 int find_first_oxts_frame(const fs::path& drive_folder) {
     const fs::path folder = drive_folder / "oxts/data";
     if (does_path_exist(folder)) {
@@ -111,8 +111,8 @@ int find_first_oxts_frame(const fs::path& drive_folder) {
                     folder.string()));
 }
 
-/// Returns the path of calib_imu_to_velo.txt for a drive. The file can be one folder
-/// above the drive, as in KITTI, in the drive, or in the folder from DATE_calib.zip.
+/// Returns the path of calib_imu_to_velo.txt for a drive. Searches the drive, the folder
+/// above it, and the folder from DATE_calib.zip.
 fs::path find_imu_calibration_file(const fs::path& drive_folder) {
     const char* name = "calib_imu_to_velo.txt";
     // date in a name such as 2011_09_26_drive_0005_sync
@@ -205,7 +205,7 @@ void replace_vehicle_poses_from_file(LidarSequence& sequence, const fs::path& po
     if (pose_file.empty()) return;
     PoseTrack user_track{sequence.world_from_vehicle.time_s,
                          std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
-    // LiDARs of the same sweep share a pose, so each frame number is listed once.
+    // LiDARs of the same sweep share a pose, so each frame number is listed only once.
     std::vector<int> frames;
     for (const LidarFrame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);

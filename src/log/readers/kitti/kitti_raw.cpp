@@ -34,8 +34,8 @@ std::string describe_pose_source(const fs::path& user_pose_file) {
     return "poses from " + (user_pose_file.empty() ? "OXTS (Mercator)" : user_pose_file.string());
 }
 
-/// Returns notes for the user about missing scans, labels and poses. For example, drive
-/// 0009 lacks four scans in the middle.
+/// Returns notes for the user about missing scans, labels and poses. For example, four
+/// scans are missing in the middle of drive 0009.
 std::vector<std::string> list_missing_data_notes(const fs::path& drive_folder,
                                                  const std::vector<int>& frame_numbers,
                                                  const DatasetOptions& options) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reconstructs the rays of an HDL-64E from KITTI scans. The order in the file gives the
-// rings. Fits to the points give the beam elevations and the firing angles. Then each
+// Reconstructs the rays of an HDL-64E from KITTI scans. The order of points in the file
+// gives the rings. Beam elevations and firing angles are fitted to the points. Then each
 // point is assigned to its ray. Rays without a point are dropped rays.
 #include "log/readers/kitti/kitti_sweeps.hpp"
 
@@ -22,8 +22,9 @@
 namespace relidar::kitti {
 namespace {
 
-// Number of scans for fitting the sensor. The fit to a few scans is already far more
-// accurate than the coordinates in the files, which are rounded to millimetres.
+// Number of scans to which the sensor is fitted. More scans are not needed, because the
+// fit is already far more accurate than the coordinates, which are rounded to
+// millimetres.
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 
 std::vector<const ScanWithRings*> select_evenly_spaced_scans(const std::vector<ScanWithRings>& scans,
@@ -55,19 +56,19 @@ LidarPoints convert_raw_scan_to_points(const ScanWithRings& raw_scan) {
     return points;
 }
 
-/// Returns the azimuth of the last point of a scan, from 0 to 360 degrees. Azimuths
-/// increase from 0 in each ring, so a complete scan ends near 360.
+/// Returns the azimuth of the last point of a scan, from 0 to 360 degrees. In each ring,
+/// azimuths increase from 0. So a complete scan ends near 360.
 double get_last_point_azimuth_deg(const ScanWithRings& scan) {
     if (scan.points.empty()) return 0.0;
-    // The scan is complete: a stray point after its last ring has started another ring.
+    // The scan is complete. A stray point after its last ring counts as another ring.
     if (scan.n_rings > kRings) return 360.0;
     const double azimuth =
         std::atan2(double(scan.points.back().y), double(scan.points.back().x)) * 180.0 / kPi;
     return azimuth < 0.0 ? azimuth + 360.0 : azimuth;
 }
 
-/// Detects damaged files by comparing each scan with its neighbours. Otherwise, the
-/// missing points of a damaged file would be treated as dropped rays.
+/// Detects damaged files by comparing each scan with its neighbours. The missing points
+/// of a damaged file must not be treated as dropped rays.
 class DamagedScanDetector {
 public:
     explicit DamagedScanDetector(const std::vector<ScanWithRings>& raw) {
@@ -82,10 +83,9 @@ public:
     /// An incomplete scan has far fewer points or rings than its neighbours, or its last
     /// ring ends much earlier.
     std::string explain_incomplete_scan(std::size_t scan_index, const std::string& file_name) const {
-        // A single missing ring is accepted, because one beam may have no returns.
+        // One missing ring is accepted, because one beam may have no returns.
         constexpr int kMissingRings = 2;
-        // In complete scans, the azimuth at the end of the last ring varies by up to 20
-        // degrees.
+        // In complete scans, the azimuth of the last point varies by up to 20 degrees.
         constexpr double kEarly_deg = 60.0;
         if (n_points_[scan_index] == 0)
             return fmt::format("{}: the scan contains no returns, expected at least one", file_name);
@@ -133,7 +133,9 @@ private:
 /// @throws DataError if the intensities are in neither range
 std::string normalise_intensities(std::vector<ScanWithRings>& raw_scans, const std::string& folder_name) {
     constexpr float kBytes = 255.0f;
-    // Fractional intensities up to this value could be percentages, so they are rejected.
+    // Fractional intensities up to this value are rejected, because they could be
+    // percentages.
+    // rejected.
     constexpr float kPercent = 100.0f;
     float lowest = 0.0f, highest = 0.0f;
     bool are_integers = true;
@@ -195,7 +197,7 @@ void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& sca
             broken.add_broken_scan(at, why + "; the file is probably truncated or damaged");
     if (broken.size() == raw.size()) broken.add_broken_scan_notes(sequence, raw.size());
     for (std::size_t at = 0; at < raw.size(); ++at)
-        // Removes the points of a broken scan, so that the fits below ignore it.
+        // Removes the points of a broken scan. The fits below then ignore the scan.
         if (broken.is_scan_broken(at)) raw[at] = {};
     if (std::string note = normalise_intensities(raw, scan_folder.string()); !note.empty())
         sequence.notes.push_back(std::move(note));

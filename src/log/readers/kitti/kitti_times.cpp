@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the timestamp files of a KITTI raw drive. Line i contains the time of scan i. If
-// the scan is missing, the line is empty.
+// Reads the timestamp files of a KITTI raw drive. Line i contains the time of scan i. It
+// is empty if the scan is missing.
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -99,7 +99,7 @@ std::vector<double> read_relative_frame_times_s(const fs::path& time_file,
 
 namespace {
 
-/// Returns the median duration of sweeps. Throws if it is not a plausible period.
+/// Returns the median duration of sweeps. Throws if the result is not a plausible period.
 /// @param sweep_durations_s  durations of sweeps in seconds
 double compute_sweep_period_s(std::vector<double> sweep_durations_s, const fs::path& file) {
     const double period_s = compute_median(std::move(sweep_durations_s));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads tracklet_labels.xml, a boost archive. Each item is an object with one pose per
-// frame, beginning at first_frame. Poses are in the sensor frame at the time when the
+// frame, beginning at first_frame. A pose is in the sensor frame at the time when the
 // head faces forward. The position in the file is the centre of the box's bottom face, so
 // centre = t + R (0, 0, h/2).
 #include "log/clouds/log_files.hpp"

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads MulRan. A file contains one revolution with 64 beams x 1024 columns. Missing
-// returns are stored as zeros. So the index of a point gives its beam and its time. The
-// points are stored column by column or beam by beam. The reader detects which. The LiDAR
-// faces backward, so the reader rotates its frame by 180 degrees.
+// returns are stored as zeros, so the index of a point gives its beam and its time. The
+// points are stored column by column or beam by beam; the reader detects the order. The x
+// axis of the LiDAR points backward, so the reader rotates its frame by 180 degrees.
 #include "log/readers/mulran/mulran.hpp"
 
 #include <cmath>
@@ -23,17 +23,17 @@ namespace fs = std::filesystem;
 constexpr std::size_t kBeams = 64, kColumns = 1024;
 constexpr double kRevolution_s = 0.1;
 constexpr double kNanosecond = 1e-9;
-// Poses farther apart in time than this are not interpolated. The dataset has 100 poses
-// per second.
+// Poses are not interpolated over longer times than this. The dataset has 100 poses per
+// second.
 constexpr double kMostGap_s = 0.5;
 // Nearer points are not used to identify beams by elevation. A beam starts about a
 // centimetre from the spin axis, which changes the elevation of near points.
 constexpr double kLeastRange_m = 2.0;
-// Maximum spread of the elevations of one beam, if the assumed order of the points is
-// right.
+// Maximum standard deviation of the elevations of one beam. With a wrong order of the
+// points, it is larger.
 constexpr double kMostSpread_rad = kPi / 180.0;
-// Minimum forward component of the mean driving direction, if the poses are right (at
-// most 1).
+// Minimum forward component of the mean driving direction, which is at most 1. With wrong
+// poses, it is smaller.
 constexpr double kForward = 0.9;
 
 /// Published pose of the LiDAR on the vehicle: position in metres; roll, pitch and yaw in
@@ -51,7 +51,7 @@ std::size_t get_column_of_point(std::size_t point_index, MulranPointOrder point_
 }
 
 /// Returns the standard deviation of the elevations within a beam, over all beams. It is
-/// small if the assumed order of the points is right. Returns infinity without points.
+/// small if the order of the points is right. Returns infinity if there are no points.
 double compute_beam_elevation_spread_rad(const folder::PointTable& table, MulranPointOrder point_order) {
     using enum folder::PointAttribute;
     const folder::PointFieldView &xs = *table.find_field(x), &ys = *table.find_field(y),
@@ -198,7 +198,8 @@ LidarSequence load_mulran_dataset(const fs::path& log_folder, const DatasetOptio
     stamped::read_scans_of_frames(sequence, files, make_mulran_point_format(sequence, files), options);
     if (options.poses_file.empty()) {
         const PoseTrack track = shift_track(log.world_from_vehicle, -sequence.world_offset_m);
-        // add_requested_frames() skips scans without a pose, so all these times have one.
+        // All these times have a pose, because add_requested_frames() has skipped scans
+        // without a pose.
         const auto pose_at = [&](double t_s) { return std::optional(track.interpolate_pose(t_s)); };
         if (std::string note = bag::correct_rays_for_vehicle_motion(sequence, pose_at); !note.empty())
             sequence.notes.push_back(std::move(note));

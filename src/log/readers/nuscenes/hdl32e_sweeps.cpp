@@ -21,21 +21,21 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kBeams = 32, kPointBytes = 20;
 constexpr double kPeriod_s = 0.05;
-// Nearer points are missing returns. The dataset stores them as points at the LiDAR,
-// which motion compensation has moved a little.
+// Nearer points are rays without a return. The dataset stores them at the LiDAR, and
+// motion compensation has moved them a little.
 constexpr double kNoReturn_m = 1.0;
 constexpr double kFarthestOfSweep_m = 1e4;
 constexpr std::size_t kMostColumnsOfSweep = 8192;
 
 /// Points of a file with rings and columns. Each point is in the frame of the moving
-/// LiDAR at the time of the point.
+/// LiDAR at the time when it was measured.
 struct SweepWithColumns {
     LidarPoints points;
     SweepFirings sweep;
 };
 
-/// Removes missing returns. The dataset stores them as points at the LiDAR, which motion
-/// compensation has moved a little.
+/// Removes rays without a return. The dataset stores them as points at the LiDAR, and
+/// motion compensation has moved these points a little.
 /// @param points  points in the frame of the LiDAR at the time of each point
 /// @param column_of_point  [points] column of each point
 void remove_points_without_return(LidarPoints& points, std::vector<int>& column_of_point) {

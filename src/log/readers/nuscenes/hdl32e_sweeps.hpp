@@ -17,7 +17,6 @@ namespace relidar::nuscenes {
 /// @param ego_from_lidar  pose of the LiDAR in the convention of nuScenes
 Lidar make_hdl32e_lidar(const Pose& ego_from_lidar);
 
-/// Files of one sweep.
 struct SweepFiles {
     std::filesystem::path points;
     /// Category index of each point, 8 bits per point. Empty if the points have no

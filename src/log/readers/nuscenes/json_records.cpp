@@ -13,7 +13,7 @@ namespace relidar {
 namespace {
 
 constexpr std::size_t kBlock = 1 << 20, kLongestRecord = 1 << 20;
-// Up to this integer, a double represents all integers exactly.
+// A double represents all integers up to this number exactly.
 constexpr double kMaxExactInteger = 9007199254740992.0;
 
 /// Splits a JSON table (an array of objects) into its objects. Reads the file in blocks,
@@ -104,7 +104,7 @@ void JsonRecord::copy_numbers(std::string_view key, std::size_t count, double* o
     const auto list = get_value<simdjson::dom::array>(key, "numbers");
     if (list.size() != count) throw_wrong_value(key, count == 3 ? "3 numbers" : "4 numbers");
     for (const simdjson::dom::element element : list)
-        // No check for infinity or NaN is needed, because JSON cannot store them.
+        // JSON cannot store infinity or NaN, so this needs no check.
         if (element.get(*out++) != simdjson::SUCCESS) throw_wrong_value(key, "numbers");
 }
 

@@ -23,8 +23,8 @@ public:
         : where_(std::move(error_location)), object_(object) {}
 
     std::string get_text(std::string_view key) const;
-    /// Returns a number as an integer. Rounds fractions, because some tables have
-    /// fractional microseconds.
+    /// Returns a number as an integer. Rounds, because some tables contain fractions of a
+    /// microsecond.
     std::int64_t get_rounded_integer(std::string_view key) const;
     bool get_bool(std::string_view key) const;
     glm::dvec3 get_vec3(std::string_view key) const;

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads nuScenes and other datasets with the same tables. The datasets store points in
-// different formats. The reader recognises the format by the extension of the point
-// files.
+// Reads nuScenes and other datasets with the same tables. These datasets store points in
+// different formats. The extension of the point files shows the format.
 #include "log/readers/nuscenes/nuscenes.hpp"
 
 #include <algorithm>
@@ -25,28 +24,28 @@ namespace {
 namespace fs = std::filesystem;
 using namespace nuscenes;
 
-// Sweeps of several LiDARs form a frame if their times differ by at most this share of
-// the first LiDAR's sweep period.
+// Sweeps of several LiDARs form one frame if their times differ by at most this value.
+// The unit is the sweep period of the first LiDAR.
 constexpr double kBeside = 0.6;
-// A box exists for this share of a sweep period before its first and after its last
-// label. Times of labels and sweeps differ slightly.
+// A box exists a little longer than its labels, because times of labels and sweeps differ
+// slightly. The extra time before and after is this share of a sweep period.
 constexpr double kBeyondLabels = 0.5;
 constexpr double kMostIntensity = 255.0;
-// Assumed duration of a revolution. The dataset has only five sweeps per second, but such
-// LiDARs rotate ten times per second.
+// Assumed duration of a revolution. LiDARs of this kind rotate ten times per second,
+// although the dataset has only five sweeps per second.
 constexpr double kLyftRevolution_s = 0.1;
-// If points have no times, and LiDAR sweeps of a frame differ in time by more than this,
-// the user gets a note.
+// Only for points without times. If the LiDAR sweeps of a frame are farther apart in time
+// than this, a note is added for the user.
 constexpr double kStampsApart_s = 1e-3;
 
-/// File format of a nuScenes-like dataset, recognised by the extension of its LiDAR
-/// files.
+/// Format of a dataset with the tables of nuScenes. The extension of the LiDAR files
+/// shows the format.
 struct NuscenesVariant {
     const char* ending;
     const char* dataset;
     const char* conventions;  ///< conventions of the dataset, except units and vehicle axes
-    /// True if files contain the columns of one HDL-32E, motion-compensated to the end of
-    /// the revolution.
+    /// True if a file contains the columns of one HDL-32E revolution, motion-compensated
+    /// to its end.
     bool is_compensated;
     bool has_times;  ///< true: points have times
 };
@@ -66,8 +65,8 @@ constexpr NuscenesVariant kFormats[] = {
      false, false},
 };
 
-/// Format of T4 datasets. Points are in the vehicle frame, and several LiDARs may be
-/// merged.
+/// Format of T4 datasets. Points are in the vehicle frame. A file may contain the merged
+/// points of several LiDARs.
 constexpr NuscenesVariant kT4 = {
     ".pcd.bin", "T4",
     "Points are motion-compensated and in the frame of the vehicle. The time of a frame is the stamp of "
@@ -92,8 +91,8 @@ std::vector<SceneTablesLocation> list_scenes_of_dataset(const fs::path& dataset_
     return scenes;
 }
 
-/// Returns the scene that the user requested by its name, by its nuScenes number, or by a
-/// unique beginning of its name.
+/// Returns the scene that the user requested: by its name, by its nuScenes number, or by
+/// the first characters of its name if no other scene begins with them.
 SceneTablesLocation choose_scene(const std::vector<SceneTablesLocation>& scenes,
                                  const std::string& requested_name) {
     if (requested_name.empty()) return scenes[0];
@@ -136,7 +135,7 @@ std::vector<BoxTrack> interpolate_boxes_at_frames(const std::vector<BoxLabel>& l
 
 /// A sweep of one LiDAR, with the number of its frame.
 struct FrameSweepRecord {
-    int number = 0;         ///< number of the frame: index of the first LiDAR's sweep at the same time
+    int number = 0;         ///< number of the frame: index of the simultaneous sweep of the first LiDAR
     std::size_t lidar = 0;  ///< index in SceneTables::lidars
     const SweepRecord* record = nullptr;
 };
@@ -184,8 +183,8 @@ private:
     const SceneTablesLocation chosen_;
     const SceneTables scene_;
     const NuscenesVariant& format_;
-    /// Prefix of folder names in Lyft's dataset, for example "train_" in train_data
-    /// (tables) and train_lidar (points).
+    /// Start of folder names in Lyft's dataset. For "train_", the tables are in
+    /// train_data and the points in train_lidar.
     const std::string split_;
     std::vector<double> main_s_;       ///< times in seconds of the sweeps of the first LiDAR
     double step_s_ = 0.0;              ///< time between these sweeps
@@ -251,8 +250,8 @@ private:
             add_note(fmt::format("these LiDARs of the log are not read: {}", fmt::join(left_out, ", ")));
     }
 
-    /// Assigns a frame number to each sweep of the selected LiDARs. Returns the sweeps,
-    /// sorted by frame number.
+    /// Assigns a frame number to each sweep of the selected LiDARs. Returns the sweeps in
+    /// the order of frame numbers.
     std::vector<FrameSweepRecord> assign_frame_numbers_to_sweeps() {
         std::vector<FrameSweepRecord> sweeps;
         for (const std::size_t l : lidars_) {
@@ -282,8 +281,8 @@ private:
         return sweeps;
     }
 
-    /// Selects the frames in the requested range. Selects only keyframes if no other
-    /// sweep has a file, because the user has unpacked samples/ but not sweeps/.
+    /// Selects the frames in the requested range. If only keyframes have files, selects
+    /// only keyframes. The user has then unpacked samples/ but not sweeps/.
     void select_frames_in_range() {
         const std::vector<FrameSweepRecord> sweeps = assign_frame_numbers_to_sweeps();
         const auto is_between = [](const FrameSweepRecord& sweep) { return !sweep.record->is_keyframe; };
@@ -305,8 +304,8 @@ private:
             add_note("the files between keyframes are missing, so only the keyframes of the scene are read");
     }
 
-    /// Adds the selected frames to the log. Sweeps of all LiDARs in a frame get the time
-    /// of the first LiDAR.
+    /// Adds the selected frames to the log. All sweeps of a frame get the time of the
+    /// first LiDAR's sweep.
     /// @return vehicle poses of the dataset at the frames
     PoseTrack add_frames_and_return_poses() {
         for (const FrameSweepRecord& frame : frames_) {
@@ -333,8 +332,7 @@ private:
         return files;
     }
 
-    /// Reads the point files of datasets whose points have no rings and are not
-    /// motion-compensated.
+    /// Reads the point files of datasets without rings and without motion compensation.
     void read_scans_of_point_files() {
         std::vector<fs::path> files;
         for (const FrameSweepRecord& frame : frames_) files.push_back(get_file_of_sweep(*frame.record));

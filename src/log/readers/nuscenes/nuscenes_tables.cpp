@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the tables of a dataset. Records refer to other records by tokens. To find the
-// channel of a file, the reader uses the tables sample_data, calibrated_sensor and
+// Reads the tables of a dataset. Records refer to other records by tokens (ids). To find
+// the LiDAR of a file, the reader uses the tables sample_data, calibrated_sensor and
 // sensor.
 #include "log/readers/nuscenes/nuscenes_tables.hpp"
 
@@ -28,7 +28,7 @@ using TokenMap = std::unordered_map<std::string, T>;
 
 constexpr std::string_view kLidar = "LIDAR_";  // prefix of LiDAR channels
 constexpr const char* kFirstChannel = "LIDAR_TOP";
-// maximum time difference between a sweep and the vehicle pose to which it refers
+// maximum time difference between a sweep and its vehicle pose
 constexpr double kFarthestPose_s = 0.1;
 
 std::string find_scene_token(const fs::path& table_folder, const std::string& scene_name) {
@@ -98,8 +98,8 @@ SweepsByChannel list_lidar_files_of_scene(const fs::path& table_folder,
     return files;
 }
 
-/// Sorts the files of a LiDAR channel by time, starting with its first keyframe.
-/// @return an empty list if the channel has no keyframe
+/// Sorts the files of one LiDAR by time. Starts with its first keyframe.
+/// @return an empty list if the LiDAR has no keyframe
 std::vector<SweepRecord> sort_sweeps_by_time(const fs::path& table_folder,
                                              const TokenMap<SweepRecord>& files_by_token) {
     const std::string where = (table_folder / "sample_data.json").string();
@@ -148,8 +148,8 @@ std::vector<SceneLidar> read_lidars_of_scene(const fs::path& table_folder,
     return lidars;
 }
 
-/// Returns the vehicle poses at the times of the sweeps. Interpolates, because sweeps of
-/// TruckScenes refer only to the nearest pose.
+/// Returns the vehicle poses at the times of the sweeps. Interpolates, because a sweep of
+/// TruckScenes refers to the nearest stored pose.
 std::vector<Pose> read_ego_poses_of_sweeps(const fs::path& table_folder,
                                            const std::vector<SweepRecord>& sweeps) {
     const fs::path file = table_folder / "ego_pose.json";
@@ -204,8 +204,8 @@ TokenMap<std::string> read_text_column_by_token(const fs::path& table_file, cons
     return values;
 }
 
-/// Reads the box labels of a scene. Test splits have no label table, so their scenes have
-/// no labels.
+/// Reads the box labels of a scene. Scenes of test splits have no label table, so they
+/// have no labels.
 std::vector<BoxLabel> read_box_labels_of_scene(const fs::path& table_folder, const SceneTables& scene,
                                                const TokenMap<std::int64_t>& keyframe_times_us) {
     std::vector<BoxLabel> labels;
@@ -246,7 +246,7 @@ std::vector<BoxLabel> read_box_labels_of_scene(const fs::path& table_folder, con
 }
 
 /// Reads which files contain the categories of points, and the class of each category.
-/// Does nothing if the table lidarseg is missing, because it is a separate download.
+/// Does nothing without the table lidarseg, which is a separate download.
 void read_lidarseg_files_and_classes(const fs::path& table_folder, SceneTables& scene) {
     const fs::path file = table_folder / "lidarseg.json";
     if (!does_path_exist(file)) return;

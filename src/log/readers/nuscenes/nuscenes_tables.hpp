@@ -13,7 +13,7 @@
 
 namespace relidar::nuscenes {
 
-/// Table record of one LiDAR file: a keyframe, or a sweep between two keyframes.
+/// Table record of one LiDAR file, which is a keyframe or a sweep between two keyframes.
 struct SweepRecord {
     /// Tokens (ids) of this record and of the next record of the scene. `next` is empty
     /// for the last one.
@@ -38,15 +38,15 @@ struct SceneLidar {
 /// Data of one scene, collected from all tables.
 struct SceneTables {
     std::string name;
-    /// At least one LiDAR: LIDAR_TOP first, then the others by name. The sweeps of the
-    /// first LiDAR define the frame numbers.
+    /// At least one LiDAR. LIDAR_TOP is first; the other LiDARs are sorted by name. The
+    /// sweeps of the first LiDAR define the frame numbers.
     std::vector<SceneLidar> lidars;
     std::vector<Pose> world_from_ego;  ///< vehicle poses at the times of the first LiDAR's sweeps
     /// Box labels of the keyframes in the world frame, with times in seconds after the
     /// first sweep.
     std::vector<BoxLabel> labels;
-    /// Class of each category index of nuScenes-lidarseg. An index that no category has
-    /// is `unknown`.
+    /// Class of each category index of nuScenes-lidarseg; `unknown` for an index without
+    /// a category.
     std::array<SurfaceClass, 256> classes{};
 
     /// Converts a time stamp to seconds after the first sweep of the first LiDAR.

@@ -24,8 +24,8 @@ namespace fs = std::filesystem;
 
 constexpr const char* kSensor = "Pandar40P";
 constexpr double kMillisecond = 1e-3;
-// Duration of a revolution. The LiDAR rotates ten times per second; the dataset contains
-// only every fifth revolution.
+// Duration of a revolution. The LiDAR rotates ten times per second, but the dataset
+// contains only every fifth revolution.
 constexpr double kRevolution_s = 0.1;
 // rotation about z from ONCE's axes (x left, y back) to relidar's axes (x forward, y
 // left)

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reference implementation of the returns of a conical beam, used to test the renderer.
-// Casts rays inside the cone along a golden-angle spiral, and separates returns by
-// sorting the hits. The tests compare src/simulate/render/footprint.cpp with this code.
-// It is independent of the renderer and samples the cone in other directions.
+// Reference for tests of the renderer: computes the returns of a conical beam. Casts rays
+// inside the cone along a golden-angle spiral, and separates returns by sorting the hits.
+// Tests compare src/simulate/render/footprint.cpp with this code, which is independent
+// and samples the cone in other directions.
 #include "log/readers/street/cone_echoes.hpp"
 
 #include <algorithm>

@@ -9,19 +9,18 @@ namespace relidar::street {
 
 inline constexpr int kConeRays = 53;  ///< number of thin rays that represent the cone of a beam
 
-/// Replaces each ray by kConeRays thin rays, which form a spiral in the cone of its
-/// divergence.
-/// @param rays  rays with a divergence
+/// Replaces each ray by kConeRays thin rays, which form a spiral in the cone of the beam.
+/// @param rays  rays with a divergence, which is the opening angle of the cone
 RayTable make_rays_in_beam_cones(const RayTable& rays);
 
-/// Computes two returns per ray from the hits in the cone of the ray. Consecutive hits
-/// with a range difference below 0.5 m form one return. The range of this return is the
-/// mean, weighted by light.
+/// Computes two returns per ray from the hits in the cone of the beam. Hits whose ranges
+/// differ by less than 0.5 m from the next hit form one return. The range of the return
+/// is their mean, weighted by light.
 ///
 /// The first return is the strongest one. The second return is the last one, or the next
-/// strongest one if the strongest return is the last. It must have at least a tenth of
-/// the light of the strongest return. A ray is dropped if at most half of its cone has
-/// hits.
+/// strongest one if the strongest return is the last. The second return must have at
+/// least a tenth of the light of the first. If at most half of the thin rays have hits,
+/// the ray is dropped.
 /// @param cone_scan  scan with the hits of the rays from make_rays_in_beam_cones(rays)
 Scan combine_cone_returns(const RayTable& rays, const Scan& cone_scan);
 

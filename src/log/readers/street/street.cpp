@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Intersects rays exactly with the shapes of the synthetic street: the ground plane,
 // upright boxes (slab test), and upright cylinders with caps (quadratic equation in the
-// plane):
+// plane). For a ray o + t d:
 //   box: t_axis = (+-half - o) / d;   cylinder: |o_xy + t d_xy| = r, |z| <= half height
 #include "log/readers/street/street.hpp"
 
@@ -93,8 +93,8 @@ glm::dvec3 rotate_about_z(const glm::dvec3& vector, double cosine, double sine) 
     return {cosine * vector.x - sine * vector.y, sine * vector.x + cosine * vector.y, vector.z};
 }
 
-/// Returns true if a point of a wall is in a window. Walls that face the y direction have
-/// windows of dark glass, 1.2 x 1.5 m, every 3 m.
+/// Returns true if a point of a wall belongs to a window. Walls that face the y direction
+/// have windows of dark glass, 1.2 x 1.5 m, every 3 m.
 bool is_in_wall_window(const StreetShape& wall, const glm::dvec3& local_point,
                        const glm::dvec3& local_normal) {
     if (std::abs(local_normal.y) < 0.5) return false;
@@ -104,7 +104,7 @@ bool is_in_wall_window(const StreetShape& wall, const glm::dvec3& local_point,
 
 /// Returns the hit of a ray on the ground. The ground consists of a road with a dashed
 /// centre line, and pavements on both sides.
-/// @param range_m,cosine  range and cosine of the hit
+/// @param range_m,incidence_cosine  range and cosine of the hit
 StreetHit make_ground_hit(const glm::dvec3& point, double range_m, double incidence_cosine) {
     const double middle = std::abs(point.y - 1.7);
     const bool dash = middle < 0.08 && point.x - 6.0 * std::floor(point.x / 6.0) < 3.0;
@@ -123,8 +123,8 @@ BoundingSphere compute_bounding_sphere(const StreetShape& shape) {
     return {shape.centre, glm::length(shape.half)};
 }
 
-/// Returns a bounding sphere of several shapes, centred in the bounding box of their
-/// centres.
+/// Returns a sphere that contains several shapes. Its centre is the centre of the box
+/// around the centres of the shapes.
 BoundingSphere compute_bounding_sphere(std::span<const StreetShape> shapes) {
     glm::dvec3 low = shapes.front().centre, high = low;
     for (const StreetShape& shape : shapes)
@@ -139,14 +139,14 @@ BoundingSphere compute_bounding_sphere(std::span<const StreetShape> shapes) {
 
 }  // namespace
 
-/// Finds the first surface that a ray hits. The caller passes all shapes to it, one after
-/// another.
+/// Finds the first surface that a ray hits. The caller passes all shapes to this class,
+/// one after another.
 class StreetCaster::NearestSurfaceSearch {
 public:
     NearestSurfaceSearch(const WorldRay& ray, double max_range_m) : ray_(ray), nearest_m_(max_range_m) {}
 
-    /// Returns true if the shapes in a sphere can be skipped: the ray misses the sphere,
-    /// or has a nearer hit already.
+    /// Returns true if the shapes inside a sphere need no test, because the ray misses
+    /// the sphere or has already hit a nearer surface.
     bool can_skip_sphere(const BoundingSphere& sphere, const glm::dvec3& ray_origin,
                          const glm::dvec3& ray_direction) const {
         const glm::dvec3 to = sphere.centre - ray_origin;
@@ -163,8 +163,8 @@ public:
         hit_ = make_ground_hit(ray_.origin_m + t * ray_.direction, t, -ray_.direction.z);
     }
 
-    /// Intersects the ray with a shape, and stores the hit if it is the nearest so far.
-    /// @param ray_origin,direction  ray in the frame of the shape's centre
+    /// Intersects the ray with a shape. Stores the hit if it is the nearest so far.
+    /// @param ray_origin,ray_direction  ray in the frame of the shape's centre
     void intersect_ray_with_solid(const RayCastShape& solid, const glm::dvec3& ray_origin,
                                   const glm::dvec3& ray_direction) {
         if (can_skip_sphere(solid.around, ray_origin, ray_direction)) return;
@@ -183,10 +183,10 @@ public:
             StreetHit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance, shape.surface};
     }
 
-    /// Intersects the ray with an arm or a leg, and stores the hit if it is the nearest
-    /// so far.
+    /// Intersects the ray with an arm or a leg. Stores the hit if it is the nearest so
+    /// far.
     /// @param pitch_rad  swing angle of the limb, from straight down to the front
-    /// @param ray_origin,direction  ray in the frame of the person's box
+    /// @param ray_origin,ray_direction  ray in the frame of the person's box
     void intersect_ray_with_limb(const SwingingLimb& limb, double pitch_rad, const glm::dvec3& ray_origin,
                                  const glm::dvec3& ray_direction) {
         const double c = std::cos(pitch_rad), s = std::sin(pitch_rad);

@@ -51,9 +51,9 @@ struct MovingStreetActor {
     PoseTrack track;
 
     Pose compute_world_from_box(double time_s) const;
-    /// Returns the distance that the person has walked at a time. It is 0 at time 0, or
-    /// at `start_m` if the person follows a track. Therefore all persons on the same path
-    /// step on the same places, even at different speeds.
+    /// Returns the distance that the person has walked at a time. It is 0 at time 0. For
+    /// a person who follows a track, it is 0 at `start_m` instead. Therefore all persons
+    /// on the same path step on the same places, even at different speeds.
     double compute_walked_distance_m(double time_s) const;
 };
 
@@ -85,7 +85,8 @@ struct StreetHit {
     SurfaceClass surface;
 };
 
-/// Poses of all moving cars at one time. Consecutive rays with the same time reuse them.
+/// Poses of all moving cars at one time. They are reused for consecutive rays with the
+/// same time.
 struct MovingActorPoses {
     std::optional<double> time_s;
     std::vector<glm::dvec3> centre_m;  ///< [cars] centre of the box of each car
@@ -96,7 +97,7 @@ struct MovingActorPoses {
 class StreetCaster {
 public:
     explicit StreetCaster(SyntheticStreet street);
-    /// Returns the first surface that a ray hits at a time, if it is nearer than
+    /// Returns the first surface that a ray hits at a time. Returns nothing beyond
     /// max_range_m.
     /// @param car_pose_cache  cached poses of the cars, or empty; recomputed if their
     /// time differs from time_s
@@ -114,12 +115,11 @@ private:
     struct RayCastActor {
         MovingStreetActor moving;
         std::vector<RayCastShape> solids;
-        /// radius of a sphere around the centre of the box that contains all shapes of
-        /// the car
+        /// radius of a sphere around the centre of the box that contains the car
         double reach_m = 0.0;
     };
-    /// A group of shapes that are close together, such as the leaves of a bush. They are
-    /// skipped if a ray misses their bounding sphere.
+    /// A group of shapes that are close together, such as the leaves of a bush. A ray
+    /// that misses their bounding sphere skips the group.
     struct Cluster {
         BoundingSphere around;
         /// index after the last shape; the first shape is the `end` of the previous

@@ -21,8 +21,8 @@ constexpr double kHalfLength_m = 80.0, kLongDrive_m = 100.0, kBetweenCars_m = 12
 // y = 1.1.
 constexpr double kLeftKerb_m = 6.6, kRightKerb_m = -4.4;
 constexpr double kCarLength_m = 4.3, kCarWidth_m = 1.8;
-// Height of the bottom and the top of a car's box. Car bodies begin at 0.2 m, so the box
-// contains the full car but no ground.
+// Height of the bottom and the top of a car's box. Car bodies begin at a height of 0.2 m.
+// So the box contains the full car but no ground.
 constexpr double kBoxBottom_m = 0.15, kBoxTop_m = 1.5;
 constexpr double kBoxCentre_m = 0.5 * (kBoxBottom_m + kBoxTop_m);
 // Start and end of the yard along the street, left of the pavement.
@@ -36,8 +36,8 @@ double compute_driven_distance_m(const SyntheticOptions& options) {
     return options.speed_mps * compute_frame_time_s(options.n_frames - 1);
 }
 
-/// Returns half the length of the street. The street is longer than the path of the
-/// sensor, so that it continues beyond both ends of a long log.
+/// Returns half the length of the street. The street continues beyond both ends of the
+/// sensor's path, even for a long log.
 double compute_half_street_length_m(const SyntheticOptions& options) {
     const double driven_length_m = compute_driven_distance_m(options);
     return driven_length_m > kLongDrive_m ? 0.5 * driven_length_m + kHalfLength_m : kHalfLength_m;
@@ -169,7 +169,7 @@ void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& 
 }
 
 /// Adds a yard with parked cars between a wall and a fence. The fence hides about half of
-/// each car, so a moving sensor sees other parts in every sweep.
+/// each car. A moving sensor therefore sees other parts of the cars in every sweep.
 void add_yard(SyntheticStreet& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
     for (double x = kYardBegin_m; x < kYardEnd_m; x += random.draw_uniform(0.4, 1.2))
@@ -205,8 +205,8 @@ MovingStreetActor make_moving_car(const SyntheticOptions& options, double x_at_m
     return car;
 }
 
-/// Adds a car that is 14 m ahead of the sensor in the middle of the log and drives
-/// towards it. A long street has one oncoming car per 120 m.
+/// Adds a car that drives towards the sensor and is 14 m ahead of it in the middle of the
+/// log. A long street has one oncoming car per 120 m.
 void add_oncoming_cars(SyntheticStreet& street, Random& random, const SyntheticOptions& options) {
     constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
     street.cars.push_back(make_moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
@@ -261,7 +261,7 @@ MovingStreetActor make_pedestrian(const SyntheticOptions& options,
 }
 
 /// Replaces the static legs of a pedestrian by swinging legs and arms. Feet on the ground
-/// do not slide, because they swing backward as fast as the body moves forward.
+/// do not slide: they swing backward as fast as the body moves forward.
 void replace_legs_by_swinging_limbs(MovingStreetActor& pedestrian) {
     constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045,
                      kShoulder_m = 0.23;
@@ -324,8 +324,8 @@ SyntheticStreet make_street(const SyntheticOptions& options) {
     add_parked_cars(street, random, left, options.people);
     add_parked_cars(street, random, right, options.people);
     if (options.moving_cars) {
-        // Initial distance of the car ahead, which is large enough that the sensor never
-        // overtakes it.
+        // Initial distance of the car ahead. It is so large that the sensor never
+        // overtakes the car.
         const double ahead_m = compute_driven_distance_m(options) > kLongDrive_m
                                    ? 12.0 + 0.05 * 0.5 * compute_driven_distance_m(options)
                                    : 12.0;

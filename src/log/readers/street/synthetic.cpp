@@ -70,11 +70,11 @@ double compute_echo_intensity(const StreetHit& hit) {
     return glm::clamp(hit.reflectance * (0.3 + 0.7 * hit.cosine) * (1.0 - hit.range_m / 160.0), 0.0, 1.0);
 }
 
-/// Returns only the shapes that rays of one sweep can reach, which makes ray casting
+/// Returns only the shapes that the rays of one sweep can reach. This makes ray casting
 /// faster.
 street::SyntheticStreet crop_street_to_sweep(const street::SyntheticStreet& full_street,
                                              const glm::dvec3& sensor_position_m, double time_s) {
-    // Upper bound of the distances that the sensor and the cars move during a sweep.
+    // Upper limit of the distances that the sensor and the cars move during a sweep.
     constexpr double kSweep_m = 20.0;
     street::SyntheticStreet nearby_street;
     for (const street::StreetShape& shape : full_street.shapes)
@@ -88,8 +88,8 @@ street::SyntheticStreet crop_street_to_sweep(const street::SyntheticStreet& full
     return nearby_street;
 }
 
-/// Casts every ray of a scan at its firing time. Calls `receive(ray, hit)` for each ray
-/// that hits a surface.
+/// Casts every ray of a scan at its firing time. Calls on_hit(ray, hit) for each ray that
+/// hits a surface.
 template <class Receive>
 void cast_rays_at_firing_times(const street::SyntheticStreet& full_street,
                                const glm::dvec3& world_origin_in_street_m, const PoseTrack& sensor_track,
@@ -98,8 +98,7 @@ void cast_rays_at_firing_times(const street::SyntheticStreet& full_street,
         full_street, sensor_track.interpolate_pose(scan_time_s).translation + world_origin_in_street_m,
         scan_time_s));
     const std::size_t columns = rays.rows > 1 ? std::size_t(rays.columns) : 1;
-    // One cache of car poses per column, because rays of a column usually have the same
-    // time.
+    // One cache of car poses per column. Rays of a column usually have the same time.
     std::vector<street::MovingActorPoses> actor_poses_by_column(columns);
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
         WorldRay in_street = make_world_ray(sensor_track, scan_time_s, rays, ray, true);
@@ -118,8 +117,8 @@ Scan make_empty_scan(const RayTable& rays) {
             .classes = ScanArray<SurfaceClass>(rays.size(), SurfaceClass::unknown)};
 }
 
-/// Returns the origin of the log in the street frame: the sensor position in the middle
-/// frame.
+/// Returns the origin of the log in the street frame. It is the position of the sensor in
+/// the middle frame.
 glm::dvec3 compute_world_origin_in_street_m(const SyntheticOptions& options) {
     return street::compute_sensor_pose(options, street::compute_frame_time_s(options.n_frames / 2))
         .translation;
@@ -152,8 +151,8 @@ Scan cast_scan_with_two_returns(const street::SyntheticStreet& street,
                                       sensor_track, scan_time_s));
 }
 
-/// Returns the random seed of a frame. Further LiDARs do not change the seeds of the
-/// first LiDAR.
+/// Returns the random seed of a frame. The seeds of the first LiDAR do not depend on the
+/// other LiDARs.
 std::uint64_t compute_frame_seed(const SyntheticOptions& options, const LidarFrame& frame) {
     const std::uint64_t seed = hash_integer_pair(options.seed, static_cast<std::uint64_t>(frame.index));
     return frame.lidar == 0 ? seed : hash_integer_pair(seed, static_cast<std::uint64_t>(frame.lidar));
@@ -284,7 +283,6 @@ LidarSequence make_synthetic_street(const SyntheticOptions& options) {
 
 namespace {
 
-/// Replaces the moving cars of the street by other moving cars.
 void replace_moving_cars(street::SyntheticStreet& street, const std::vector<SyntheticCar>& edited_cars,
                          const glm::dvec3& world_origin_in_street_m, double time_s) {
     const std::vector<street::MovingStreetActor> original_cars = std::move(street.cars);

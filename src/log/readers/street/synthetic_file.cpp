@@ -32,8 +32,8 @@ void read_toml_value_if_present(const toml::table& table, const char* key, const
                                 const std::string& file_name, T& value) {
     const toml::node* node = table.get(key);
     if (!node) return;
-    // toml++ converts real numbers to integers without an error, so the type is checked
-    // first.
+    // Checks the type first, because toml++ converts real numbers to integers without an
+    // error.
     const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
     const auto parsed_value = is_cut ? std::nullopt : node->value<T>();
     if (!parsed_value)
@@ -46,7 +46,8 @@ void read_toml_value_if_present(const toml::table& table, const char* key, const
 /// Used to test the effect of wrong poses.
 void replace_poses_from_file(LidarSequence& sequence, const fs::path& user_pose_file) {
     std::vector<int> frames;
-    // All LiDARs of a frame share one vehicle pose, so each frame number is used once.
+    // All LiDARs of a frame share one vehicle pose, so each frame number is listed only
+    // once.
     for (const LidarFrame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
@@ -91,7 +92,7 @@ SyntheticOptions read_street_toml(const fs::path& toml_file) {
     read_toml_value_if_present(table, "people", "true or false", file, options.people);
     read_toml_value_if_present(table, "gait", "true or false", file, options.gait);
     read_toml_value_if_present(table, "rig", "a file", file, options.rig);
-    // A relative path of the rig file starts in the folder of street.toml.
+    // If the path of the rig file is relative, it starts in the folder of street.toml.
     if (!options.rig.empty()) options.rig = (toml_file.parent_path() / options.rig).string();
     return options;
 }
@@ -111,8 +112,8 @@ LidarSequence load_synthetic_dataset(const fs::path& folder, const DatasetOption
     LidarSequence sequence;
     try {
         sequence = make_synthetic_frames(street, options.frames.begin, end);
-        // The wrong value is in a file and not on the command line, so the error becomes
-        // a DataError.
+        // The wrong value is in a file and not on the command line. The error is
+        // therefore thrown as a DataError.
     } catch (const UsageError& error) {
         throw DataError(fmt::format("{}: {}", file.string(), error.what()));
     }

@@ -5,10 +5,10 @@
 // The reader rotates the frame by this yaw, so that the image has the rays of a spinning
 // sensor.
 //
-// The dataset has transformed the points of TOP with the vehicle pose of their pixel. It
-// has transformed the points of the other LiDARs with the vehicle pose of the record. The
-// reader places a ray in the world with the same pose. Then it stores the ray relative to
-// the vehicle pose of the log at the time of the ray.
+// The dataset has moved the points of TOP with the vehicle pose of their pixel. It has
+// moved the points of the other LiDARs with the vehicle pose of the record. The reader
+// computes the ray in the world with the same pose. Then it converts the ray to the
+// vehicle frame of the log at the time of the ray.
 #include "log/readers/waymo/waymo.hpp"
 
 #include <algorithm>
@@ -115,8 +115,8 @@ Pose read_vehicle_pose_of_pixel(const DecompressedImage& pose_image, std::size_t
 // image (roll, pitch, yaw, x, y, z).
 constexpr int kImageChannels = 4, kPoseChannels = 6;
 
-/// Reads the image with the vehicle pose of each pixel, or returns nothing if the LiDAR
-/// has none.
+/// Reads the image with the vehicle pose of each pixel. Returns nothing if the LiDAR has
+/// no such image.
 std::optional<DecompressedImage> read_pose_image(const CompressedLidarImages& laser_images,
                                                  const DecompressedImage& range_image,
                                                  const std::string& error_location) {
@@ -138,8 +138,8 @@ const CompressedLidarImages& find_range_images_of_laser(const WaymoFrameRecord& 
                                 error_location, kLaserNames[laser_id]));
 }
 
-/// Returns the vehicle pose when the LiDAR TOP faces forward: the pose of the pixel that
-/// is nearest to the middle column, among pixels with a return.
+/// Returns the vehicle pose at the time when the LiDAR TOP faces forward. This is the
+/// pose of the pixel with a return that is nearest to the middle column.
 Pose find_pose_facing_forward(const WaymoFrameRecord& frame_record, const std::string& error_location) {
     if (frame_record.images.empty() || frame_record.images.front().laser != kTop)
         return frame_record.world_from_vehicle;
@@ -156,8 +156,8 @@ Pose find_pose_facing_forward(const WaymoFrameRecord& frame_record, const std::s
     return nearest ? read_vehicle_pose_of_pixel(*poses, *nearest, in_top) : frame_record.world_from_vehicle;
 }
 
-/// Pose and labels of a frame. They are read for all frames before the scans, because
-/// placing rays needs the poses of all frames.
+/// Pose and labels of a frame. They are read for all frames before any scan, because
+/// computing rays needs the poses of all frames.
 struct WaymoFrameHeader {
     std::int64_t timestamp_us = 0;
     Pose world_from_vehicle;       ///< vehicle pose at the time when the head of the LiDAR faces forward
@@ -302,9 +302,8 @@ private:
         }
     }
 
-    /// Corrects a ray for the difference between two vehicle poses at its firing time:
-    /// the pose in the dataset, and the pose that is interpolated between the frames of
-    /// the log.
+    /// Corrects a ray, because two vehicle poses at its firing time differ: the pose in
+    /// the dataset, and the pose that the log interpolates between frames.
     void place_ray_with_vehicle_pose(std::size_t ray_index, const Pose& world_from_vehicle) {
         const Pose moved = sensor_from_world_[ray_index % std::size_t(scan.rays.columns)] *
                            (world_from_vehicle * lidar_.vehicle_from_sensor);
@@ -334,8 +333,8 @@ void add_lidars_frames_and_boxes(LidarSequence& sequence, const TfRecordReader& 
         parse_frame_record(records.read_record_data(0), make_record_name(records, 0)).timestamp_us;
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < frame_heads.size(); ++i) {
-        // The time stamp is the start of the sweep, when the head faces backward. Half a
-        // period later it faces forward, which is the time of a frame.
+        // The time stamp is the start of the sweep, when the head faces backward. The
+        // time of a frame is half a period later, when the head faces forward.
         const double time_s = 1e-6 * double(frame_heads[i].timestamp_us - start_us) + 0.5 * period_s;
         for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
             add_frame(sequence, first_record + int(i), time_s, frame_heads[i].world_from_vehicle, lidar);
@@ -353,7 +352,7 @@ void read_scans_of_records(LidarSequence& sequence, const TfRecordReader& record
     std::vector<RayTable> models;
     for (const Lidar& lidar : sequence.lidars) {
         RayTable& model = models.emplace_back(make_rays(lidar.sensor));
-        // Rays of the other LiDARs have no times in the dataset, so they get the time of
+        // The dataset has no ray times for the other LiDARs. Their rays get the time of
         // the frame.
         if (lidar.name != kLaserNames[kTop])
             std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);
@@ -362,8 +361,7 @@ void read_scans_of_records(LidarSequence& sequence, const TfRecordReader& record
     parallel_for_with_progress(
         sequence.frames.size() / n_lidars, options.progress, "reading range images", [&](std::size_t sweep) {
             const int record = sequence.frames[sweep * n_lidars].index;
-            // The pose in this record has been read before, so the record is known to be
-            // complete.
+            // The record is complete, because its pose was read before.
             const std::string data = records.read_record_data(std::size_t(record)),
                               where = make_record_name(records, record);
             const WaymoFrameRecord parsed = parse_frame_record(data, where);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Parses the messages of Waymo Open 1.4. The field numbers are defined in dataset.proto
-// and label.proto. Skips fields with an unexpected wire type, as protobuf skips unknown
-// fields.
+// and label.proto. Skips fields with an unexpected wire type, because protobuf also skips
+// unknown fields.
 #include "log/readers/waymo/waymo_frame.hpp"
 
 #include <algorithm>
@@ -180,8 +180,8 @@ void parse_box_into_label(pbf_reader reader, BoxLabel& label, const std::string&
     label.world_from_box = {glm::angleAxis(v[7], glm::dvec3(0, 0, 1)), {v[1], v[2], v[3]}};
 }
 
-/// Returns the category of an object, or null for signs, which cannot move and belong to
-/// the background.
+/// Returns the category of an object. Returns null for signs, which belong to the
+/// background because they cannot move.
 const char* get_object_category(int waymo_type) {
     constexpr int kVehicle = 1, kPedestrian = 2, kCyclist = 4;
     return waymo_type == kVehicle      ? "vehicle"
@@ -221,7 +221,8 @@ void parse_label_into_frame(pbf_reader reader, WaymoFrameRecord& frame_record,
     frame_record.labels.push_back(std::move(label));
 }
 
-/// Parses a MatrixFloat or MatrixInt32 message, which contains values and dimensions.
+/// Parses a message of the type MatrixFloat or MatrixInt32. It contains values and
+/// dimensions.
 void parse_pixel_matrix(pbf_reader reader, PixelType pixel_type, std::vector<float>& values,
                         std::vector<std::int32_t>& dimensions) {
     while (reader.next()) {
@@ -278,8 +279,8 @@ std::string inflate_zlib_stream(std::string_view compressed_bytes, const std::st
     return bytes;
 }
 
-/// Calls a function that parses protobuf, and converts exceptions of the library
-/// protozero to DataError.
+/// Calls a function that parses protobuf. Converts exceptions of the library protozero to
+/// DataError.
 template <class Parse>
 auto parse_and_convert_exceptions(const std::string& error_location, const Parse& parse_function) {
     try {

@@ -24,14 +24,14 @@ struct WaymoLidarCalibration {
     Pose vehicle_from_laser;
 };
 
-/// Compressed range images of one LiDAR in one frame. They are views of the record, which
-/// must stay in memory.
+/// Compressed range images of one LiDAR in one frame. The texts are views of the record,
+/// so the record must stay in memory.
 struct CompressedLidarImages {
     int laser = 0;
     /// images of the first and the second returns; `second` is empty if there are none
     std::string_view first, second;
-    /// Image with the vehicle pose of each pixel of `first`. Empty if the record has only
-    /// one pose for all pixels.
+    /// Image with the vehicle pose of each pixel of `first`. Empty if one pose applies to
+    /// all pixels.
     std::string_view pixel_pose;
     /// Instance and class of each pixel of the first return. Empty if the frame has no
     /// labels of points.

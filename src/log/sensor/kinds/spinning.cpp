@@ -12,8 +12,7 @@ namespace {
 
 // maximum distance of a beam's origin from the sensor's origin
 constexpr double kFarthestBeam_m = 100.0;
-// Maximum absolute value of gains and offsets of intensities, and of range offsets in
-// metres.
+// Limit for the absolute values of gains, intensity offsets and range offsets (metres).
 constexpr double kLargestResponse = 1e3;
 constexpr double kMaxAngle_deg = 5730.0;  // 100 radians
 constexpr std::size_t kMostBeams = 65534;
@@ -70,8 +69,8 @@ nlohmann::ordered_json make_beam_json(const Beam& beam) {
 struct SpinningFunctions {
     using Pattern = SpinningSensor;
 
-    /// Reads a spinning sensor from JSON. The beams can be missing, for a LiDAR of which
-    /// only scans exist.
+    /// Reads a spinning sensor from JSON. The beams can be missing, if only the scans of
+    /// a LiDAR are known.
     static SensorModel parse(const JsonField& field, const std::string& default_name) {
         pattern_detail::check_known_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth"});
         SpinningSensor sensor;

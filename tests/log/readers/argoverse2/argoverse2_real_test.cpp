@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes two consecutive sweeps of a published Argoverse 2 log as a log and reads it. The
 // sweeps are in ../shared/data/argoverse2; the test is skipped if RELIDAR_SHARED does not
-// contain them or if Python has no numpy. The data have no calibration. The mounting of
-// the LiDARs was fitted to the same sweeps with five numbers each. The elevations of 64
-// lasers therefore still show whether halves, order and compensation are right.
+// contain them or if Python has no numpy. The sweeps have no calibration, so the pose of
+// each LiDAR was fitted to them with five numbers. The elevations of 64 lasers still show
+// errors of half precision, order and compensation.
 #include <relidar/log/dataset.hpp>
 #include <relidar/log/sensor_files.hpp>
 

@@ -156,7 +156,8 @@ TEST(Argoverse2, TimesPosesAndBoxes) {
     }
 }
 
-/// Half precision rounds a coordinate by up to 2^-11 of its value.
+/// Half precision rounds a coordinate by up to 2^-11 of its value. Points must not move
+/// farther than this rounding.
 TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
     const Argoverse2Log log("half", {.half_precision = true, .sweeps = 2, .codec = test::FeatherCodec::zstd});
     const LidarSequence sequence = load_sequence(log.folder.string(), make_far_options());

@@ -164,7 +164,7 @@ TEST(ExrFolder, TheSensorThatAFileNames) {
         << "a file of the user's is not read because an image says so";
 }
 
-/// Reads images with features that other programs use. These are half precision or
+/// Images with features that other programs use must be readable: half precision or
 /// integers, a different compression, and a window that does not start at 0.
 TEST(ExrFolder, ImagesOfOtherPrograms) {
     constexpr int rows = 40, columns = 30, n = rows * columns;

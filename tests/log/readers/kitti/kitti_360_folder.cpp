@@ -22,8 +22,8 @@ glm::dmat4 make_frame_matrix(const glm::dvec3& x, const glm::dvec3& y, const glm
     return {glm::dvec4(x, 0), glm::dvec4(y, 0), glm::dvec4(z, 0), glm::dvec4(translation, 1)};
 }
 
-/// Returns get_imu_from_cam0. The camera looks along x of the IMU, and y of the camera
-/// points down like z of the IMU, with a small tilt.
+/// Returns the pose of camera 0 in the frame of the IMU. The camera looks along x of the
+/// IMU, and y of the camera points down like z of the IMU, with a small tilt.
 glm::dmat4 get_imu_from_cam0() {
     return rotate_matrix(make_frame_matrix({0, 1, 0}, {0, 0, 1}, {1, 0, 0}, {1.57, 0.04, -0.9}), 0.03,
                          {1, 0, 0});

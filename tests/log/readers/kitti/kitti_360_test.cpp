@@ -198,8 +198,9 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     EXPECT_TRUE(read(kitti, options).boxes.empty());
 }
 
-// In drive 0004, objects have no numbers and exist only in train_full. All other drives
-// may have only train.
+// Objects without numbers, as in drive 0004, must be identified by their labels. Drive
+// 0004 has objects only in the folder train_full. All other drives may have only the
+// folder train, as here.
 TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     const Kitti360Folder kitti("k360_0004");
     const glm::dmat4 world_from_object =

@@ -24,7 +24,7 @@ namespace {
 namespace fs = std::filesystem;
 
 /// Odometry sequence with three frames, 1.5 m apart along the camera's z. The camera
-/// looks along the LiDAR's x. It is 0.3 m ahead of the LiDAR and 0.1 m below it.
+/// looks along the LiDAR's x. The camera is 0.3 m ahead of the LiDAR and 0.1 m below it.
 struct Odometry {
     test::KittiDrive drive;
     fs::path folder;

@@ -192,8 +192,8 @@ void erase_lines(const std::filesystem::path& path, const std::vector<std::size_
     test::write_text(path, text);
 }
 
-// Drive 0009 lacks some scans. The lines of these scans in the three timestamp files are
-// empty, but their OXTS files exist.
+// A drive without some of its scans must be readable. As in drive 0009, the lines of
+// these scans in the three timestamp files are empty, but their OXTS files exist.
 TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     const KittiDrive drive("drive0009");
     std::filesystem::remove(drive.scan(1));
@@ -205,8 +205,8 @@ TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     EXPECT_NEAR(log.frames[1].time_s - log.frames[0].time_s, 0.2, 1e-9);
     EXPECT_NEAR(log.lidars[0].sensor.period_s, 0.1, 1e-9);
     EXPECT_THAT(log.notes, testing::Contains(test::Names("1 ... 0 to 2 ... missing (1)")));
-    // the pose must come from the OXTS file with the frame's number, not from the file at
-    // the frame's index
+    // frames are missing, so the number of a frame differs from its index; the pose must
+    // be read from the OXTS file with the frame's number
     const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;
     EXPECT_NEAR(log.world_from_vehicle.pose[1].translation.x - log.world_from_vehicle.pose[0].translation.x,
                 2 * step, 1e-6);

@@ -67,8 +67,8 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
     EXPECT_GT(hits, 1500);
 }
 
-/// A person who walks on the same path at half the speed must have the same steps and the
-/// same shape at the same position.
+/// Two people walk on the same path, one of them at half the speed. At the same position,
+/// both must have the same steps and the same shape.
 TEST(Gait, GoesByDistance) {
     const SyntheticOptions options{.n_frames = 9, .people = true, .gait = true};
     const LidarSequence street = make_synthetic_street(options);

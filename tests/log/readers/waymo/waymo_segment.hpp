@@ -76,7 +76,8 @@ struct WaymoSegment {
     static glm::dmat4 get_top_extrinsic();
     static std::vector<double> list_top_inclinations();  ///< ascending
     static glm::dmat4 world_from_vehicle(double time_us);
-    /// Returns the time of Frame.pose, which is not exactly the middle of the sweep.
+    /// Returns the time of the vehicle pose in the message `Frame`. It is not exactly the
+    /// middle of the sweep.
     static double label_time_us(int frame);
     static glm::dmat4 get_world_from_parked();  ///< the vehicle "parked", 4.6 x 2 x 1.6 m
 };

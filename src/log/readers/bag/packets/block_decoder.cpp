@@ -1,16 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 // Decodes packets of blocks. A block has an azimuth, then the range and reflectivity of
 // each laser. One table row per product:
-//   Velodyne VLP-16 (manual 63-9243, chapters 6 and 9), VLP-32C (63-9325) and HDL-32E (63-9113):
-//     12 blocks of FF EE, azimuth in 0.01 degrees, 32 x (range, reflectivity). Then microseconds of
-//     the hour at the first firing, return mode, product. A block of the VLP-16 has two firings.
-//     With two returns, two consecutive blocks have the same firings, the last return before the
-//     strongest (or second strongest) one.
-//   Velodyne VLS-128 (63-9483): as above, but four blocks, marked FF EE, FF DD, FF CC and FF BB,
-//     contain the 128 lasers of a firing.
+//   Velodyne VLP-16 (manual 63-9243, chapters 6 and 9), VLP-32C (63-9325) and HDL-32E
+//     (63-9113): 12 blocks of FF EE, azimuth in 0.01 degrees, 32 x (range,
+//     reflectivity). Then microseconds of the hour at the first firing, return mode,
+//     product. A block of the VLP-16 has two firings. With two returns, two consecutive
+//     blocks have the same firings. The first block has the last return, the second block
+//     the strongest (or second strongest) return.
+//   Velodyne VLS-128 (63-9483): as above, but four blocks, marked FF EE, FF DD, FF CC and
+//     FF BB, contain the 128 lasers of a firing.
 //   RoboSense RS-LiDAR-16 (user manual, "MSOP"): a header of 42 bytes, then the 12 blocks
-//     of a VLP-16, with the highest byte of each number first. With two returns, a block has
-//     both returns of one firing instead of two firings.
+//     of a VLP-16, with the highest byte of each number first. With two returns, a block
+//     has both returns of one firing instead of two firings.
 //   Hesai Pandar40P, Pandar64, PandarXT-16 and 32, XT32M2X, PandarQT, QT128C2X and OT128
 //     (user manuals, "Point cloud data packet" and the appendix on absolute time): the
 //     packet's time, in microseconds of its second, follows the firings. The last block
@@ -43,8 +44,8 @@ constexpr int kNoRing = -1;
 constexpr double kDegree = kPi / 180.0;
 constexpr double kLargestStep_deg = 5.0;  // maximum rotation between two blocks
 
-/// Stores a return of a ray. A ray keeps at most two returns. A third return replaces the
-/// darker of the two if it is brighter and has another range than both.
+/// Stores a return of a ray. A ray keeps at most two returns. A third return with a new
+/// range replaces the darker of the two, if it is brighter.
 /// @param return_index  number of the return in the packet, from 0
 void add_echo_to_ray(std::array<DecodedReturn, 2>& ray_echoes, std::size_t return_index,
                      const DecodedReturn& echo) {
@@ -141,17 +142,17 @@ private:
     const PacketLayout& layout_;
     FiringTiming timing_;
     std::vector<BeamFiring> table_;
-    /// [lasers] angles of the lasers as calibrated by the manufacturer; empty if unknown
+    /// [lasers] angles of the lasers that the manufacturer measured; empty if unknown
     std::vector<LaserAngles> angles_;
-    /// note for the user about the source of the angles
+    /// text for the user that names the source of the angles
     std::string angles_about_ = "beam angles from the data sheet";
     std::vector<PacketBeam> beams_;  ///< [rings]
     /// [firing sequences, lasers] ring of each laser; kNoRing if it does not fire in the
     /// sequence
     std::vector<std::vector<int>> ring_of_;
 
-    /// Selects the angle correction file with the right number of lasers. If several
-    /// files match, uses none, because it is unknown which one belongs to the sensor.
+    /// Selects the angle correction file with the right number of lasers. Uses no file if
+    /// several match, because nothing shows which file belongs to the sensor.
     void select_angle_correction(const std::vector<AngleCorrection>& corrections) {
         const std::size_t n = layout_.count_lasers_per_firing();
         std::string files;
@@ -174,7 +175,7 @@ private:
         }
     }
 
-    /// Returns the index of the firing sequence that a firing belongs to.
+    /// Returns the index of the firing sequence in which a firing takes place.
     /// @param firing_index  number of the firing in the packet
     int get_firing_sequence_index(std::string_view packet_bytes, std::size_t firing_index,
                                   std::size_t n_returns) const {
@@ -226,8 +227,8 @@ private:
         }
     }
 
-    /// Computes the time of each firing in a packet. Interpolates the azimuths of firings
-    /// in the same block, which stores only one azimuth.
+    /// Computes the time of each firing in a packet. If a block contains several firings,
+    /// it stores only one azimuth, so the other azimuths are interpolated.
     void set_firing_times_and_azimuths(DecodedPacket& packet) const {
         const int n = packet.n_slots, per_block = int(layout_.firings);
         double step_deg = 0.0;  // rotation between two blocks
@@ -241,7 +242,7 @@ private:
             if (slot % per_block == 0 && next < packet.firings.size()) {
                 const double to_next =
                     std::remainder(packet.firings[next].azimuth_deg - firing.azimuth_deg, 360.0);
-                // A larger step crosses a sector in which the sensor does not fire.
+                // A larger step means that the sensor skips a sector here.
                 if (std::abs(to_next) < kLargestStep_deg) step_deg = to_next;
             }
             firing.azimuth_deg = std::fmod(
@@ -279,7 +280,7 @@ std::unique_ptr<PacketDecoder> make_block_packet_decoder(const char* product_nam
     };
     const auto* layout =
         find_layout(std::string(product_name) + (calibration.has_two_returns ? " with two returns" : ""));
-    // Most sensors use the same layout for packets with one return and with two returns.
+    // Most products use the same layout for one return and for two returns.
     if (layout == std::end(kLayouts)) layout = find_layout(product_name);
     return std::make_unique<BlockDecoder>(*layout, calibration.corrections);
 }

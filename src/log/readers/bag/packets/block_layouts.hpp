@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tables of the products whose packets consist of blocks: byte offsets of the fields in a
-// packet, timing, and firing times of the lasers. block_decoder.cpp explains the format.
+// Tables of the products whose packets consist of blocks. They contain byte offsets of
+// the fields in a packet, timing, and firing times of the lasers. block_decoder.cpp
+// explains the format.
 #pragma once
 
 #include <array>
@@ -16,7 +17,8 @@ namespace relidar::packets {
 using LaserFiringTimes = std::array<std::int32_t, 128>;
 
 // Firing times of the QT128, which alternates between two firing sequences. Lasers 65 to
-// 128 fire in both. The values are from Hesai's manual, as in tier4/nebula 606ac41f1f13.
+// 128 fire in both sequences. The values are from Hesai's manual, as in tier4/nebula
+// 606ac41f1f13.
 inline constexpr LaserFiringTimes kQt128Loop1 = {
     -1,     -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,
     -1,     -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,
@@ -40,9 +42,9 @@ inline constexpr LaserFiringTimes kQt128Loop2 = {
     45808,  71152, 20464, 96496, 99664, 23632, 74320, 48976};
 inline constexpr LaserFiringTimes kQt128Loops[] = {kQt128Loop1, kQt128Loop2};
 
-// Firing times of the OT128. It fires all lasers in each block. In its high-resolution
-// mode, it alternates between two firing sequences. The values are from Hesai's manual,
-// as in tier4/nebula 606ac41f1f13.
+// Firing times of the OT128. In standard mode, all lasers fire in each block. In
+// high-resolution mode, the sensor alternates between two firing sequences. The values
+// are from Hesai's manual, as in tier4/nebula 606ac41f1f13.
 inline constexpr LaserFiringTimes kOt128All = {
     49758, 43224, 36690, 30156, 21980, 15446, 8912,  2378,  49758, 43224, 36690, 30156, 2378,  15446, 8912,
     21980, 43224, 30156, 49758, 15446, 36690, 2378,  21980, 8912,  34312, 45002, 38468, 40846, 40846, 34312,
@@ -78,7 +80,7 @@ inline constexpr LaserFiringTimes kOt128State1 = {
 inline constexpr LaserFiringTimes kOt128Standard[] = {kOt128All};
 inline constexpr LaserFiringTimes kOt128States[] = {kOt128State0, kOt128State1};
 
-/// How a packet states which of two firing sequences a block belongs to.
+/// How a packet states to which of two firing sequences a block belongs.
 enum class FiringSequenceRule {
     none,           ///< no field, because all blocks have the same firing sequence
     mode_flag,      ///< number of the block; for packets with two returns, bit 0 of a byte
@@ -95,20 +97,20 @@ struct PacketLayout {
     /// lasers per block, and bytes per laser (range and reflectivity)
     std::size_t block_lasers = 32, unit_bytes = 3;
     std::size_t firings = 1;        ///< firings per block
-    std::size_t block_returns = 1;  ///< returns of a firing in the same block
+    std::size_t block_returns = 1;  ///< returns of the same firing in a block
     /// Unit of the ranges in metres. If 0, byte `unit_at` of the packet contains the unit
     /// in millimetres.
     double range_unit_m = 0.0;
     std::size_t unit_at = 9, time_at = 0;
     std::size_t mode_at = 0;  ///< byte offset of the return mode; 0 if all packets have one return
-    /// True if the highest byte of a number is first. Times then consist of milliseconds
-    /// and microseconds.
+    /// True if numbers are stored with the highest byte first. Times then consist of
+    /// milliseconds and microseconds.
     bool is_big_endian = false;
     double wrap_us = 1e6, cycle_us = 50.0;
-    /// Whether `shift_us` refers to the last firing of a packet (true) or to its first
-    /// firing (false).
+    /// True if `shift_us` refers to the last firing of a packet. False if it refers to
+    /// the first firing.
     bool at_end = true;
-    /// time from the packet's time stamp to the start of its last or first firing
+    /// time between the packet's time stamp and the start of its last or first firing
     double shift_us = 0.0;
     double forward_deg = 90.0;        ///< azimuth of the sensor's x axis in the angles of the packet
     int first_channel = 1;            ///< number of the first channel in the beam table
@@ -116,8 +118,8 @@ struct PacketLayout {
     /// Range values up to this one mean "no return".
     std::uint16_t last_marker = 0;
     /// [firing sequences] firing times of the lasers, for sensors that alternate between
-    /// firing sequences. The decoder subtracts the earliest time. Empty for other
-    /// sensors, whose firing times are in the beam table.
+    /// firing sequences. The decoder subtracts the earliest time. Empty for all other
+    /// sensors, because the beam table contains their firing times.
     std::span<const LaserFiringTimes> loops = {};
     FiringSequenceRule part_rule = FiringSequenceRule::none;
     std::size_t part_at = 0;  ///< byte offset of the field that contains the firing sequence
@@ -133,12 +135,12 @@ struct PacketBeam {
     std::size_t line = 0;   ///< row of the laser in the beam table of the built-in sensor
     /// elevation from the sensor's angle correction file; 0 if the file is missing
     double elevation_deg = 0.0;
-    /// time from the start of the first firing sequence to the firing of the laser
+    /// time between the start of the first firing sequence and the firing of the laser
     double offset_us = 0.0;
 };
 
-/// Returns the beams of a product in the order of its beam table. The list has one beam
-/// for each firing sequence in which a laser fires.
+/// Returns the beams of a product in the order of its beam table. A laser has one beam
+/// for each firing sequence in which it fires.
 std::vector<PacketBeam> list_beams_of_packet_layout(const PacketLayout& layout);
 
 // One row per product. Hesai's manuals state the time of each laser relative to the start

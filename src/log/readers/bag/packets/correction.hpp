@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the angle correction file of a Hesai sensor. The file contains the measured
-// angles of each laser of one unit, in degrees. The azimuth is positive clockwise. The
-// first line is "Laser id,Elevation,Azimuth" or "Channel,Elevation,Azimuth".
+// Reads the angle correction file of a Hesai sensor. It contains the angles of each laser
+// of one unit in degrees, as measured by the manufacturer. The azimuth is positive
+// clockwise. The first line is "Laser id,Elevation,Azimuth" or
+// "Channel,Elevation,Azimuth".
 #pragma once
 
 #include <filesystem>
@@ -26,9 +27,9 @@ struct AngleCorrection {
 AngleCorrection parse_angle_correction(const std::string& csv_text, const std::string& error_location);
 
 /// Finds and reads the angle correction files of a recording. If .csv files have the
-/// names of the recording's files, returns only these. Otherwise, reads all .csv files in
-/// the folder of the recording that begin like an angle correction. For a ROS 2 bag, also
-/// reads the folder that contains the bag's folder.
+/// names of the recording's files, reads only these. Otherwise reads all .csv files in
+/// the folder of the recording that begin like an angle correction. A ROS 2 bag is a
+/// folder; the folder above it is then also searched.
 /// @param recording_files  all files of the recording
 /// @throws DataError if the file with the name of the recording is damaged
 std::vector<AngleCorrection> find_angle_corrections(

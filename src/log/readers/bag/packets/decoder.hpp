@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Interface of the packet decoders of spinning LiDARs. Packets contain every firing, so
-// the rays without a return (dropped rays) are known. products.cpp lists the supported
-// products. block_decoder.cpp decodes Velodyne and Hesai. ouster_decoder.cpp decodes
-// Ouster.
+// rays without a return (dropped rays) are known. products.cpp lists the products.
+// block_decoder.cpp decodes Velodyne and Hesai. ouster_decoder.cpp decodes Ouster.
 #pragma once
 
 #include <array>
@@ -32,9 +31,9 @@ struct DecodedReturn {
 
 /// One firing of all beams.
 struct LaserFiring {
-    /// index of the firing in the packet, also counting firings that were not measured
+    /// index of the firing in the packet; also counts firings that were not measured
     int slot = 0;
-    double after_us = 0.0;  ///< time from the packet's time to the first beam of the firing
+    double after_us = 0.0;  ///< time between the packet's time and the first beam of the firing
     /// Azimuth of the head at the start of the firing, clockwise from the sensor's x
     /// axis, in [0, 360).
     double azimuth_deg = 0.0;
@@ -43,7 +42,7 @@ struct LaserFiring {
 };
 
 struct DecodedPacket {
-    /// Time of the packet on the sensor's clock, which restarts at 0 after
+    /// Time of the packet on the sensor's clock. The clock restarts at 0 after
     /// FiringTiming::wrap_us.
     std::int64_t clock_ns = 0;
     int n_slots = 0;  ///< firings per packet
@@ -55,23 +54,24 @@ struct DecodedPacket {
 /// Firing times of the lasers of a sensor.
 struct FiringTiming {
     double cycle_us = 0.0;  ///< time between firings
-    /// Some sensors alternate between several firing sequences with different lasers.
-    /// This is their number. Each column of a scan contains one firing of each sequence.
+    /// Number of firing sequences, for sensors that alternate between sequences with
+    /// different lasers. Each column of a scan contains one firing of each sequence.
     int parts = 1;
-    /// time after which the sensor's clock restarts at 0; 0: the clock never restarts
+    /// time after which the sensor's clock restarts at 0; 0 if it never restarts
     double wrap_us = 0.0;
-    /// [rings] time from the start of a firing to each beam. With several firing
-    /// sequences, time from the start of the first one.
+    /// [rings] time between the start of a firing and each beam. If there are several
+    /// firing sequences, times start with the first sequence.
     std::vector<double> offset_us;
-    /// How the head azimuth of a beam is computed. True: interpolated between two
-    /// firings. False: from a constant rotation rate.
+    /// True: the head azimuth of a beam is interpolated between two firings. False: it is
+    /// computed from a constant rotation rate.
     bool interpolates = false;
     /// [columns per revolution] true if the sensor fires at this column. Column 0 is at
-    /// 180 degrees. Empty if the sensor can fire at any azimuth. The sensor's clock
-    /// defines all times if this list is not empty, otherwise the time stamps of packets.
+    /// 180 degrees. Empty if the sensor can fire at any azimuth. All times are from the
+    /// sensor's clock if the list is not empty, otherwise from the time stamps of
+    /// packets.
     std::vector<bool> fires = {};
-    /// True if intensities can exceed 1. Their scale is then estimated from all
-    /// intensities of the topic.
+    /// True if intensities can exceed 1. Their scale is then estimated from all returns
+    /// of the topic.
     bool is_wide = false;
 };
 
@@ -106,18 +106,17 @@ struct DecoderCalibration {
 /// A LiDAR product whose packets relidar recognises.
 struct LidarProduct {
     const char* name;
-    /// Returns true if the size and header of a packet are those of this product. Null
-    /// for Ouster, whose packets have no identifying header.
+    /// Returns true if a packet has the size and header of this product. Null for Ouster,
+    /// because the headers of its packets do not identify it.
     bool (*is)(std::string_view bytes);
-    /// Creates a decoder. Null if relidar recognises packets of this product but cannot
-    /// decode them.
+    /// Creates a decoder. Null if relidar recognises the packets but cannot decode them.
     /// @throws DataError if a calibration is damaged or belongs to another sensor
     std::unique_ptr<PacketDecoder> (*make)(const char* name, const DecoderCalibration& calibration);
-    /// driver that the user can use instead, if relidar cannot decode the packets
+    /// driver that the user can use if relidar cannot decode the packets
     const char* driver = "";
 };
-/// Returns the product that sent a packet, recognised by the size and header of the
-/// packet. An Ouster is recognised by the packet size in its metadata.
+/// Finds the product that sent a packet by the size and header of the packet. For an
+/// Ouster, compares the size with the packet size in its metadata.
 /// @return null if no product matches
 const LidarProduct* find_product_of_packet(std::string_view packet_bytes,
                                            const DecoderCalibration& calibration);
@@ -125,12 +124,12 @@ const LidarProduct* find_product_of_packet(std::string_view packet_bytes,
 /// of a VLS-128, expected those of ...".
 std::string format_unsupported_packet_error(const LidarProduct* product, std::string_view packet_bytes);
 
-/// Returns true if the packets of an RS-LiDAR-16 contain two returns per firing, which
-/// the packets do not state. With two returns, the time between packets is half as long.
+/// Returns true if the packets of an RS-LiDAR-16 contain two returns per firing. The
+/// packets do not state this. With two returns, the time between packets is half as long.
 bool has_two_returns_per_firing(const std::vector<ReceivedPacket>& packets);
 
-/// Creates a packet decoder, by name of the product: the first function for Velodyne and
-/// Hesai, the second for Ouster.
+/// Create a packet decoder for the product with this name. The first function is for
+/// Velodyne and Hesai, the second for Ouster.
 std::unique_ptr<PacketDecoder> make_block_packet_decoder(const char* product_name,
                                                          const DecoderCalibration& calibration);
 std::unique_ptr<PacketDecoder> make_ouster_packet_decoder(const char* product_name,

@@ -8,12 +8,12 @@
 namespace relidar::packets {
 namespace {
 
-// If more consecutive columns than this have no measurement, the sensor did not measure
-// in this sector.
+// If more consecutive columns than this were not measured, the sensor was not active in
+// this sector.
 constexpr std::size_t kMostUnmeasured = 8;
 
-/// Marks long runs of unmeasured columns as fired, so that their rays become dropped
-/// rays. Does not mark columns of lost packets.
+/// Marks long runs of unmeasured columns as fired. Their rays then become dropped rays.
+/// Does not mark columns of lost packets.
 void mark_long_gaps_as_fired(std::vector<bool>& column_has_fired, const std::vector<bool>& column_is_enabled,
                              const std::vector<bool>& column_is_lost) {
     std::size_t run = 0;
@@ -72,7 +72,7 @@ Scan make_scan_of_fixed_columns(RevolutionPoints& revolution_points,
     }
     for (const int column : revolution_points.numbers)
         revolution_points.points.firing.push_back(firing_index_of_column[std::size_t(column)]);
-    // After packet loss, the scan has only the columns that were received.
+    // If packets were lost, the scan has only the columns that were received.
     const bool has_gaps = std::ranges::count(column_is_lost, true) > 0;
     sensor.columns =
         std::max(has_gaps ? 0 : int(std::ranges::count(column_is_enabled, true)), int(sweep.firings.size()));

@@ -17,12 +17,11 @@ namespace relidar::packets {
 struct FiringInstant {
     double azimuth_deg, time_s;
     int number;  ///< number of the firing; for a sensor that fires at fixed azimuths, the column
-    /// current minus average rotation rate of the head, in degrees per microsecond
+    /// rotation rate of the head minus its mean, in degrees per microsecond
     double ahead_deg_us;
     double brightness;  ///< intensity value that becomes 1
 };
 
-/// Points of a revolution.
 struct RevolutionPoints {
     LidarPoints points;
     std::vector<int> numbers;        ///< [points] number of the firing that measured the point
@@ -36,13 +35,13 @@ void add_points_of_firing(RevolutionPoints& revolution_points, const FiringInsta
                           const std::vector<BeamRayGenerator>& beams,
                           const std::vector<double>& beam_offsets_us);
 
-/// Creates the scan of a sensor that fires at fixed azimuths. If the sensor did not
-/// measure in a long run of columns, their rays are dropped rays. Otherwise, the scan
-/// would repeat a neighbouring column, which would be wrong data.
+/// Creates the scan of a sensor that fires at fixed azimuths. If many consecutive columns
+/// were not measured, their rays become dropped rays. Otherwise the scan would repeat a
+/// neighbouring column there, which would be wrong data.
 /// @param column_is_enabled  [columns per revolution] true if the sensor fires at the
 /// column
-/// @param column_is_lost  [columns per revolution] true if the packet with the column was
-/// lost. Its rays are unknown, so the scan does not have them.
+/// @param column_is_lost  [columns per revolution] true if the packet with the column
+/// was lost. Its rays are unknown, so the scan does not contain them.
 Scan make_scan_of_fixed_columns(RevolutionPoints& revolution_points,
                                 const std::vector<bool>& column_is_enabled,
                                 const std::vector<bool>& column_is_lost, SpinningSensor sensor);

@@ -54,8 +54,7 @@ glm::vec3 read_livox_position_m(bag::ByteReader& reader, int point_type) {
                                           std::cos(from_z_rad)));
 }
 
-/// Returns the time from the first to the second time stamp, clamped to one hour in both
-/// directions.
+/// Returns the second time minus the first time, limited to one hour in both directions.
 std::int64_t compute_clamped_time_between_ns(std::int64_t first_ns, std::int64_t second_ns) {
     constexpr std::int64_t kHour_ns = 3'600'000'000'000;
     const auto passed_ns = std::int64_t(std::uint64_t(second_ns) - std::uint64_t(first_ns));
@@ -63,8 +62,8 @@ std::int64_t compute_clamped_time_between_ns(std::int64_t first_ns, std::int64_t
 }
 
 /// Appends the points of a packet to a cloud.
-/// @param packet_time_offset_ns  time of the first point of the packet, relative to the
-/// time of the cloud
+/// @param packet_time_offset_ns  time of the packet's first point minus the time of the
+/// cloud
 /// @return number of points
 std::uint32_t append_points_of_livox_packet(std::string& point_bytes, std::string_view packet,
                                             std::int64_t packet_time_offset_ns) {
@@ -82,7 +81,7 @@ std::uint32_t append_points_of_livox_packet(std::string& point_bytes, std::strin
         append_binary_value(point_bytes, position_m.x), append_binary_value(point_bytes, position_m.y),
             append_binary_value(point_bytes, position_m.z);
         point_bytes.append(reflectivity_and_tag);
-        // laser line; always 0, because packets do not contain the line
+        // number of the laser line; always 0, because packets do not contain it
         append_binary_value(point_bytes, std::uint8_t(0));
         ++n_points;
     }
@@ -109,7 +108,7 @@ std::string make_livox_cloud_message(std::string_view packed_packets, std::strin
         if (!is_livox_point_packet(packet)) continue;
         const auto clock_ns = read_number_at<std::int64_t>(packet, kLivoxTimeAt);
         if (is_first) first_stamp_ns = stamp_ns, first_clock_ns = clock_ns;
-        // If the sensor's clock has jumped, the receive times of the packets are used
+        // If the sensor's clock has jumped, uses the receive times of the packets
         // instead.
         const std::int64_t passed_ns = compute_clamped_time_between_ns(first_stamp_ns, stamp_ns);
         const std::int64_t passed_clock_ns = compute_clamped_time_between_ns(first_clock_ns, clock_ns);

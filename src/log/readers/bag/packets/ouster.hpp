@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the metadata of Ouster sensors. The layout of Ouster packets is configurable.
-// Packets contain neither the product nor the layout, but the metadata contains both.
+// Reads the metadata of Ouster sensors. The user can configure the layout of Ouster
+// packets. Only the metadata contain the product and the layout.
 #pragma once
 
 #include <cstdint>
@@ -14,8 +14,8 @@
 
 namespace relidar::packets {
 
-/// Layout of the pixels in an Ouster packet, as selected by the sensor's setting
-/// `udp_profile_lidar`.
+/// Layout of the pixels in an Ouster packet. The sensor's setting `udp_profile_lidar`
+/// selects it.
 struct OusterProfile {
     const char* name;
     /// True for legacy packets, which have no header and no footer. Their columns have a
@@ -25,7 +25,7 @@ struct OusterProfile {
     /// Bit mask of the range in the first 4 bytes of a pixel.
     std::uint32_t range_bits;
     double range_unit_m;
-    /// byte offset from the range to the reflectivity of the same return
+    /// byte offset of the reflectivity, counted from the range of the same return
     std::size_t reflectivity_at;
     bool is_wide;  ///< true if the reflectivity has 2 bytes, false if it has 1 byte
     int returns;   ///< number of returns; the second return is stored directly after the first
@@ -41,8 +41,7 @@ struct OusterMetadata {
     std::size_t packet_bytes = 0;
     int port = 0;              ///< UDP port to which the sensor sends packets; 0 if unknown
     std::uint64_t serial = 0;  ///< serial number of the sensor; 0 if unknown
-    /// [columns per revolution] true if the column is in the azimuth window in which the
-    /// sensor fires
+    /// [columns per revolution] true if the sensor fires at this column (azimuth window)
     std::vector<bool> fires;
     SpinningSensor sensor;             ///< highest ring first
     std::vector<std::size_t> ring_of;  ///< [pixels of a column] ring to which each pixel belongs
@@ -61,17 +60,18 @@ bool is_ouster_metadata(std::string_view json_text);
 /// @throws DataError if the metadata is invalid
 std::shared_ptr<const OusterMetadata> parse_ouster_metadata(const std::string& json_text,
                                                             const std::string& error_location);
-/// Reads Ouster metadata files in the folder of a recording. For a recording X.pcap with
+/// Reads Ouster metadata files in the folder of a recording. If the recording X.pcap has
 /// a file X.json, reads only the files X*.json. Otherwise reads all metadata files that
-/// do not belong to another recording.
+/// do not have the name of another recording.
 /// @param error_messages  output: error messages about files that cannot be read
 OusterMetadataList read_ouster_metadata_near(const std::filesystem::path& recording_path,
                                              std::vector<std::string>& error_messages);
 
-/// Returns the metadata of the sensor that sent a packet. The packet size must match. The
-/// port must also match, unless the packet's header contains the serial number of the
-/// metadata. If several metadata match, prefers metadata of the same topic (port of a
-/// capture, namespace of a bag), then metadata with the same serial number.
+/// Returns the metadata of the sensor that sent a packet. The packet size and the port
+/// must match. The port may differ if the packet contains the serial number of the
+/// metadata, or if a LEGACY layout is the only metadata. If several metadata match,
+/// prefers metadata of the same topic (port of a capture, namespace of a bag), then
+/// metadata with the same serial number.
 /// @return null if no metadata matches, or if more than one remains
 std::shared_ptr<const OusterMetadata> find_ouster_format_of_packet(const OusterMetadataList& formats,
                                                                    std::string_view topic_name,
@@ -79,8 +79,8 @@ std::shared_ptr<const OusterMetadata> find_ouster_format_of_packet(const OusterM
 /// Returns true if packets of an Ouster sensor with a supported layout can have this
 /// size.
 bool is_ouster_packet_size(std::size_t n_bytes);
-/// Returns the error message for packets that look like Ouster packets but cannot be
-/// decoded. The message tells the user what to do.
+/// Returns the error message for packets that cannot be decoded, although they look like
+/// Ouster packets. The message says what the user can do.
 /// @param formats  metadata that was read
 /// @param recording_path  recording in whose folder the user can put more metadata
 std::string format_ouster_packet_error(const OusterMetadataList& formats,

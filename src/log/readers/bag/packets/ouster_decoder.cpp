@@ -2,12 +2,12 @@
 // Decodes Ouster packets. A packet has columns. All beams of a column fire
 // simultaneously. The column's number defines the azimuth of the head, because the sensor
 // fires at fixed azimuths (firmware user manual, "Lidar Data"):
-//   LEGACY: a column is [timestamp u64 ns, number u16, frame u16, encoder u32], 12 bytes per pixel,
-//     status u32 (all bits set: it was measured).
-//   Others: a packet has a header and a footer of 32 bytes. A column is [timestamp u64 ns,
-//     number u16, status u8 (bit 0: it was measured), 1 byte], then its pixels.
-// A range in a packet starts at the spin axis and follows the beam's path. The decoder
-// subtracts lidar_origin_to_beam_origin_mm, so that ranges start at the beam's origin.
+//   LEGACY: a column is [timestamp u64 ns, number u16, frame u16, encoder u32],
+//     12 bytes per pixel, status u32 (all bits set: it was measured).
+//   Others: a header and a footer of 32 bytes. A column is [timestamp u64 ns, number u16,
+//     status u8 (bit 0: it was measured), 1 byte], then its pixels.
+// In a packet, ranges start at the spin axis. The decoder subtracts
+// lidar_origin_to_beam_origin_mm, so that ranges start at the beam's origin.
 #include <array>
 #include <cmath>
 
@@ -28,7 +28,6 @@ constexpr std::size_t kHeadBytes = 32;
 constexpr std::uint8_t kLidarData = 1;
 constexpr std::uint64_t kLatestClock_ns = std::uint64_t(1) << 62;
 
-/// Header of a column.
 struct OusterColumnHeader {
     std::int64_t time_ns = 0;
     int number = 0;
@@ -84,8 +83,8 @@ public:
             packet.echoes.resize(packet.echoes.size() + rings);
             read_pixels_of_column(pixels, &packet.echoes[packet.echoes.size() - rings]);
         }
-        // A packet is sent after its last column, so this column defines the packet's
-        // time.
+        // The time of the packet is the time of its last column, because the packet is
+        // sent after this column.
         if (!times_ns.empty()) packet.clock_ns = times_ns.back();
         for (std::size_t f = 0; f < times_ns.size(); ++f)
             packet.firings[f].after_us = 1e-3 * double(times_ns[f] - packet.clock_ns);

@@ -31,8 +31,8 @@ constexpr OusterProfile kProfiles[] = {
     {"RNG19_RFL8_SIG16_NIR16_DUAL", false, 16, 0x7FFFF, 1e-3, 3, false, 2},
     {"RNG15_RFL8_NIR8", false, 4, 0x7FFF, 8e-3, 2, false, 1},
     {"RNG15_RFL8_NIR8_DUAL", false, 8, 0x7FFF, 8e-3, 2, false, 2},
-    // Older name of the profile RNG15_RFL8_NIR8_DUAL. Newer firmware sets header_type to
-    // FUSA instead. The header has the same size.
+    // Old name of the profile RNG15_RFL8_NIR8_DUAL. Newer firmware uses the new name, and
+    // sets header_type to FUSA. The header has the same size.
     {"FUSA_RNG15_RFL8_NIR8_DUAL", false, 8, 0x7FFF, 8e-3, 2, false, 2},
 };
 constexpr int kUsualColumns = 16;  // columns per packet
@@ -80,8 +80,8 @@ const OusterProfile& find_packet_profile(const Json& json, const std::string& er
                                 shorten_for_error_message(name), names));
 }
 
-/// Returns the ring of each pixel in a column of a packet. Pixels are in the order of the
-/// beams in the metadata; rings are sorted by elevation.
+/// Returns the ring of each pixel in a column of a packet. Pixels have the order of the
+/// beams in the metadata. Rings are sorted by elevation.
 std::vector<std::size_t> compute_ring_of_each_pixel(const Json& json, const std::string& error_location) {
     const JsonField root(json, error_location, "");
     const std::vector<double> altitude_deg =
@@ -95,8 +95,8 @@ std::vector<std::size_t> compute_ring_of_each_pixel(const Json& json, const std:
     return ring_of;
 }
 
-/// Returns for each column whether it is in the azimuth window in which the sensor fires.
-/// The window can cross the end of the image and continue at column 0.
+/// Returns for each column whether the sensor fires at it (azimuth window). The window
+/// can cross the end of the range image and continue at column 0.
 std::vector<bool> mark_columns_in_azimuth_window(const Json& json, const std::string& error_location,
                                                  int columns) {
     const JsonField part = find_json_object_with_key(json, error_location, "column_window");
@@ -114,8 +114,8 @@ std::vector<bool> mark_columns_in_azimuth_window(const Json& json, const std::st
     }
 }
 
-/// Checks that values which the metadata contains twice are equal. Also computes the
-/// packet size and checks it.
+/// Checks that values which the metadata contain twice are equal. Computes and checks the
+/// packet size.
 void check_and_set_packet_size(OusterMetadata& format, const Json& json) {
     const int columns = format.sensor.columns, beams = int(format.sensor.beams.size());
     if (const int n = read_optional_integer(json, format.where, "columns_per_frame", columns, 65536);
@@ -138,8 +138,8 @@ void check_and_set_packet_size(OusterMetadata& format, const Json& json) {
             format.where, format.describe_packets(), kMostDatagram));
 }
 
-/// Returns the UDP port in the topic name of a network capture, for example 7502 in
-/// "192.168.1.201:7502". Returns 0 for a topic of a bag.
+/// Returns the UDP port in the topic name of a network capture. For "192.168.1.201:7502",
+/// this is 7502. Returns 0 for a topic of a bag.
 int parse_port_of_topic(std::string_view topic_name) {
     const std::size_t colon = topic_name.rfind(':');
     const auto port = colon == std::string_view::npos || topic_name.starts_with('/')
@@ -256,9 +256,9 @@ std::shared_ptr<const OusterMetadata> find_ouster_format_of_packet(const OusterM
                                                                    std::string_view packet) {
     OusterMetadataList left;
     const int port = parse_port_of_topic(topic_name);
-    // Packets in the LEGACY layout have no serial number. If there is only one sensor's
-    // metadata, its port may differ, because users can change the port after saving the
-    // metadata.
+    // Packets in the LEGACY layout have no serial number. If only one sensor has
+    // metadata, the port may differ, because users can change the port after they save
+    // the metadata.
     const bool is_alone = std::ranges::all_of(
         formats, [&](const auto& format) { return format->text == formats.front()->text; });
     for (const auto& format : formats) {

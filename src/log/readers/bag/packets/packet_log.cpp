@@ -19,21 +19,21 @@
 namespace relidar::packets {
 namespace {
 
-// maximum number of firings per revolution; a revolution of two seconds has fewer
+// maximum number of firings per revolution; even a slow revolution of two seconds has
+// fewer
 constexpr int kMostFirings = 40000;
 constexpr std::int64_t kMaxRevolution_ns = 2000000000;
 constexpr std::size_t kMostInMessage = 0xFFFF;
 constexpr double kBehind_deg = 180.0;
 constexpr double kMostBright = 65535.0;
-// A larger azimuth step between two firings shows a sector in which the sensor does not
-// fire.
+// A larger azimuth step between two firings means that the sensor skips a sector.
 constexpr double kJump_deg = 5.0;
-// The user gets a note about an incomplete first or last revolution if more than this
-// share of it was recorded.
+// If more than this share of an incomplete first or last revolution was recorded, the
+// user gets a note.
 constexpr double kCutOff = 0.02;
 
-// Returns true if the sensor fires at a column. Columns outside the image continue on the
-// other side.
+// Returns true if the sensor fires at a column. A column beyond one end of the range
+// image continues at the other end.
 bool is_firing_at_wrapped_column(const std::vector<bool>& column_is_enabled, std::int64_t column) {
     const auto n = std::int64_t(column_is_enabled.size());
     return column_is_enabled[std::size_t((column % n + n) % n)];
@@ -122,8 +122,8 @@ void PacketIndex::decode_and_index_packet(const ReceivedPacket& packet_view, std
     if (decoder_->get_laser_timing().is_wide) add_to_intensity_histogram(packet);
 }
 
-/// Unwraps the sensor's clock, which restarts at 0 after a fixed time. The time stamps of
-/// the packets show how often it has restarted.
+/// Makes the time of the sensor's clock continuous, because the clock restarts at 0 after
+/// a fixed time. The time stamps of the packets show how often it has restarted.
 void PacketIndex::unwrap_sensor_clock(Entry& entry) const {
     const double wrap_us = decoder_->get_laser_timing().wrap_us;
     if (packets_.empty() || !(wrap_us > 0.0)) return;
@@ -153,8 +153,8 @@ void PacketIndex::sort_packets_and_find_revolutions() {
     find_complete_revolutions();
 }
 
-/// Returns the number of packets that the sensor has sent since the previous packet; 1 if
-/// no packet was lost. For a sensor that fires at fixed azimuths.
+/// Only for a sensor that fires at fixed azimuths. Returns the number of packets sent
+/// since the previous packet; 1 if no packet was lost.
 std::size_t PacketIndex::count_packets_since_previous(std::size_t packet_index) const {
     const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
     const double n = ((entry.azimuth_deg - before.azimuth_deg) / compute_column_step_deg() -
@@ -163,8 +163,8 @@ std::size_t PacketIndex::count_packets_since_previous(std::size_t packet_index) 
     return std::size_t(std::clamp(std::round(n), 1.0, 1e9));
 }
 
-/// Returns the number of firings in lost packets before this packet, without the sector
-/// that the sensor skips. For a sensor that fires at any azimuth.
+/// Only for a sensor that can fire at any azimuth. Returns the number of firings in the
+/// packets that were lost before this packet. Firings in a skipped sector do not count.
 double PacketIndex::count_lost_firings_before(std::size_t packet_index) const {
     const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
     const double cycle_us = decoder_->get_laser_timing().cycle_us,
@@ -173,8 +173,8 @@ double PacketIndex::count_lost_firings_before(std::size_t packet_index) const {
     return slots - (skipped_deg > 0.0 ? skipped_deg / (deg_us_ * cycle_us) : 0.0) - before.n_slots;
 }
 
-/// Returns the number of packets that were lost before this packet. Packets without a
-/// firing are not counted, because the sensor may not send them.
+/// Returns the number of packets that were lost before this packet. Does not count
+/// packets without a firing, because the sensor may not send them.
 std::size_t PacketIndex::count_lost_packets_before(std::size_t packet_index) const {
     const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
     if (fires.empty())
@@ -199,7 +199,7 @@ std::size_t PacketIndex::count_lost_packets_before(std::size_t packet_index) con
 }
 
 /// Counts the lost packets of a revolution. If packets were lost at its start or end,
-/// counts only the share of them that belongs to this revolution.
+/// counts only the part that belongs to this revolution.
 void PacketIndex::set_lost_packet_count(PacketRevolution& revolution) const {
     double n_missing = 0.0;
     const double compute_slot_deg = deg_us_ * decoder_->get_laser_timing().cycle_us;
@@ -216,14 +216,15 @@ void PacketIndex::set_lost_packet_count(PacketRevolution& revolution) const {
     revolution.has_gaps = n_missing > 0.0;
 }
 
-/// Returns the range of head angles that the packets cover. Adjacent angles at which the
-/// sensor never fires are included.
+/// Returns the range of head angles that the packets cover. Includes neighbouring angles
+/// at which the sensor never fires.
 std::pair<double, double> PacketIndex::find_recorded_azimuth_range_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
     if (fires.empty()) {
         if (!(skipped_.width_deg > 0.0)) return {first.azimuth_deg, last.azimuth_deg};
-        // Includes the skipped sector if the packets begin or end at its edge.
+        // If the packets begin or end at the edge of the skipped sector, the range
+        // includes the sector.
         const double slack_deg = deg_us_ * decoder_->get_laser_timing().cycle_us;
         const double last_deg = last.azimuth_deg + double(last.turned_deg);
         const double before_deg = skipped_.compute_sector_overlap_deg(first.azimuth_deg - slack_deg,
@@ -256,12 +257,11 @@ void PacketIndex::find_complete_revolutions() {
         revolution.first = std::max(first_behind(begin), std::size_t(1)) - 1;
         revolution.last = std::min(first_behind(begin + 360.0), packets_.size()) - 1;
         p = revolution.last;
-        // With two firing sequences, the next packet can contain the second sequence of
-        // the last column.
+        // If the sensor has two firing sequences, the next packet can contain the second
+        // sequence of the last column.
         if (decoder_->get_laser_timing().parts > 1)
             revolution.last = std::min(revolution.last + 1, packets_.size() - 1);
-        // All packets of this revolution were lost, so the search continues at the next
-        // packet.
+        // All packets of this revolution were lost. Continues at the next packet.
         if (revolution.first == revolution.last) {
             const double next = packets_[std::min(p + 1, packets_.size() - 1)].azimuth_deg, lost = begin;
             begin = std::max(begin, kBehind_deg + 360.0 * (std::floor((next - kBehind_deg) / 360.0) - 1.0));
@@ -304,8 +304,8 @@ std::string PacketIndex::describe_problems() const {
     return fmt::format("{}", fmt::join(texts, "; "));
 }
 
-/// Computes when the head faces forward in a revolution. If the sensor's clock defines
-/// the times, also computes the difference between time stamps and this clock.
+/// Computes the time at which the head faces forward. If times are from the sensor's
+/// clock, also computes the difference between time stamps and this clock.
 void PacketIndex::set_revolution_times(PacketRevolution& revolution) const {
     const double forward = revolution.begin_deg + 180.0;
     const auto behind =
@@ -323,8 +323,8 @@ void PacketIndex::set_revolution_times(PacketRevolution& revolution) const {
     revolution.forward_ns += before.clock_ns + revolution.stamp_less_clock_ns - before.stamp_ns;
 }
 
-/// Returns true if the sensor's clock advances from packet to packet during a revolution,
-/// and if the revolution is not too long.
+/// Returns true if the sensor's clock advances from packet to packet, and if the
+/// revolution is not too long.
 bool PacketIndex::has_steady_sensor_clock(const PacketRevolution& revolution) const {
     const double slot_ns = 1e3 * decoder_->get_laser_timing().cycle_us;
     for (std::size_t i = revolution.first + 1; i <= revolution.last; ++i) {
@@ -334,8 +334,9 @@ bool PacketIndex::has_steady_sensor_clock(const PacketRevolution& revolution) co
     return packets_[revolution.last].clock_ns - packets_[revolution.first].clock_ns <= kMaxRevolution_ns;
 }
 
-/// Returns the first message with packets of a revolution. Tests all packets, because
-/// packets are sorted by time and may have another order than the messages.
+/// Returns the index of the first message that contains packets of a revolution. Tests
+/// all packets, because messages may have another order than the packets, which are
+/// sorted by time.
 std::uint32_t PacketIndex::find_first_message_index(const PacketRevolution& revolution) const {
     std::uint32_t first = packets_[revolution.first].message;
     for (std::size_t i = revolution.first; i <= revolution.last; ++i)
@@ -351,7 +352,6 @@ std::vector<PacketIndex::PacketMessageSource> PacketIndex::find_messages_of_revo
     return {messages_.begin() + find_first_message_index(revolution), messages_.begin() + last + 1};
 }
 
-/// Returns the mean azimuth step from firing to firing in a revolution.
 double PacketIndex::compute_mean_firing_step_deg(const PacketRevolution& revolution) const {
     std::size_t n = 0;
     for (std::size_t i = revolution.first; i < revolution.last; ++i)
@@ -367,7 +367,7 @@ SpinningSensor PacketIndex::make_spinning_sensor_model() const {
     const FiringTiming& timing = decoder_->get_laser_timing();
     if (!timing.fires.empty())
         return decoder_->make_spinning_sensor_model(int(timing.fires.size()), 1.0 / period_s);
-    // The scan needs a column for each firing of the revolution with the most firings.
+    // The scan needs as many columns as the revolution with the most firings.
     double most = 1e6 * period_s / timing.cycle_us;
     for (const PacketRevolution& revolution : revolutions_)
         most = std::max(most, 360.0 / compute_mean_firing_step_deg(revolution));
@@ -376,15 +376,15 @@ SpinningSensor PacketIndex::make_spinning_sensor_model() const {
                                                 1.0 / period_s);
 }
 
-/// Returns the maximum intensity of all returns, in units in which 255 means intensity 1.
+/// Returns the maximum intensity of all returns. 255 means intensity 1.
 double PacketIndex::find_max_raw_intensity() const {
     std::size_t most = n_bright_.size();
     while (most > 0 && n_bright_[most - 1] == 0) --most;
     return most > 0 ? double(most - 1) : 0.0;
 }
 
-/// Returns the value that becomes the intensity 1: the 99.5th percentile, if some
-/// intensities exceed 1.
+/// Returns the value that becomes the intensity 1. If some intensities exceed 1, this is
+/// their 99.5th percentile.
 double PacketIndex::compute_full_scale_intensity() const {
     if (find_max_raw_intensity() <= 255.0) return 1.0;
     std::uint64_t n = 0, left = 0;
@@ -402,8 +402,8 @@ std::string PacketIndex::describe_lidar_product() const {
                        255.0 * compute_full_scale_intensity());
 }
 
-/// Decodes a packet again to build the scan. Packets are first decoded when the index is
-/// built.
+/// Decodes a packet for the second time, to build the scan. The first time was when the
+/// index was built.
 /// @param message_index  index in `packets_of_message` of the message that contains the
 /// packet
 DecodedPacket PacketIndex::decode_packet_again(
@@ -421,16 +421,16 @@ DecodedPacket PacketIndex::decode_packet_again(
     return decoder_->decode_packet(view.bytes);
 }
 
-/// Converts an azimuth to a column of a revolution. Azimuths outside the revolution give
-/// an invalid column.
+/// Converts an azimuth to a column of a revolution. The result is an invalid column if
+/// the azimuth is outside the revolution.
 int PacketIndex::compute_column_of_azimuth(const PacketRevolution& revolution, double azimuth_deg) const {
     const double n = double(decoder_->get_laser_timing().fires.size());
     return int(std::clamp(std::round((azimuth_deg - revolution.begin_deg) / compute_column_step_deg()), -n,
                           2.0 * n));
 }
 
-/// Returns for each column of a revolution whether its packet was lost. Empty for a
-/// sensor that fires at any azimuth.
+/// Returns for each column of a revolution whether its packet was lost. Returns an empty
+/// list if the sensor can fire at any azimuth.
 std::vector<bool> PacketIndex::find_lost_columns(const PacketRevolution& revolution) const {
     const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
     std::vector<bool> is_lost(fires.size(), false);
@@ -456,7 +456,7 @@ Scan PacketIndex::decode_revolution(const PacketRevolution& revolution,
     const double mean_deg_us = 360e-6 / sensor.period_s, brightness = compute_full_scale_intensity();
     const int n_columns = int(timing.fires.size());
     const std::uint32_t first_message = find_first_message_index(revolution);
-    // number of firings of the revolution before this packet, including those in lost
+    // number of firings of the revolution before this packet, including firings in lost
     // packets
     std::size_t before = 0;
     int previous_number = -1;
@@ -479,8 +479,8 @@ Scan PacketIndex::decode_revolution(const PacketRevolution& revolution,
             azimuth += f > begin ? step : 0.0;
             if (f + 1 < end)
                 step = compute_rotation_deg(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
-            // With several firing sequences per column: time from the first one to this
-            // one.
+            // If a column has several firing sequences: time between the first sequence
+            // and this one.
             const double late_us = timing.cycle_us * double(firing.part);
             const double start_deg = azimuth - late_us * mean_deg_us;
             const int slot = int(before) + firing.slot - entry.first_slot;
@@ -503,7 +503,6 @@ Scan PacketIndex::decode_revolution(const PacketRevolution& revolution,
     return make_scan_of_revolution(revolution, fired, sensor);
 }
 
-/// Creates the scan of a revolution from its points.
 Scan PacketIndex::make_scan_of_revolution(const PacketRevolution& revolution,
                                           RevolutionPoints& revolution_points,
                                           const SpinningSensor& sensor) const {
@@ -513,7 +512,7 @@ Scan PacketIndex::make_scan_of_revolution(const PacketRevolution& revolution,
                                           find_lost_columns(revolution), sensor);
     const SweepFirings sweep = sort_firings_by_azimuth(revolution_points.points, revolution_points.numbers,
                                                        revolution_points.head_rad);
-    // Complete revolutions all have the same number of columns. After packet loss, the
+    // All complete revolutions have the same number of columns. If packets were lost, the
     // scan has only the columns that were received.
     SpinningSensor scan_sensor = sensor;
     scan_sensor.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));

@@ -19,24 +19,25 @@ namespace relidar::packets {
 
 struct RevolutionPoints;
 
-/// One revolution of the LiDAR's head, from facing backward to facing backward again.
+/// One revolution of the LiDAR's head. It begins and ends when the head faces backward.
 struct PacketRevolution {
-    /// Time at which the head faces forward, and recording time of the packet sent at
-    /// that time.
+    /// Time at which the head faces forward, and recording time of the packet at that
+    /// time.
     std::int64_t forward_ns = 0, log_ns = 0;
     std::size_t first = 0, last = 0;  ///< packets of the revolution
-    /// Head angle at the start of the revolution, unwrapped over the full recording.
+    /// Head angle at the start of the revolution. It is continuous over the full
+    /// recording.
     double begin_deg = 0.0;
     /// number of lost packets, including those at the start and the end of the revolution
     std::size_t n_missing = 0;
-    bool has_gaps = false;  ///< true if a part of a packet of the revolution was lost
+    bool has_gaps = false;  ///< true if packets of the revolution were lost, at least in part
     /// Time stamp minus sensor clock, for the packet with the least network delay. Used
     /// only if the sensor's clock defines the times.
     std::int64_t stamp_less_clock_ns = 0;
 };
 
-/// Index of the LiDAR packets of a topic, with the time, the head angle and the message
-/// of each packet.
+/// Index of the LiDAR packets of a topic. It stores time, head angle and message of each
+/// packet.
 class PacketIndex {
 public:
     /// Adds the packets of one message to the index.
@@ -60,7 +61,6 @@ public:
         bag::MessagePosition message_position;
         std::int64_t log_ns;
     };
-    /// Returns the messages that contain the packets of a revolution.
     std::vector<PacketMessageSource> find_messages_of_revolution(const PacketRevolution& revolution) const;
     /// Returns the sensor model with the measured rotation rate.
     SpinningSensor make_spinning_sensor_model() const;
@@ -94,10 +94,10 @@ private:
     PacketFaultCounts faults_;
     SkippedRevolutions left_out_;
     double deg_us_ = 0.0;  ///< mean rotation rate in degrees per microsecond
-    /// sector in which the sensor never fires, for sensors that can fire at any azimuth
+    /// sector in which the sensor never fires, although it could fire at any azimuth
     SkippedSector skipped_;
-    /// Histogram of the intensities, indexed by 255 x intensity. Empty if intensities
-    /// cannot exceed 1.
+    /// Histogram of the intensities. The bin of an intensity is 255 times its value.
+    /// Empty if intensities cannot exceed 1.
     std::vector<std::uint32_t> n_bright_;
 
     void check_or_set_product(const ReceivedPacket& packet, const DecoderCalibration& calibration);

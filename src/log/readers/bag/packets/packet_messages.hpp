@@ -17,14 +17,14 @@ namespace relidar::packets {
 /// and its bytes. Messages of type kOtherDatagrams contain other UDP data.
 inline constexpr const char *kDatagrams = "LiDAR packets", *kOtherDatagrams = "other UDP";
 
-/// Returns true if the messages of a topic contain LiDAR packets. The product is
-/// recognised by the packets, because the message type does not always name it.
+/// Returns true if the messages of a topic contain LiDAR packets. The message type does
+/// not always name the product, so it is recognised by the packets.
 bool has_lidar_packets(const bag::BagTopic& topic);
-/// Returns true for a packet topic of Ouster's ROS drivers, whose messages contain
-/// nothing but one packet.
+/// Returns true for a packet topic of Ouster's ROS drivers. Each message is one packet
+/// and nothing else.
 bool has_ouster_packets(const bag::BagTopic& topic);
-/// Returns true if a topic may contain Ouster metadata: it contains text and is in the
-/// namespace of a topic with packets.
+/// Returns true if a topic contains text and is in the namespace of a topic with packets.
+/// The text can be Ouster metadata.
 bool can_contain_ouster_metadata(const bag::BagTopic& topic);
 /// Returns the text of a std_msgs/String message.
 /// @throws DataError if the message is too short

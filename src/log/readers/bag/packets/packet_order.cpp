@@ -9,8 +9,8 @@ namespace relidar::packets {
 namespace {
 
 constexpr double kBackward_deg = 1.0;  // A smaller decrease of the encoder angle is accepted as noise.
-// Packets may be late by at most this network delay. A larger decrease of the sensor's
-// clock means that the clock was set back.
+// Maximum network delay of a packet. If the sensor's clock decreases by more, it was set
+// back.
 constexpr std::int64_t kLatest_ns = 100000000;
 // If two packets are farther apart in time than this, the recording was paused.
 constexpr std::int64_t kPause_ns = 200000000;
@@ -21,8 +21,8 @@ bool is_same_packet(const PacketIndexEntry& first, const PacketIndexEntry& secon
     return first.hash == second.hash && first.first_slot == second.first_slot;
 }
 
-/// Unwraps the azimuth of a packet relative to the previous packet. Full revolutions
-/// between the two packets are computed from the time between them and the rotation rate.
+/// Makes the azimuth of a packet continue the azimuth of the previous packet. The number
+/// of full revolutions between them is computed from elapsed time and rotation rate.
 void unwrap_packet_azimuth(PacketIndexEntry& entry, const PacketIndexEntry& previous, double elapsed_us,
                            double rotation_deg_per_us) {
     const double azimuth = previous.azimuth_deg +
@@ -62,8 +62,8 @@ PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& pa
         while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kLatest_ns) --at;
         if (at > 0 && is_later(at - 1)) at = n;
         bool is_repeated = false;
-        // Limits the search if many packets have the same time, because the sensor's
-        // clock stands still.
+        // Limits the search. If the sensor's clock stands still, many packets have the
+        // same time.
         constexpr std::size_t kMostCompared = 64;
         for (std::size_t k = at, n_compared = 0;
              k > 0 && !is_repeated && n_compared < kMostCompared && packets[k - 1].clock_ns == entry.clock_ns;
@@ -73,8 +73,8 @@ PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& pa
         faults.n_repeated += is_repeated && counts;
         if (is_repeated) continue;
         if (at < n) {
-            // The time stamp of a late packet is its time of arrival, so it is recomputed
-            // from a neighbouring packet. The stamps of the packets after it are
+            // The time stamp of a late packet is its time of arrival. A better stamp is
+            // computed from a neighbouring packet. The stamps of the packets after it are
             // corrected, because they cannot be earlier.
             const PacketIndexEntry& beside = packets[at > 0 ? at - 1 : at];
             const std::int64_t stamp_less_clock_ns = beside.stamp_ns - beside.clock_ns;
@@ -110,8 +110,7 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
         PacketIndexEntry& entry = packets[p];
         if (entry.skipped_deg == 0.0f) continue;
-        // Uses the neighbouring packet on the same side of the skipped sector as the
-        // reference.
+        // Reference: the neighbouring packet on the same side of the skipped sector.
         const std::size_t beside = entry.skipped_deg > 0.0f ? p + 1 : p - 1;
         std::int64_t skipped_ns = std::llround(1e3 * skipped_us(entry));
         if (beside < packets.size())
@@ -124,8 +123,8 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
 }
 
 double SkippedSector::compute_sector_overlap_deg(double from_deg, double to_deg) const {
-    // Returns how many degrees of the skipped sector precede an azimuth, over all
-    // revolutions.
+    // Returns how many degrees of the skipped sector are before an azimuth, summed over
+    // all revolutions.
     const auto until = [&](double azimuth_deg) {
         const double turns = std::floor((azimuth_deg - begin_deg) / 360.0);
         return turns * width_deg + std::min(azimuth_deg - begin_deg - 360.0 * turns, width_deg);
@@ -140,7 +139,7 @@ SkippedSector find_sector_without_firings(const std::vector<PacketIndexEntry>& p
         for (double on = 0.0; on <= std::min(double(entry.turned_deg), 360.0) + firing_step_deg; on += 0.4)
             fires[std::size_t(std::max(entry.azimuth_deg + on, 0.0) / 360.0 * kBins) % kBins] = true;
     std::size_t widest = 0, end = 0, run = 0;
-    // Visits the bins twice, because the sector may contain azimuth 0.
+    // Counts every bin twice, because the sector may contain azimuth 0.
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = fires[b % kBins] ? 0 : run + 1;
         if (run > widest) widest = run, end = b + 1;

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sorts the packets of a LiDAR in the order of sending. A network may deliver packets
-// late, twice or not at all. Also finds the azimuth sector in which the sensor does not
-// fire.
+// Sorts the packets of a LiDAR in the order of sending, because a network may deliver
+// packets late or twice. Also finds the azimuth sector in which the sensor does not fire.
 #pragma once
 
 #include <cstddef>
@@ -12,16 +11,16 @@
 
 namespace relidar::packets {
 
-/// A packet in the index of a recording. A packet that spans a sector without firings has
-/// two entries, one for each side of the sector.
+/// A packet in the index of a recording. If the sensor skips a sector within a packet,
+/// the packet has two entries, one for each side of the sector.
 struct PacketIndexEntry {
-    /// Times of the first firing: receive time stamp, and unwrapped time on the sensor's
-    /// clock.
+    /// Times of the first firing: receive time stamp, and time on the sensor's clock
+    /// without restarts.
     std::int64_t stamp_ns, clock_ns;
-    double azimuth_deg;  ///< unwrapped azimuth of the first firing in degrees
+    double azimuth_deg;  ///< azimuth of the first firing in degrees, without jumps at 360 degrees
     float turned_deg;    ///< rotation of the head from the first to the last firing
-    /// Angle of the skipped sector between these firings and the packet's time. Negative
-    /// if the firings precede the sector. 0 for most packets.
+    /// Angle of the skipped sector, if it is between these firings and the packet's time,
+    /// otherwise 0. Negative if the firings are before the sector.
     float skipped_deg;
     std::uint32_t message;
     std::uint16_t in_message;  ///< index in the message
@@ -33,21 +32,21 @@ struct PacketIndexEntry {
     std::uint16_t n_empty_before = 0;
 };
 
-/// Returns the angle that the head turns from one azimuth to the next, below 360 degrees.
-/// If the next azimuth is slightly behind because of encoder noise, the angle is
-/// negative.
+/// Returns the angle by which the head turns from one azimuth to the next, below 360
+/// degrees. The result is negative if the next azimuth is slightly smaller because of
+/// encoder noise.
 double compute_rotation_deg(double from_azimuth_deg, double to_azimuth_deg);
 
 /// Number of packets that were received twice or late.
 struct PacketFaultCounts {
     std::size_t n_repeated = 0, n_late = 0;
 };
-/// Sorts packets by the sensor's clock and removes repeated packets. A packet whose clock
-/// is much earlier is not moved, because its clock was set back.
+/// Sorts packets by the sensor's clock and removes repeated packets. Does not move a
+/// packet whose time is much earlier, because its clock was set back.
 PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& packets);
 
-/// Unwraps the azimuths of sorted packets, and corrects the times of packets that span a
-/// sector without firings.
+/// Removes the jumps of the azimuths at 360 degrees. Corrects the times of packets in
+/// which the sensor skips a sector.
 /// @return mean rotation rate in degrees per microsecond
 double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing);
 
@@ -55,10 +54,11 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
 struct SkippedSector {
     double begin_deg = 0.0, width_deg = 0.0;  ///< width 0: no such sector
 
-    /// Returns how many degrees of the sector are between two unwrapped azimuths.
+    /// Returns how many degrees of the sector are between two azimuths that are counted
+    /// without jumps at 360 degrees.
     double compute_sector_overlap_deg(double from_deg, double to_deg) const;
 };
-/// Finds the azimuth sector in which the sensor never fires. Requires the sector in at
+/// Finds the azimuth sector in which the sensor never fires. The sector must occur in at
 /// least two revolutions, because a gap in one revolution can be packet loss.
 /// @param firing_step_deg  azimuth step between two firings
 SkippedSector find_sector_without_firings(const std::vector<PacketIndexEntry>& packets,

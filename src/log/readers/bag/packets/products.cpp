@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Finds the product that sent a packet. The table has one row per product. If relidar
-// cannot decode a product, the row names a driver that converts its packets to clouds.
+// cannot decode the packets, the row names a driver that converts them to clouds.
 #include <algorithm>
 
 #include <fmt/format.h>
@@ -37,7 +37,7 @@ bool is_hesai_packet_of_version(string_view packet) {
 }
 /// Returns true for packets of a Hesai sensor with this protocol version, number of
 /// lasers and number of blocks.
-/// @tparam packet_bytes  packet size without the optional fields at the end
+/// @tparam bytes  packet size without the optional fields at the end
 /// @tparam optional  size of the optional fields
 template <int major, int minor, int lasers, int blocks, std::size_t bytes, std::size_t optional>
 bool is_packet_of_hesai_model(string_view packet) {
@@ -45,15 +45,15 @@ bool is_packet_of_hesai_model(string_view packet) {
            has_byte_at(packet, kBlocksAt, blocks) &&
            (packet.size() == bytes || packet.size() == bytes + optional);
 }
-/// Returns true for packets of RoboSense's first spinning sensors. The number of the
-/// model is in byte 31, or in byte 30 of older packets.
+/// Returns true for packets of RoboSense's first spinning sensors. Byte 31 contains the
+/// number of the model; in older packets, byte 30.
 template <int model>
 bool is_packet_of_robosense_model(string_view packet) {
     return packet.size() == 1248 && packet.starts_with("\x55\xaa\x05\x0a\x5a\xa5\x50\xa0") &&
            has_byte_at(packet, has_byte_at(packet, 31, 0) ? 30 : 31, model);
 }
 constexpr auto is_rs16 = is_packet_of_robosense_model<1>;
-/// Returns true for packets of RoboSense's later spinning sensors, whose first two blocks
+/// Returns true for packets of RoboSense's later spinning sensors. Their first two blocks
 /// begin with the byte `flag`.
 template <int flag, std::size_t first_block_at, std::size_t second_block_at>
 bool is_robosense_packet_with_flags(string_view packet) {
@@ -161,8 +161,7 @@ bool has_two_returns_per_firing(const std::vector<ReceivedPacket>& packets) {
         if (is_rs16(packets[i - 1].bytes) && is_rs16(packets[i].bytes)) {
             const double step_us =
                 read_rs16_clock_us(packets[i].bytes) - read_rs16_clock_us(packets[i - 1].bytes);
-            // The time does not increase for repeated packets and when a new second
-            // begins.
+            // The time does not increase if a packet is repeated or a new second begins.
             if (step_us > 0.0) steps_us.push_back(step_us);
         }
     return !steps_us.empty() && compute_median(steps_us) < 0.75 * kSingle_us;

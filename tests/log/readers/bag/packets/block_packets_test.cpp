@@ -362,8 +362,8 @@ TEST(BlockPackets, RsLidar16WithTwoReturns) {
         for (const std::string& bytes : all) views.push_back({0, bytes});
         return packets::has_two_returns_per_firing(views);
     };
-    // A packet has 12 blocks, of two firings or of one firing with two returns. A firing
-    // takes 55.5 us.
+    // A packet has 12 blocks. They contain 24 firings of 55.5 us each, or 12 firings with
+    // two returns each.
     EXPECT_FALSE(have_two(rs16_packets(24 * 55 + 12)));
     EXPECT_TRUE(have_two(rs16_packets(12 * 55 + 6)));
     std::vector<std::string> twice;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes the packets of an Ouster sensor from range images, following its firmware user
-// manual ("Lidar Data", "Lidar Data Legacy"), and a capture of the packets.
+// Makes the packets of an Ouster sensor from range images, and a capture of the packets.
+// Follows the firmware user manual of the sensor ("Lidar Data", "Lidar Data Legacy").
 #pragma once
 
 #include <cstdint>

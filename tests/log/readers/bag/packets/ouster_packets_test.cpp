@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Decodes packets of Ouster sensors. The test makes packets from real range images in
-// every supported profile. They must give the same scans as a plain folder of the same
-// images (skipped if RELIDAR_SHARED does not contain the images). Also checks the errors
-// for invalid captures and metadata.
+// every supported profile. The packets must give the same scans as a plain folder of the
+// same images (skipped if RELIDAR_SHARED does not contain the images). Also checks the
+// errors for invalid captures and metadata.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
