@@ -74,7 +74,7 @@ std::vector<std::vector<LidarSample>> collect_box_samples(const LidarSequence& s
     std::vector<std::vector<std::vector<LidarSample>>> of_frame(
         train_frame_indices.size(), std::vector<std::vector<LidarSample>>(boxes.size()));
     parallel_for_with_progress(
-        train_frame_indices.size(), progress, "points of actors", [&](std::size_t index) {
+        train_frame_indices.size(), progress, "collecting the points of actors", [&](std::size_t index) {
             append_box_returns_of_frame(sequence, sequence.frames[std::size_t(train_frame_indices[index])],
                                         boxes, options.second_returns, walks, of_frame[index]);
         });
@@ -277,7 +277,7 @@ Scene initialise_scene(const LidarSequence& sequence, const std::vector<int>& tr
     std::vector<std::vector<LidarSample>> samples_per_box =
         collect_box_samples(sequence, train_positions, actor_boxes, options, progress);
     for (std::size_t i = 0; i < actor_boxes.size(); ++i) {
-        if (progress) progress("actors", double(i) / double(actor_boxes.size()));
+        if (progress) progress("modelling actors", double(i) / double(actor_boxes.size()));
         append_actor_to_scene(scene, actor_boxes[i], samples_per_box[i],
                               {options, sequence.intensity_response.incidence, notes, progress});
     }

@@ -200,7 +200,7 @@ DeformingActorSurfels make_surfels_of_changing_actor(const std::vector<LidarSamp
     const std::size_t most_in_frame =
         std::max((max_surfels - actor.surfels.size()) / frames.size(), kInFrame);
     for (std::size_t k = 0; k < frames.size(); ++k) {
-        if (progress) progress("steps of actors", double(k) / double(frames.size()));
+        if (progress) progress("modelling the walking of actors", double(k) / double(frames.size()));
         std::vector<LidarSample> changing;
         for (const std::uint32_t i : frames[k]->index.cloud.of)
             if (!rests[i]) changing.push_back(samples[i]);

@@ -174,7 +174,7 @@ std::vector<BoxTrack> fit_boxes_of_proven_movers(VisibilityChecker& visibility,
             visibility.create_range_images(o.cluster.points_m);
     std::vector<std::optional<BoxTrack>> proven_boxes(share.end - share.begin);
     parallel_for_with_progress(
-        proven_boxes.size(), progress, "paths of moving objects", [&](std::size_t index) {
+        proven_boxes.size(), progress, "computing the paths of moving objects", [&](std::size_t index) {
             MoverTrack& track = tracks[share.begin + index];
             proven_boxes[index] = track.label == kNoLabel
                                       ? fit_box_if_motion_proven(visibility, track)

@@ -158,7 +158,8 @@ std::vector<LidarSample> compute_mean_sample_per_voxel(const LidarSequence& sequ
     std::vector<VoxelHashTable> parts(kParts);
     for (std::size_t begin = 0; begin < train_frame_indices.size(); begin += kFrames) {
         if (progress)
-            progress("points of the background", double(begin) / double(train_frame_indices.size()));
+            progress("collecting the points of the background",
+                     double(begin) / double(train_frame_indices.size()));
         std::vector<VoxelSamplesByPart> frames(std::min(kFrames, train_frame_indices.size() - begin));
         parallel_for(static_cast<int>(frames.size()), [&](int index) {
             frames[std::size_t(index)] = collect_samples_by_hash_table(
@@ -171,7 +172,7 @@ std::vector<LidarSample> compute_mean_sample_per_voxel(const LidarSequence& sequ
                     parts[std::size_t(part)].add_sample_to_voxel(placed, begin + i);
         });
     }
-    if (progress) progress("points of the background", 1.0);
+    if (progress) progress("collecting the points of the background", 1.0);
     std::vector<VoxelSums> voxels;
     for (VoxelHashTable& part : parts) {
         voxels.insert(voxels.end(), part.voxels.begin(), part.voxels.end());

@@ -283,7 +283,7 @@ Surfels make_surfels_from_points(const std::vector<LidarSample>& samples,
     Surfels surfels;
     surfels.resize(samples.size());
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
-    parallel_for_blocks_with_progress(samples.size(), progress, "normals", [&](std::size_t index) {
+    parallel_for_blocks_with_progress(samples.size(), progress, "estimating normals", [&](std::size_t index) {
         compute_surfel_parameters(surfels, index, samples, tree, options, incidence_coefficient);
     });
     const std::vector<std::uint32_t> sorted = compute_kd_tree_order(surfels.mean);

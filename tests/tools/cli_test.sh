@@ -52,7 +52,7 @@ wrong_usage() {
     bad 2 "out .*--resume" train --resume
     bad 2 "argument extra" info street extra
     bad 2 "loss.dept: unknown .*loss.depth" train street --out x --set loss.dept=1
-    bad 2 'loss.depth: found "abc".*number >= 0' train street --out x --set loss.depth=abc
+    bad 2 'loss.depth: found "abc".*number of at least 0' train street --out x --set loss.depth=abc
     bad 2 'setting loss.depth: found "nan"' train street --out x --set loss.depth=nan
     bad 2 '--set: found "loss.depth"; expected KEY=VALUE' train street --out x --set loss.depth
     bad 2 "preset 'papr': unknown.*'paper'" train street --out x --preset papr

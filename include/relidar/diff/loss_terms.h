@@ -14,10 +14,8 @@
          "weight of the intensity loss over rays with a return")                                             \
     TERM(2u, drop, drop, image, 0.01f, accept_at_least(0),                                                   \
          "weight of the ray-drop loss: cross-entropy over all rays")                                         \
-    TERM(                                                                                                    \
-        3u, opacity, opacity, image, 0.0f, accept_at_least(0),                                               \
-        mark_expert(                                                                                         \
-            "weight of the opacity loss: (1 - W)^2 over rays with a return, where W is the sum of weights")) \
+    TERM(3u, opacity, opacity, image, 0.0f, accept_at_least(0),                                              \
+         mark_expert("weight of the opacity loss (1 - W)^2 over rays with a return; W: sum of weights"))     \
     TERM(4u, ssim, intensity_ssim, image, 0.0f, accept_between(0, 1),                                        \
          mark_expert("weight of 1 - SSIM within the intensity loss, from 0 to 1; the remaining weight is "   \
                      "for Huber or L1; needs rays in rows and columns; 0: as in the paper"))                 \

@@ -24,7 +24,8 @@ constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
 
 [[noreturn]] void throw_malformed_arrow_error(const char* description) {
     throw DataError(fmt::format(
-        "the Arrow metadata of the file are malformed ({}), expected an Arrow IPC file", description));
+        "the Arrow metadata of the file are malformed: the {} is invalid; expected an Arrow IPC file",
+        description));
 }
 
 /// Aligned copy of a flatbuffer. The flatbuffer verifier rejects unaligned data.
@@ -34,8 +35,7 @@ struct AlignedFlatbuffer {
 
     explicit AlignedFlatbuffer(std::string_view bytes)
         : words(bytes.size() / 8 + 1), verifier(data(), bytes.size(), make_verifier_options()) {
-        if (bytes.size() >= FLATBUFFERS_MAX_BUFFER_SIZE)
-            throw_malformed_arrow_error("their size exceeds the limit of the flatbuffers library");
+        if (bytes.size() >= FLATBUFFERS_MAX_BUFFER_SIZE) throw_malformed_arrow_error("size of the metadata");
         std::memcpy(words.data(), bytes.data(), bytes.size());
     }
     const std::uint8_t* data() const { return reinterpret_cast<const std::uint8_t*>(words.data()); }
@@ -53,7 +53,7 @@ class FlatbufferTable {
 public:
     static FlatbufferTable read_root_table(AlignedFlatbuffer& flatbuffer) {
         const auto offset = flatbuffer.verifier.VerifyOffset(std::size_t(0));
-        if (offset == 0) throw_malformed_arrow_error("root");
+        if (offset == 0) throw_malformed_arrow_error("root table");
         return {flatbuffer, flatbuffer.data() + offset};
     }
 

@@ -157,9 +157,9 @@ RayDropInference& RayDropRefiner::get_drop_pass() { return impl_->pass; }
 
 std::vector<float> RayDropRefiner::predict_drop_probabilities(const RayDropImage& image) {
     Impl& r = *impl_;
-    refine::check_network_input_image(network(), image, "refining ray-drop");
+    refine::check_network_input_image(network(), image, "cannot apply the ray-drop network to a scan");
     r.stream.submit_and_wait();
-    r.channels.reserve(r.device, image.channels.size(), "a scan to refine");
+    r.channels.reserve(r.device, image.channels.size(), "scan that the ray-drop network refines");
     r.channels.upload(image.channels);
     const auto& probability =
         r.pass.record_network_evaluation(r.stream, image.rows, image.columns, r.channels);

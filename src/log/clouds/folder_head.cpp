@@ -227,7 +227,7 @@ PointFileUnits read_point_units(const JsonField& root) {
     PointFileUnits units;
     units.columns = read_optional_text_list(root, "columns");
     if (units.columns.size() > kMostFieldsOfPoint)
-        root.at("columns").throw_field_error(fmt::format("found {}", units.columns.size()),
+        root.at("columns").throw_field_error(fmt::format("found {} names", units.columns.size()),
                                              fmt::format("expected at most {} names", kMostFieldsOfPoint));
     if (root.has_member("intensity_max"))
         units.intensity_max = root.at("intensity_max").get_number(1e-12, kLargestOfHead);

@@ -44,11 +44,12 @@ std::string describe_accepted_values(const SettingValueRange& accepted_values) {
     const std::string kind = std::is_integral_v<T> ? "an integer" : "a number";
     const bool open_end =
         accepted_values.high >= (std::is_integral_v<T> ? kMaxCount : std::numeric_limits<double>::max());
-    const char* above = accepted_values.above_low ? ">" : ">=";
+    const char* above = accepted_values.above_low ? "above" : "of at least";
     if (open_end) return fmt::format("{} {} {:.15g}", kind, above, accepted_values.low);
     if (accepted_values.above_low)
-        return fmt::format("{} > {:.15g} and <= {:.15g}", kind, accepted_values.low, accepted_values.high);
-    return fmt::format("{} in {:.15g}..{:.15g}", kind, accepted_values.low, accepted_values.high);
+        return fmt::format("{} above {:.15g} and at most {:.15g}", kind, accepted_values.low,
+                           accepted_values.high);
+    return fmt::format("{} from {:.15g} to {:.15g}", kind, accepted_values.low, accepted_values.high);
 }
 
 template <class T>

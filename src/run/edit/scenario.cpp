@@ -128,15 +128,16 @@ ScenarioTiming read_trajectory_timing(const ScenarioDocument& document, const pu
                                       const std::string& error_location) {
     const pugi::xml_node timing = action.child("TimeReference").child("Timing");
     if (!timing)
-        document.fail(error_location, "no element TimeReference/Timing",
-                      "this element, because the times of vertices have no meaning without it");
+        document.fail(
+            error_location, "no element TimeReference/Timing",
+            "the element TimeReference/Timing, because the times of vertices have no meaning without it");
     if (!action_start_s)
         document.fail(error_location, "a trajectory that starts with an unsupported condition",
                       "a single SimulationTimeCondition with the rule greaterThan, or no condition");
     const std::string domain = document.read_attribute_text(timing, "domainAbsoluteRelative", error_location);
     if (domain != "absolute" && domain != "relative")
         document.fail(error_location + ": domainAbsoluteRelative",
-                      "\"" + shorten_for_error_message(domain) + "\"", "absolute or relative");
+                      "\"" + shorten_for_error_message(domain) + "\"", "the text absolute or relative");
     const double scale = document.read_attribute_number(timing, "scale", error_location, 1.0);
     if (!(scale > 0.0))
         document.fail(error_location + ": scale", fmt::format("{}", scale), "a number above 0");
@@ -150,7 +151,8 @@ Pose read_vertex_pose(const ScenarioDocument& document, const pugi::xml_node& ve
     const pugi::xml_node kind = vertex.child("Position").first_child(),
                          world = vertex.child("Position").child("WorldPosition");
     if (!world)
-        document.fail(error_location, kind ? "a " + shorten_for_error_message(kind.name()) : "no Position",
+        document.fail(error_location,
+                      kind ? "a " + shorten_for_error_message(kind.name()) : "no element Position",
                       "a WorldPosition");
     const auto get = [&](const char* name, std::optional<double> default_value) {
         return document.read_attribute_number(world, name, error_location, default_value);
@@ -167,18 +169,19 @@ PoseTrack read_polyline_trajectory(const ScenarioDocument& document, const Scena
     pugi::xml_node trajectory = follow.child("TrajectoryRef").child("Trajectory");
     if (!trajectory) trajectory = follow.child("Trajectory");
     if (!trajectory)
-        document.fail(error_location, "no Trajectory",
-                      "a Trajectory in this file; catalogs are not supported");
+        document.fail(error_location, "no element Trajectory",
+                      "a Trajectory in this file, because catalogs are not supported");
     const pugi::xml_node polyline = trajectory.child("Shape").child("Polyline"),
                          other = trajectory.child("Shape").first_child();
     if (!polyline)
-        document.fail(error_location, other ? "a " + shorten_for_error_message(other.name()) : "no Shape",
+        document.fail(error_location,
+                      other ? "a " + shorten_for_error_message(other.name()) : "no element Shape",
                       "a Polyline");
     if (document.read_attribute_text(trajectory, "closed", error_location) == "true")
         document.fail(error_location, "a closed trajectory", "a trajectory with closed=\"false\"");
     if (document.read_attribute_number(follow, "initialDistanceOffset", error_location, 0.0) != 0.0)
         document.fail(error_location, "an initialDistanceOffset",
-                      "a trajectory that is followed from its first vertex");
+                      "an offset of 0, because a trajectory can only be followed from its first vertex");
     const ScenarioTiming timing = read_trajectory_timing(document, follow, action.start_s, error_location);
     PoseTrack track;
     for (const pugi::xml_node& vertex : polyline.children("Vertex")) {
@@ -192,7 +195,7 @@ PoseTrack read_polyline_trajectory(const ScenarioDocument& document, const Scena
         track.pose.push_back(read_vertex_pose(document, vertex, at));
     }
     if (track.pose.size() < 2)
-        document.fail(error_location, fmt::format("{} vertices", track.pose.size()), "at least two");
+        document.fail(error_location, fmt::format("{} vertices", track.pose.size()), "at least two vertices");
     if (*action.start_s > track.time_s.front() + kSlack_s)
         document.fail(error_location,
                       fmt::format("a start time of {} s, which is after the time {} s of the first vertex",
@@ -208,7 +211,7 @@ void read_bounding_box(const ScenarioDocument& document, const pugi::xml_node& o
         if (!box) box = object.child(kind).child("BoundingBox");
     if (!box)
         document.fail(
-            error_location, "no BoundingBox",
+            error_location, "no element BoundingBox",
             "a BoundingBox in this file, because it relates the reference point of the trajectory to "
             "the box");
     const pugi::xml_node centre = box.child("Center"), size = box.child("Dimensions");
@@ -266,10 +269,10 @@ std::vector<ScenarioEntity> read_openscenario_entities(const std::filesystem::pa
             source, object, entity_actions ? entity_actions.mapped() : std::vector<ScenarioAction>()));
     }
     if (!actions.empty())
-        source.fail(
-            "Storyboard",
-            fmt::format("actions of the entity \"{}\"", shorten_for_error_message(actions.begin()->first)),
-            "a ScenarioObject with that name in the list of entities");
+        source.fail("Storyboard",
+                    fmt::format("actions of the undefined entity \"{}\"",
+                                shorten_for_error_message(actions.begin()->first)),
+                    "a ScenarioObject with that name in the list of entities");
     return entities;
 }
 

@@ -130,7 +130,7 @@ RangeNoiseTable read_range_noise(const JsonField& field) {
     if (n.sigma_m.size() != n.range_m.size() * n.cosine.size() || n.sigma_m.empty())
         field.at("sigma_m").throw_field_error(
             fmt::format("found {} numbers", n.sigma_m.size()),
-            fmt::format("expected {} x {}", n.range_m.size(), n.cosine.size()));
+            fmt::format("expected {} x {} numbers", n.range_m.size(), n.cosine.size()));
     if (!std::all_of(n.sigma_m.begin(), n.sigma_m.end(), [](double s) { return s >= 0.0 && s < 1e3; }))
         field.at("sigma_m").throw_field_error("found a value outside 0 to 1000",
                                               "expected standard deviations in metres");
@@ -187,7 +187,7 @@ void read_frames_and_split(const JsonField& field, SceneJsonContents& scene) {
                          std::pair(scene.sequence.frames.back().time_s, scene.sequence.frames.back().lidar))
             entry.at("time_s").throw_field_error(
                 fmt::format("found {}", frame.time_s),
-                "expected increasing times, or the next LiDAR at the same time");
+                "expected increasing times, or a LiDAR with a higher index at the same time");
         const std::string part = entry.at("split").get_string();
         if (part == "train") scene.split.train.push_back(static_cast<int>(i));
         else if (part == "test") scene.split.test.push_back(static_cast<int>(i));

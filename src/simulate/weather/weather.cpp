@@ -51,7 +51,7 @@ std::string format_weather_effect(const WeatherEffectEntry& effect, const Weathe
 std::string format_effect_syntax_list() {
     std::vector<std::string_view> words;
     for (const WeatherEffectEntry* effect : kWeatherEffects) words.push_back(effect->form);
-    return fmt::format("{}, or several of them", fmt::join(words, ", "));
+    return fmt::format("{}, or several of them separated by commas", fmt::join(words, ", "));
 }
 
 /// Parses numbers that are separated by colons.
