@@ -223,7 +223,8 @@ RayTracingBackend parse_traversal_method(const std::string& name) {
     const std::optional<std::string> matching_name =
         find_name_ignoring_case(name, {"auto", "ray_query", "software"});
     if (!matching_name)
-        throw UsageError(fmt::format("traversal: found \"{}\", expected auto, ray_query or software", name));
+        throw UsageError(fmt::format(
+            "cannot select the traversal: found \"{}\", expected auto, ray_query or software", name));
     return matching_name == "auto"       ? RayTracingBackend::automatic
            : matching_name == "software" ? RayTracingBackend::software
                                          : RayTracingBackend::ray_query;

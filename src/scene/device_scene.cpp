@@ -157,8 +157,9 @@ struct DeviceScene::Impl {
     std::vector<shared::InstanceEntry> store_poses_and_make_table(
         const std::vector<InstancePose>& instance_poses) {
         if (instance_poses.size() != layout.instances.size())
-            throw DataError(fmt::format("cannot place the instances: found {} poses, expected {}",
-                                        instance_poses.size(), layout.instances.size()));
+            throw DataError(
+                fmt::format("cannot place the instances: found {} poses, expected {}, one for each instance",
+                            instance_poses.size(), layout.instances.size()));
         poses = instance_poses;
         std::vector<shared::InstanceEntry> entries;
         for (std::size_t i = 0; i < instance_poses.size(); ++i) {

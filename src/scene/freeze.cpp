@@ -114,8 +114,9 @@ void transform_surfels(Surfels& surfels, const Pose& world_from_model) {
 
 Surfels bake_surfels_to_world(const Scene& scene, const std::vector<InstancePose>& instance_poses) {
     if (instance_poses.size() != scene.instances.size())
-        throw DataError(fmt::format("cannot freeze the scene: found {} poses, expected {}",
-                                    instance_poses.size(), scene.instances.size()));
+        throw DataError(
+            fmt::format("cannot freeze the scene: found {} poses, expected {}, one for each instance",
+                        instance_poses.size(), scene.instances.size()));
     Surfels all;
     all.primitive = scene.surfels.primitive;
     for (std::size_t k = 0; k < instance_poses.size(); ++k) {

@@ -186,8 +186,8 @@ void calibrate_beam_range_offsets(LidarSequence& sequence, const TrainTestSplit&
     if (n > 1 && config.should_calibrate("range")) {
         const RangeCalibrationResult calibration = calibrate_beam_ranges(sequence, split.train);
         session.report_line(fmt::format(
-            "range calibration of {} beams ({:.1f} million returns): mean distance from planes "
-            "{:.1f} mm, {:.1f} mm with one offset per beam; {}",
+            "range calibration of {} beams ({:.1f} million returns): the mean distance of points from planes "
+            "is {:.1f} mm, or {:.1f} mm with one offset per beam; {}",
             n, double(calibration.returns) * 1e-6, calibration.rms_before * 1e3, calibration.rms_after * 1e3,
             calibration.adopted ? "relidar uses the offsets" : "relidar does not use the offsets"));
     }
@@ -209,7 +209,7 @@ void calibrate_intensities(LidarSequence& sequence, const TrainTestSplit& split,
         !calibration.shared && !calibration.beams
             ? start + "; a correction does not reduce this difference, so no correction is used"
             : fmt::format("{}, {:.3f} after the correction; {}{}{}", start, calibration.rms_after,
-                          calibration.beams ? "one gain and offset per beam" : "",
+                          calibration.beams ? "the correction has one gain and offset per beam" : "",
                           calibration.beams && calibration.shared ? "; " : "",
                           calibration.shared ? fall : ""));
 }

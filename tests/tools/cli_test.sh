@@ -285,7 +285,7 @@ rendering() {
     good render run --out unclouded --frames 2:4 --sample 7 --weather rain=0
     check "no rain changes a scan" cmp -s drawn/frame_000003.npz unclouded/frame_000003.npz
     bad 2 "weather: found fog=0, .*1 to 1e6 metres" render run --out x --weather fog=0
-    bad 2 "weather: found rain=-3, expected 0 to 500 mm/h" render run --out x --weather rain=-3
+    bad 2 "weather: found rain=-3, expected a rate of 0 to 500 mm/h" render run --out x --weather rain=-3
     bad 2 "weather: found rain=3 and snow=1" render run --out x --weather rain=3,snow=1
     bad 2 "weather: found \"hail\", expected fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES" render run --out x --weather hail
     good render run --out sunny --frames 2:4 --sample 7 --weather bloom,sun=90:10

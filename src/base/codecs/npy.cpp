@@ -143,8 +143,8 @@ std::string make_npy_header(const NamedArray& array) {
     dict.resize(total - kPrefix - 1, ' ');
     dict += '\n';
     if (dict.size() > 0xFFFF)
-        throw DataError(
-            fmt::format("array '{}' has {} dimensions, which is too many", array.name, array.shape.size()));
+        throw DataError(fmt::format("array '{}' has {} dimensions, which are more than an npy file can store",
+                                    array.name, array.shape.size()));
     std::string header(kNpyMagic);
     header += {'\x01', '\x00', char(dict.size() & 0xFF), char(dict.size() >> 8)};
     return header + dict;
@@ -152,7 +152,7 @@ std::string make_npy_header(const NamedArray& array) {
 
 NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& bytes) {
     if (bytes.size() < 12 || std::memcmp(bytes.data(), kNpyMagic.data(), kNpyMagic.size()) != 0)
-        throw DataError("the file is not a .npy array");
+        throw DataError("the file does not begin like an .npy file, expected an array of NumPy");
     const auto version = std::to_integer<int>(bytes[6]);
     if (version < 1 || version > 3)
         throw DataError(fmt::format("the file has npy version {}, expected 1 to 3", version));

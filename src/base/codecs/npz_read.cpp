@@ -63,7 +63,7 @@ struct ZipDirectoryLocation {
 std::size_t find_zip_end_record_offset(const ZipArchiveBytes& archive) {
     const std::size_t n = archive.bytes.size();
     if (n < kEndSize)
-        throw DataError(fmt::format("the file has {} bytes, which is too short for a zip archive", n));
+        throw DataError(fmt::format("the file has {} bytes, which are too few for a zip archive", n));
     for (std::size_t back = kEndSize; back <= std::min<std::size_t>(n, kEndSize + 0xFFFF); ++back) {
         const auto record = archive.get_byte_range(n - back, kEndSize);
         if (read_zip_field<std::uint32_t>(record, 0) == kEndSignature &&
@@ -92,7 +92,7 @@ ZipDirectoryLocation locate_zip_directory(const ZipArchiveBytes& archive) {
         }
     }
     if (directory.size > end || directory.offset > end - directory.size)
-        throw DataError("the zip directory is outside the file");
+        throw DataError("the zip directory is outside the file, so the file is damaged");
     if (directory.n_entries > directory.size / kCentralSize)
         throw DataError(fmt::format("{} zip entries do not fit into a directory of {} bytes",
                                     directory.n_entries, directory.size));
@@ -179,7 +179,7 @@ std::vector<std::byte> decompress_zip_entry(const ZipArchiveBytes& archive, cons
     if (entry.flags & 1) throw DataError("the entry is encrypted, expected an entry without encryption");
     const auto local = archive.get_byte_range(entry.offset, kLocalSize);
     if (read_zip_field<std::uint32_t>(local, 0) != kLocalSignature)
-        throw DataError("the zip header is damaged");
+        throw DataError("the header of the zip entry is damaged");
     const std::uint64_t start = entry.offset + kLocalSize + read_zip_field<std::uint16_t>(local, 26) +
                                 read_zip_field<std::uint16_t>(local, 28);
     const auto packed = archive.get_byte_range(start, entry.packed_size);
@@ -208,7 +208,7 @@ NamedArray read_array_from_zip_entry(const ZipArchiveBytes& archive, const NpzEn
     constexpr std::string_view kSuffix = ".npy";
     try {
         if (entry.name.size() <= kSuffix.size() || !entry.name.ends_with(kSuffix))
-            throw DataError("the entry is not a .npy array");
+            throw DataError("the name of the entry does not end in .npy, expected an array of NumPy");
         return report_detail::parse_npy(entry.name.substr(0, entry.name.size() - kSuffix.size()),
                                         decompress_zip_entry(archive, entry));
     } catch (const DataError& error) {
@@ -229,7 +229,8 @@ std::vector<NamedArray> parse_npz_arrays(const ZipArchiveBytes& archive) {
             throw DataError(fmt::format("entry '{}' occurs twice, expected it once", entry.name));
         n_packed += std::min<std::uint64_t>(entry.packed_size, archive.bytes.size() + 1);
         // Rejects overlapping entries, which zip bombs use.
-        if (n_packed > archive.bytes.size()) throw DataError("the zip entries of the file overlap");
+        if (n_packed > archive.bytes.size())
+            throw DataError("the zip entries of the file overlap, so the file is damaged");
         arrays.push_back(read_array_from_zip_entry(archive, entry));
     }
     return arrays;

@@ -105,13 +105,15 @@ SafetensorsHeader parse_safetensors_header(const std::vector<std::byte>& file_by
     SafetensorsHeader header;
     std::uint64_t size = 0;
     if (file_bytes.size() < sizeof size)
-        throw DataError(fmt::format("the file has {} bytes, expected at least 8", file_bytes.size()));
+        throw DataError(fmt::format("the file has {} bytes, expected at least 8 bytes", file_bytes.size()));
     std::memcpy(&size, file_bytes.data(), sizeof size);
     if (size > kMaxHeader)
-        throw DataError(fmt::format("the header has {} bytes, expected at most {} bytes", size, kMaxHeader));
+        throw DataError(
+            fmt::format("the size of the header is {} bytes, expected at most {} bytes", size, kMaxHeader));
     if (size > file_bytes.size() - sizeof size)
-        throw DataError(fmt::format("the header should have {} bytes, but the file ends after {} bytes of it",
-                                    size, file_bytes.size() - sizeof size));
+        throw DataError(
+            fmt::format("the header should have {} bytes, but the file ends after {} bytes of the header",
+                        size, file_bytes.size() - sizeof size));
     header.data_start = sizeof size + size;
     const char* text = reinterpret_cast<const char*>(file_bytes.data()) + sizeof size;
     header.json = Json::parse(
@@ -122,8 +124,8 @@ SafetensorsHeader parse_safetensors_header(const std::vector<std::byte>& file_by
             return true;
         },
         false);
-    if (header.json.is_discarded()) throw DataError("the header is not valid JSON");
-    if (!header.json.is_object()) throw DataError("the header is not a JSON object");
+    if (header.json.is_discarded()) throw DataError("the header of the file is not valid JSON");
+    if (!header.json.is_object()) throw DataError("the header of the file is not a JSON object");
     if (header.json.size() != header.names.size())
         throw DataError("the header contains an array twice, expected each array once");
     for (const std::string& name : header.names) {
@@ -138,7 +140,8 @@ SafetensorsHeader parse_safetensors_header(const std::vector<std::byte>& file_by
 std::vector<std::size_t> parse_integer_list(const std::string& array_name, const Json& array_json,
                                             const char* key) {
     if (!array_json.is_object() || !array_json.contains(key) || !array_json[key].is_array())
-        throw DataError(fmt::format("array '{}' has no list '{}'", array_name, key));
+        throw DataError(
+            fmt::format("array '{}' has no list '{}' in the header, expected one", array_name, key));
     if (array_json[key].size() > kMaxDimensions)
         throw DataError(fmt::format("array '{}': '{}' contains {} numbers, expected at most {}", array_name,
                                     key, array_json[key].size(), kMaxDimensions));
@@ -163,7 +166,8 @@ std::pair<NamedArray, DataByteRange> parse_array_description(const std::string& 
                                                              const Json& array_json,
                                                              std::size_t n_data_bytes) {
     if (!array_json.is_object() || !array_json.contains("dtype") || !array_json["dtype"].is_string())
-        throw DataError(fmt::format("array '{}' has no string 'dtype'", array_name));
+        throw DataError(
+            fmt::format("array '{}' has no text 'dtype' in the header, expected one", array_name));
     NamedArray array{array_name,
                      convert_to_numpy_type(array_name, array_json["dtype"].get<std::string>()),
                      parse_integer_list(array_name, array_json, "shape"),
@@ -181,10 +185,11 @@ std::pair<NamedArray, DataByteRange> parse_array_description(const std::string& 
 
 std::map<std::string, std::string> parse_metadata(const Json& metadata_json) {
     std::map<std::string, std::string> result;
-    if (!metadata_json.is_object()) throw DataError("__metadata__ is not an object");
+    if (!metadata_json.is_object()) throw DataError("the header key __metadata__ is not a JSON object");
     for (const auto& [key, value] : metadata_json.items()) {
         if (!value.is_string())
-            throw DataError(fmt::format("__metadata__ '{}' is not a string", shorten_for_error_message(key)));
+            throw DataError(fmt::format("the value of '{}' in __metadata__ is not a text",
+                                        shorten_for_error_message(key)));
         result[key] = value.get<std::string>();
     }
     return result;
@@ -219,7 +224,7 @@ std::vector<NamedArray> parse_safetensors_file(const std::vector<std::byte>& fil
     }
     if (covered != n_data)
         throw DataError(
-            fmt::format("the file has {} bytes of data, but its header describes {}", n_data, covered));
+            fmt::format("the file has {} bytes of data, but its header describes {} bytes", n_data, covered));
     if (metadata) *metadata = std::move(file_metadata);
     return arrays;
 }

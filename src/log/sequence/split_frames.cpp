@@ -58,8 +58,8 @@ std::vector<int> list_unique_frame_numbers(const LidarSequence& sequence) {
 /// @throws UsageError if `test_every` is 1 or negative
 std::set<int> select_every_nth_frame(int test_every, const std::vector<int>& frame_numbers) {
     if (test_every < 0 || test_every == 1)
-        throw UsageError(
-            fmt::format("test_every is {}, expected 0 (hold out no frame) or at least 2", test_every));
+        throw UsageError(fmt::format(
+            "dataset.test_every is {}, expected 0 (no frame is held out) or at least 2", test_every));
     std::set<int> held_out;
     for (auto i = std::size_t(test_every); test_every > 0 && i < frame_numbers.size();
          i += std::size_t(test_every))

@@ -105,8 +105,8 @@ void visit_dataset_settings(C& config, Visitor&& visitor) {
             "of the log returns nothing farther; 0: the limit of the sensor, or the farthest return of the "
             "log if this limit is unknown");
     visitor("dataset.waymo_intensity", config.dataset.waymo_intensity, accept_one_of({"tanh", "clamp"}),
-            mark_expert("how intensities of Waymo Open, which have no upper limit, are mapped to 0 to 1: by "
-                        "tanh, or by clamping at 1"));
+            mark_expert("how intensities of Waymo Open, which have no upper limit, are mapped to the range "
+                        "from 0 to 1: tanh: by the function tanh; clamp: values above 1 become 1"));
     visitor("dataset.memory_mib", config.dataset.memory_mib, accept_between(0, kMaxCount),
             "memory for scans in MiB; further scans are stored in a memory-mapped file in TMPDIR; 0: "
             "half of the machine's memory");
@@ -208,8 +208,8 @@ void visit_image_settings(C& config, Visitor&& visitor) {
         mark_expert("direction in which spherical harmonics are evaluated: ray: along the ray, for each hit; "
                     "surfel: from the sensor to the mean of the surfel, once per surfel"));
     visitor("image.single_drop_logit", config.image.single_drop_logit, accept_anything(),
-            mark_expert("compute the ray-drop probability as the sigmoid of one blended logit; false: as the "
-                        "softmax of a drop logit and a hit logit (as in the paper)"));
+            mark_expert("compute the ray-drop probability of a ray as the sigmoid of one blended logit; "
+                        "false: as the softmax of a drop logit and a hit logit (as in the paper)"));
     visitor("image.primitive", config.image.primitive, accept_one_of(list_primitive_names()),
             mark_expert("primitives of the scene: flat 2D Gaussians (as in the paper) or 3D Gaussians; ray "
                         "query traces 3D "
@@ -231,16 +231,14 @@ template <class C, class Visitor>
 void visit_training_settings(C& config, Visitor&& visitor) {
     visitor("train.iterations", config.train.iterations, accept_between(0, kMaxCount),
             "number of optimiser steps; 0: the scene is not trained after its initialisation");
-    visitor(
-        "train.grid", config.train.grid, accept_one_of({"native", "kitti360"}),
-        mark_expert("rays of a training frame: the rays as fired (native), or one ray per pixel of the 66 x "
-                    "1030 grid (kitti360, as published)"));
+    visitor("train.grid", config.train.grid, accept_one_of({"native", "kitti360"}),
+            mark_expert("rays of a training frame: the rays as fired (native), or one ray per pixel of the "
+                        "KITTI-360 grid with 66 x 1030 pixels (kitti360, as in the paper)"));
     visitor("train.rays_per_iteration", config.train.rays_per_iteration, accept_between(0, kMaxCount),
             "number of rays per optimiser step; 0: all rays of one frame");
-    visitor(
-        "train.sh_degree_interval", config.train.sh_degree_interval, accept_between(1, kMaxCount),
-        mark_expert("number of steps after which the active degree of the spherical harmonics increases by "
-                    "one"));
+    visitor("train.sh_degree_interval", config.train.sh_degree_interval, accept_between(1, kMaxCount),
+            mark_expert("number of steps after which the degree of the spherical harmonics that training "
+                        "uses increases by one"));
     visitor("train.only_touched", config.train.only_touched, accept_anything(),
             mark_expert("surfels without a gradient in a step keep their values and Adam moments; false: all "
                         "surfels are updated in each step"));
@@ -252,8 +250,8 @@ void visit_training_settings(C& config, Visitor&& visitor) {
                         "vehicle blocks them, separately from the scene"));
     visitor("train.refine_poses", config.train.refine_poses,
             accept_one_of({"none", "sensor", "actors", "sensor,actors"}),
-            "poses that training refines together with the scene: those of the sensor and those of "
-            "the actors' boxes");
+            "poses that training refines together with the scene: the poses of the sensor and of the actors' "
+            "boxes");
     visitor("train.allow_lost_scans", config.train.allow_lost_scans, accept_anything(),
             "train even if more than 5 % of the scans could not be registered; false: this is an "
             "error");
@@ -277,8 +275,8 @@ void visit_logging_settings(C& config, Visitor&& visitor) {
 template <class C, class Visitor>
 void visit_refinement_settings(C& config, Visitor&& visitor) {
     visitor("refine.enabled", config.refine.enabled, accept_anything(),
-            "train a network that corrects ray-drop after the scene (paper, Eq. 12-13), and use it "
-            "in rendering if the run has one");
+            "after the scene, train a network that corrects the ray-drop of rendered scans (paper, Eq. "
+            "12-13), and use it for rendering if the run has one");
     visitor("refine.network", config.refine.network, accept_one_of({"small", "paper", "pixel"}),
             "type of the ray-drop network: small: a U-Net with 8 channels and 3 levels; paper: a U-Net with "
             "32 channels, 4 levels and attention; pixel: a network that processes each pixel independently");
@@ -335,8 +333,9 @@ void visit_all_settings(C& config, Visitor&& visitor) {
     visitor("render.memory_mib", config.render.memory_mib, accept_between(0, kMaxCount),
             "device memory in MiB for blocks of a long scene that the current scan does not need; they are "
             "kept for later scans");
-    visitor("trace.chunk", config.trace.chunk, accept_between(1, 64),
-            mark_expert("number of hits that a ray collects and sorts per traversal"));
+    visitor(
+        "trace.chunk", config.trace.chunk, accept_between(1, 64),
+        mark_expert("maximum number of hits that a ray collects and sorts in one traversal of the scene"));
     visitor(
         "trace.keep_hits", config.trace.keep_hits, accept_between(0, 4096),
         mark_expert("number of hits per ray, 16 bytes each, that training stores so that the backward pass "

@@ -115,7 +115,7 @@ void read_models_and_instances(const JsonField& layout, Scene& scene) {
                            count = m.at("count").get_integer(0, kMaxSurfels);
         if (first != next)
             m.at("first").throw_field_error(
-                fmt::format("found {}", first),
+                fmt::format("found the first surfel {}", first),
                 fmt::format("expected {}, the first surfel after the previous model", next));
         next = first + count;
         scene.models.push_back({m.at("name").get_string(), static_cast<std::uint32_t>(first),
@@ -124,7 +124,7 @@ void read_models_and_instances(const JsonField& layout, Scene& scene) {
     }
     if (next != n)
         models.throw_field_error(fmt::format("found models of {} surfels", next),
-                                 fmt::format("expected {}", n));
+                                 fmt::format("expected {} surfels", n));
     if (models.size() == 0 || instances.size() == 0)
         models.throw_field_error("found no model or no instance", "expected at least one of each");
     for (std::size_t i = 0; i < instances.size(); ++i) {
@@ -138,7 +138,8 @@ void read_models_and_instances(const JsonField& layout, Scene& scene) {
 void check_model_metadata(const std::map<std::string, std::string>& metadata, const std::string& file_name) {
     run_detail::check_format_and_version(metadata, file_name, kModelFormat, kModelVersion);
     if (!metadata.contains("layout"))
-        throw DataError(fmt::format("{}: the metadata key \"layout\" is missing", file_name));
+        throw DataError(fmt::format("{}: the metadata key \"layout\" is missing, expected a model of relidar",
+                                    file_name));
 }
 
 constexpr const char* kBlocks = "blocks";
@@ -172,7 +173,7 @@ void parse_blocks_json(const std::string& json_text, const std::string& error_lo
         const std::filesystem::path file = block.at("file").get_string();
         const bool goes_up = std::ranges::find(file, std::filesystem::path("..")) != file.end();
         if (file.empty() || file.is_absolute() || goes_up)
-            block.at("file").throw_field_error("found " + file.string(),
+            block.at("file").throw_field_error("found the file name " + file.string(),
                                                "expected the name of a file in the folder of the model");
         scene.blocks.push_back(
             {model_folder / file, static_cast<std::uint32_t>(block.at("surfels").get_integer(0, kMaxSurfels)),

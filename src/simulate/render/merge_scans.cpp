@@ -174,7 +174,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
     std::size_t rings = 0;
     double unseen_rays = 0.0;
     for (const RenderedScan& scan : scans) {
-        check_channel_names_and_sizes(scan.channels, scan.image.range_m.size(), "scan of a rig");
+        check_channel_names_and_sizes(scan.channels, scan.image.range_m.size(), "a scan of a rig");
         add_missing_channels(merged, scan);
         RigPoseInterpolator poses(merged, scan);
         append_rays_in_rig_frame(merged, scan, poses, rings);

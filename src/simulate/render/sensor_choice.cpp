@@ -166,7 +166,7 @@ RenderedScan bin_scan_into_grid(const RenderedScan& scan, const RangeImageGrid& 
     const RayTable cells = make_rays(grid);
     const std::size_t n = cells.size();
     check_channel_names_and_sizes(scan.channels, scan.median_range_m.size(),
-                                  "scan to be projected onto the grid");
+                                  "a scan that is projected onto the grid");
     RenderedScan result = make_scan_without_measurements(cells, scan);
     for_each_channel_pair(
         scan, result,

@@ -67,7 +67,7 @@ ScanPacketEncoder::~ScanPacketEncoder() = default;
 std::vector<std::vector<SensorPacket>> ScanPacketEncoder::encode_scans_as_packets(
     std::span<const RenderedScan> scans) {
     if (scans.size() != impl_->encoders.size())
-        throw UsageError(fmt::format("writing packets: found {} scans, expected {}, one of each sensor",
+        throw UsageError(fmt::format("cannot write packets: found {} scans, expected {}, one of each sensor",
                                      scans.size(), impl_->encoders.size()));
     if (!std::exchange(impl_->has_started, true)) {
         double first_s = 0.0;

@@ -288,7 +288,7 @@ const WeatherEffectEntry kWetGround{
     .name = "wet",
     .form = "wet=MILLIMETRES",
     .meaning = "water on level ground",
-    .expected = "0 to 10 mm of water on the ground",
+    .expected = "a depth of 0 to 10 mm of water on the ground",
     .examples = "wet=0.5 rain=10,wet=0.5",
     .numbers = kWetNumbers,
     .prepare = [](const WeatherInput& input) -> std::unique_ptr<RayWeatherEffect> {

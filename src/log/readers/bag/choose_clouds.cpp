@@ -59,16 +59,17 @@ std::string explain_missing_clouds(const BagRecording& bag, const BagIndex& surv
         const auto clouds = std::ranges::find(survey.clouds, t, &CloudTopic::topic);
         const bool is_empty = clouds != survey.clouds.end() && clouds->clouds.empty();
         if (is_empty && !clouds->packets.empty())
-            text += fmt::format(" ({}: {} packets of a {}; {})", shorten_for_error_message(topic.name),
-                                clouds->packets.size(), clouds->packets.describe_lidar_product(),
-                                clouds->packets.describe_problems());
+            text +=
+                fmt::format(" (topic {} contains {} packets of a {}: {})",
+                            shorten_for_error_message(topic.name), clouds->packets.size(),
+                            clouds->packets.describe_lidar_product(), clouds->packets.describe_problems());
         else if (is_empty)
-            text += fmt::format(" ({}: {} clouds without points)", shorten_for_error_message(topic.name),
-                                clouds->n_empty);
+            text += fmt::format(" (topic {} contains {} clouds without points)",
+                                shorten_for_error_message(topic.name), clouds->n_empty);
         if (survey.facts[t].n_broken > 0)
             text += fmt::format(" ({}: {})", shorten_for_error_message(topic.name), survey.facts[t].broken);
         if (topic.type == packets::kOtherDatagrams)
-            text += fmt::format(" ({}: {} datagrams that relidar cannot decode as LiDAR packets)",
+            text += fmt::format(" ({} contains {} datagrams that relidar cannot decode as LiDAR packets)",
                                 shorten_for_error_message(topic.name), survey.facts[t].n);
     }
     if (bag.topics().empty()) text += " (the recording has no messages)";

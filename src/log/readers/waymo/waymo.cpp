@@ -134,7 +134,7 @@ const CompressedLidarImages& find_range_images_of_laser(const WaymoFrameRecord& 
                                                         const std::string& error_location) {
     for (const CompressedLidarImages& images : frame_record.images)
         if (images.laser == laser_id && !images.first.empty()) return images;
-    throw DataError(fmt::format("{}: the range image of {} is missing, but the first frame has one",
+    throw DataError(fmt::format("{}: the range image of the LiDAR {} is missing, but the first frame has one",
                                 error_location, kLaserNames[laser_id]));
 }
 
@@ -190,14 +190,14 @@ double compute_frame_period_s(const std::vector<WaymoFrameHeader>& frame_heads,
 Lidar make_waymo_lidar(const WaymoFrameRecord& frame_record, const CompressedLidarImages& laser_images,
                        double period_s, const std::string& error_location) {
     if (laser_images.laser < 1 || laser_images.laser >= int(std::size(kLaserNames)))
-        throw DataError(fmt::format("{}: found laser {}, expected 1 to {}", error_location,
+        throw DataError(fmt::format("{}: found the laser number {}, expected 1 to {}", error_location,
                                     laser_images.laser, std::size(kLaserNames) - 1));
     const auto calibration = std::find_if(frame_record.lasers.begin(), frame_record.lasers.end(),
                                           [&](const auto& c) { return c.laser == laser_images.laser; });
     if (calibration == frame_record.lasers.end())
-        throw DataError(
-            fmt::format("{}: laser_calibrations has no entry for {}, although its range image exists",
-                        error_location, kLaserNames[laser_images.laser]));
+        throw DataError(fmt::format(
+            "{}: laser_calibrations has no entry for the LiDAR {}, although its range image exists",
+            error_location, kLaserNames[laser_images.laser]));
     const DecompressedImage image =
         inflate_image(laser_images.first, kImageChannels,
                       fmt::format("{}: {}", error_location, kLaserNames[laser_images.laser]));
