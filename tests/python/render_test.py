@@ -252,7 +252,7 @@ class Render(TestCase):
         self.assert_same(run().render(time=time, sample=1, weather="clear")["range"], clear["range"])
         sunny = run().render(time=time, sample=1, weather="sun=0:5,bloom")
         self.assertIn(5, np.unique(sunny["source"]))
-        self.assertRaisesRegex(relidar.UsageError, "weather: found snow=-1, expected 0 to 100", run().render, time=time, weather="snow=-1")
+        self.assertRaisesRegex(relidar.UsageError, "weather: found snow=-1, expected a rate of 0 to 100", run().render, time=time, weather="snow=-1")
 
     def test_world_frame(self):
         time = run().times[3]

@@ -115,7 +115,7 @@ void read_models_and_instances(const JsonField& layout, Scene& scene) {
                            count = m.at("count").get_integer(0, kMaxSurfels);
         if (first != next)
             m.at("first").throw_field_error(
-                fmt::format("found the first surfel {}", first),
+                fmt::format("found {}", first),
                 fmt::format("expected {}, the first surfel after the previous model", next));
         next = first + count;
         scene.models.push_back({m.at("name").get_string(), static_cast<std::uint32_t>(first),

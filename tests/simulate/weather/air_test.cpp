@@ -99,7 +99,7 @@ TEST(Weather, WhatIsNoneIsRefusedInALine) {
         {"bloom=", "weather: found bloom= ... 0 to 1"},
         {"fog=50:60", "weather: found fog=50:60 ... 1 to 1e6 metres"},
         {"rain=5mm", "weather: found rain=5mm, expected a rate of 0 to 500 mm/h"},
-        {"wet=11", "weather: found wet=11, expected 0 to 10 mm"},
+        {"wet=11", "weather: found wet=11, expected a depth of 0 to 10 mm"},
         {"rain=1,snow=2", "weather: found rain=1 and snow=2"},
         {"fog=50,fog=60", "weather: fog ... twice"},
         {"fog", "weather: found \"fog\"" + kinds},

@@ -129,7 +129,7 @@ TEST(Once, SaysWhichFileAndFieldIsWrong) {
     with(second, "\"frame_id\": \"06165359667", "frames[1].frame_id: found 616535966700 after 1616535966200");
     with("\"pose\": [", "\"pose\": [0, ", "errors.json: frames[0].pose: found 8 numbers, expected 7");
     with("\"pose\": [", "\"pose\": [\"x\", ", "errors.json: frames[0].pose");
-    with("\"pose\": [0", "\"pose\": [2", "errors.json: frames[0].pose ... quaternion ... 2.236, expected 1");
+    with("\"pose\": [0", "\"pose\": [2", "errors.json: frames[0].pose ... quaternion ... 2.236 ... length 1");
     with("\"pose\"", "\"posture\"", "errors.json: frames[0].pose");
     with("\"frames\"", "\"other\"", "errors.json: frames");
     with("]}]", "", "errors.json");
