@@ -89,7 +89,7 @@ wrong_usage() {
     bad 2 "x.obj: .*\.obj, .*\.ply" export run --out x.obj
     bad 2 'setting train.iterations: found "-1"' demo --out x --set train.iterations=-1
     bad 3 "nowhere: .*folder" edit nowhere --from-ply scene.ply --out x
-    bad 2 "subcommand .*devices, sensors, settings" list
+    bad 2 "subcommand.*devices, sensors, settings" list
     bad 2 "sensor, .*sensors" list sensor
     bad 2 "--jso, .*--json.*relidar list devices --help" list devices --jso
     bad 3 "--json .: .*folder" check --json .
@@ -312,7 +312,7 @@ rendering() {
     check "frames beyond the log are left out without a word" grep -q "^relidar: note: frames 11:14: run .*frame 11" err
     good train street --out kept --preset quick --set train.iterations=1 --set dataset.test_every=0 --no-eval --quiet
     good render kept --out kept_scans
-    check "render of a run that held nothing out does not say so" grep -q "^relidar: note: kept .*held-out .*12" err
+    check "render of a run that held nothing out does not say so" grep -q "^relidar: note: .*kept .*held-out .*12" err
     check "render of a run that held nothing out left frames out" test "$(ls kept_scans | wc -l)" = 13
     bad 2 "selects .*frame" render run --out x --frames 100:200
     bad 2 'format: "npy" .*npz' render run --out x --format npy
@@ -517,7 +517,7 @@ XOSC
     says "^ *1 +Car .* 13\.50,-1\.00,"
     good edit run --out van_too --scenario cut_in.xosc@Van=run#0
     says "0-insert-1 follows Van of cut_in.xosc"
-    bad 2 'Van=TRACK, Van=RUN#TRACK, Van=ASSET or Van=-' edit run --out x --scenario cut_in.xosc
+    bad 2 'Van=TRACK, Van=RUN#TRACK or Van=ASSET.*Van=-' edit run --out x --scenario cut_in.xosc
     bad 2 'entities .*Bus' edit run --out x --scenario cut_in.xosc@Van=1,Bus=0
     bad 2 'trajectory, .*Ego' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
     bad 2 'Van=TRACK .*RUN#TRACK' edit run --out x --scenario cut_in.xosc@Van=7
@@ -528,7 +528,7 @@ XOSC
     says "note: actor 0 .*visible"
     sed 's/"name": "synthetic"/"name": "other"/' -i removed/scene.json
     good edit run --out both --force --insert "removed#1@$start"
-    says "note: removed .*sensor"
+    says "note: .*another sensor"
     good eval moved --out edited.json
     says "edits"
     says "^edited +[0-9.]+ +[0-9.]+ +[0-9.]+"
@@ -552,7 +552,7 @@ keeping_assets() {
     good render assets/car-0 --out asset_scans --frames 5:6 --format ply
     local most
     most=$("$relidar" assets run --out every --least 0 2>/dev/null | awk '/^car-/ && $3 > most { most = $3 } END { print most }')
-    bad 3 "skipped 0 \(Car\): .*0.*1.00 \(--least\); .*front" assets run --out none --least 1
+    bad 3 "skipped 0 \(Car\): .*0.*1.00 .*--least.*front" assets run --out none --least 1
     absent none
     check "a score above 1: $most" awk "BEGIN { exit !($most <= 1) }"
     bad 2 "assets: .*empty" assets run --out assets
@@ -922,7 +922,7 @@ checking() {
     check "check.json lacks its device" grep -q '^ "driver": "' check.json
     grep -q '"ray_query": true' devices.json || return
     RELIDAR_FAULTS=ray_query good render run --out replaced --frames 10:11 --traversal ray_query
-    check "no line on the replaced ray queries" grep -q "search; .*software" err
+    check "no line on the replaced ray queries" grep -q "search .*software" err
 }
 
 # Tests the short report. The expected numbers come from the definition of the street and

@@ -107,8 +107,8 @@ Examples:
 }  // namespace
 
 void add_convert_command(CLI::App& app, ParsedCommand& selected_command) {
-    CLI::App* command = app.add_subcommand(
-        "convert", "convert a log to a folder of npz, text and JSON files, or to sensor packets");
+    CLI::App* command =
+        app.add_subcommand("convert", "convert a log to npz, text and JSON files, or to sensor packets");
     const auto options = std::make_shared<ConvertOptions>();
     command->add_option("DATASET", options->dataset, "log: a path, or kind:path")->required();
     command->add_option("--out", options->out, "folder or capture to create")
