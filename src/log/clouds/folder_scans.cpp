@@ -293,10 +293,11 @@ private:
         if (fitted_sensor && why.empty() && !plan.has_rings)
             why = explain_removed_points(sample_scans, *fitted_sensor);
         if (!why.empty()) {
-            add_note_once(lidar_index,
-                          fmt::format("{}; therefore the LiDAR is not modelled as a spinning sensor: each "
-                                      "point becomes one ray, and rays without return are unknown{}",
-                                      why, plan.has_rings ? "" : suggest_sensor_setting(lidar_index)));
+            add_note_once(
+                lidar_index,
+                fmt::format("{}; therefore the LiDAR is not modelled as a spinning sensor: each "
+                            "point becomes one ray, and dropped rays (rays without return) are unknown{}",
+                            why, plan.has_rings ? "" : suggest_sensor_setting(lidar_index)));
             fitted_sensor = std::nullopt;
         }
         if (!fitted_sensor) plan.order.reset();
@@ -354,11 +355,9 @@ private:
             return fit.sensor;
         } catch (const DataError& error) {
             if (head_.lidars[lidar_index].is_guessed) {
-                add_note_once(
-                    lidar_index,
-                    fmt::format(
-                        "{}; therefore each point becomes one ray, and rays without return are unknown",
-                        error.what()));
+                add_note_once(lidar_index, fmt::format("{}; therefore each point becomes one ray, and "
+                                                       "dropped rays (rays without return) are unknown",
+                                                       error.what()));
                 return std::nullopt;
             }
             throw DataError(

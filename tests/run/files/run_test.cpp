@@ -248,7 +248,7 @@ TEST_F(RunFolder, CoverageRoundTripsExactly) {
     EXPECT_NE(error_with_arrays(2, "1").find(
                   "coverage.safetensors: array place: found i4 [3, 2], expected i4 [blocks, 3]"),
               std::string::npos);
-    EXPECT_THAT(error_with_arrays(3, "1"), test::Names("places ... 2 rows"));
+    EXPECT_THAT(error_with_arrays(3, "1"), test::Names("positions ... 2 rows"));
     EXPECT_NE(error_with_arrays(3, "2").find("cell_m: found 2, expected 1"), std::string::npos);
 }
 
