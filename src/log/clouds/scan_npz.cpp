@@ -198,9 +198,9 @@ void check_deskew_is_declared(bool is_deskewed, const SequenceHeader& head,
                               const std::string& error_location) {
     if (is_deskewed && !head.motion_compensated)
         throw DataError(
-            fmt::format("{}: the rays are motion-compensated or in the world frame, expected rays that "
-                        "start at the sensor at their own times; render without --deskew and --frame "
-                        "world, or set \"motion_compensated\": true",
+            fmt::format("{}: the rays are motion-compensated or in the world frame, expected rays that start "
+                        "at the position of the sensor at their firing times; render without --deskew and "
+                        "--frame world, or set \"motion_compensated\": true",
                         error_location));
 }
 

@@ -246,8 +246,8 @@ void visit_training_settings(C& config, Visitor&& visitor) {
             "sum gradients in a fixed order, so that repeated runs on one device give bit-identical "
             "parameters");
     visitor("train.sensor_drop", config.train.sensor_drop, accept_anything(),
-            mark_expert("learn a map of the rays that the sensor never receives, for example because its own "
-                        "vehicle blocks them, separately from the scene"));
+            mark_expert("learn a map of the rays that the sensor never receives, for example because the "
+                        "vehicle blocks them; this map is separate from the scene"));
     visitor("train.refine_poses", config.train.refine_poses,
             accept_one_of({"none", "sensor", "actors", "sensor,actors"}),
             "poses that training refines together with the scene: the poses of the sensor and of the actors' "

@@ -50,8 +50,8 @@ std::vector<SweepFile> list_sweeps(const fs::path& folder) {
         const auto [end, failed] = std::from_chars(stem.data(), stem.data() + stem.size(), time_ns);
         if (failed != std::errc() || end != stem.data() + stem.size() || time_ns < 0)
             throw DataError(
-                fmt::format("cannot use the file {} as a sweep: its name is not a number, expected a time in "
-                            "nanoseconds as the name",
+                fmt::format("cannot use the file {} as a sweep: its name is not a valid time, expected a "
+                            "time in nanoseconds",
                             path.string()));
         sweeps.push_back({0, time_ns, path});
     }

@@ -129,7 +129,7 @@ PoseTrack read_mulran_poses(const fs::path& pose_file, const stamped::StampedLog
     const glm::dvec3 driven = stamped::estimate_driving_direction(track).mean;
     if (driven != glm::dvec3(0.0) && driven.x < kForward)
         notes.push_back(fmt::format(
-            "poses: on average, the vehicle drives in the direction ({:.2f}, {:.2f}, {:.2f}) of its own "
+            "poses: on average, the vehicle drives in the direction ({:.2f}, {:.2f}, {:.2f}) of the vehicle "
             "frame, expected nearly (1, 0, 0); use dataset.poses=none to estimate the poses from the scans",
             driven.x, driven.y, driven.z));
     return track;
