@@ -22,7 +22,8 @@ constexpr std::size_t kItemsPerBlock = 1 << 16;
 /// keys.
 using ItemIndicesByPart = std::array<std::vector<std::uint32_t>, kParts>;
 
-std::vector<ItemIndicesByPart> partition_items_by_key(std::span<const std::uint64_t> cell_key_per_item) {
+std::vector<ItemIndicesByPart> partition_item_indices_by_key_hash(
+    std::span<const std::uint64_t> cell_key_per_item) {
     std::vector<ItemIndicesByPart> blocks((cell_key_per_item.size() + kItemsPerBlock - 1) / kItemsPerBlock);
     parallel_for(static_cast<int>(blocks.size()), [&](int s) {
         const std::size_t begin = std::size_t(s) * kItemsPerBlock;
@@ -35,8 +36,8 @@ std::vector<ItemIndicesByPart> partition_items_by_key(std::span<const std::uint6
 
 }  // namespace
 
-ItemCellIndices assign_cell_numbers(std::span<const std::uint64_t> cell_key_per_item) {
-    const std::vector<ItemIndicesByPart> blocks = partition_items_by_key(cell_key_per_item);
+ItemCellIndices number_cells_and_assign_items(std::span<const std::uint64_t> cell_key_per_item) {
+    const std::vector<ItemIndicesByPart> blocks = partition_item_indices_by_key_hash(cell_key_per_item);
     ItemCellIndices numbers{std::vector<std::uint32_t>(cell_key_per_item.size()), 0};
     // At first, this array holds, for each item, the index of the first item in the same
     // cell. At the end, these indices are replaced by the numbers of the cells.

@@ -19,15 +19,15 @@ struct ItemCellIndices {
 };
 /// Numbers the grid cells that contain items: 0, 1, 2, ...
 /// @param cell_key_per_item [items] key of the grid cell that contains each item
-ItemCellIndices assign_cell_numbers(std::span<const std::uint64_t> cell_key_per_item);
+ItemCellIndices number_cells_and_assign_items(std::span<const std::uint64_t> cell_key_per_item);
 /// Numbers the grid cells that contain items: 0, 1, 2, ...
 /// @param n_items number of items
 /// @param get_cell_key function that returns the key of an item's grid cell
 template <class KeyOf>
-ItemCellIndices assign_cell_numbers(std::size_t n_items, const KeyOf& get_cell_key) {
+ItemCellIndices number_cells_and_assign_items(std::size_t n_items, const KeyOf& get_cell_key) {
     std::vector<std::uint64_t> keys(n_items);
     parallel_for_in_blocks(n_items, [&](std::size_t index) { keys[index] = get_cell_key(index); });
-    return assign_cell_numbers(keys);
+    return number_cells_and_assign_items(keys);
 }
 
 /// Lists the items of each cell in ascending order.
@@ -36,7 +36,7 @@ public:
     explicit CellItemLists(const ItemCellIndices& numbers);
 
     std::size_t size() const { return first_.size() - 1; }
-    std::span<const std::uint32_t> get_items_of_cell(std::size_t cell_number) const {
+    std::span<const std::uint32_t> get_item_indices_of_cell(std::size_t cell_number) const {
         return std::span(items_).subspan(first_[cell_number], first_[cell_number + 1] - first_[cell_number]);
     }
 

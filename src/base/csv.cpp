@@ -15,7 +15,7 @@ std::vector<std::string_view> split_csv_cells(std::string_view line) {
     std::vector<std::string_view> cells;
     for (std::size_t begin = 0; begin <= line.size();) {
         const std::size_t end = std::min(line.find(',', begin), line.size());
-        cells.push_back(trim_spaces(line.substr(begin, end - begin)));
+        cells.push_back(trim_blanks_at_both_ends(line.substr(begin, end - begin)));
         begin = end + 1;
     }
     return cells;

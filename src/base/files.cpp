@@ -25,7 +25,7 @@ DataError make_unreadable_error(const fs::path& path, const std::error_code& sys
 
 /// Returns the file status of a path. Returns file_type::not_found if nothing exists at
 /// the path.
-fs::file_status get_file_status(const fs::path& path) {
+fs::file_status get_file_status_or_throw(const fs::path& path) {
     std::error_code failed;
     const fs::file_status status = fs::status(path, failed);
     if (fs::status_known(status)) return status;
@@ -35,7 +35,7 @@ fs::file_status get_file_status(const fs::path& path) {
 }  // namespace
 
 std::string read_file(const fs::path& path) {
-    const fs::file_status status = get_file_status(path);
+    const fs::file_status status = get_file_status_or_throw(path);
     if (!fs::exists(status)) throw DataError(fmt::format("{}: no such file", path.string()));
     if (!fs::is_regular_file(status))
         throw DataError(fmt::format("{}: the path is not a regular file", path.string()));
@@ -61,10 +61,10 @@ std::string read_text_file(const fs::path& path) {
     return text;
 }
 
-bool does_path_exist(const fs::path& path) { return fs::exists(get_file_status(path)); }
+bool does_path_exist(const fs::path& path) { return fs::exists(get_file_status_or_throw(path)); }
 
-void check_is_folder(const fs::path& path, const std::string& expected_description) {
-    const fs::file_status status = get_file_status(path);
+void require_existing_folder(const fs::path& path, const std::string& expected_description) {
+    const fs::file_status status = get_file_status_or_throw(path);
     if (!fs::is_directory(status))
         throw DataError(fmt::format("{}: {}, expected {}", path.string(),
                                     fs::exists(status) ? "the path is not a folder" : "no such folder",
@@ -74,7 +74,7 @@ void check_is_folder(const fs::path& path, const std::string& expected_descripti
 std::vector<fs::path> list_folder_entries(const fs::path& folder) {
     std::error_code failed;
     std::vector<fs::path> paths;
-    if (!fs::is_directory(get_file_status(folder)))
+    if (!fs::is_directory(get_file_status_or_throw(folder)))
         throw DataError(fmt::format("{}: no such folder", folder.string()));
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed))
         paths.push_back(entry->path());
@@ -118,7 +118,7 @@ std::vector<std::string> split_lines(const std::string& text) {
     return lines;
 }
 
-std::string_view trim_spaces(std::string_view text) {
+std::string_view trim_blanks_at_both_ends(std::string_view text) {
     constexpr std::string_view kBlank = " \t\r\n";
     const std::size_t begin = text.find_first_not_of(kBlank);
     if (begin == std::string_view::npos) return {};
@@ -135,7 +135,7 @@ std::optional<double> parse_number(std::string_view text) {
 
 std::optional<std::vector<double>> parse_numbers(std::string_view text) {
     std::vector<double> numbers;
-    for (text = trim_spaces(text); !text.empty(); text = trim_spaces(text)) {
+    for (text = trim_blanks_at_both_ends(text); !text.empty(); text = trim_blanks_at_both_ends(text)) {
         const std::size_t end = std::min(text.find_first_of(" \t\r\n"), text.size());
         const std::optional<double> number = parse_number(text.substr(0, end));
         if (!number) return std::nullopt;

@@ -29,7 +29,7 @@ bool does_path_exist(const std::filesystem::path& path);
 /// Checks that a path is a folder.
 /// @param expected_description description of the expected folder, for the error message
 /// @throws DataError if the path is not a folder or cannot be accessed
-void check_is_folder(const std::filesystem::path& path, const std::string& expected_description);
+void require_existing_folder(const std::filesystem::path& path, const std::string& expected_description);
 
 /// Returns the paths of all files and folders in a folder, sorted by name.
 /// @throws DataError if the path is missing, is not a folder, or cannot be read
@@ -49,7 +49,7 @@ std::string shorten_for_error_message(std::string_view text);
 std::vector<std::string> split_lines(const std::string& text);
 
 /// Returns the text without blanks at both ends.
-std::string_view trim_spaces(std::string_view text);
+std::string_view trim_blanks_at_both_ends(std::string_view text);
 
 /// Converts a text that consists of one number. Accepts "nan" and "inf". Returns nullopt
 /// if the text is not a number.

@@ -18,7 +18,7 @@ struct RangeImageRays {
     std::span<const glm::vec3> origin, direction;
     std::span<const float> range_m;  ///< Measured ranges, [rows*columns]. 0 for rays without a return.
 
-    glm::dvec3 compute_pixel_point(std::size_t pixel_index) const {
+    glm::dvec3 compute_point_of_pixel_m(std::size_t pixel_index) const {
         return glm::dvec3(origin[pixel_index]) +
                double(range_m[pixel_index]) * glm::dvec3(direction[pixel_index]);
     }
@@ -49,8 +49,8 @@ inline double compute_incidence_cosine(const RangeImageRays& image, std::size_t 
                                               kSameSurface * double(image.range_m[pixel_index]))
             return -1.0;
     const glm::dvec3 normal =
-        glm::cross(image.compute_pixel_point(around[0]) - image.compute_pixel_point(around[1]),
-                   image.compute_pixel_point(around[2]) - image.compute_pixel_point(around[3]));
+        glm::cross(image.compute_point_of_pixel_m(around[0]) - image.compute_point_of_pixel_m(around[1]),
+                   image.compute_point_of_pixel_m(around[2]) - image.compute_point_of_pixel_m(around[3]));
     const double length = glm::length(normal);
     return length > 0.0 ? std::abs(glm::dot(normal / length, glm::dvec3(image.direction[pixel_index])))
                         : -1.0;

@@ -27,17 +27,17 @@ public:
     NearestPointFinder& operator=(const NearestPointFinder&) = delete;
 
     /// Returns the index of the nearest point, and the squared distance to it.
-    std::pair<std::size_t, Scalar> find_nearest_point(const Point& query_point) const {
+    std::pair<std::size_t, Scalar> find_nearest_with_squared_distance(const Point& query_point) const {
         std::pair<std::size_t, Scalar> index_and_squared_distance{0, Scalar(0)};
         tree_.knnSearch(&query_point.x, 1, &index_and_squared_distance.first,
                         &index_and_squared_distance.second);
         return index_and_squared_distance;
     }
-    std::size_t find_nearest_index(const Point& query_point) const {
-        return find_nearest_point(query_point).first;
+    std::size_t find_nearest_point_index(const Point& query_point) const {
+        return find_nearest_with_squared_distance(query_point).first;
     }
     Scalar compute_nearest_squared_distance(const Point& query_point) const {
-        return find_nearest_point(query_point).second;
+        return find_nearest_with_squared_distance(query_point).second;
     }
 
 private:

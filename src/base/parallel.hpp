@@ -14,7 +14,7 @@ namespace relidar {
 
 /// Returns the number of threads that would run a parallel loop of the calling thread.
 /// The number is at least 1.
-std::size_t get_max_concurrency();
+std::size_t get_max_parallel_threads();
 
 /// Runs task(i) for every i in [0, n_tasks), on the calling thread and on idle threads of
 /// oneTBB. Tasks start in ascending order of i. A task may start another parallel loop.
@@ -28,9 +28,9 @@ void parallel_for(int n_tasks, const std::function<void(int)>& task);
 /// Returns the number of items in a block, which one thread processes at a time. Blocks
 /// are large enough that the cost of starting them is small. Each thread gets several
 /// blocks.
-inline std::size_t compute_block_size(std::size_t n_items) {
+inline std::size_t choose_items_per_parallel_block(std::size_t n_items) {
     constexpr std::size_t kSmallest = 128, kLargest = 4096, kBlocksPerThread = 8;
-    return std::clamp(n_items / (kBlocksPerThread * get_max_concurrency()), kSmallest, kLargest);
+    return std::clamp(n_items / (kBlocksPerThread * get_max_parallel_threads()), kSmallest, kLargest);
 }
 
 /// Divides [0, n_items) into ranges of `range_size` items, and runs task(begin, end) for
@@ -46,9 +46,10 @@ void parallel_for_ranges(std::size_t n_items, std::size_t range_size, const Task
 /// consecutive items.
 template <class Task>
 void parallel_for_in_blocks(std::size_t n_items, const Task& task) {
-    parallel_for_ranges(n_items, compute_block_size(n_items), [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i) task(i);
-    });
+    parallel_for_ranges(n_items, choose_items_per_parallel_block(n_items),
+                        [&](std::size_t begin, std::size_t end) {
+                            for (std::size_t i = begin; i < end; ++i) task(i);
+                        });
 }
 
 /// Computes a sum over [0, n_items) in parallel. Each range of `range_size` items has a
@@ -56,7 +57,7 @@ void parallel_for_in_blocks(std::size_t n_items, const Task& task) {
 /// does not depend on the number of threads.
 /// @param compute_range_sum function (begin, end) -> Sum. Sums are added with operator+=
 template <class Part>
-auto parallel_reduce(std::size_t n_items, std::size_t range_size, const Part& compute_range_sum) {
+auto parallel_sum_over_ranges(std::size_t n_items, std::size_t range_size, const Part& compute_range_sum) {
     using Sum = decltype(compute_range_sum(std::size_t{}, std::size_t{}));
     std::vector<Sum> sums((n_items + range_size - 1) / range_size);
     parallel_for_ranges(n_items, range_size, [&](std::size_t begin, std::size_t end) {

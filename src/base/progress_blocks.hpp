@@ -42,7 +42,7 @@ void parallel_for_with_progress(std::size_t n_tasks, const ProgressReporter& pro
 template <class Task>
 void parallel_for_blocks_with_progress(std::size_t n_items, const ProgressReporter& progress,
                                        std::string_view description, const Task& task) {
-    const std::size_t size = compute_block_size(n_items);
+    const std::size_t size = choose_items_per_parallel_block(n_items);
     parallel_for_with_progress((n_items + size - 1) / size, progress, description, [&](std::size_t block) {
         for (std::size_t i = block * size; i < std::min(n_items, (block + 1) * size); ++i) task(i);
     });

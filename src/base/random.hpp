@@ -26,23 +26,23 @@ class Random {
 public:
     explicit Random(std::uint64_t seed) : state_(hash_integer(seed)) {}
 
-    std::uint64_t draw_uint64() { return hash_integer(state_ += 0x9E3779B97F4A7C15ull); }
+    std::uint64_t sample_random_uint64() { return hash_integer(state_ += 0x9E3779B97F4A7C15ull); }
 
     /// Returns a reference to the generator's state, so that callers can save and restore
     /// it.
-    std::uint64_t& get_mutable_state() { return state_; }
+    std::uint64_t& get_mutable_generator_state() { return state_; }
 
     /// Returns a uniformly distributed number in [0, 1) with 53 random bits.
-    double draw_uniform() { return static_cast<double>(draw_uint64() >> 11) * 0x1.0p-53; }
+    double sample_uniform_number() { return static_cast<double>(sample_random_uint64() >> 11) * 0x1.0p-53; }
 
     /// Returns a uniformly distributed number in [low, high).
-    double draw_uniform(double min_value, double max_value) {
-        return min_value + (max_value - min_value) * draw_uniform();
+    double sample_uniform_number(double min_value, double max_value) {
+        return min_value + (max_value - min_value) * sample_uniform_number();
     }
 
-    double draw_standard_normal() {
-        const double radius = std::sqrt(-2.0 * std::log(1.0 - draw_uniform()));
-        return radius * std::cos(6.283185307179586 * draw_uniform());
+    double sample_standard_normal() {
+        const double radius = std::sqrt(-2.0 * std::log(1.0 - sample_uniform_number()));
+        return radius * std::cos(6.283185307179586 * sample_uniform_number());
     }
 
 private:

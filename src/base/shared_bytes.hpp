@@ -18,10 +18,10 @@ struct SharedBytes {
 
     /// Returns a view of a part of the bytes. The bytes stay in memory as long as the
     /// view exists.
-    SharedBytes make_shared_subview(std::string_view subview) const { return {memory, subview}; }
+    SharedBytes share_memory_with_subview(std::string_view subview) const { return {memory, subview}; }
 };
 
-inline SharedBytes move_to_shared_bytes(std::string bytes) {
+inline SharedBytes make_shared_bytes(std::string bytes) {
     const auto memory = std::make_shared<const std::string>(std::move(bytes));
     return {memory, *memory};
 }

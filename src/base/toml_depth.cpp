@@ -30,7 +30,7 @@ std::size_t find_end_of_quoted_text(std::string_view text, std::size_t quote_pos
 
 }  // namespace
 
-void check_toml_nesting_depth(std::string_view toml_text, const std::string& file_name) {
+void require_toml_nesting_within_limit(std::string_view toml_text, const std::string& file_name) {
     int line = 1, parts = 1, depth = 0;
     for (std::size_t at = 0; at < toml_text.size();) {
         const char c = toml_text[at];

@@ -13,6 +13,6 @@ namespace relidar {
 /// @param file_name file name for the error message
 /// @throws DataError if a key has more than 8 parts, or if brackets are nested more than
 /// 8 deep
-void check_toml_nesting_depth(std::string_view toml_text, const std::string& file_name);
+void require_toml_nesting_within_limit(std::string_view toml_text, const std::string& file_name);
 
 }  // namespace relidar

@@ -19,7 +19,7 @@ namespace relidar {
 
 namespace {
 
-double to_mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
+double bytes_to_mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
 
 /// Throws an error that a buffer could not be allocated. The message contains the size of
 /// the buffer, the free memory and the cause.
@@ -30,34 +30,37 @@ double to_mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
     throw OutOfDeviceMemory(
         fmt::format("cannot allocate {:.1f} MiB for {} on {}: {}; relidar uses {:.1f} MiB, and {:.1f} MiB of "
                     "the memory budget of {:.1f} MiB are free; use fewer frames or a device with more memory",
-                    to_mib(size), description, device.info.name, cause, to_mib(device.allocated),
-                    to_mib(budget.get_free_bytes()), to_mib(budget.n_bytes)));
+                    bytes_to_mib(size), description, device.info.name, cause, bytes_to_mib(device.allocated),
+                    bytes_to_mib(budget.get_free_device_memory_bytes()), bytes_to_mib(budget.n_bytes)));
 }
 
-void check_buffer_size(const Device::Impl& device, std::size_t size_bytes, const std::string& description) {
+void throw_if_buffer_too_large(const Device::Impl& device, std::size_t size_bytes,
+                               const std::string& description) {
     const auto& [limit, name] = device.largest_buffer;
     if (size_bytes <= limit) return;
     throw OutOfDeviceMemory(
         fmt::format("cannot allocate {:.1f} MiB for {} on {}: the array is larger than {} = {:.1f} MiB, the "
                     "limit of the driver",
-                    to_mib(size_bytes), description, device.info.name, name, to_mib(limit)));
+                    bytes_to_mib(size_bytes), description, device.info.name, name, bytes_to_mib(limit)));
 }
 
 /// Checks that an array fits into the memory limit of the user and into the memory budget
 /// of the driver. Reading the budget is slow, so it is read only for large arrays.
-void check_memory_budget(const Device::Impl& device, std::size_t size_bytes, const std::string& description) {
+void throw_if_over_memory_budget(const Device::Impl& device, std::size_t size_bytes,
+                                 const std::string& description) {
     constexpr std::size_t kLarge = gpu::DeviceMemoryAllocator::kBlockBytes / 2;
     if (device.memory_limit_bytes != 0 && device.allocated + size_bytes > device.memory_limit_bytes)
         throw OutOfDeviceMemory(fmt::format(
             "cannot allocate {:.1f} MiB for {}: relidar uses {:.1f} MiB, and its memory limit is {:.1f} MiB "
             "(environment variable RELIDAR_MEMORY_LIMIT_MIB)",
-            to_mib(size_bytes), description, to_mib(device.allocated), to_mib(device.memory_limit_bytes)));
+            bytes_to_mib(size_bytes), description, bytes_to_mib(device.allocated),
+            bytes_to_mib(device.memory_limit_bytes)));
     if (size_bytes < kLarge) return;
     gpu::MemoryBudget budget = gpu::query_memory_budget(device.physical);
     // Without VK_EXT_memory_budget, the driver does not report the used memory, so n_used
     // is 0.
     budget.n_used = std::max(budget.n_used, device.allocated.load());
-    if (budget.n_bytes > 0 && size_bytes > budget.get_free_bytes())
+    if (budget.n_bytes > 0 && size_bytes > budget.get_free_device_memory_bytes())
         throw_allocation_error(device, size_bytes, description,
                                "the array is larger than the free device memory", budget);
 }
@@ -71,10 +74,10 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose use
     // have no hardware.
     if (owner.compile_only) return;
     owner.free_orphaned_buffers();
-    check_buffer_size(owner, size, description);
+    throw_if_buffer_too_large(owner, size, description);
     // Staging and parameter buffers are small or in host memory, so the budget does not
     // apply.
-    if (use == gpu::BufferPurpose::device) check_memory_budget(owner, size, description);
+    if (use == gpu::BufferPurpose::device) throw_if_over_memory_budget(owner, size, description);
     VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
     info.size = size;
     info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
@@ -89,19 +92,20 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose use
         info.flags = VK_BUFFER_CREATE_SPARSE_BINDING_BIT;
     VkResult result = vkCreateBuffer(owner.device, &info, nullptr, &handle);
     if (result == VK_SUCCESS) {
-        gpu::set_object_name(owner.device, VK_OBJECT_TYPE_BUFFER, handle, description);
+        gpu::set_vulkan_object_name(owner.device, VK_OBJECT_TYPE_BUFFER, handle, description);
         VkMemoryRequirements needs;
         vkGetBufferMemoryRequirements(owner.device, handle, &needs);
         // A piece of a sparse buffer must be a multiple of its memory page, and at least
         // one page.
         const std::uint64_t piece_bytes =
             std::max(largest / needs.alignment * needs.alignment, needs.alignment);
-        result = info.flags ? allocate_memory_pieces(needs, piece_bytes) : allocate_memory(needs);
+        result = info.flags ? allocate_and_bind_sparse_memory(needs, piece_bytes)
+                            : allocate_and_bind_memory(needs);
     }
     if (result != VK_SUCCESS) {
-        for (const gpu::MemorySuballocation& piece : memory) owner.memory->release_piece(piece);
+        for (const gpu::MemorySuballocation& piece : memory) owner.memory->release_suballocation(piece);
         vkDestroyBuffer(owner.device, handle, nullptr);
-        const std::string cause = fmt::format("the driver returned {}", gpu::get_result_name(result));
+        const std::string cause = fmt::format("the driver returned {}", gpu::get_vulkan_result_name(result));
         if (result == VK_ERROR_DEVICE_LOST)
             gpu::throw_vulkan_error(result, fmt::format("cannot allocate {}: {}", description, cause));
         throw_allocation_error(owner, size, description, cause, gpu::query_memory_budget(owner.physical));
@@ -118,8 +122,8 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose use
     if (owner.allocated > owner.peak) owner.peak = owner.allocated.load();
 }
 
-VkResult Buffer::Impl::allocate_memory(const VkMemoryRequirements& needs) {
-    const VkResult result = device->memory->allocate_piece(needs, use, memory.emplace_back());
+VkResult Buffer::Impl::allocate_and_bind_memory(const VkMemoryRequirements& requirements) {
+    const VkResult result = device->memory->suballocate_memory(requirements, use, memory.emplace_back());
     if (result != VK_SUCCESS) {
         memory.clear();
         return result;
@@ -127,24 +131,24 @@ VkResult Buffer::Impl::allocate_memory(const VkMemoryRequirements& needs) {
     return vkBindBufferMemory(device->device, handle, memory.front().block->memory, memory.front().offset);
 }
 
-VkResult Buffer::Impl::allocate_memory_pieces(const VkMemoryRequirements& needs,
-                                              std::uint64_t max_piece_bytes) {
-    for (std::uint64_t offset = 0; offset < needs.size; offset += max_piece_bytes) {
-        VkMemoryRequirements piece_needs = needs;
-        piece_needs.size = std::min(max_piece_bytes, needs.size - offset);
+VkResult Buffer::Impl::allocate_and_bind_sparse_memory(const VkMemoryRequirements& requirements,
+                                                       std::uint64_t max_piece_bytes) {
+    for (std::uint64_t offset = 0; offset < requirements.size; offset += max_piece_bytes) {
+        VkMemoryRequirements piece_needs = requirements;
+        piece_needs.size = std::min(max_piece_bytes, requirements.size - offset);
         gpu::MemorySuballocation piece;
-        const VkResult result = device->memory->allocate_piece(piece_needs, use, piece);
+        const VkResult result = device->memory->suballocate_memory(piece_needs, use, piece);
         if (result != VK_SUCCESS) return result;
         memory.push_back(piece);
     }
-    return device->bind_sparse_memory(handle, memory);
+    return device->bind_memory_to_sparse_buffer(handle, memory);
 }
 
-VkResult Device::Impl::bind_sparse_memory(VkBuffer buffer,
-                                          const std::vector<gpu::MemorySuballocation>& pieces) {
+VkResult Device::Impl::bind_memory_to_sparse_buffer(
+    VkBuffer buffer, const std::vector<gpu::MemorySuballocation>& memory_pieces) {
     std::vector<VkSparseMemoryBind> binds;
     VkDeviceSize offset = 0;
-    for (const gpu::MemorySuballocation& piece : pieces) {
+    for (const gpu::MemorySuballocation& piece : memory_pieces) {
         binds.push_back({offset, piece.n_bytes, piece.block->memory, piece.offset, 0});
         offset += piece.n_bytes;
     }
@@ -170,15 +174,15 @@ Buffer::Impl::~Impl() {
             device->orphans.push_back({handle, memory, use});
             return;
         }
-        device->wait_idle();
+        device->wait_until_device_idle();
     }
-    device->free_buffer({handle, memory, use});
+    device->destroy_orphaned_buffer({handle, memory, use});
 }
 
-void Device::Impl::free_buffer(const OrphanedBuffer& buffer) noexcept {
+void Device::Impl::destroy_orphaned_buffer(const OrphanedBuffer& buffer) noexcept {
     vkDestroyBuffer(device, buffer.handle, nullptr);
     for (const gpu::MemorySuballocation& piece : buffer.memory) {
-        memory->release_piece(piece);
+        memory->release_suballocation(piece);
         if (buffer.use == gpu::BufferPurpose::device) allocated -= piece.n_bytes;
     }
 }
@@ -186,8 +190,8 @@ void Device::Impl::free_buffer(const OrphanedBuffer& buffer) noexcept {
 void Device::Impl::free_orphaned_buffers() {
     const std::lock_guard lock(orphans_mutex);
     if (orphans.empty() || n_recording > 0) return;
-    wait_idle();
-    for (const OrphanedBuffer& orphan : orphans) free_buffer(orphan);
+    wait_until_device_idle();
+    for (const OrphanedBuffer& orphan : orphans) destroy_orphaned_buffer(orphan);
     orphans.clear();
 }
 
@@ -201,16 +205,17 @@ std::uint64_t Buffer::get_device_address() const { return impl_ ? impl_->address
 std::size_t Buffer::size_bytes() const { return impl_ ? impl_->n_bytes : 0; }
 
 void Buffer::upload(const void* data, std::size_t n_bytes, std::size_t offset_bytes) {
-    if (!impl_->device->compile_only) impl_->device->transfers->upload(*impl_, data, n_bytes, offset_bytes);
+    if (!impl_->device->compile_only)
+        impl_->device->transfers->upload_to_buffer(*impl_, data, n_bytes, offset_bytes);
 }
 
 void Buffer::copy_from(const Buffer& source, std::size_t n_bytes) {
-    if (!impl_->device->compile_only) impl_->device->transfers->copy(*source.impl_, *impl_, n_bytes);
+    if (!impl_->device->compile_only) impl_->device->transfers->copy_buffer(*source.impl_, *impl_, n_bytes);
 }
 
 void Buffer::download(void* data, std::size_t n_bytes, std::size_t offset_bytes) const {
     if (impl_->device->compile_only) std::memset(data, 0, n_bytes);
-    else impl_->device->transfers->download(*impl_, data, n_bytes, offset_bytes);
+    else impl_->device->transfers->download_from_buffer(*impl_, data, n_bytes, offset_bytes);
 }
 
 }  // namespace relidar

@@ -31,8 +31,9 @@ struct Buffer::Impl {
 private:
     /// Allocates the memory of the buffer. The first function allocates one piece, the
     /// second function pieces of at most `max_piece_bytes`.
-    VkResult allocate_memory(const VkMemoryRequirements& needs);
-    VkResult allocate_memory_pieces(const VkMemoryRequirements& needs, std::uint64_t max_piece_bytes);
+    VkResult allocate_and_bind_memory(const VkMemoryRequirements& requirements);
+    VkResult allocate_and_bind_sparse_memory(const VkMemoryRequirements& requirements,
+                                             std::uint64_t max_piece_bytes);
 };
 
 }  // namespace relidar

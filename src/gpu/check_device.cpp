@@ -25,9 +25,9 @@ using Words = std::vector<std::uint32_t>;
 
 /// Runs a kernel in which `n_threads` threads add integers to `n_sums` sums. Returns the
 /// largest relative error of a sum.
-double measure_atomic_sum_error(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel,
-                                std::uint32_t n_threads, std::uint32_t n_sums, bool inject_fault,
-                                double* elapsed_s = nullptr) {
+double run_atomic_adds_and_get_max_error(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel,
+                                         std::uint32_t n_threads, std::uint32_t n_sums, bool inject_fault,
+                                         double* elapsed_s = nullptr) {
     std::vector<double> expected(n_sums, 0.0);
     for (std::uint32_t i = 0; i < n_threads; ++i) expected[i % n_sums] += 1.0 + i % RELIDAR_CHECK_AMOUNTS;
     const Array<float> sums(stream.device(), std::vector<float>(n_sums, 0.0f), "sums");
@@ -66,16 +66,17 @@ constexpr std::uint32_t kCheckWorkgroup = 256;
 
 /// Returns the correct results of all subgroup operations for one thread.
 /// @param lane_values values of the lanes of this subgroup
-/// @param lane index of the thread in the subgroup
-/// @param sum_before sum of all earlier subgroups of the workgroup
+/// @param lane_index index of the thread in the subgroup
+/// @param sum_of_earlier_subgroups sum of all earlier subgroups of the workgroup
 /// @param workgroup_sum sum of the workgroup
 std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> compute_expected_subgroup_results(
-    const Words& lane_values, std::size_t lane, std::uint32_t sum_before, std::uint32_t workgroup_sum) {
+    const Words& lane_values, std::size_t lane_index, std::uint32_t sum_of_earlier_subgroups,
+    std::uint32_t workgroup_sum) {
     std::uint32_t sum = 0, earlier = 0, largest = 0, n_odd = 0, odd_sum = 0;
     for (std::size_t i = 0; i < lane_values.size(); ++i) {
         const std::uint32_t x = lane_values[i];
         sum += x;
-        if (i < lane) earlier += x;
+        if (i < lane_index) earlier += x;
         largest = std::max(largest, x);
         if (x & 1u) ++n_odd, odd_sum += x;
     }
@@ -85,15 +86,15 @@ std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> compute_expected_subgroup_resul
             earlier,
             largest,
             n_odd,
-            lane_values[lane ^ 1u],
+            lane_values[lane_index ^ 1u],
             (n_odd > 0 ? 1u : 0u) + (n_odd == size ? 2u : 0u),
             lane_values.front(),
-            lane_values[lane] & 1u ? odd_sum : 0u,
-            sum_before + earlier,
+            lane_values[lane_index] & 1u ? odd_sum : 0u,
+            sum_of_earlier_subgroups + earlier,
             workgroup_sum};
 }
 
-std::string describe_wrong_subgroup_result(Device& device) {
+std::string run_subgroup_test_and_describe_error(Device& device) {
     const Kernel<shared::CheckSubgroupsParams> kernel(
         device, "gpu/check_subgroups", {{SpecialisationConstantId::WORKGROUP_SIZE, kCheckWorkgroup}},
         SubgroupRequirement::full);
@@ -116,7 +117,7 @@ std::string describe_wrong_subgroup_result(Device& device) {
                 const std::uint32_t* lane_results = actual.data() + (first + lane) * RELIDAR_CHECK_RESULTS;
                 for (std::size_t k = 0; k < expected.size(); ++k)
                     if (lane_results[k] != expected[k] &&
-                        (k != kInBranch || has_maximal_reconvergence(device)))
+                        (k != kInBranch || is_lane_reconvergence_guaranteed(device)))
                         return fmt::format("{}: found {} in lane {}, expected {}", kOperations[k],
                                            lane_results[k], lane, expected[k]);
             }
@@ -128,7 +129,7 @@ std::string describe_wrong_subgroup_result(Device& device) {
 
 /// Sorts 5000 keys on the device. Returns an empty text if the order is right, otherwise
 /// a text about the first wrong key.
-std::string describe_sort_failure(Device& device) {
+std::string run_sort_test_and_describe_error(Device& device) {
     if (!device.info().can_require_subgroup_size) return {};
     constexpr std::uint32_t kKeys = 5000;
     Words keys(kKeys);
@@ -153,25 +154,26 @@ std::string describe_sort_failure(Device& device) {
 
 }  // namespace
 
-double compute_atomic_sum_error(Device& device, bool use_compare_and_swap) {
+double test_atomic_adds_and_get_max_error(Device& device, bool use_compare_and_swap) {
     const Kernel<shared::CheckAtomicsParams> kernel(
         device, "gpu/check_atomics", KernelVariant(use_compare_and_swap ? "@_swap" : "@_atomics"));
     const bool fault = gpu::is_fault_injected(use_compare_and_swap ? "float_swaps" : "float_atomics");
     Stream stream(device);
-    return std::max(measure_atomic_sum_error(stream, kernel, 1u << 18, 1024, fault),
-                    measure_atomic_sum_error(stream, kernel, 1u << 14, 1, fault));
+    return std::max(run_atomic_adds_and_get_max_error(stream, kernel, 1u << 18, 1024, fault),
+                    run_atomic_adds_and_get_max_error(stream, kernel, 1u << 14, 1, fault));
 }
 
-double measure_compare_and_swap_error(Device& device, std::uint32_t n_threads, double& elapsed_s) {
+double test_swap_adds_and_get_max_error(Device& device, std::uint32_t n_threads, double& elapsed_s) {
     const Kernel<shared::CheckAtomicsParams> kernel(device, "gpu/check_atomics", KernelVariant("@_swap"));
     Stream stream(device);
     const double piece_s = std::exchange(device.impl().launch_limit.piece_s, 0.0);
-    const double error = measure_atomic_sum_error(stream, kernel, n_threads, 1024, false, &elapsed_s);
+    const double error =
+        run_atomic_adds_and_get_max_error(stream, kernel, n_threads, 1024, false, &elapsed_s);
     device.impl().launch_limit.piece_s = piece_s;
     return error;
 }
 
-std::vector<int> list_subgroup_sizes(const Device& device) {
+std::vector<int> list_requestable_subgroup_sizes(const Device& device) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
@@ -184,9 +186,9 @@ std::vector<int> list_subgroup_sizes(const Device& device) {
     return result;
 }
 
-std::string describe_subgroup_failure(Device& device) {
-    const std::string wrong = describe_wrong_subgroup_result(device);
-    return wrong.empty() ? describe_sort_failure(device) : wrong;
+std::string test_subgroups_and_describe_error(Device& device) {
+    const std::string wrong = run_subgroup_test_and_describe_error(device);
+    return wrong.empty() ? run_sort_test_and_describe_error(device) : wrong;
 }
 
 }  // namespace relidar

@@ -21,10 +21,10 @@
 
 namespace relidar::gpu {
 
-void check_vulkan_result(VkResult result, const char* call_name) {
+void throw_unless_vulkan_success(VkResult result, const char* call_name) {
     if (result >= 0) return;
     throw_vulkan_error(result, fmt::format("{} failed: the driver returned {}, expected VK_SUCCESS",
-                                           call_name, get_result_name(result)));
+                                           call_name, get_vulkan_result_name(result)));
 }
 
 void throw_vulkan_error(VkResult result, const std::string& message) {
@@ -34,7 +34,7 @@ void throw_vulkan_error(VkResult result, const std::string& message) {
     throw DeviceError(message);
 }
 
-std::string get_result_name(VkResult result) {
+std::string get_vulkan_result_name(VkResult result) {
     switch (result) {
         case VK_ERROR_OUT_OF_HOST_MEMORY:
             return "VK_ERROR_OUT_OF_HOST_MEMORY";
@@ -61,25 +61,27 @@ std::string get_result_name(VkResult result) {
 
 namespace {
 
-VkBool32 on_message(VkDebugUtilsMessageSeverityFlagBitsEXT, VkDebugUtilsMessageTypeFlagsEXT,
-                    const VkDebugUtilsMessengerCallbackDataEXT* data, void* user) {
-    static_cast<VulkanInstance*>(user)->n_messages++;
-    std::fprintf(stderr, "validation: %s\n", data->pMessage);
+VkBool32 print_and_count_validation_message(VkDebugUtilsMessageSeverityFlagBitsEXT,
+                                            VkDebugUtilsMessageTypeFlagsEXT,
+                                            const VkDebugUtilsMessengerCallbackDataEXT* message_data,
+                                            void* instance_pointer) {
+    static_cast<VulkanInstance*>(instance_pointer)->n_messages++;
+    std::fprintf(stderr, "validation: %s\n", message_data->pMessage);
     return VK_FALSE;
 }
 
-VkDebugUtilsMessengerCreateInfoEXT make_messenger_info(VulkanInstance* instance) {
+VkDebugUtilsMessengerCreateInfoEXT make_debug_messenger_create_info(VulkanInstance* instance) {
     VkDebugUtilsMessengerCreateInfoEXT info{VK_STRUCTURE_TYPE_DEBUG_UTILS_MESSENGER_CREATE_INFO_EXT};
     info.messageSeverity =
         VK_DEBUG_UTILS_MESSAGE_SEVERITY_WARNING_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_SEVERITY_ERROR_BIT_EXT;
     info.messageType =
         VK_DEBUG_UTILS_MESSAGE_TYPE_VALIDATION_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_TYPE_PERFORMANCE_BIT_EXT;
-    info.pfnUserCallback = on_message;
+    info.pfnUserCallback = print_and_count_validation_message;
     info.pUserData = instance;
     return info;
 }
 
-bool has_debug_utils_extension() {
+bool is_debug_utils_extension_available() {
     std::uint32_t n = 0;
     vkEnumerateInstanceExtensionProperties(nullptr, &n, nullptr);
     std::vector<VkExtensionProperties> extensions(n);
@@ -103,10 +105,10 @@ VulkanInstance::VulkanInstance(bool validation) {
     const char* extension = VK_EXT_DEBUG_UTILS_EXTENSION_NAME;
     VkInstanceCreateInfo info{VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO};
     info.pApplicationInfo = &app;
-    VkDebugUtilsMessengerCreateInfoEXT debug = make_messenger_info(this);
+    VkDebugUtilsMessengerCreateInfoEXT debug = make_debug_messenger_create_info(this);
     // VK_EXT_debug_utils is enabled even without validation, so that debuggers show the
     // names of objects.
-    if (validation || has_debug_utils_extension()) {
+    if (validation || is_debug_utils_extension_available()) {
         info.enabledExtensionCount = 1;
         info.ppEnabledExtensionNames = &extension;
     }
@@ -124,12 +126,12 @@ VulkanInstance::VulkanInstance(bool validation) {
         throw DeviceError(
             "cannot enable Vulkan validation: VK_LAYER_KHRONOS_validation is not installed; install "
             "the package vulkan-validationlayers");
-    check_vulkan_result(result, "vkCreateInstance");
+    throw_unless_vulkan_success(result, "vkCreateInstance");
     volkLoadInstance(handle);
     if (!validation) return;
     destroy_messenger = vkDestroyDebugUtilsMessengerEXT;
-    check_vulkan_result(vkCreateDebugUtilsMessengerEXT(handle, &debug, nullptr, &messenger),
-                        "vkCreateDebugUtilsMessengerEXT");
+    throw_unless_vulkan_success(vkCreateDebugUtilsMessengerEXT(handle, &debug, nullptr, &messenger),
+                                "vkCreateDebugUtilsMessengerEXT");
 }
 
 VulkanInstance::~VulkanInstance() {
@@ -139,9 +141,11 @@ VulkanInstance::~VulkanInstance() {
 
 std::vector<VkPhysicalDevice> VulkanInstance::list_physical_devices() const {
     std::uint32_t n = 0;
-    check_vulkan_result(vkEnumeratePhysicalDevices(handle, &n, nullptr), "vkEnumeratePhysicalDevices");
+    throw_unless_vulkan_success(vkEnumeratePhysicalDevices(handle, &n, nullptr),
+                                "vkEnumeratePhysicalDevices");
     std::vector<VkPhysicalDevice> devices(n);
-    check_vulkan_result(vkEnumeratePhysicalDevices(handle, &n, devices.data()), "vkEnumeratePhysicalDevices");
+    throw_unless_vulkan_success(vkEnumeratePhysicalDevices(handle, &n, devices.data()),
+                                "vkEnumeratePhysicalDevices");
     return devices;
 }
 
@@ -160,23 +164,23 @@ std::vector<DeviceInfo> describe_physical_devices(const std::vector<VkPhysicalDe
 
 /// Returns the index of the requested device. If none is requested, prefers GPUs to CPU
 /// devices, and GPUs with ray queries to GPUs without them.
-int choose_device_index(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
-    if (infos.empty())
+int choose_device_index(const std::vector<DeviceInfo>& device_infos, const DeviceOptions& options) {
+    if (device_infos.empty())
         throw DeviceError(
             "cannot open a device: this machine has no Vulkan device, expected at least one; install "
             "a GPU driver or the software driver of Mesa");
-    const int n = static_cast<int>(infos.size());
+    const int n = static_cast<int>(device_infos.size());
     if (options.index >= n)
         throw DeviceError(
             fmt::format("cannot open device {}: this machine has {} devices, expected a number from 0 to {}",
                         options.index, n, n - 1));
     if (options.index >= 0) return options.index;
     int best = 0, best_score = -1;
-    for (const DeviceInfo& d : infos) {
+    for (const DeviceInfo& d : device_infos) {
         const bool runs = options.traversal == RayTracingBackend::ray_query ? d.ray_query
                           : options.traversal == RayTracingBackend::software
                               ? d.software
-                              : choose_best_traversal(d) != RayTracingBackend::automatic;
+                              : choose_best_ray_tracing_backend(d) != RayTracingBackend::automatic;
         const int score = (d.why_not_usable.empty() ? 8 : 0) + (runs ? 4 : 0) + (d.type != "CPU" ? 2 : 0) +
                           (d.ray_query ? 1 : 0);
         if (score > best_score) {
@@ -187,16 +191,16 @@ int choose_device_index(const std::vector<DeviceInfo>& infos, const DeviceOption
     return best;
 }
 
-void check_traversal_support(const DeviceInfo& info, RayTracingBackend traversal) {
+void throw_if_backend_unsupported(const DeviceInfo& info, RayTracingBackend requested_backend) {
     if (!info.why_not_usable.empty())
         throw DeviceError(fmt::format("cannot open device {} ({}): it lacks these required features: {}",
                                       info.index, info.name, info.why_not_usable));
-    if (traversal == RayTracingBackend::ray_query && !info.ray_query)
+    if (requested_backend == RayTracingBackend::ray_query && !info.ray_query)
         throw DeviceError(fmt::format(
             "cannot open device {} ({}) with ray query: it lacks these required features: {}; use "
             "--traversal auto",
             info.index, info.name, info.why_not_ray_query));
-    if (traversal == RayTracingBackend::software && !info.software)
+    if (requested_backend == RayTracingBackend::software && !info.software)
         throw DeviceError(fmt::format(
             "cannot open device {} ({}) with software traversal: it lacks these required features: "
             "{}; use --traversal auto",
@@ -204,8 +208,8 @@ void check_traversal_support(const DeviceInfo& info, RayTracingBackend traversal
     // SwiftShader cannot run the tracing kernels. It is accepted anyway, because tests
     // run all other kernels on it.
     const bool runs_the_rest = gpu::is_swiftshader(info);
-    if (traversal == RayTracingBackend::automatic &&
-        choose_best_traversal(info) == RayTracingBackend::automatic && !runs_the_rest)
+    if (requested_backend == RayTracingBackend::automatic &&
+        choose_best_ray_tracing_backend(info) == RayTracingBackend::automatic && !runs_the_rest)
         throw DeviceError(fmt::format(
             "cannot open device {} ({}): for ray query it lacks {}, and for software traversal it "
             "lacks {}; expected support for one of the two",
@@ -219,7 +223,7 @@ std::vector<DeviceInfo> list_devices() {
     return describe_physical_devices(instance.list_physical_devices());
 }
 
-RayTracingBackend parse_traversal_method(const std::string& name) {
+RayTracingBackend parse_ray_tracing_backend(const std::string& name) {
     const std::optional<std::string> matching_name =
         find_name_ignoring_case(name, {"auto", "ray_query", "software"});
     if (!matching_name)
@@ -230,7 +234,7 @@ RayTracingBackend parse_traversal_method(const std::string& name) {
                                          : RayTracingBackend::ray_query;
 }
 
-RayTracingBackend choose_best_traversal(const DeviceInfo& info) {
+RayTracingBackend choose_best_ray_tracing_backend(const DeviceInfo& info) {
     // Chooses the faster method. docs/performance.md has the measurements.
     if (info.software && (info.type == "CPU" || !info.ray_query)) return RayTracingBackend::software;
     return info.ray_query ? RayTracingBackend::ray_query : RayTracingBackend::automatic;
@@ -242,36 +246,37 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     const std::vector<DeviceInfo> infos = describe_physical_devices(physical);
     const int index = choose_device_index(infos, options);
     impl_->info = infos[static_cast<std::size_t>(index)];
-    check_traversal_support(impl_->info, options.traversal);
-    impl_->traversal = options.traversal == RayTracingBackend::automatic ? choose_best_traversal(impl_->info)
-                                                                         : options.traversal;
+    throw_if_backend_unsupported(impl_->info, options.traversal);
+    impl_->traversal = options.traversal == RayTracingBackend::automatic
+                           ? choose_best_ray_tracing_backend(impl_->info)
+                           : options.traversal;
     // If no traversal method works, selects the software tree. The constructor of the
     // software tree then throws an error with the reason.
     if (impl_->traversal == RayTracingBackend::automatic) impl_->traversal = RayTracingBackend::software;
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = options.memory_limit_bytes;
     impl_->compile_only = options.compile_only;
-    gpu::apply_device_check_results(*impl_, gpu::get_device_check_results(*impl_, options));
-    impl_->open_device(options.pipeline_cache);
+    gpu::disable_methods_that_failed_test(*impl_, gpu::read_or_run_device_test(*impl_, options));
+    impl_->open_device_with_pipeline_cache(options.pipeline_cache);
 }
 
 Device::~Device() = default;
 const DeviceInfo& Device::info() const { return impl_->info; }
-RayTracingBackend Device::traversal() const { return impl_->traversal; }
+RayTracingBackend Device::get_ray_tracing_backend() const { return impl_->traversal; }
 std::uint64_t Device::allocated_bytes() const { return impl_->allocated; }
 std::uint64_t Device::peak_allocated_bytes() const { return impl_->peak; }
 const std::vector<PipelineStatistics>& Device::get_pipeline_statistics() const { return impl_->compiled; }
 
-void Device::Impl::open_device(const std::filesystem::path& cache_folder) {
-    find_compute_queues();
+void Device::Impl::open_device_with_pipeline_cache(const std::filesystem::path& pipeline_cache_folder) {
+    select_compute_queue_family();
     create_logical_device();
     vkGetDeviceQueue(device, queue_family, 0, &queue);
-    gpu::set_object_name(device, VK_OBJECT_TYPE_DEVICE, device, "relidar");
-    gpu::set_object_name(device, VK_OBJECT_TYPE_QUEUE, queue, "compute queue");
-    read_device_limits();
-    make_pipeline_layout();
+    gpu::set_vulkan_object_name(device, VK_OBJECT_TYPE_DEVICE, device, "relidar");
+    gpu::set_vulkan_object_name(device, VK_OBJECT_TYPE_QUEUE, queue, "compute queue");
+    query_and_store_device_limits();
+    create_pipeline_layout();
     if (compile_only) return;  // A driver without hardware lacks the functions that are called below.
-    pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device, cache_folder);
+    pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device, pipeline_cache_folder);
     memory = std::make_unique<gpu::DeviceMemoryAllocator>(physical, device);
     transfers = std::make_unique<gpu::BufferTransfers>(*this);
     constexpr std::size_t kNothingBytes = 64 << 10;
@@ -313,7 +318,7 @@ struct ExtensionFeatures {
 
 }  // namespace
 
-void Device::Impl::find_compute_queues() {
+void Device::Impl::select_compute_queue_family() {
     std::uint32_t n = 0;
     vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, nullptr);
     std::vector<VkQueueFamilyProperties> families(n);
@@ -359,8 +364,8 @@ void Device::Impl::create_logical_device() {
         enable(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, extension_features.accel);
         enable(VK_KHR_RAY_QUERY_EXTENSION_NAME, extension_features.query);
     }
-    pipeline_statistics =
-        compile_only && gpu::has_extension(physical, VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
+    pipeline_statistics = compile_only && gpu::supports_device_extension(
+                                              physical, VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
     if (pipeline_statistics)
         enable(VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME, extension_features.executables);
     if (info.float_atomics) enable(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME, extension_features.atomics);
@@ -375,10 +380,11 @@ void Device::Impl::create_logical_device() {
     device_info.pQueueCreateInfos = &queue_info;
     device_info.enabledExtensionCount = static_cast<std::uint32_t>(extensions.size());
     device_info.ppEnabledExtensionNames = extensions.data();
-    gpu::check_vulkan_result(vkCreateDevice(physical, &device_info, nullptr, &device), "vkCreateDevice");
+    gpu::throw_unless_vulkan_success(vkCreateDevice(physical, &device_info, nullptr, &device),
+                                     "vkCreateDevice");
 }
 
-void Device::Impl::read_device_limits() {
+void Device::Impl::query_and_store_device_limits() {
     VkPhysicalDeviceAccelerationStructurePropertiesKHR accel_properties{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_PROPERTIES_KHR};
     VkPhysicalDeviceMaintenance4Properties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_4_PROPERTIES,
@@ -408,14 +414,14 @@ void Device::Impl::read_device_limits() {
         scratch_alignment = std::max(1u, accel_properties.minAccelerationStructureScratchOffsetAlignment);
 }
 
-void Device::Impl::make_pipeline_layout() {
+void Device::Impl::create_pipeline_layout() {
     const VkPushConstantRange range{VK_SHADER_STAGE_COMPUTE_BIT, 0, 2 * sizeof(std::uint64_t)};
     VkPipelineLayoutCreateInfo layout{VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO};
     layout.pushConstantRangeCount = 1;
     layout.pPushConstantRanges = &range;
-    gpu::check_vulkan_result(vkCreatePipelineLayout(device, &layout, nullptr, &pipeline_layout),
-                             "vkCreatePipelineLayout");
-    gpu::set_object_name(device, VK_OBJECT_TYPE_PIPELINE_LAYOUT, pipeline_layout, "two addresses");
+    gpu::throw_unless_vulkan_success(vkCreatePipelineLayout(device, &layout, nullptr, &pipeline_layout),
+                                     "vkCreatePipelineLayout");
+    gpu::set_vulkan_object_name(device, VK_OBJECT_TYPE_PIPELINE_LAYOUT, pipeline_layout, "two addresses");
 }
 
 Device::Impl::Impl() = default;
@@ -424,7 +430,7 @@ Device::Impl::~Impl() {
     if (!device) return;
     nothing.reset();
     transfers.reset();
-    for (const OrphanedBuffer& orphan : orphans) free_buffer(orphan);
+    for (const OrphanedBuffer& orphan : orphans) destroy_orphaned_buffer(orphan);
     memory.reset();
     for (const auto& [key, made] : pipelines.by_key) {
         // A deferred pipeline was never created, because its kernel was never launched.
@@ -439,7 +445,7 @@ Device::Impl::~Impl() {
     vkDestroyDevice(device, nullptr);
 }
 
-void Device::Impl::wait_idle() noexcept {
+void Device::Impl::wait_until_device_idle() noexcept {
     if (compile_only) return;  // a driver without hardware has no work and cannot wait
     const std::lock_guard lock(queue_mutex);
     vkDeviceWaitIdle(device);
@@ -447,7 +453,7 @@ void Device::Impl::wait_idle() noexcept {
 
 void Device::Impl::submit_to_queue(const VkSubmitInfo& submit_info, VkFence fence) {
     const std::lock_guard lock(queue_mutex);
-    gpu::check_vulkan_result(vkQueueSubmit(queue, 1, &submit_info, fence), "vkQueueSubmit");
+    gpu::throw_unless_vulkan_success(vkQueueSubmit(queue, 1, &submit_info, fence), "vkQueueSubmit");
 }
 
 }  // namespace relidar

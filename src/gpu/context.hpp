@@ -28,12 +28,12 @@ class BufferTransfers;
 
 /// Throws a DeviceError if the result of a Vulkan call is not VK_SUCCESS. The message
 /// contains `call_name` and the name of the result.
-void check_vulkan_result(VkResult result, const char* call_name);
+void throw_unless_vulkan_success(VkResult result, const char* call_name);
 /// Throws an error for a failed Vulkan call.
 /// @throws DeviceLost if the driver has lost the device
 /// @throws DeviceError for all other results
 [[noreturn]] void throw_vulkan_error(VkResult result, const std::string& message);
-std::string get_result_name(VkResult result);
+std::string get_vulkan_result_name(VkResult result);
 
 /// Vulkan instance and its debug messenger, which exists only if validation is enabled.
 struct VulkanInstance {
@@ -56,22 +56,23 @@ struct VulkanInstance {
 /// Sets the name of a Vulkan object, which debuggers and the validation layer show. Has
 /// no effect if the Vulkan loader lacks VK_EXT_debug_utils.
 template <class Handle>
-void set_object_name(VkDevice device, VkObjectType type, Handle handle, const std::string& name) {
+void set_vulkan_object_name(VkDevice device, VkObjectType object_type, Handle handle,
+                            const std::string& object_name) {
     if (!vkSetDebugUtilsObjectNameEXT) return;
     VkDebugUtilsObjectNameInfoEXT info{VK_STRUCTURE_TYPE_DEBUG_UTILS_OBJECT_NAME_INFO_EXT};
-    info.objectType = type;
+    info.objectType = object_type;
     info.objectHandle = reinterpret_cast<std::uint64_t>(handle);
-    info.pObjectName = name.c_str();
+    info.pObjectName = object_name.c_str();
     vkSetDebugUtilsObjectNameEXT(device, &info);
 }
 
-bool has_extension(VkPhysicalDevice physical, const char* name);
+bool supports_device_extension(VkPhysicalDevice physical_device, const char* extension_name);
 
 /// Collects the names of features that a device lacks, for an error message.
 struct Missing {
     std::string text;
-    void add_if_missing(bool present, const char* name) {
-        if (!present) text += (text.empty() ? "" : ", ") + std::string(name);
+    void add_name_if_feature_missing(bool is_present, const char* feature_name) {
+        if (!is_present) text += (text.empty() ? "" : ", ") + std::string(feature_name);
     }
 };
 
@@ -86,23 +87,26 @@ struct OptionalFeatures {
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;
 };
-OptionalFeatures query_optional_features(VkPhysicalDevice physical);
+OptionalFeatures query_optional_features(VkPhysicalDevice physical_device);
 
 /// Returns true if kernels can request full subgroups of exactly
 /// DeviceInfo::subgroup_size lanes.
-bool can_require_subgroup_size(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                               const OptionalFeatures& features);
+bool can_request_full_subgroups_of_one_size(
+    const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
+    const OptionalFeatures& optional_features);
 /// Returns the names of the features that the software traversal needs and the device
 /// lacks. Empty if no feature is missing.
-std::string list_features_missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                               const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                                               const OptionalFeatures& optional);
+std::string list_missing_software_traversal_features(
+    const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
+    const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
+    const OptionalFeatures& optional_features);
 
 /// Returns the names of the features that neural networks need and the device lacks.
 /// Empty if no feature is missing.
-std::string list_features_missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                               const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                                               const OptionalFeatures& optional);
+std::string list_missing_network_features(
+    const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
+    const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
+    const OptionalFeatures& optional_features);
 
 /// Cache of compute pipelines. The key is the kernel name, its specialisation constants
 /// and its subgroup requirements. Kernels with equal keys share one pipeline until the
@@ -121,12 +125,12 @@ struct ComputePipelines {
     std::mutex mutex;
     std::map<std::string, std::shared_future<CompiledPipeline>> by_key;
     std::counting_semaphore<> compilers{/// Limits the number of threads that compile simultaneously.
-                                        std::ptrdiff_t(get_max_concurrency())};
+                                        std::ptrdiff_t(get_max_parallel_threads())};
 };
 
 /// Describes a physical device. The description includes the names of all missing
 /// features.
-DeviceInfo make_device_info(VkPhysicalDevice physical_device, int index);
+DeviceInfo make_device_info(VkPhysicalDevice physical_device, int device_index);
 
 }  // namespace relidar::gpu
 
@@ -205,23 +209,24 @@ struct Device::Impl {
     Impl();
     ~Impl();
     /// Opens the Vulkan device.
-    /// @param cache_folder folder of the pipeline cache. If empty, pipelines are not
-    /// cached in a file
-    void open_device(const std::filesystem::path& cache_folder);
-    void find_compute_queues();
+    /// @param pipeline_cache_folder folder of the pipeline cache. If empty, pipelines are
+    /// not cached in a file
+    void open_device_with_pipeline_cache(const std::filesystem::path& pipeline_cache_folder);
+    void select_compute_queue_family();
     void create_logical_device();
-    void read_device_limits();
-    void make_pipeline_layout();
+    void query_and_store_device_limits();
+    void create_pipeline_layout();
     /// Submits work to the compute queue. Vulkan allows only one thread at a time to use
     /// a queue, so this function locks a mutex.
     void submit_to_queue(const VkSubmitInfo& submit_info, VkFence fence = VK_NULL_HANDLE);
     /// Waits until the device has finished all submitted work. Ignores errors, because
     /// destructors call this function. A lost device does no more work.
-    void wait_idle() noexcept;
+    void wait_until_device_idle() noexcept;
     /// Binds pieces of memory to a sparse buffer, one after another. Waits until the
     /// queue has bound all pieces.
-    VkResult bind_sparse_memory(VkBuffer buffer, const std::vector<gpu::MemorySuballocation>& pieces);
-    void free_buffer(const OrphanedBuffer& buffer) noexcept;
+    VkResult bind_memory_to_sparse_buffer(VkBuffer buffer,
+                                          const std::vector<gpu::MemorySuballocation>& memory_pieces);
+    void destroy_orphaned_buffer(const OrphanedBuffer& buffer) noexcept;
     /// Frees the buffers that were kept after exceptions (OrphanedBuffer). Does nothing
     /// if a stream still has recorded commands.
     void free_orphaned_buffers();

@@ -26,7 +26,7 @@ namespace {
 ///
 /// A GPU raises its clock only under load, so the copies run without pauses. A CPU device
 /// runs each kind of copy only once, because each copy takes seconds there.
-double measure_copy_seconds(Device& device, std::size_t n_vectors) {
+double measure_fastest_copy_s(Device& device, std::size_t n_vectors) {
     const Array<glm::vec4, shared::CopySource> from(device, n_vectors, "source of a test copy");
     const Array<glm::vec4, shared::CopyTarget> to(device, n_vectors, "target of a test copy");
     const Kernel<shared::CopyParams> copy(device, "gpu/copy",
@@ -58,12 +58,12 @@ double measure_copy_seconds(Device& device, std::size_t n_vectors) {
 
 }  // namespace
 
-std::optional<double> measure_copy_bytes_per_s(Device& device) {
+std::optional<double> measure_copy_bandwidth_bytes_per_s(Device& device) {
     constexpr std::size_t kMiB = std::size_t(1) << 20;
     for (std::size_t n_bytes = 256 * kMiB; n_bytes >= kMiB; n_bytes /= 4) {
         try {
             return 2.0 * static_cast<double>(n_bytes) /
-                   measure_copy_seconds(device, n_bytes / sizeof(glm::vec4));
+                   measure_fastest_copy_s(device, n_bytes / sizeof(glm::vec4));
             // The array does not fit into memory, so the loop tries a smaller array.
         } catch (const OutOfDeviceMemory&) {}
     }

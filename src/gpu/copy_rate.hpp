@@ -12,6 +12,6 @@ class Device;
 /// bytes written. Uses the fastest of several copies of 256 MiB, which is larger than any
 /// cache. Copies less if memory is short.
 /// @return nullopt if less than 1 MiB is free
-std::optional<double> measure_copy_bytes_per_s(Device& device);
+std::optional<double> measure_copy_bandwidth_bytes_per_s(Device& device);
 
 }  // namespace relidar

@@ -15,18 +15,19 @@ namespace relidar::gpu {
 
 namespace {
 
-std::vector<VkExtensionProperties> list_device_extensions(VkPhysicalDevice physical) {
+std::vector<VkExtensionProperties> list_device_extensions(VkPhysicalDevice physical_device) {
     std::uint32_t n = 0;
-    check_vulkan_result(vkEnumerateDeviceExtensionProperties(physical, nullptr, &n, nullptr),
-                        "vkEnumerateDeviceExtensionProperties");
+    throw_unless_vulkan_success(vkEnumerateDeviceExtensionProperties(physical_device, nullptr, &n, nullptr),
+                                "vkEnumerateDeviceExtensionProperties");
     std::vector<VkExtensionProperties> extensions(n);
-    check_vulkan_result(vkEnumerateDeviceExtensionProperties(physical, nullptr, &n, extensions.data()),
-                        "vkEnumerateDeviceExtensionProperties");
+    throw_unless_vulkan_success(
+        vkEnumerateDeviceExtensionProperties(physical_device, nullptr, &n, extensions.data()),
+        "vkEnumerateDeviceExtensionProperties");
     return extensions;
 }
 
-const char* get_type_name(VkPhysicalDeviceType type) {
-    switch (type) {
+const char* get_device_type_name(VkPhysicalDeviceType device_type) {
+    switch (device_type) {
         case VK_PHYSICAL_DEVICE_TYPE_DISCRETE_GPU:
             return "discrete GPU";
         case VK_PHYSICAL_DEVICE_TYPE_INTEGRATED_GPU:
@@ -40,9 +41,9 @@ const char* get_type_name(VkPhysicalDeviceType type) {
     }
 }
 
-std::uint64_t get_largest_local_heap_bytes(VkPhysicalDevice physical) {
+std::uint64_t get_largest_device_local_heap_bytes(VkPhysicalDevice physical_device) {
     VkPhysicalDeviceMemoryProperties memory;
-    vkGetPhysicalDeviceMemoryProperties(physical, &memory);
+    vkGetPhysicalDeviceMemoryProperties(physical_device, &memory);
     std::uint64_t largest = 0;
     for (std::uint32_t i = 0; i < memory.memoryHeapCount; ++i)
         if (memory.memoryHeaps[i].flags & VK_MEMORY_HEAP_DEVICE_LOCAL_BIT)
@@ -50,45 +51,45 @@ std::uint64_t get_largest_local_heap_bytes(VkPhysicalDevice physical) {
     return largest;
 }
 
-std::string format_vulkan_version(std::uint32_t version) {
-    return fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(version), VK_API_VERSION_MINOR(version),
-                       VK_API_VERSION_PATCH(version));
+std::string format_vulkan_version(std::uint32_t packed_version) {
+    return fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(packed_version), VK_API_VERSION_MINOR(packed_version),
+                       VK_API_VERSION_PATCH(packed_version));
 }
 
 constexpr VkSubgroupFeatureFlags kSubgroupOperations =
     VK_SUBGROUP_FEATURE_BASIC_BIT | VK_SUBGROUP_FEATURE_ARITHMETIC_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT;
 
-bool has_extension(const std::vector<VkExtensionProperties>& extensions, const char* name) {
+bool contains_extension(const std::vector<VkExtensionProperties>& extensions, const char* extension_name) {
     return std::any_of(extensions.begin(), extensions.end(), [&](const VkExtensionProperties& e) {
-        return std::strcmp(e.extensionName, name) == 0;
+        return std::strcmp(e.extensionName, extension_name) == 0;
     });
 }
 
 }  // namespace
 
-OptionalFeatures query_optional_features(VkPhysicalDevice physical) {
+OptionalFeatures query_optional_features(VkPhysicalDevice physical_device) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
-    vkGetPhysicalDeviceProperties2(physical, &properties);
+    vkGetPhysicalDeviceProperties2(physical_device, &properties);
     VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
     VkPhysicalDeviceSubgroupSizeControlFeatures control{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &uniform};
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &control};
     OptionalFeatures optional;
-    const std::vector<VkExtensionProperties> extensions = list_device_extensions(physical);
+    const std::vector<VkExtensionProperties> extensions = list_device_extensions(physical_device);
 #ifdef VK_KHR_shader_maximal_reconvergence
     VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
     uniform.pNext = &maximal;
 #endif
-    vkGetPhysicalDeviceFeatures2(physical, &features);
+    vkGetPhysicalDeviceFeatures2(physical_device, &features);
     optional.subgroup_size = sizes.minSubgroupSize != sizes.maxSubgroupSize && control.subgroupSizeControl &&
                              (sizes.requiredSubgroupSizeStages & VK_SHADER_STAGE_COMPUTE_BIT);
     optional.full_subgroups = control.computeFullSubgroups;
     optional.subgroup_uniform_control_flow =
-        has_extension(extensions, VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME) &&
+        contains_extension(extensions, VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME) &&
         uniform.shaderSubgroupUniformControlFlow;
 #ifdef VK_KHR_shader_maximal_reconvergence
     optional.maximal_reconvergence =
@@ -98,100 +99,114 @@ OptionalFeatures query_optional_features(VkPhysicalDevice physical) {
     return optional;
 }
 
-bool can_require_subgroup_size(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                               const OptionalFeatures& features) {
-    return sizes.minSubgroupSize == sizes.maxSubgroupSize ||
-           (features.subgroup_size && features.full_subgroups);
+bool can_request_full_subgroups_of_one_size(
+    const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
+    const OptionalFeatures& optional_features) {
+    return size_control_properties.minSubgroupSize == size_control_properties.maxSubgroupSize ||
+           (optional_features.subgroup_size && optional_features.full_subgroups);
 }
 
 /// Returns true for Mesa's CPU driver lavapipe before version 24.1. On some CPUs, its
 /// compiler terminates the process when it compiles relidar's kernels
 /// (docs/debugging.md).
-bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
+bool is_lavapipe_that_may_crash(const VkPhysicalDeviceDriverProperties& driver_properties) {
     int major = 0, minor = 0;
-    return driver.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&
-           std::sscanf(driver.driverInfo, "Mesa %d.%d", &major, &minor) == 2 &&
+    return driver_properties.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&
+           std::sscanf(driver_properties.driverInfo, "Mesa %d.%d", &major, &minor) == 2 &&
            std::pair(major, minor) < std::pair(24, 1);
 }
 
 constexpr const char* kNoCompiler = "a driver that can compile the tracing kernels (SwiftShader cannot)";
 
-std::string list_features_missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                               const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                                               const OptionalFeatures& optional) {
+std::string list_missing_software_traversal_features(
+    const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
+    const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
+    const OptionalFeatures& optional_features) {
     const auto operations = [&](VkSubgroupFeatureFlags required) {
-        return (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
-               (subgroup.supportedOperations & required) == required;
+        return (subgroup_properties.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
+               (subgroup_properties.supportedOperations & required) == required;
     };
     Missing groups;
-    groups.add_if_missing(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
-    groups.add_if_missing(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
-    groups.add_if_missing(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
-    groups.add_if_missing(operations(VK_SUBGROUP_FEATURE_SHUFFLE_BIT), "subgroup shuffles in compute");
-    groups.add_if_missing(sizes.minSubgroupSize >= 4 && sizes.maxSubgroupSize <= 64,
-                          "subgroups with 4 to 64 lanes");
-    groups.add_if_missing(can_require_subgroup_size(sizes, optional),
-                          "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
+    groups.add_name_if_feature_missing(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
+    groups.add_name_if_feature_missing(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT),
+                                       "subgroup ballots in compute");
+    groups.add_name_if_feature_missing(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT),
+                                       "subgroup arithmetic in compute");
+    groups.add_name_if_feature_missing(operations(VK_SUBGROUP_FEATURE_SHUFFLE_BIT),
+                                       "subgroup shuffles in compute");
+    groups.add_name_if_feature_missing(
+        size_control_properties.minSubgroupSize >= 4 && size_control_properties.maxSubgroupSize <= 64,
+        "subgroups with 4 to 64 lanes");
+    groups.add_name_if_feature_missing(
+        can_request_full_subgroups_of_one_size(size_control_properties, optional_features),
+        "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
 
-std::string list_features_missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
-                                               const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                                               const OptionalFeatures& optional) {
+std::string list_missing_network_features(
+    const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
+    const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
+    const OptionalFeatures& optional_features) {
     Missing groups;
-    groups.add_if_missing(subgroup.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT,
-                          "subgroup shuffles in compute");
-    groups.add_if_missing(can_require_subgroup_size(sizes, optional),
-                          "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
+    groups.add_name_if_feature_missing(
+        subgroup_properties.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT,
+        "subgroup shuffles in compute");
+    groups.add_name_if_feature_missing(
+        can_request_full_subgroups_of_one_size(size_control_properties, optional_features),
+        "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
 
-bool has_extension(VkPhysicalDevice physical, const char* name) {
-    return has_extension(list_device_extensions(physical), name);
+bool supports_device_extension(VkPhysicalDevice physical_device, const char* extension_name) {
+    return contains_extension(list_device_extensions(physical_device), extension_name);
 }
 
 namespace {
 
 /// Returns the names of the features that every kernel needs and the device lacks. Empty
 /// if no feature is missing.
-std::string list_features_missing_for_kernels(const VkPhysicalDeviceProperties& properties,
-                                              const VkPhysicalDeviceDriverProperties& driver,
-                                              const VkPhysicalDeviceVulkan12Features& v12,
-                                              const VkPhysicalDeviceVulkan13Features& v13,
-                                              const VkPhysicalDeviceSubgroupProperties& subgroup) {
+std::string list_missing_kernel_features(const VkPhysicalDeviceProperties& properties,
+                                         const VkPhysicalDeviceDriverProperties& driver_properties,
+                                         const VkPhysicalDeviceVulkan12Features& vulkan_1_2_features,
+                                         const VkPhysicalDeviceVulkan13Features& vulkan_1_3_features,
+                                         const VkPhysicalDeviceSubgroupProperties& subgroup_properties) {
     Missing base;
-    base.add_if_missing(properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
-    base.add_if_missing(!is_old_lavapipe(driver), "lavapipe from Mesa 24.1 or newer");
-    base.add_if_missing(v12.bufferDeviceAddress, "bufferDeviceAddress");
-    base.add_if_missing(v12.scalarBlockLayout, "scalarBlockLayout");
-    base.add_if_missing(v12.timelineSemaphore, "timelineSemaphore");
-    base.add_if_missing(v12.hostQueryReset, "hostQueryReset");
-    base.add_if_missing(v13.maintenance4, "maintenance4");
-    base.add_if_missing((subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
-                            (subgroup.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
-                        "subgroup arithmetic and ballots in compute");
-    base.add_if_missing(subgroup.subgroupSize >= 4 && subgroup.subgroupSize <= 64,
-                        "subgroups with 4 to 64 lanes");
+    base.add_name_if_feature_missing(properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
+    base.add_name_if_feature_missing(!is_lavapipe_that_may_crash(driver_properties),
+                                     "lavapipe from Mesa 24.1 or newer");
+    base.add_name_if_feature_missing(vulkan_1_2_features.bufferDeviceAddress, "bufferDeviceAddress");
+    base.add_name_if_feature_missing(vulkan_1_2_features.scalarBlockLayout, "scalarBlockLayout");
+    base.add_name_if_feature_missing(vulkan_1_2_features.timelineSemaphore, "timelineSemaphore");
+    base.add_name_if_feature_missing(vulkan_1_2_features.hostQueryReset, "hostQueryReset");
+    base.add_name_if_feature_missing(vulkan_1_3_features.maintenance4, "maintenance4");
+    base.add_name_if_feature_missing(
+        (subgroup_properties.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
+            (subgroup_properties.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
+        "subgroup arithmetic and ballots in compute");
+    base.add_name_if_feature_missing(
+        subgroup_properties.subgroupSize >= 4 && subgroup_properties.subgroupSize <= 64,
+        "subgroups with 4 to 64 lanes");
     return base.text;
 }
 
 /// Returns the names of the features that ray queries need and the device lacks. Empty if
 /// no feature is missing.
-std::string list_features_missing_for_ray_query(const std::vector<VkExtensionProperties>& extensions,
-                                                const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel,
-                                                const VkPhysicalDeviceRayQueryFeaturesKHR& query) {
+std::string list_missing_ray_query_features(
+    const std::vector<VkExtensionProperties>& extensions,
+    const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel_features,
+    const VkPhysicalDeviceRayQueryFeaturesKHR& ray_query_features) {
     Missing rays;
     for (const char* name : {VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME,
                              VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME, VK_KHR_RAY_QUERY_EXTENSION_NAME})
-        rays.add_if_missing(has_extension(extensions, name), name);
-    rays.add_if_missing(accel.accelerationStructure, "accelerationStructure");
-    rays.add_if_missing(query.rayQuery, "rayQuery");
+        rays.add_name_if_feature_missing(contains_extension(extensions, name), name);
+    rays.add_name_if_feature_missing(accel_features.accelerationStructure, "accelerationStructure");
+    rays.add_name_if_feature_missing(ray_query_features.rayQuery, "rayQuery");
     return rays.text;
 }
 
 }  // namespace
 
-DeviceInfo make_device_info(VkPhysicalDevice physical_device, int index) {
+DeviceInfo make_device_info(VkPhysicalDevice physical_device, int device_index) {
     const std::vector<VkExtensionProperties> extensions = list_device_extensions(physical_device);
     VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES};
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
@@ -215,24 +230,24 @@ DeviceInfo make_device_info(VkPhysicalDevice physical_device, int index) {
     const OptionalFeatures optional = is_13 ? query_optional_features(physical_device) : OptionalFeatures();
 
     DeviceInfo info;
-    info.index = index;
+    info.index = device_index;
     info.name = properties.properties.deviceName;
-    info.type = get_type_name(properties.properties.deviceType);
+    info.type = get_device_type_name(properties.properties.deviceType);
     info.driver = fmt::format("{} {}", driver.driverName, driver.driverInfo);
     info.api_version = format_vulkan_version(properties.properties.apiVersion);
-    info.memory_bytes = get_largest_local_heap_bytes(physical_device);
+    info.memory_bytes = get_largest_device_local_heap_bytes(physical_device);
     info.subgroup_size = static_cast<int>(subgroup.subgroupSize);
     info.timestamps = properties.properties.limits.timestampComputeAndGraphics != 0;
-    info.float_atomics = has_extension(extensions, VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) &&
+    info.float_atomics = contains_extension(extensions, VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) &&
                          atomics.shaderBufferFloat32AtomicAdd;
 
-    info.why_not_usable =
-        list_features_missing_for_kernels(properties.properties, driver, v12, v13, subgroup);
-    info.why_not_ray_query = list_features_missing_for_ray_query(extensions, accel, query);
+    info.why_not_usable = list_missing_kernel_features(properties.properties, driver, v12, v13, subgroup);
+    info.why_not_ray_query = list_missing_ray_query_features(extensions, accel, query);
     info.ray_query = info.why_not_ray_query.empty() && info.why_not_usable.empty();
-    info.can_require_subgroup_size = can_require_subgroup_size(sizes, optional);
-    info.why_not_software =
-        is_swiftshader(info) ? kNoCompiler : list_features_missing_for_software(subgroup, sizes, optional);
+    info.can_require_subgroup_size = can_request_full_subgroups_of_one_size(sizes, optional);
+    info.why_not_software = is_swiftshader(info)
+                                ? kNoCompiler
+                                : list_missing_software_traversal_features(subgroup, sizes, optional);
     info.software = info.why_not_software.empty() && info.why_not_usable.empty();
     return info;
 }

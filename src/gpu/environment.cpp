@@ -33,7 +33,7 @@ std::uint64_t parse_memory_limit_bytes(const std::string& mib_text) {
     return mib << 20;
 }
 
-std::filesystem::path find_pipeline_cache_folder() {
+std::filesystem::path get_pipeline_cache_folder_of_user() {
     const std::string relidar_cache = read_environment_variable("RELIDAR_PIPELINE_CACHE"),
                       cache = read_environment_variable("XDG_CACHE_HOME"),
                       home = read_environment_variable("HOME");
@@ -50,7 +50,7 @@ DeviceOptions apply_environment_variables(DeviceOptions options) {
     const std::string limit = read_environment_variable("RELIDAR_MEMORY_LIMIT_MIB");
     if (!limit.empty() && options.memory_limit_bytes == 0)
         options.memory_limit_bytes = parse_memory_limit_bytes(limit);
-    if (options.pipeline_cache.empty()) options.pipeline_cache = find_pipeline_cache_folder();
+    if (options.pipeline_cache.empty()) options.pipeline_cache = get_pipeline_cache_folder_of_user();
 #ifdef RELIDAR_ASSERTS
     gpu::set_injected_faults(read_environment_variable("RELIDAR_FAULTS"));
 #endif

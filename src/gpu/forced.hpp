@@ -11,7 +11,7 @@ namespace relidar {
 
 /// Returns the number of warnings and errors that the Vulkan validation layer has
 /// reported. Returns 0 if validation is disabled.
-std::size_t count_validation_messages(const Device& device);
+std::size_t get_validation_message_count(const Device& device);
 
 /// Behaviour of a device that a test can select instead of the default of the device.
 struct ForcedBehaviour {
@@ -29,7 +29,7 @@ struct ForcedBehaviour {
 /// the given behaviour. Used by tests.
 class ForcedBehaviourScope {
 public:
-    ForcedBehaviourScope(Device& device, const ForcedBehaviour& ways);
+    ForcedBehaviourScope(Device& device, const ForcedBehaviour& forced_behaviour);
     ~ForcedBehaviourScope();
     ForcedBehaviourScope(const ForcedBehaviourScope&) = delete;
     ForcedBehaviourScope& operator=(const ForcedBehaviourScope&) = delete;

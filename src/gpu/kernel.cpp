@@ -21,13 +21,13 @@ namespace relidar {
 
 namespace {
 
-std::span<const std::uint32_t> find_embedded_spirv(std::string_view name) {
+std::span<const std::uint32_t> get_embedded_kernel_spirv(std::string_view kernel_name) {
     for (const EmbeddedKernel& kernel : embedded_kernels())
-        if (kernel.name == name) return kernel.words;
+        if (kernel.name == kernel_name) return kernel.words;
     throw Error(
         ExitCode::bug,
         fmt::format("cannot create kernel {}: it is not embedded in this build; add it to src/CMakeLists.txt",
-                    name));
+                    kernel_name));
 }
 
 /// Kernels that need reconvergence of lanes. They use subgroup operations in branches, or
@@ -37,7 +37,7 @@ constexpr std::array<std::string_view, 3> kReconverging{"diff/accel/bvh_cluster"
 
 /// Returns true for lavapipe up to version 25.0. In these versions, a load in a branch is
 /// skipped if no lane takes the branch.
-bool has_safe_loads_in_branches(const std::string& driver_name) {
+bool skips_loads_in_untaken_branches(const std::string& driver_name) {
     int major = 0, minor = 0;
     const std::size_t version = driver_name.find("Mesa ");
     if (version == std::string::npos ||
@@ -47,40 +47,39 @@ bool has_safe_loads_in_branches(const std::string& driver_name) {
 }
 
 /// Returns the SPIR-V code of a kernel, after the edits that this device needs.
-std::vector<std::uint32_t> load_spirv_words(const Device::Impl& device, std::string_view name,
-                                            std::string_view base_name,
-                                            const std::vector<SpecialisationConstant>& constants) {
+std::vector<std::uint32_t> make_kernel_spirv_for_device(
+    const Device::Impl& device, std::string_view kernel_name_with_variant, std::string_view kernel_base_name,
+    const std::vector<SpecialisationConstant>& constants) {
     std::map<std::uint32_t, std::uint32_t> values;
     for (const SpecialisationConstant& c : constants) values[static_cast<std::uint32_t>(c.id)] = c.value;
-    std::vector<std::uint32_t> words =
-        gpu::make_parameters_read_only(gpu::remove_constant_branches(find_embedded_spirv(name), values));
+    std::vector<std::uint32_t> words = gpu::mark_parameter_block_read_only(
+        gpu::remove_constant_branches(get_embedded_kernel_spirv(kernel_name_with_variant), values));
     if (device.info.driver.starts_with("llvmpipe")) {
-        if (!has_safe_loads_in_branches(device.info.driver)) words = gpu::make_indices_nonuniform(words);
+        if (!skips_loads_in_untaken_branches(device.info.driver))
+            words = gpu::make_array_indices_nonuniform(words);
         words = gpu::hoist_parameter_loads(words);
     }
-    if (std::find(kReconverging.begin(), kReconverging.end(), base_name) != kReconverging.end()) {
+    if (std::find(kReconverging.begin(), kReconverging.end(), kernel_base_name) != kReconverging.end()) {
         if (device.optional.maximal_reconvergence)
-            return gpu::add_execution_mode(words, gpu::kMaximallyReconverges);
+            return gpu::add_execution_mode_to_spirv(words, gpu::kMaximallyReconverges);
         if (device.optional.subgroup_uniform_control_flow)
-            return gpu::add_execution_mode(words, gpu::kSubgroupUniformControlFlow);
+            return gpu::add_execution_mode_to_spirv(words, gpu::kSubgroupUniformControlFlow);
     }
     return words;
 }
 
 /// Creates the Vulkan pipeline of a kernel.
-/// @param name name of the kernel with its constants, for debuggers
-gpu::ComputePipelines::CompiledPipeline make_pipeline(Device::Impl& device,
-                                                      std::span<const std::uint32_t> words,
-                                                      const std::string& name,
-                                                      const std::vector<SpecialisationConstant>& constants,
-                                                      SubgroupRequirement subgroups) {
+/// @param debug_name name of the kernel with its constants, for debuggers
+gpu::ComputePipelines::CompiledPipeline create_compute_pipeline(
+    Device::Impl& device, std::span<const std::uint32_t> spirv_words, const std::string& debug_name,
+    const std::vector<SpecialisationConstant>& constants, SubgroupRequirement subgroup_requirement) {
     VkShaderModuleCreateInfo module_info{VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
-    module_info.codeSize = words.size_bytes();
-    module_info.pCode = words.data();
+    module_info.codeSize = spirv_words.size_bytes();
+    module_info.pCode = spirv_words.data();
     VkShaderModule module = VK_NULL_HANDLE;
-    gpu::check_vulkan_result(vkCreateShaderModule(device.device, &module_info, nullptr, &module),
-                             "vkCreateShaderModule");
-    gpu::set_object_name(device.device, VK_OBJECT_TYPE_SHADER_MODULE, module, name);
+    gpu::throw_unless_vulkan_success(vkCreateShaderModule(device.device, &module_info, nullptr, &module),
+                                     "vkCreateShaderModule");
+    gpu::set_vulkan_object_name(device.device, VK_OBJECT_TYPE_SHADER_MODULE, module, debug_name);
     std::vector<VkSpecializationMapEntry> map;
     for (std::size_t i = 0; i < constants.size(); ++i)
         map.push_back({static_cast<std::uint32_t>(constants[i].id),
@@ -103,9 +102,10 @@ gpu::ComputePipelines::CompiledPipeline make_pipeline(Device::Impl& device,
     VkPipelineShaderStageRequiredSubgroupSizeCreateInfo lanes{
         VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_REQUIRED_SUBGROUP_SIZE_CREATE_INFO};
     lanes.requiredSubgroupSize = static_cast<std::uint32_t>(device.info.subgroup_size);
-    if ((subgroups == SubgroupRequirement::full || device.forced_lanes) && device.optional.subgroup_size)
+    if ((subgroup_requirement == SubgroupRequirement::full || device.forced_lanes) &&
+        device.optional.subgroup_size)
         info.stage.pNext = &lanes;
-    if (subgroups == SubgroupRequirement::full && device.optional.full_subgroups)
+    if (subgroup_requirement == SubgroupRequirement::full && device.optional.full_subgroups)
         info.stage.flags = VK_PIPELINE_SHADER_STAGE_CREATE_REQUIRE_FULL_SUBGROUPS_BIT;
     info.layout = device.pipeline_layout;
     const VkPipelineCache cache = device.pipeline_cache ? device.pipeline_cache->handle() : VK_NULL_HANDLE;
@@ -113,13 +113,14 @@ gpu::ComputePipelines::CompiledPipeline make_pipeline(Device::Impl& device,
     made.result = vkCreateComputePipelines(device.device, cache, 1, &info, nullptr, &made.pipeline);
     vkDestroyShaderModule(device.device, module, nullptr);
     if (made.result == VK_SUCCESS)
-        gpu::set_object_name(device.device, VK_OBJECT_TYPE_PIPELINE, made.pipeline, name);
+        gpu::set_vulkan_object_name(device.device, VK_OBJECT_TYPE_PIPELINE, made.pipeline, debug_name);
     return made;
 }
 
-std::string make_pipeline_key(std::string_view name, const std::vector<SpecialisationConstant>& constants,
-                              SubgroupRequirement subgroups) {
-    std::string key = fmt::format("{} {}", name, subgroups == SubgroupRequirement::full);
+std::string make_pipeline_key(std::string_view kernel_name,
+                              const std::vector<SpecialisationConstant>& constants,
+                              SubgroupRequirement subgroup_requirement) {
+    std::string key = fmt::format("{} {}", kernel_name, subgroup_requirement == SubgroupRequirement::full);
     for (const SpecialisationConstant& c : constants)
         key += fmt::format(" {}={}", static_cast<std::uint32_t>(c.id), c.value);
     return key;
@@ -129,7 +130,7 @@ std::string make_pipeline_key(std::string_view name, const std::vector<Specialis
 /// class occupies one slot. The constructor waits until a slot is free.
 class CompilerSlot {
 public:
-    explicit CompilerSlot(std::counting_semaphore<>& compilers) : compilers_(compilers) {
+    explicit CompilerSlot(std::counting_semaphore<>& free_compiler_slots) : compilers_(free_compiler_slots) {
         compilers_.acquire();
     }
     ~CompilerSlot() { compilers_.release(); }
@@ -138,19 +139,19 @@ private:
     std::counting_semaphore<>& compilers_;
 };
 
-std::string format_constants(std::span<const std::uint32_t> words,
-                             std::vector<SpecialisationConstant> constants) {
+std::string format_constants_of_kernel(std::span<const std::uint32_t> spirv_words,
+                                       std::vector<SpecialisationConstant> constants) {
     std::sort(constants.begin(), constants.end(),
               [](const SpecialisationConstant& first, const SpecialisationConstant& second) {
                   return first.id < second.id;
               });
-    const std::set<std::uint32_t> of_module = gpu::list_specialisation_constant_ids(words);
+    const std::set<std::uint32_t> of_module = gpu::list_specialisation_constant_ids(spirv_words);
     std::string text;
     for (const SpecialisationConstant& c : constants) {
         if (c.id == SpecialisationConstantId::WORKGROUP_SIZE ||
             !of_module.contains(static_cast<std::uint32_t>(c.id)))
             continue;
-        text += fmt::format("{}{}={}", text.empty() ? "" : " ", get_name(c.id), c.value);
+        text += fmt::format("{}{}={}", text.empty() ? "" : " ", get_constant_name(c.id), c.value);
     }
     return text;
 }
@@ -168,18 +169,19 @@ std::shared_future<gpu::ComputePipelines::CompiledPipeline> find_or_start_pipeli
         made = std::async(launch_mode, [&device, module = kernel.module, stem = kernel.name,
                                         constants = kernel.constants, subgroups = kernel.subgroups] {
             const CompilerSlot compiler_slot(device.pipelines.compilers);
-            const std::string constants_shown = format_constants(find_embedded_spirv(module), constants);
-            return make_pipeline(device, load_spirv_words(device, module, stem, constants),
-                                 constants_shown.empty() ? module : module + " " + constants_shown, constants,
-                                 subgroups);
+            const std::string constants_shown =
+                format_constants_of_kernel(get_embedded_kernel_spirv(module), constants);
+            return create_compute_pipeline(
+                device, make_kernel_spirv_for_device(device, module, stem, constants),
+                constants_shown.empty() ? module : module + " " + constants_shown, constants, subgroups);
         });
     return made;
 }
 
 }  // namespace
 
-const char* get_name(SpecialisationConstantId id) {
-    switch (id) {
+const char* get_constant_name(SpecialisationConstantId constant_id) {
+    switch (constant_id) {
 #define RELIDAR_CONSTANT_ID(name, number) \
     case SpecialisationConstantId::name:  \
         return #name;
@@ -189,44 +191,46 @@ const char* get_name(SpecialisationConstantId id) {
     return "";
 }
 
-KernelBase::KernelBase(Device& owner, std::string_view name,
-                       const std::vector<SpecialisationConstant>& constants, SubgroupRequirement subgroups)
+KernelBase::KernelBase(Device& owner, std::string_view kernel_name,
+                       const std::vector<SpecialisationConstant>& constants,
+                       SubgroupRequirement subgroup_requirement)
     : impl_(std::make_unique<Impl>()) {
     Device::Impl& device = owner.impl();
     impl_->device = &device;
-    impl_->module = std::string(name);
-    impl_->name = std::string(name.substr(0, name.find('@')));
+    impl_->module = std::string(kernel_name);
+    impl_->name = std::string(kernel_name.substr(0, kernel_name.find('@')));
     impl_->constants = constants;
-    impl_->subgroups = subgroups;
+    impl_->subgroups = subgroup_requirement;
     std::vector<SpecialisationConstant>& all = impl_->constants;
     const auto size = std::find_if(all.begin(), all.end(), [](const SpecialisationConstant& c) {
         return c.id == SpecialisationConstantId::WORKGROUP_SIZE;
     });
     impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
     if (size == all.end()) all.push_back({SpecialisationConstantId::WORKGROUP_SIZE, device.workgroup_size});
-    impl_->addresses = gpu::list_parameter_address_offsets(find_embedded_spirv(name));
-    if (gpu::can_split_launch(impl_->name)) impl_->speed = &device.launch_limit.get_kernel_speed(impl_->name);
+    impl_->addresses = gpu::list_address_offsets_in_parameters(get_embedded_kernel_spirv(kernel_name));
+    if (gpu::can_split_kernel_launch(impl_->name))
+        impl_->speed = &device.launch_limit.get_kernel_speed(impl_->name);
     impl_->made_ = find_or_start_pipeline_build(
         device, *impl_, device.compiles_ahead ? std::launch::async : std::launch::deferred);
-    if (device.compile_only) compile_without_running();
+    if (device.compile_only) compile_and_store_statistics();
 }
 
-VkPipeline KernelBase::Impl::get_compiled_pipeline() {
+VkPipeline KernelBase::Impl::wait_for_compiled_pipeline() {
     if (pipeline_) return pipeline_;
     const gpu::ComputePipelines::CompiledPipeline made = made_.get();
     if (made.result != VK_SUCCESS)
         gpu::throw_vulkan_error(
             made.result,
             fmt::format("cannot create kernel {} on {}: the driver returned {}, expected VK_SUCCESS", module,
-                        device->info.name, gpu::get_result_name(made.result)));
+                        device->info.name, gpu::get_vulkan_result_name(made.result)));
     return pipeline_ = made.pipeline;
 }
 
-void KernelBase::compile_without_running() {
+void KernelBase::compile_and_store_statistics() {
     Device::Impl& device = *impl_->device;
     PipelineStatistics s;
     s.kernel = impl_->module;
-    s.constants = format_constants(find_embedded_spirv(impl_->module), impl_->constants);
+    s.constants = format_constants_of_kernel(get_embedded_kernel_spirv(impl_->module), impl_->constants);
     s.workgroup_size = static_cast<int>(impl_->workgroup_size);
     const auto is_same = [&](const PipelineStatistics& known) {
         return known.kernel == s.kernel && known.constants == s.constants &&
@@ -234,29 +238,29 @@ void KernelBase::compile_without_running() {
     };
     if (std::any_of(device.compiled.begin(), device.compiled.end(), is_same)) return;
     const gpu::ComputePipelines::CompiledPipeline made = impl_->made_.get();
-    if (made.result != VK_SUCCESS) s.failure = gpu::get_result_name(made.result);
-    else if (device.pipeline_statistics) gpu::read_pipeline_statistics(device.device, made.pipeline, s);
+    if (made.result != VK_SUCCESS) s.failure = gpu::get_vulkan_result_name(made.result);
+    else if (device.pipeline_statistics) gpu::query_pipeline_statistics(device.device, made.pipeline, s);
     device.compiled.push_back(s);
 }
 
 KernelBase::~KernelBase() = default;
 
-bool has_maximal_reconvergence(const Device& device) {
+bool is_lane_reconvergence_guaranteed(const Device& device) {
     const gpu::OptionalFeatures& optional = device.impl().optional;
     return optional.maximal_reconvergence || optional.subgroup_uniform_control_flow;
 }
 
-std::string list_features_missing_for_networks(const Device& device) {
+std::string list_missing_network_features(const Device& device) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
                                                 &sizes};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
     vkGetPhysicalDeviceProperties2(device.impl().physical, &properties);
-    return gpu::list_features_missing_for_networks(subgroup, sizes, device.impl().optional);
+    return gpu::list_missing_network_features(subgroup, sizes, device.impl().optional);
 }
 
-KernelVariant choose_float_atomics_variant(const Device& device, const KernelVariant& base_variant) {
+KernelVariant choose_float_add_kernel_variant(const Device& device, const KernelVariant& base_variant) {
     if (device.impl().wrong_sums)
         throw DeviceError(
             fmt::format("cannot add gradients on {}: the device computes wrong sums of floating-point "

@@ -31,7 +31,7 @@ enum class SpecialisationConstantId : std::uint32_t {
     RELIDAR_CONSTANTS(RELIDAR_CONSTANT_ID)
 #undef RELIDAR_CONSTANT_ID
 };
-const char* get_name(SpecialisationConstantId id);
+const char* get_constant_name(SpecialisationConstantId constant_id);
 
 struct SpecialisationConstant {
     SpecialisationConstantId id;
@@ -45,7 +45,7 @@ enum class SubgroupRequirement { any, full };
 
 /// Returns the name of the parameter struct of a kernel. Returns an empty text if the
 /// kernel is unknown.
-constexpr std::string_view find_params_struct_name(std::string_view kernel_name) {
+constexpr std::string_view find_parameter_struct_name(std::string_view kernel_name) {
     for (const auto& [kernel, params] : kKernelParams)
         if (kernel == kernel_name) return params;
     return {};
@@ -53,7 +53,7 @@ constexpr std::string_view find_params_struct_name(std::string_view kernel_name)
 
 /// Returns the name of a struct without its namespaces.
 template <class Struct>
-consteval std::string_view get_struct_name() {
+consteval std::string_view get_unqualified_struct_name() {
     // The compiler's text for this function contains the name, for example "... [with
     // Struct = relidar::shared::AdamParams; ...]".
     std::string_view text = __PRETTY_FUNCTION__;
@@ -69,10 +69,10 @@ public:
     /// Creates a kernel. On a GPU, another thread starts to compile the pipeline
     /// immediately. On a CPU device, the first launch compiles it. If the driver rejects
     /// the kernel, the first launch throws a DeviceError.
-    /// @param name name of an embedded kernel
-    KernelBase(Device& device, std::string_view name,
+    /// @param kernel_name name of an embedded kernel
+    KernelBase(Device& device, std::string_view kernel_name,
                const std::vector<SpecialisationConstant>& constants = {},
-               SubgroupRequirement subgroups = SubgroupRequirement::any);
+               SubgroupRequirement subgroup_requirement = SubgroupRequirement::any);
     ~KernelBase();
     KernelBase(const KernelBase&) = delete;
     KernelBase& operator=(const KernelBase&) = delete;
@@ -85,7 +85,7 @@ private:
 
     /// Compiles the pipeline without running it, and stores the statistics of the
     /// driver's compiler.
-    void compile_without_running();
+    void compile_and_store_statistics();
 };
 
 /// Name of a kernel, for example "stage/stem". Compilation fails if the parameter struct
@@ -95,10 +95,10 @@ class KernelName {
 public:
     template <std::size_t n>
     consteval KernelName(const char (&name)[n]) : name_(name) {
-        if (find_params_struct_name(name_) != get_struct_name<Params>())
+        if (find_parameter_struct_name(name_) != get_unqualified_struct_name<Params>())
             throw "the kernel with this name has another parameter struct than Params";
     }
-    std::string_view text() const { return name_; }
+    std::string_view get_kernel_name() const { return name_; }
 
 private:
     std::string_view name_;
@@ -109,7 +109,7 @@ private:
 struct KernelVariant {
     std::string suffix;
 
-    explicit KernelVariant(std::string of_name) : suffix(std::move(of_name)) {}
+    explicit KernelVariant(std::string variant_suffix) : suffix(std::move(variant_suffix)) {}
 };
 
 /// Compute kernel with the type of its parameter struct. `Params` must be the struct that
@@ -119,33 +119,33 @@ class Kernel : public KernelBase {
 public:
     Kernel(Device& device, KernelName<Params> name, const std::vector<SpecialisationConstant>& constants = {},
            SubgroupRequirement subgroups = SubgroupRequirement::any)
-        : KernelBase(device, name.text(), constants, subgroups) {}
+        : KernelBase(device, name.get_kernel_name(), constants, subgroups) {}
     Kernel(Device& device, KernelName<Params> name, const KernelVariant& variant,
            const std::vector<SpecialisationConstant>& constants = {},
            SubgroupRequirement subgroups = SubgroupRequirement::any)
-        : KernelBase(device, std::string(name.text()) + variant.suffix, constants, subgroups) {}
+        : KernelBase(device, std::string(name.get_kernel_name()) + variant.suffix, constants, subgroups) {}
 };
 
 /// Returns true if neighbouring threads should read neighbouring addresses. On a GPU this
 /// is faster, because a subgroup then loads complete cache lines. On a CPU device it is
 /// faster if each thread reads consecutive addresses.
-bool prefers_coalesced_access(const Device& device);
+bool should_coalesce_memory_access(const Device& device);
 /// Returns true if a test has disabled the acceleration structure, so that rays must test
 /// every surfel.
-bool must_test_every_surfel(const Device& device);
+bool is_brute_force_tracing_forced(const Device& device);
 
 /// Returns true if the lanes of a subgroup reconverge after a branch or loop. Vulkan
 /// guarantees this only with an extension.
-bool has_maximal_reconvergence(const Device& device);
+bool is_lane_reconvergence_guaranteed(const Device& device);
 
 /// Returns the names of the features that neural networks need and the device lacks.
 /// Empty if no feature is missing.
-std::string list_features_missing_for_networks(const Device& device);
+std::string list_missing_network_features(const Device& device);
 
 /// Returns the variant of a kernel that adds floats with atomics: float atomics if the
 /// device has them, otherwise compare-and-swap.
 /// @param base_variant other part of the variant name, for example "@ray_query"
-KernelVariant choose_float_atomics_variant(const Device& device,
-                                           const KernelVariant& base_variant = KernelVariant("@"));
+KernelVariant choose_float_add_kernel_variant(const Device& device,
+                                              const KernelVariant& base_variant = KernelVariant("@"));
 
 }  // namespace relidar

@@ -7,29 +7,32 @@
 
 namespace relidar::gpu {
 
-std::uint32_t KernelSpeed::choose_groups_per_dispatch(double dispatch_s) const {
+std::uint32_t KernelSpeed::choose_workgroups_per_dispatch(double target_dispatch_s) const {
     const double s_per_group = s_per_group_;
     if (!(s_per_group > 0.0)) return kUnknownGroups;
-    return static_cast<std::uint32_t>(std::clamp(dispatch_s / s_per_group, 1.0, 4e9));
+    return static_cast<std::uint32_t>(std::clamp(target_dispatch_s / s_per_group, 1.0, 4e9));
 }
 
-double KernelSpeed::estimate_dispatch_s(std::uint32_t n_groups) const { return s_per_group_ * n_groups; }
+double KernelSpeed::estimate_dispatch_duration_s(std::uint32_t n_workgroups) const {
+    return s_per_group_ * n_workgroups;
+}
 
-bool KernelSpeed::should_measure_dispatch(double dispatch_s, std::uint32_t n_groups) {
+bool KernelSpeed::count_and_decide_to_measure_dispatch(double target_dispatch_s, std::uint32_t n_workgroups) {
     constexpr std::uint64_t kFirst = 8, kEvery = 64;
     // Small dispatches are not measured, because their fixed cost would make the kernel
     // look slow. Exception: a slow kernel has only small dispatches. They are measured,
     // because the kernel may have become faster.
-    if (n_groups < std::min(kUnknownGroups / 4, choose_groups_per_dispatch(dispatch_s) / 2)) return false;
+    if (n_workgroups < std::min(kUnknownGroups / 4, choose_workgroups_per_dispatch(target_dispatch_s) / 2))
+        return false;
     const std::uint64_t n = n_dispatches_++;
     return n < kFirst || n % kEvery == 0;
 }
 
-void KernelSpeed::add_measured_dispatch(std::uint32_t n_groups, double seconds) {
+void KernelSpeed::update_speed_from_dispatch(std::uint32_t n_workgroups, double duration_s) {
     // Uses the slowest of the recent launches, because a kernel may be slower in another
     // scene. Each new measurement reduces the weight of older measurements.
     constexpr double kForget = 0.9;
-    s_per_group_ = std::max(seconds / n_groups, kForget * s_per_group_);
+    s_per_group_ = std::max(duration_s / n_workgroups, kForget * s_per_group_);
 }
 
 KernelSpeed& LaunchTimeLimit::get_kernel_speed(const std::string& kernel_name) {
@@ -37,7 +40,7 @@ KernelSpeed& LaunchTimeLimit::get_kernel_speed(const std::string& kernel_name) {
     return speeds_[kernel_name];
 }
 
-bool can_split_launch(const std::string& kernel_name) {
+bool can_split_kernel_launch(const std::string& kernel_name) {
     constexpr std::array<std::string_view, 4> kUnsplittableKernels{
         "diff/accel/bvh_refit", "diff/optimizer/adam", "scene/activate_vjp", "gpu/radix_scan"};
     return std::ranges::find(kUnsplittableKernels, kernel_name) == kUnsplittableKernels.end();

@@ -21,15 +21,15 @@ public:
     static constexpr std::uint32_t kUnknownGroups = 4096;
 
     /// Returns the number of workgroups for a dispatch of a given duration.
-    /// @param dispatch_s target duration of a dispatch in seconds
-    std::uint32_t choose_groups_per_dispatch(double dispatch_s) const;
-    /// Returns the expected duration of a dispatch with `n_groups` workgroups in seconds,
-    /// or 0 if the speed is unknown.
-    double estimate_dispatch_s(std::uint32_t n_groups) const;
+    /// @param target_dispatch_s target duration of a dispatch in seconds
+    std::uint32_t choose_workgroups_per_dispatch(double target_dispatch_s) const;
+    /// Returns the expected duration of a dispatch with `n_workgroups` workgroups in
+    /// seconds, or 0 if the speed is unknown.
+    double estimate_dispatch_duration_s(std::uint32_t n_workgroups) const;
     /// Returns true if the next dispatch should be measured. The first 8 dispatches of a
     /// kernel are measured, and then every 64th.
-    bool should_measure_dispatch(double dispatch_s, std::uint32_t n_groups);
-    void add_measured_dispatch(std::uint32_t n_groups, double seconds);
+    bool count_and_decide_to_measure_dispatch(double target_dispatch_s, std::uint32_t n_workgroups);
+    void update_speed_from_dispatch(std::uint32_t n_workgroups, double duration_s);
 
 private:
     std::atomic<double> s_per_group_{0.0};
@@ -43,7 +43,7 @@ public:
     /// duration that drivers allow, because speeds vary. 0 = no limit.
     double piece_s = 0.0;
 
-    bool has_time_limit() const { return piece_s > 0.0; }
+    bool has_dispatch_time_limit() const { return piece_s > 0.0; }
     /// Returns the speed of a kernel. The reference stays valid. Several threads may call
     /// this function.
     KernelSpeed& get_kernel_speed(const std::string& kernel_name);
@@ -56,6 +56,6 @@ private:
 /// Returns true if launches of this kernel may be split into several dispatches. Kernels
 /// that read the total number of workgroups must not be split, because each dispatch
 /// would report a smaller number.
-bool can_split_launch(const std::string& kernel_name);
+bool can_split_kernel_launch(const std::string& kernel_name);
 
 }  // namespace relidar::gpu

@@ -19,10 +19,10 @@ namespace {
 constexpr std::uint64_t kAlignment = 256;
 
 /// Returns the memory properties to request, best first.
-std::vector<VkMemoryPropertyFlags> list_preferred_memory_flags(BufferPurpose use) {
+std::vector<VkMemoryPropertyFlags> list_memory_flags_best_first(BufferPurpose purpose) {
     constexpr VkMemoryPropertyFlags kHost =
         VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
-    switch (use) {
+    switch (purpose) {
         case BufferPurpose::device:
             return {VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT};
         case BufferPurpose::parameters:
@@ -37,13 +37,13 @@ std::vector<VkMemoryPropertyFlags> list_preferred_memory_flags(BufferPurpose use
 
 }  // namespace
 
-MemoryBudget query_memory_budget(VkPhysicalDevice physical) {
+MemoryBudget query_memory_budget(VkPhysicalDevice physical_device) {
     VkPhysicalDeviceMemoryBudgetPropertiesEXT budgets{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MEMORY_BUDGET_PROPERTIES_EXT};
     VkPhysicalDeviceMemoryProperties2 memory{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MEMORY_PROPERTIES_2};
-    const bool has_budgets = has_extension(physical, VK_EXT_MEMORY_BUDGET_EXTENSION_NAME);
+    const bool has_budgets = supports_device_extension(physical_device, VK_EXT_MEMORY_BUDGET_EXTENSION_NAME);
     if (has_budgets) memory.pNext = &budgets;
-    vkGetPhysicalDeviceMemoryProperties2(physical, &memory);
+    vkGetPhysicalDeviceMemoryProperties2(physical_device, &memory);
     MemoryBudget largest;
     for (std::uint32_t i = 0; i < memory.memoryProperties.memoryHeapCount; ++i) {
         const VkMemoryHeap& heap = memory.memoryProperties.memoryHeaps[i];
@@ -55,10 +55,12 @@ MemoryBudget query_memory_budget(VkPhysicalDevice physical) {
     return largest;
 }
 
-std::optional<std::uint64_t> FreeRanges::allocate_range(std::uint64_t n_bytes, std::uint64_t alignment) {
+std::optional<std::uint64_t> FreeRanges::allocate_range(std::uint64_t n_bytes,
+                                                        std::uint64_t alignment_bytes) {
     for (auto range = ranges_.begin(); range != ranges_.end(); ++range) {
         const auto [begin, size] = *range;
-        const std::uint64_t offset = (begin + alignment - 1) / alignment * alignment, end = begin + size;
+        const std::uint64_t offset = (begin + alignment_bytes - 1) / alignment_bytes * alignment_bytes,
+                            end = begin + size;
         if (offset > end || end - offset < n_bytes) continue;
         ranges_.erase(range);
         if (offset > begin) ranges_[begin] = offset - begin;
@@ -85,8 +87,9 @@ void FreeRanges::release_range(std::uint64_t offset, std::uint64_t n_bytes) {
     ranges_[offset] = n_bytes;
 }
 
-DeviceMemoryAllocator::DeviceMemoryAllocator(VkPhysicalDevice physical, VkDevice device) : device_(device) {
-    vkGetPhysicalDeviceMemoryProperties(physical, &properties_);
+DeviceMemoryAllocator::DeviceMemoryAllocator(VkPhysicalDevice physical_device, VkDevice device)
+    : device_(device) {
+    vkGetPhysicalDeviceMemoryProperties(physical_device, &properties_);
 }
 
 DeviceMemoryAllocator::~DeviceMemoryAllocator() {
@@ -96,26 +99,26 @@ DeviceMemoryAllocator::~DeviceMemoryAllocator() {
 /// Returns the size of a memory block that several buffers share. It is smaller for a
 /// small heap. For example, a heap has 256 MiB if the host can access only a part of the
 /// device memory.
-std::uint64_t DeviceMemoryAllocator::get_shared_block_bytes(std::uint32_t memory_type) const {
+std::uint64_t DeviceMemoryAllocator::compute_new_block_size_bytes(std::uint32_t memory_type_index) const {
     const std::uint64_t heap_bytes =
-        properties_.memoryHeaps[properties_.memoryTypes[memory_type].heapIndex].size;
+        properties_.memoryHeaps[properties_.memoryTypes[memory_type_index].heapIndex].size;
     // Drivers without hardware report a heap size of 0.
     return heap_bytes ? std::min(kBlockBytes, heap_bytes / 16) : kBlockBytes;
 }
 
 /// Returns the memory types that satisfy the requirements, best first. Device memory that
 /// the host can access may be scarce. Therefore only small parameter buffers may use it.
-std::vector<std::uint32_t> DeviceMemoryAllocator::list_memory_types(const VkMemoryRequirements& needs,
-                                                                    BufferPurpose use) const {
+std::vector<std::uint32_t> DeviceMemoryAllocator::list_suitable_memory_types(
+    const VkMemoryRequirements& requirements, BufferPurpose purpose) const {
     std::vector<std::uint32_t> suitable_types;
-    for (const VkMemoryPropertyFlags properties_mask : list_preferred_memory_flags(use))
+    for (const VkMemoryPropertyFlags properties_mask : list_memory_flags_best_first(purpose))
         for (std::uint32_t type = 0; type < properties_.memoryTypeCount; ++type) {
-            if (!(needs.memoryTypeBits >> type & 1u) ||
+            if (!(requirements.memoryTypeBits >> type & 1u) ||
                 (properties_.memoryTypes[type].propertyFlags & properties_mask) != properties_mask)
                 continue;
-            const bool scarce = use == BufferPurpose::parameters &&
+            const bool scarce = purpose == BufferPurpose::parameters &&
                                 (properties_mask & VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT) &&
-                                needs.size > get_shared_block_bytes(type);
+                                requirements.size > compute_new_block_size_bytes(type);
             if (!scarce) suitable_types.push_back(type);
             break;
         }
@@ -124,63 +127,68 @@ std::vector<std::uint32_t> DeviceMemoryAllocator::list_memory_types(const VkMemo
 
 /// Allocates memory from an existing block of this type. Returns nothing if no block has
 /// enough space.
-std::optional<MemorySuballocation> DeviceMemoryAllocator::allocate_from_existing_block(
-    const VkMemoryRequirements& needs, std::uint32_t memory_type) {
-    for (const std::unique_ptr<MemoryBlock>& block : blocks_[memory_type])
-        if (const auto offset = block->free.allocate_range(needs.size, std::max(needs.alignment, kAlignment)))
-            return MemorySuballocation{block.get(), *offset, needs.size};
+std::optional<MemorySuballocation> DeviceMemoryAllocator::suballocate_from_existing_block(
+    const VkMemoryRequirements& requirements, std::uint32_t memory_type_index) {
+    for (const std::unique_ptr<MemoryBlock>& block : blocks_[memory_type_index])
+        if (const auto offset =
+                block->free.allocate_range(requirements.size, std::max(requirements.alignment, kAlignment)))
+            return MemorySuballocation{block.get(), *offset, requirements.size};
     return std::nullopt;
 }
 
-VkResult DeviceMemoryAllocator::allocate_piece(const VkMemoryRequirements& needs, BufferPurpose use,
-                                               MemorySuballocation& piece) {
+VkResult DeviceMemoryAllocator::suballocate_memory(const VkMemoryRequirements& requirements,
+                                                   BufferPurpose purpose,
+                                                   MemorySuballocation& suballocation) {
     const std::lock_guard lock(mutex_);
     VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;  // Result if no memory type is suitable.
-    for (const std::uint32_t type : list_memory_types(needs, use)) {
-        std::optional<MemorySuballocation> free_piece = allocate_from_existing_block(needs, type);
-        result = free_piece ? VK_SUCCESS : allocate_from_new_block(needs, type, free_piece);
+    for (const std::uint32_t type : list_suitable_memory_types(requirements, purpose)) {
+        std::optional<MemorySuballocation> free_piece = suballocate_from_existing_block(requirements, type);
+        result = free_piece ? VK_SUCCESS : suballocate_from_new_block(requirements, type, free_piece);
         if (result != VK_SUCCESS) continue;
-        piece = *free_piece;
-        if (use != BufferPurpose::device) result = map_block(*piece.block);
+        suballocation = *free_piece;
+        if (purpose != BufferPurpose::device) result = map_block_to_host(*suballocation.block);
         if (result == VK_SUCCESS) break;
-        piece.block->free.release_range(piece.offset, piece.n_bytes);
+        suballocation.block->free.release_range(suballocation.offset, suballocation.n_bytes);
     }
     return result;
 }
 
-VkResult DeviceMemoryAllocator::allocate_from_new_block(const VkMemoryRequirements& needs,
-                                                        std::uint32_t memory_type,
-                                                        std::optional<MemorySuballocation>& piece) {
-    const std::uint64_t shared = get_shared_block_bytes(memory_type);
+VkResult DeviceMemoryAllocator::suballocate_from_new_block(
+    const VkMemoryRequirements& requirements, std::uint32_t memory_type_index,
+    std::optional<MemorySuballocation>& suballocation) {
+    const std::uint64_t shared = compute_new_block_size_bytes(memory_type_index);
     VkResult result = VK_SUCCESS;
     // Tries to allocate a block that several buffers can share. If this fails, tries to
     // allocate only the required size.
-    for (const std::uint64_t n_bytes : {needs.size > shared / 2 ? needs.size : shared, needs.size}) {
-        result = add_block(memory_type, n_bytes);
-        if (result == VK_SUCCESS && (piece = allocate_from_existing_block(needs, memory_type)))
+    for (const std::uint64_t n_bytes :
+         {requirements.size > shared / 2 ? requirements.size : shared, requirements.size}) {
+        result = allocate_memory_block(memory_type_index, n_bytes);
+        if (result == VK_SUCCESS &&
+            (suballocation = suballocate_from_existing_block(requirements, memory_type_index)))
             return VK_SUCCESS;
-        release_empty_blocks(memory_type, 0);
+        release_empty_blocks(memory_type_index, 0);
     }
     return result;
 }
 
-VkResult DeviceMemoryAllocator::add_block(std::uint32_t memory_type, std::uint64_t n_bytes) {
+VkResult DeviceMemoryAllocator::allocate_memory_block(std::uint32_t memory_type_index,
+                                                      std::uint64_t n_bytes) {
     VkMemoryAllocateFlagsInfo flags{VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_FLAGS_INFO};
     flags.flags = VK_MEMORY_ALLOCATE_DEVICE_ADDRESS_BIT;
     VkMemoryAllocateInfo info{VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO, &flags};
     info.allocationSize = n_bytes;
-    info.memoryTypeIndex = memory_type;
+    info.memoryTypeIndex = memory_type_index;
     auto block = std::make_unique<MemoryBlock>(
-        MemoryBlock{VK_NULL_HANDLE, memory_type, n_bytes, nullptr, FreeRanges(n_bytes)});
+        MemoryBlock{VK_NULL_HANDLE, memory_type_index, n_bytes, nullptr, FreeRanges(n_bytes)});
     const VkResult result = vkAllocateMemory(device_, &info, nullptr, &block->memory);
     if (result != VK_SUCCESS) return result;
-    set_object_name(device_, VK_OBJECT_TYPE_DEVICE_MEMORY, block->memory,
-                    fmt::format("block of {} MiB, type {}", n_bytes >> 20, memory_type));
-    blocks_[memory_type].push_back(std::move(block));
+    set_vulkan_object_name(device_, VK_OBJECT_TYPE_DEVICE_MEMORY, block->memory,
+                           fmt::format("block of {} MiB, type {}", n_bytes >> 20, memory_type_index));
+    blocks_[memory_type_index].push_back(std::move(block));
     return result;
 }
 
-VkResult DeviceMemoryAllocator::map_block(MemoryBlock& block) {
+VkResult DeviceMemoryAllocator::map_block_to_host(MemoryBlock& block) {
     if (block.mapped) return VK_SUCCESS;
     void* pointer = nullptr;
     const VkResult result = vkMapMemory(device_, block.memory, 0, VK_WHOLE_SIZE, 0, &pointer);
@@ -190,19 +198,20 @@ VkResult DeviceMemoryAllocator::map_block(MemoryBlock& block) {
 
 /// Releases the memory of a buffer. Keeps one empty block of each memory type. Otherwise
 /// short-lived buffers would repeatedly allocate and free the same block.
-void DeviceMemoryAllocator::release_piece(const MemorySuballocation& piece) {
+void DeviceMemoryAllocator::release_suballocation(const MemorySuballocation& suballocation) {
     const std::lock_guard lock(mutex_);
-    piece.block->free.release_range(piece.offset, piece.n_bytes);
-    if (piece.block->free.is_fully_free()) release_empty_blocks(piece.block->type, 1);
+    suballocation.block->free.release_range(suballocation.offset, suballocation.n_bytes);
+    if (suballocation.block->free.is_whole_block_free()) release_empty_blocks(suballocation.block->type, 1);
 }
 
 /// Frees the empty memory blocks of a memory type.
-/// @param n_kept number of empty blocks of normal size that are kept
-void DeviceMemoryAllocator::release_empty_blocks(std::uint32_t memory_type, std::size_t n_kept) {
-    std::erase_if(blocks_[memory_type], [&](const std::unique_ptr<MemoryBlock>& block) {
-        if (!block->free.is_fully_free()) return false;
-        if (n_kept > 0 && block->n_bytes == get_shared_block_bytes(memory_type)) {
-            --n_kept;
+/// @param n_blocks_to_keep number of empty blocks of normal size that are kept
+void DeviceMemoryAllocator::release_empty_blocks(std::uint32_t memory_type_index,
+                                                 std::size_t n_blocks_to_keep) {
+    std::erase_if(blocks_[memory_type_index], [&](const std::unique_ptr<MemoryBlock>& block) {
+        if (!block->free.is_whole_block_free()) return false;
+        if (n_blocks_to_keep > 0 && block->n_bytes == compute_new_block_size_bytes(memory_type_index)) {
+            --n_blocks_to_keep;
             return false;
         }
         vkFreeMemory(device_, block->memory, nullptr);
@@ -210,7 +219,7 @@ void DeviceMemoryAllocator::release_empty_blocks(std::uint32_t memory_type, std:
     });
 }
 
-std::size_t DeviceMemoryAllocator::count_blocks() const {
+std::size_t DeviceMemoryAllocator::count_memory_blocks() const {
     const std::lock_guard lock(mutex_);
     std::size_t n = 0;
     for (const MemoryBlockList& blocks : blocks_) n += blocks.size();

@@ -36,22 +36,22 @@ struct MemoryBudget {
     std::uint64_t n_bytes = 0;  ///< Budget of the largest device-local heap, in bytes.
     std::uint64_t n_used = 0;   ///< Memory of this heap that this process uses, in bytes.
 
-    std::uint64_t get_free_bytes() const { return n_bytes > n_used ? n_bytes - n_used : 0; }
+    std::uint64_t get_free_device_memory_bytes() const { return n_bytes > n_used ? n_bytes - n_used : 0; }
 };
 /// Returns the current memory budget. With VK_EXT_memory_budget, memory of other programs
 /// is subtracted. Otherwise the budget is the size of the heap, and n_used is 0.
-MemoryBudget query_memory_budget(VkPhysicalDevice physical);
+MemoryBudget query_memory_budget(VkPhysicalDevice physical_device);
 
 /// Free ranges of a memory block.
 class FreeRanges {
 public:
     explicit FreeRanges(std::uint64_t n_bytes) : n_bytes_(n_bytes), ranges_{{0, n_bytes}} {}
     /// Allocates space in the first free range that is large enough.
-    /// @param alignment alignment of the offset in bytes, a power of two
+    /// @param alignment_bytes alignment of the offset in bytes, a power of two
     /// @return offset of the allocated range, or nullopt if no free range is large enough
-    std::optional<std::uint64_t> allocate_range(std::uint64_t n_bytes, std::uint64_t alignment);
+    std::optional<std::uint64_t> allocate_range(std::uint64_t n_bytes, std::uint64_t alignment_bytes);
     void release_range(std::uint64_t offset, std::uint64_t n_bytes);
-    bool is_fully_free() const { return ranges_.size() == 1 && ranges_.begin()->second == n_bytes_; }
+    bool is_whole_block_free() const { return ranges_.size() == 1 && ranges_.begin()->second == n_bytes_; }
 
 private:
     std::uint64_t n_bytes_;
@@ -80,17 +80,18 @@ class DeviceMemoryAllocator {
 public:
     static constexpr std::uint64_t kBlockBytes = std::uint64_t(64) << 20;
 
-    DeviceMemoryAllocator(VkPhysicalDevice physical, VkDevice device);
+    DeviceMemoryAllocator(VkPhysicalDevice physical_device, VkDevice device);
     ~DeviceMemoryAllocator();
     DeviceMemoryAllocator(const DeviceMemoryAllocator&) = delete;
     DeviceMemoryAllocator& operator=(const DeviceMemoryAllocator&) = delete;
 
     /// Allocates memory for a buffer.
-    /// @param piece receives the memory if the result is VK_SUCCESS
+    /// @param suballocation receives the memory if the result is VK_SUCCESS
     /// @return result of the driver for the last memory type that was tried
-    VkResult allocate_piece(const VkMemoryRequirements& needs, BufferPurpose use, MemorySuballocation& piece);
-    void release_piece(const MemorySuballocation& piece);
-    std::size_t count_blocks() const;
+    VkResult suballocate_memory(const VkMemoryRequirements& requirements, BufferPurpose purpose,
+                                MemorySuballocation& suballocation);
+    void release_suballocation(const MemorySuballocation& suballocation);
+    std::size_t count_memory_blocks() const;
 
 private:
     using MemoryBlockList = std::vector<std::unique_ptr<MemoryBlock>>;
@@ -100,15 +101,17 @@ private:
     mutable std::mutex mutex_;
     std::array<MemoryBlockList, VK_MAX_MEMORY_TYPES> blocks_;  ///< Memory blocks, indexed by memory type.
 
-    std::vector<std::uint32_t> list_memory_types(const VkMemoryRequirements& needs, BufferPurpose use) const;
-    std::uint64_t get_shared_block_bytes(std::uint32_t memory_type) const;
-    std::optional<MemorySuballocation> allocate_from_existing_block(const VkMemoryRequirements& needs,
-                                                                    std::uint32_t memory_type);
-    VkResult allocate_from_new_block(const VkMemoryRequirements& needs, std::uint32_t memory_type,
-                                     std::optional<MemorySuballocation>& piece);
-    VkResult map_block(MemoryBlock& block);
-    VkResult add_block(std::uint32_t memory_type, std::uint64_t n_bytes);
-    void release_empty_blocks(std::uint32_t memory_type, std::size_t n_kept);
+    std::vector<std::uint32_t> list_suitable_memory_types(const VkMemoryRequirements& requirements,
+                                                          BufferPurpose purpose) const;
+    std::uint64_t compute_new_block_size_bytes(std::uint32_t memory_type_index) const;
+    std::optional<MemorySuballocation> suballocate_from_existing_block(
+        const VkMemoryRequirements& requirements, std::uint32_t memory_type_index);
+    VkResult suballocate_from_new_block(const VkMemoryRequirements& requirements,
+                                        std::uint32_t memory_type_index,
+                                        std::optional<MemorySuballocation>& suballocation);
+    VkResult map_block_to_host(MemoryBlock& block);
+    VkResult allocate_memory_block(std::uint32_t memory_type_index, std::uint64_t n_bytes);
+    void release_empty_blocks(std::uint32_t memory_type_index, std::size_t n_blocks_to_keep);
 };
 
 }  // namespace relidar::gpu

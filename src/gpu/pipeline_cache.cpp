@@ -28,23 +28,23 @@ struct PipelineCacheHeader {
 
 /// Returns a hash (FNV-1a) that detects damaged cache files. A damaged file could crash
 /// the driver, because drivers check only the header of their data.
-std::uint64_t compute_hash(std::string_view bytes) {
+std::uint64_t compute_fnv1a_hash(std::string_view bytes) {
     std::uint64_t hash = 0xcbf29ce484222325u;
     for (const char byte : bytes) hash = (hash ^ static_cast<unsigned char>(byte)) * 0x100000001b3u;
     return hash;
 }
 
-PipelineCacheHeader make_file_header(std::string_view bytes) {
+PipelineCacheHeader make_pipeline_cache_header(std::string_view cache_data) {
     PipelineCacheHeader header;
-    header.n_bytes = bytes.size();
-    header.hash = compute_hash(bytes);
+    header.n_bytes = cache_data.size();
+    header.hash = compute_fnv1a_hash(cache_data);
     return header;
 }
 
 /// Returns the driver's data from a cache file. Empty if the file is missing, truncated,
 /// damaged, or written by another driver.
-std::string read_cache_file(const std::filesystem::path& path,
-                            const VkPhysicalDeviceProperties& device_properties) {
+std::string read_cache_data_if_valid(const std::filesystem::path& path,
+                                     const VkPhysicalDeviceProperties& device_properties) {
     std::ifstream file(path, std::ios::binary);
     PipelineCacheHeader header;
     if (!file.read(reinterpret_cast<char*>(&header), sizeof header)) return {};
@@ -54,7 +54,7 @@ std::string read_cache_file(const std::filesystem::path& path,
     VkPipelineCacheHeaderVersionOne driver{};
     if (bytes.size() < sizeof driver || !file.read(bytes.data(), static_cast<std::streamsize>(bytes.size())))
         return {};
-    const PipelineCacheHeader expected = make_file_header(bytes);
+    const PipelineCacheHeader expected = make_pipeline_cache_header(bytes);
     std::memcpy(&driver, bytes.data(), sizeof driver);
     const bool same_driver =
         driver.headerVersion == VK_PIPELINE_CACHE_HEADER_VERSION_ONE &&
@@ -66,7 +66,7 @@ std::string read_cache_file(const std::filesystem::path& path,
 
 }  // namespace
 
-void replace_file_atomically(const std::filesystem::path& path, std::string_view bytes) {
+void try_replace_file_atomically(const std::filesystem::path& path, std::string_view bytes) {
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
     // Makes the names of temporary files unique, because one process may close several
@@ -80,32 +80,33 @@ void replace_file_atomically(const std::filesystem::path& path, std::string_view
     if (!file || failed) std::filesystem::remove(temporary, failed);
 }
 
-std::string make_device_key(const VkPhysicalDeviceProperties& properties) {
+std::string make_cache_file_name(const VkPhysicalDeviceProperties& device_properties) {
     std::string uuid;
-    for (const std::uint8_t byte : properties.pipelineCacheUUID) uuid += fmt::format("{:02x}", byte);
-    return fmt::format("{:04x}_{:04x}_{}", properties.vendorID, properties.deviceID, uuid);
+    for (const std::uint8_t byte : device_properties.pipelineCacheUUID) uuid += fmt::format("{:02x}", byte);
+    return fmt::format("{:04x}_{:04x}_{}", device_properties.vendorID, device_properties.deviceID, uuid);
 }
 
-PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder)
+PipelineCache::PipelineCache(VkPhysicalDevice physical_device, VkDevice device,
+                             const std::filesystem::path& cache_folder)
     : device_(device) {
     VkPhysicalDeviceProperties properties;
-    vkGetPhysicalDeviceProperties(physical, &properties);
-    if (!folder.empty()) path_ = folder / ("pipelines_" + make_device_key(properties));
+    vkGetPhysicalDeviceProperties(physical_device, &properties);
+    if (!cache_folder.empty()) path_ = cache_folder / ("pipelines_" + make_cache_file_name(properties));
 
-    const std::string bytes = path_.empty() ? std::string() : read_cache_file(path_, properties);
+    const std::string bytes = path_.empty() ? std::string() : read_cache_data_if_valid(path_, properties);
     read_bytes_ = bytes.size();
     VkPipelineCacheCreateInfo info{VK_STRUCTURE_TYPE_PIPELINE_CACHE_CREATE_INFO};
     info.initialDataSize = bytes.size();
     info.pInitialData = bytes.data();
     if (vkCreatePipelineCache(device, &info, nullptr, &handle_) == VK_SUCCESS) {
-        set_object_name(device, VK_OBJECT_TYPE_PIPELINE_CACHE, handle_, "pipelines of relidar");
+        set_vulkan_object_name(device, VK_OBJECT_TYPE_PIPELINE_CACHE, handle_, "pipelines of relidar");
         return;
     }
     handle_ = VK_NULL_HANDLE;  // Without a handle, pipelines are created without a cache.
     path_.clear();
 }
 
-void PipelineCache::save_to_file() const {
+void PipelineCache::save_cache_to_file() const {
     std::size_t n_bytes = 0;
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_)
         return;
@@ -115,13 +116,13 @@ void PipelineCache::save_to_file() const {
     std::string bytes(n_bytes, '\0');
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) != VK_SUCCESS) return;
     bytes.resize(n_bytes);
-    const PipelineCacheHeader header = make_file_header(bytes);
-    replace_file_atomically(path_,
-                            std::string(reinterpret_cast<const char*>(&header), sizeof header) + bytes);
+    const PipelineCacheHeader header = make_pipeline_cache_header(bytes);
+    try_replace_file_atomically(path_,
+                                std::string(reinterpret_cast<const char*>(&header), sizeof header) + bytes);
 }
 
 PipelineCache::~PipelineCache() {
-    if (!path_.empty()) save_to_file();
+    if (!path_.empty()) save_cache_to_file();
     vkDestroyPipelineCache(device_, handle_, nullptr);
 }
 

@@ -15,16 +15,17 @@ namespace relidar::gpu {
 
 /// Replaces a file of the cache folder atomically, because other processes may read it.
 /// Ignores failures, because a missing cache file only makes the next start slower.
-void replace_file_atomically(const std::filesystem::path& path, std::string_view bytes);
+void try_replace_file_atomically(const std::filesystem::path& path, std::string_view bytes);
 
 /// Returns a file name that is unique for the device and its driver version.
-std::string make_device_key(const VkPhysicalDeviceProperties& properties);
+std::string make_cache_file_name(const VkPhysicalDeviceProperties& device_properties);
 
 class PipelineCache {
 public:
     /// Reads the cache file of the device, if there is one.
-    /// @param folder folder of the cache file. If empty, no file is read or written
-    PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder);
+    /// @param cache_folder folder of the cache file. If empty, no file is read or written
+    PipelineCache(VkPhysicalDevice physical_device, VkDevice device,
+                  const std::filesystem::path& cache_folder);
     /// Writes the cache to its file if it has grown since the file was read.
     ~PipelineCache();
     PipelineCache(const PipelineCache&) = delete;
@@ -36,7 +37,7 @@ public:
     const std::filesystem::path& path() const { return path_; }
     /// Returns the number of bytes that were read from the cache file. Returns 0 if the
     /// file was missing.
-    std::size_t get_loaded_byte_count() const { return read_bytes_; }
+    std::size_t get_loaded_cache_size_bytes() const { return read_bytes_; }
 
 private:
     VkDevice device_;
@@ -44,7 +45,7 @@ private:
     std::filesystem::path path_;
     std::size_t read_bytes_ = 0;
 
-    void save_to_file() const;
+    void save_cache_to_file() const;
 };
 
 }  // namespace relidar::gpu

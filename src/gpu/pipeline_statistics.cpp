@@ -23,16 +23,16 @@ double convert_statistic_to_double(const VkPipelineExecutableStatisticKHR& stati
 
 }  // namespace
 
-void read_pipeline_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics) {
+void query_pipeline_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics) {
     VkPipelineInfoKHR info{VK_STRUCTURE_TYPE_PIPELINE_INFO_KHR};
     info.pipeline = pipeline;
     std::uint32_t n = 0;
-    check_vulkan_result(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, nullptr),
-                        "vkGetPipelineExecutablePropertiesKHR");
+    throw_unless_vulkan_success(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, nullptr),
+                                "vkGetPipelineExecutablePropertiesKHR");
     std::vector<VkPipelineExecutablePropertiesKHR> executables(
         n, {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_PROPERTIES_KHR});
-    check_vulkan_result(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, executables.data()),
-                        "vkGetPipelineExecutablePropertiesKHR");
+    throw_unless_vulkan_success(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, executables.data()),
+                                "vkGetPipelineExecutablePropertiesKHR");
     if (n == 0) return;
     // Some drivers (Intel) compile one executable per subgroup size. The last executable
     // has the largest subgroups.
@@ -40,12 +40,12 @@ void read_pipeline_statistics(VkDevice device, VkPipeline pipeline, PipelineStat
     VkPipelineExecutableInfoKHR program{VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_INFO_KHR};
     program.pipeline = pipeline;
     program.executableIndex = n - 1;
-    check_vulkan_result(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, nullptr),
-                        "vkGetPipelineExecutableStatisticsKHR");
+    throw_unless_vulkan_success(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, nullptr),
+                                "vkGetPipelineExecutableStatisticsKHR");
     std::vector<VkPipelineExecutableStatisticKHR> values(
         n, {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_STATISTIC_KHR});
-    check_vulkan_result(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, values.data()),
-                        "vkGetPipelineExecutableStatisticsKHR");
+    throw_unless_vulkan_success(vkGetPipelineExecutableStatisticsKHR(device, &program, &n, values.data()),
+                                "vkGetPipelineExecutableStatisticsKHR");
     for (const VkPipelineExecutableStatisticKHR& value : values)
         statistics.values[value.name] = convert_statistic_to_double(value);
 }

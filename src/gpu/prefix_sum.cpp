@@ -13,47 +13,48 @@ PrefixSum::PrefixSum(Device& device)
     : sums_(device, "gpu/scan_sums", {kTileWorkgroup}, SubgroupRequirement::full),
       write_(device, "gpu/scan_write", {kTileWorkgroup}, SubgroupRequirement::full) {}
 
-void PrefixSum::reserve(Device& device, std::size_t count) {
-    for (std::size_t level = 0; count > RELIDAR_TILE_SIZE; ++level) {
-        count = count_tiles(count);
+void PrefixSum::reserve_scratch_memory(Device& device, std::size_t max_count) {
+    for (std::size_t level = 0; max_count > RELIDAR_TILE_SIZE; ++level) {
+        max_count = count_tiles(max_count);
         if (levels_.size() == level) levels_.emplace_back();
-        levels_[level].reserve(device, count, "sums of tiles");
+        levels_[level].reserve(device, max_count, "sums of tiles");
     }
 }
 
 void PrefixSum::run(Stream& stream, const StridedCounts& counts,
                     Address<std::uint32_t, shared::ScanPrefix> prefix, std::uint32_t count,
                     Address<std::uint32_t, shared::ScanTotal> total) const {
-    scan_one_level(stream,
-                   {.counts = counts.address,
-                    .tile_sums = {},
-                    .prefix = prefix,
-                    .total = total,
-                    .n = count,
-                    .offset = counts.offset,
-                    .stride = counts.stride},
-                   0);
+    record_scan_of_one_level(stream,
+                             {.counts = counts.address,
+                              .tile_sums = {},
+                              .prefix = prefix,
+                              .total = total,
+                              .n = count,
+                              .offset = counts.offset,
+                              .stride = counts.stride},
+                             0);
 }
 
-void PrefixSum::scan_one_level(Stream& stream, shared::ScanParams params, std::size_t level) const {
-    if (params.n == 0) return;
-    const std::size_t n_tiles = count_tiles(params.n), n_threads = n_tiles * RELIDAR_TILE_THREADS;
+void PrefixSum::record_scan_of_one_level(Stream& stream, shared::ScanParams level_0_params,
+                                         std::size_t level) const {
+    if (level_0_params.n == 0) return;
+    const std::size_t n_tiles = count_tiles(level_0_params.n), n_threads = n_tiles * RELIDAR_TILE_THREADS;
     if (n_tiles > 1) {
         RELIDAR_ASSERT_LE(level + 1, levels_.size());
         RELIDAR_ASSERT_LE(n_tiles, levels_[level].size());
-        params.tile_sums = levels_[level].address();
-        relidar::run(stream, sums_, n_threads, params);
-        scan_one_level(stream,
-                       {.counts = params.tile_sums.cast_meaning<shared::ScanCounts>(),
-                        .tile_sums = {},
-                        .prefix = params.tile_sums.cast_meaning<shared::ScanPrefix>(),
-                        .total = {},
-                        .n = static_cast<std::uint32_t>(n_tiles),
-                        .offset = 0,
-                        .stride = 1},
-                       level + 1);
+        level_0_params.tile_sums = levels_[level].address();
+        relidar::run(stream, sums_, n_threads, level_0_params);
+        record_scan_of_one_level(stream,
+                                 {.counts = level_0_params.tile_sums.cast_meaning<shared::ScanCounts>(),
+                                  .tile_sums = {},
+                                  .prefix = level_0_params.tile_sums.cast_meaning<shared::ScanPrefix>(),
+                                  .total = {},
+                                  .n = static_cast<std::uint32_t>(n_tiles),
+                                  .offset = 0,
+                                  .stride = 1},
+                                 level + 1);
     }
-    relidar::run(stream, write_, n_threads, params);
+    relidar::run(stream, write_, n_threads, level_0_params);
 }
 
 }  // namespace relidar

@@ -18,13 +18,14 @@ struct StridedCounts {
 class PrefixSum {
 public:
     explicit PrefixSum(Device& device);
-    /// Allocates scratch memory for `count` numbers. Frees the old memory, so no pending
-    /// submission may use this object.
-    void reserve(Device& device, std::size_t count);
+    /// Allocates scratch memory for `max_count` numbers. Frees the old memory, so no
+    /// pending submission may use this object.
+    void reserve_scratch_memory(Device& device, std::size_t max_count);
     /// Submits kernels that compute prefix sums: prefix[i] is the sum of all counts
     /// before count i. `prefix` may be the same array as the counts. The total must fit
     /// into 32 bits.
-    /// @param total address for the total sum, or null. It is not written if `count` is 0
+    /// @param total address for the total sum, or null. It is not written if `max_count`
+    /// is 0
     void run(Stream& stream, const StridedCounts& counts, Address<std::uint32_t, shared::ScanPrefix> prefix,
              std::uint32_t count, Address<std::uint32_t, shared::ScanTotal> total = {}) const;
 
@@ -34,7 +35,7 @@ private:
     /// higher level, it consists of tiles of the level below.
     std::vector<Array<std::uint32_t, shared::ScanTileSums>> levels_;
 
-    void scan_one_level(Stream& stream, shared::ScanParams params, std::size_t level) const;
+    void record_scan_of_one_level(Stream& stream, shared::ScanParams level_0_params, std::size_t level) const;
 };
 
 }  // namespace relidar

@@ -23,14 +23,16 @@ constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;
 static_assert(RELIDAR_TILE_THREADS == RELIDAR_SORT_DIGITS, "a thread a digit");
 static_assert(RELIDAR_SORT_DIGITS == 1u << RELIDAR_SORT_BITS && RELIDAR_SORT_BITS == 8, "as passes() counts");
 
-RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_words)
-    : capacity_(capacity),
-      count_(device, "gpu/radix_count", {kTileWorkgroup, {SpecialisationConstantId::KEY_WORDS, key_words}},
+RadixSort::RadixSort(Device& device, std::uint32_t max_keys, std::uint32_t words_per_key)
+    : capacity_(max_keys),
+      count_(device, "gpu/radix_count",
+             {kTileWorkgroup, {SpecialisationConstantId::KEY_WORDS, words_per_key}},
              SubgroupRequirement::full),
       scan_(device, "gpu/radix_scan", {kTileWorkgroup}, SubgroupRequirement::full),
       scatter_(device, "gpu/radix_scatter",
-               {kTileWorkgroup, {SpecialisationConstantId::KEY_WORDS, key_words}}, SubgroupRequirement::full),
-      counts_(device, RELIDAR_SORT_DIGITS * count_tiles(capacity), "sort counts"),
+               {kTileWorkgroup, {SpecialisationConstantId::KEY_WORDS, words_per_key}},
+               SubgroupRequirement::full),
+      counts_(device, RELIDAR_SORT_DIGITS * count_tiles(max_keys), "sort counts"),
       totals_(device, RELIDAR_SORT_DIGITS, "sort totals") {
     if (const int lanes = device.info().subgroup_size; lanes < 4 || lanes > 64)
         throw DeviceError(
@@ -46,7 +48,7 @@ RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_w
 SortBuffers RadixSort::run(Stream& stream, SortBuffers input, SortBuffers scratch, std::uint32_t key_bits,
                            Address<std::uint32_t, shared::SortCount> n_keys) const {
     const std::size_t n_threads = count_tiles(capacity_) * RELIDAR_TILE_THREADS;
-    for (std::uint32_t pass = 0; pass < count_passes(key_bits); ++pass) {
+    for (std::uint32_t pass = 0; pass < count_radix_passes(key_bits); ++pass) {
         const shared::RadixSortParams params{
             .n_keys = n_keys,
             .keys = input.keys,

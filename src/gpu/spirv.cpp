@@ -14,54 +14,55 @@ namespace {
 constexpr std::uint32_t kOpMemberDecorate = 72, kOffset = 35, kNonWritable = 24;
 constexpr std::uint32_t kOpExtension = 10, kOpEntryPoint = 15, kOpExecutionMode = 16, kOpCapability = 17;
 
-std::vector<std::uint32_t> make_extension_instruction(std::string_view name) {
+std::vector<std::uint32_t> make_extension_instruction(std::string_view extension_name) {
     // The name ends with a zero byte, which may need another word.
-    std::vector<std::uint32_t> words(1 + name.size() / 4 + 1, 0u);
-    std::memcpy(words.data() + 1, name.data(), name.size());
+    std::vector<std::uint32_t> words(1 + extension_name.size() / 4 + 1, 0u);
+    std::memcpy(words.data() + 1, extension_name.data(), extension_name.size());
     words[0] = static_cast<std::uint32_t>(words.size()) << 16 | kOpExtension;
     return words;
 }
 
 }  // namespace
 
-std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> words,
-                                              const ExecutionMode& mode) {
-    std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords), modes;
+std::vector<std::uint32_t> add_execution_mode_to_spirv(std::span<const std::uint32_t> spirv_words,
+                                                       const ExecutionMode& execution_mode) {
+    std::vector<std::uint32_t> result(spirv_words.begin(), spirv_words.begin() + kHeaderWords), modes;
     bool extended = false;
-    for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+    for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         if (!extended && opcode != kOpCapability && opcode != kOpExtension) {
-            append_instruction(result, make_extension_instruction(mode.extension));
+            append_spirv_instruction(result, make_extension_instruction(execution_mode.extension));
             extended = true;
         }
         if (opcode == kOpEntryPoint) {
-            modes.insert(modes.end(), {3u << 16 | kOpExecutionMode, instruction[2], mode.mode});
+            modes.insert(modes.end(), {3u << 16 | kOpExecutionMode, instruction[2], execution_mode.mode});
         } else {  // Inserts the execution mode after the last entry point, as SPIR-V requires.
-            append_instruction(result, modes);
+            append_spirv_instruction(result, modes);
             modes.clear();
         }
-        append_instruction(result, instruction);
+        append_spirv_instruction(result, instruction);
     });
     return result;
 }
 
-std::vector<std::uint32_t> make_parameters_read_only(std::span<const std::uint32_t> words) {
-    std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
+std::vector<std::uint32_t> mark_parameter_block_read_only(std::span<const std::uint32_t> spirv_words) {
+    std::vector<std::uint32_t> result(spirv_words.begin(), spirv_words.begin() + kHeaderWords);
     // Id of the type of the parameter block. SPIR-V lists names before decorations, so
     // the id is known when the decorations are read.
     std::uint32_t block = 0;
-    for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-        if (opcode == kOpName && std::strcmp(get_name_operand(instruction), "ParamsBlock") == 0)
+    for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+        if (opcode == kOpName &&
+            std::strcmp(get_name_of_op_name_instruction(instruction), "ParamsBlock") == 0)
             block = instruction[1];
-        append_instruction(result, instruction);
+        append_spirv_instruction(result, instruction);
         if (opcode == kOpMemberDecorate && instruction[1] == block && instruction[3] == kOffset)
             result.insert(result.end(), {4u << 16 | kOpMemberDecorate, block, instruction[2], kNonWritable});
     });
     return result;
 }
 
-std::set<std::uint32_t> list_specialisation_constant_ids(std::span<const std::uint32_t> words) {
+std::set<std::uint32_t> list_specialisation_constant_ids(std::span<const std::uint32_t> spirv_words) {
     std::set<std::uint32_t> ids;
-    for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+    for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         if (opcode == kOpDecorate && instruction[2] == kSpecId) ids.insert(instruction[3]);
     });
     return ids;

@@ -28,18 +28,18 @@ inline constexpr ExecutionMode kMaximallyReconverges{6023, "SPV_KHR_maximal_reco
 
 /// Returns a copy of a SPIR-V module in which each entry point has an additional
 /// execution mode.
-/// @param words module with at least one entry point
-std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> words,
-                                              const ExecutionMode& mode);
+/// @param spirv_words module with at least one entry point
+std::vector<std::uint32_t> add_execution_mode_to_spirv(std::span<const std::uint32_t> spirv_words,
+                                                       const ExecutionMode& execution_mode);
 
 /// Returns a copy of a SPIR-V module in which the parameter block of the kernel
 /// (RELIDAR_PARAMS) is decorated as NonWritable.
-std::vector<std::uint32_t> make_parameters_read_only(std::span<const std::uint32_t> words);
+std::vector<std::uint32_t> mark_parameter_block_read_only(std::span<const std::uint32_t> spirv_words);
 
 /// Returns a copy of a SPIR-V module that loads all parameters once, at the start of the
 /// kernel. Used only for the CPU driver lavapipe. It would otherwise repeat the loads for
 /// each lane in loops and branches. Compilers of GPUs choose a better time for each load.
-std::vector<std::uint32_t> hoist_parameter_loads(std::span<const std::uint32_t> words);
+std::vector<std::uint32_t> hoist_parameter_loads(std::span<const std::uint32_t> spirv_words);
 
 /// Returns a copy of a module in which the compiler cannot prove that array indices are
 /// uniform, that is, equal in all lanes. Used for versions of lavapipe after 25.0. They
@@ -49,19 +49,20 @@ std::vector<std::uint32_t> hoist_parameter_loads(std::span<const std::uint32_t> 
 ///
 /// Call this function before hoist_parameter_loads(), which moves the loads of
 /// parameters.
-std::vector<std::uint32_t> make_indices_nonuniform(std::span<const std::uint32_t> words);
+std::vector<std::uint32_t> make_array_indices_nonuniform(std::span<const std::uint32_t> spirv_words);
 
 /// Returns a copy of a SPIR-V module without branches that depend only on specialisation
 /// constants. Unreachable blocks stay in the module. lavapipe then compiles large kernels
 /// faster. It would remove these branches too, but only after inlining all functions.
-/// @param constants values by id. Other constants keep their default value
-std::vector<std::uint32_t> remove_constant_branches(std::span<const std::uint32_t> words,
-                                                    const std::map<std::uint32_t, std::uint32_t>& constants);
+/// @param constant_value_by_id values by id. Other constants keep their default value
+std::vector<std::uint32_t> remove_constant_branches(
+    std::span<const std::uint32_t> spirv_words,
+    const std::map<std::uint32_t, std::uint32_t>& constant_value_by_id);
 
 /// Returns where the parameter block of a SPIR-V module contains device addresses, as
 /// byte offsets.
-std::vector<std::uint32_t> list_parameter_address_offsets(std::span<const std::uint32_t> words);
+std::vector<std::uint32_t> list_address_offsets_in_parameters(std::span<const std::uint32_t> spirv_words);
 
-std::set<std::uint32_t> list_specialisation_constant_ids(std::span<const std::uint32_t> words);
+std::set<std::uint32_t> list_specialisation_constant_ids(std::span<const std::uint32_t> spirv_words);
 
 }  // namespace relidar::gpu

@@ -15,17 +15,17 @@ namespace {
 class ParameterTypes {
 public:
     explicit ParameterTypes(std::span<const std::uint32_t> words) {
-        for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-            process_instruction(opcode, instruction);
+        for_each_spirv_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+            store_type_information(opcode, instruction);
         });
     }
 
-    std::uint32_t get_params_block_id() const { return block_; }
+    std::uint32_t get_parameter_block_type_id() const { return block_; }
 
     /// Finds all device addresses in a value of a type. Appends their byte offsets.
-    /// @param start_offset byte offset of the value
-    void append_address_offsets(std::uint32_t type_id, std::uint32_t start_offset,
-                                std::vector<std::uint32_t>& offsets) const {
+    /// @param value_offset_bytes byte offset of the value
+    void append_device_address_offsets(std::uint32_t type_id, std::uint32_t value_offset_bytes,
+                                       std::vector<std::uint32_t>& address_offsets) const {
         const auto type_entry = types_.find(type_id);
         // Numbers and vectors contain no address, so the map has no entry for their
         // types.
@@ -33,15 +33,17 @@ public:
         const SpirvInstruction t = type_entry->second;
         switch (t[0] & 0xffffu) {
             case type_pointer:
-                offsets.push_back(start_offset);
+                address_offsets.push_back(value_offset_bytes);
                 break;
             case type_array:
                 for (std::uint32_t k = 0; k < constants_.at(t[3]); ++k)
-                    append_address_offsets(t[2], start_offset + k * strides_.at(type_id), offsets);
+                    append_device_address_offsets(t[2], value_offset_bytes + k * strides_.at(type_id),
+                                                  address_offsets);
                 break;
             default:
                 for (std::uint32_t k = 0; k + 2 < t.size(); ++k)
-                    append_address_offsets(t[k + 2], start_offset + offsets_.at({type_id, k}), offsets);
+                    append_device_address_offsets(t[k + 2], value_offset_bytes + offsets_.at({type_id, k}),
+                                                  address_offsets);
         }
     }
 
@@ -64,8 +66,8 @@ private:
     /// of the member.
     std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;
 
-    void process_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
-        if (opcode == kOpName && get_name_operand(instruction) == std::string("ParamsBlock"))
+    void store_type_information(std::uint32_t opcode, SpirvInstruction instruction) {
+        if (opcode == kOpName && get_name_of_op_name_instruction(instruction) == std::string("ParamsBlock"))
             block_ = instruction[1];
         if (opcode == type_pointer || opcode == type_array || opcode == type_struct)
             types_[instruction[1]] = instruction;
@@ -79,10 +81,10 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> list_parameter_address_offsets(std::span<const std::uint32_t> words) {
-    const ParameterTypes types(words);
+std::vector<std::uint32_t> list_address_offsets_in_parameters(std::span<const std::uint32_t> spirv_words) {
+    const ParameterTypes types(spirv_words);
     std::vector<std::uint32_t> offsets;
-    types.append_address_offsets(types.get_params_block_id(), 0, offsets);
+    types.append_device_address_offsets(types.get_parameter_block_type_id(), 0, offsets);
     return offsets;
 }
 

@@ -29,13 +29,13 @@ public:
     explicit SpirvConstantValues(const std::map<std::uint32_t, std::uint32_t>& constants)
         : constants_(constants) {}
 
-    std::optional<std::uint32_t> find_constant_value(std::uint32_t id) const {
-        const auto match = value_by_id_.find(id);
+    std::optional<std::uint32_t> find_constant_value(std::uint32_t result_id) const {
+        const auto match = value_by_id_.find(result_id);
         return match == value_by_id_.end() ? std::nullopt : std::optional(match->second);
     }
 
     /// Reads the instructions of a module in their order.
-    void process_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
+    void evaluate_instruction_if_constant(std::uint32_t opcode, SpirvInstruction instruction) {
         switch (opcode) {
             case kOpTypeBool:
                 types_.insert(instruction[1]);
@@ -55,15 +55,15 @@ public:
             case kOpConstant:
             case kOpSpecConstant:
                 if (types_.contains(instruction[1]))
-                    value_by_id_[instruction[2]] = get_constant_value(instruction);
+                    value_by_id_[instruction[2]] = get_specialised_constant_value(instruction);
                 break;
             case kOpSpecConstantOp:
-                store_result(instruction, instruction[3], instruction.subspan(4));
+                store_result_if_constant(instruction, instruction[3], instruction.subspan(4));
                 break;
             case kOpLogicalOr:
             case kOpLogicalAnd:
             case kOpLogicalNot:
-                store_result(instruction, opcode, instruction.subspan(3));
+                store_result_if_constant(instruction, opcode, instruction.subspan(3));
                 break;
             default:
                 break;
@@ -75,21 +75,22 @@ private:
     std::set<std::uint32_t> types_;
     std::map<std::uint32_t, std::uint32_t> spec_ids_, value_by_id_;
 
-    std::uint32_t get_constant_value(SpirvInstruction constant) const {
-        const auto spec_id = spec_ids_.find(constant[2]);
+    std::uint32_t get_specialised_constant_value(SpirvInstruction constant_instruction) const {
+        const auto spec_id = spec_ids_.find(constant_instruction[2]);
         const auto override_value =
             spec_id == spec_ids_.end() ? constants_.end() : constants_.find(spec_id->second);
-        return override_value == constants_.end() ? constant[3] : override_value->second;
+        return override_value == constants_.end() ? constant_instruction[3] : override_value->second;
     }
 
-    void store_result(SpirvInstruction instruction, std::uint32_t operation, SpirvInstruction operands) {
+    void store_result_if_constant(SpirvInstruction instruction, std::uint32_t operation,
+                                  SpirvInstruction operands) {
         if (!types_.contains(instruction[1])) return;
-        if (const std::optional<std::uint32_t> value = evaluate_operation(operation, operands))
+        if (const std::optional<std::uint32_t> value = evaluate_constant_operation(operation, operands))
             value_by_id_[instruction[2]] = *value;
     }
 
-    std::optional<std::uint32_t> evaluate_operation(std::uint32_t operation,
-                                                    SpirvInstruction operands) const {
+    std::optional<std::uint32_t> evaluate_constant_operation(std::uint32_t operation,
+                                                             SpirvInstruction operands) const {
         const std::optional<std::uint32_t> a = find_constant_value(operands[0]),
                                            b = operands.size() > 1 ? find_constant_value(operands[1]) : a;
         if (operation == kOpLogicalOr && (a == 1u || b == 1u)) return 1;
@@ -117,7 +118,7 @@ class ControlFlowGraph {
 public:
     explicit ControlFlowGraph(std::span<const std::uint32_t> words) {
         std::uint32_t label = 0;
-        for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+        for_each_spirv_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
             switch (opcode) {
                 case kOpLabel:
                     label = instruction[1];
@@ -144,16 +145,16 @@ public:
         });
     }
 
-    /// Returns true if the branch from block `source_block` to block `successor` can be
-    /// removed. Blocks that can be reached only through this branch become unreachable.
-    /// They must not be predecessors in a phi instruction, and must not end or continue
-    /// an enclosing loop.
+    /// Returns true if the branch from block `source_block` to block `successor_block`
+    /// can be removed. Blocks that can be reached only through this branch become
+    /// unreachable. They must not be predecessors in a phi instruction, and must not end
+    /// or continue an enclosing loop.
     /// @param merge_block block in which both paths of the branch join
-    bool can_remove_branch(std::uint32_t source_block, std::uint32_t successor,
-                           std::uint32_t merge_block) const {
-        if (successor == merge_block) return !with_phi_.contains(merge_block);
-        std::set<std::uint32_t> behind = {successor};
-        for (std::vector<std::uint32_t> open = {successor}; !open.empty();) {
+    bool can_remove_branch_to_successor(std::uint32_t source_block, std::uint32_t successor_block,
+                                        std::uint32_t merge_block) const {
+        if (successor_block == merge_block) return !with_phi_.contains(merge_block);
+        std::set<std::uint32_t> behind = {successor_block};
+        for (std::vector<std::uint32_t> open = {successor_block}; !open.empty();) {
             const auto next = next_.find(open.back());
             open.pop_back();
             if (next == next_.end()) continue;  // A block without a successor returns from the function.
@@ -176,15 +177,16 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> remove_constant_branches(std::span<const std::uint32_t> words,
-                                                    const std::map<std::uint32_t, std::uint32_t>& constants) {
-    std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
-    SpirvConstantValues values(constants);
-    const ControlFlowGraph blocks(words);
+std::vector<std::uint32_t> remove_constant_branches(
+    std::span<const std::uint32_t> spirv_words,
+    const std::map<std::uint32_t, std::uint32_t>& constant_value_by_id) {
+    std::vector<std::uint32_t> result(spirv_words.begin(), spirv_words.begin() + kHeaderWords);
+    SpirvConstantValues values(constant_value_by_id);
+    const ControlFlowGraph blocks(spirv_words);
     std::uint32_t block = 0;
     SpirvInstruction merge;  // Merge instruction that belongs to the next branch.
-    for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-        values.process_instruction(opcode, instruction);
+    for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+        values.evaluate_instruction_if_constant(opcode, instruction);
         if (opcode == kOpLabel) block = instruction[1];
         if (opcode == kOpSelectionMerge) {
             merge = instruction;
@@ -193,11 +195,12 @@ std::vector<std::uint32_t> remove_constant_branches(std::span<const std::uint32_
         std::optional<std::uint32_t> condition;
         if (opcode == kOpBranchConditional && !merge.empty())
             condition = values.find_constant_value(instruction[1]);
-        if (condition && blocks.can_remove_branch(block, instruction[*condition != 0 ? 3 : 2], merge[1])) {
+        if (condition &&
+            blocks.can_remove_branch_to_successor(block, instruction[*condition != 0 ? 3 : 2], merge[1])) {
             result.insert(result.end(), {2u << 16 | kOpBranch, instruction[*condition != 0 ? 2 : 3]});
         } else {
-            append_instruction(result, merge);
-            append_instruction(result, instruction);
+            append_spirv_instruction(result, merge);
+            append_spirv_instruction(result, instruction);
         }
         merge = {};
     });

@@ -19,8 +19,9 @@ namespace {
 class LaneIndexRewriter {
 public:
     explicit LaneIndexRewriter(std::span<const std::uint32_t> words) : words_(words), next_(words[3]) {
-        for_each_instruction(
-            words, [&](std::uint32_t opcode, SpirvInstruction instruction) { read(opcode, instruction); });
+        for_each_spirv_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+            collect_ids_from_instruction(opcode, instruction);
+        });
         is_new_lane_ = lane_ == 0;
         for (std::uint32_t* id : {&input_pointer_, &private_pointer_, &push_pointer_, &zero_, &constant_0_,
                                   &constant_1_, &constant_255_})
@@ -28,17 +29,17 @@ public:
         if (is_new_lane_) lane_ = next_++;
     }
 
-    std::vector<std::uint32_t> make_edited_module() {
+    std::vector<std::uint32_t> make_module_with_nonuniform_indices() {
         result_.assign(words_.begin(), words_.begin() + kHeaderWords);
-        for_each_instruction(words_, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-            write_edited_instruction(opcode, instruction);
+        for_each_spirv_instruction(words_, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+            emit_edited_instruction(opcode, instruction);
         });
         result_[3] = next_;
         return result_;
     }
 
 private:
-    enum SpirvLaneNumber : std::uint32_t {
+    enum SpirvEnumerant : std::uint32_t {
         entry_point = 15,
         type_int = 21,
         type_pointer = 32,
@@ -73,8 +74,8 @@ private:
     std::set<std::uint32_t> storage_pointers_, parameters_;
     bool is_new_lane_ = false, decorated_ = false, declared_ = false, in_entry_ = false, filled_ = false;
 
-    void read(std::uint32_t opcode, SpirvInstruction instruction) {
-        if (opcode == kOpName && get_name_operand(instruction) == std::string("ParamsBlock"))
+    void collect_ids_from_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
+        if (opcode == kOpName && get_name_of_op_name_instruction(instruction) == std::string("ParamsBlock"))
             block_ = instruction[1];
         if (opcode == entry_point) entry_ = instruction[2];
         if (opcode == type_int && instruction[2] == 32 && instruction[3] == 0) uint_ = instruction[1];
@@ -88,12 +89,12 @@ private:
         if (opcode == load && instruction[1] == block_pointer_) parameters_.insert(instruction[2]);
     }
 
-    void emit_instruction(SpirvLaneNumber op, std::initializer_list<std::uint32_t> operands) {
-        result_.push_back(std::uint32_t(operands.size() + 1) << 16 | op);
+    void emit_instruction(SpirvEnumerant opcode, std::initializer_list<std::uint32_t> operands) {
+        result_.push_back(std::uint32_t(operands.size() + 1) << 16 | opcode);
         result_.insert(result_.end(), operands);
     }
 
-    void emit_declarations() {
+    void emit_types_and_variables() {
         emit_instruction(type_pointer, {input_pointer_, input, uint_});
         emit_instruction(type_pointer, {private_pointer_, in_private, uint_});
         emit_instruction(type_pointer, {push_pointer_, push_constant, uint_});
@@ -104,7 +105,7 @@ private:
         if (is_new_lane_) emit_instruction(variable, {input_pointer_, lane_, input});
     }
 
-    void emit_zero_computation() {
+    void emit_nonuniform_zero_computation() {
         const std::uint32_t member_pointer = next_, nothing = next_ + 1, low = next_ + 2, lane = next_ + 3,
                             value = next_ + 4;
         next_ += 5;
@@ -116,20 +117,20 @@ private:
         emit_instruction(store, {zero_, value});
     }
 
-    void write_edited_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
+    void emit_edited_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
         if (opcode == decorate && !decorated_) {
             if (is_new_lane_) emit_instruction(decorate, {lane_, built_in, local_invocation_index});
             decorated_ = true;
         }
         if (opcode == function && !declared_) {
-            emit_declarations();
+            emit_types_and_variables();
             declared_ = true;
         }
         in_entry_ = in_entry_ || (opcode == function && instruction[2] == entry_);
         const bool begins = opcode == function || opcode == label || opcode == variable || opcode == line ||
                             opcode == no_line;
         if (in_entry_ && !filled_ && !begins) {
-            emit_zero_computation();
+            emit_nonuniform_zero_computation();
             filled_ = true;
         }
         const std::size_t at = result_.size();
@@ -138,11 +139,11 @@ private:
             const std::uint32_t zero = next_++, index = next_++;
             emit_instruction(load, {uint_, zero, zero_});
             emit_instruction(iadd, {uint_, index, instruction[5], zero});
-            append_instruction(result_, instruction);
+            append_spirv_instruction(result_, instruction);
             result_[result_.size() - instruction.size() + 5] = index;
             return;
         }
-        append_instruction(result_, instruction);
+        append_spirv_instruction(result_, instruction);
         if (opcode != entry_point) return;
         result_.push_back(zero_);
         if (is_new_lane_) result_.push_back(lane_);
@@ -152,8 +153,8 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> make_indices_nonuniform(std::span<const std::uint32_t> words) {
-    return LaneIndexRewriter(words).make_edited_module();
+std::vector<std::uint32_t> make_array_indices_nonuniform(std::span<const std::uint32_t> spirv_words) {
+    return LaneIndexRewriter(spirv_words).make_module_with_nonuniform_indices();
 }
 
 }  // namespace relidar::gpu

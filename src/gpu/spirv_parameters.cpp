@@ -44,8 +44,8 @@ using SpirvWords = std::vector<std::uint32_t>;
 // Position of a value in the parameter block, as member indices of nested structs.
 using MemberPath = std::vector<std::uint32_t>;
 
-SpirvWords make_instruction(SpirvOp op, std::initializer_list<std::uint32_t> operands) {
-    SpirvWords words{std::uint32_t(operands.size() + 1) << 16 | op};
+SpirvWords make_spirv_instruction(SpirvOp opcode, std::initializer_list<std::uint32_t> operands) {
+    SpirvWords words{std::uint32_t(operands.size() + 1) << 16 | opcode};
     words.insert(words.end(), operands);
     return words;
 }
@@ -64,15 +64,16 @@ struct SpirvModule {
     std::map<std::uint32_t, MemberPath> parameter_paths;
 
     explicit SpirvModule(std::span<const std::uint32_t> words) : bound(words[3]) {
-        for_each_instruction(
-            words, [&](std::uint32_t opcode, SpirvInstruction instruction) { read(opcode, instruction); });
+        for_each_spirv_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+            collect_information_from_instruction(opcode, instruction);
+        });
     }
 
 private:
     std::map<std::uint32_t, SpirvWords> chains_;
 
-    void read(std::uint32_t opcode, SpirvInstruction instruction) {
-        if (opcode == kOpName && get_name_operand(instruction) == std::string("ParamsBlock"))
+    void collect_information_from_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
+        if (opcode == kOpName && get_name_of_op_name_instruction(instruction) == std::string("ParamsBlock"))
             block = instruction[1];
         if (opcode == kEntryPoint) entry = instruction[2];
         if (opcode >= 19 && opcode <= 39)
@@ -83,13 +84,13 @@ private:
         if (opcode == kConstant && instruction.size() == 4 && types.contains(instruction[1]) &&
             (types.at(instruction[1])[0] & 0xffffu) == kTypeInt)
             constants[instruction[2]] = instruction[3];
-        if (opcode == kAccessChain) read_access_chain(instruction);
+        if (opcode == kAccessChain) store_access_chain(instruction);
         if (opcode == kLoad && instruction[1] == block_pointer && block_pointer) {
             addresses.insert(instruction[2]);
             push_chain = chains_[instruction[3]];
         }
     }
-    void read_access_chain(SpirvInstruction instruction) {
+    void store_access_chain(SpirvInstruction instruction) {
         if (!addresses.contains(instruction[3])) {
             chains_[instruction[2]] = SpirvWords(instruction.begin(), instruction.end());
             return;
@@ -111,54 +112,57 @@ public:
 
     /// Returns true if the edit supports parameters of this type: numbers, vectors,
     /// addresses and structs of these.
-    bool can_store_type(std::uint32_t type_id) const {
+    bool can_store_in_private_variable(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
-        if ((t[0] & 0xffffu) != kTypeStruct) return get_type_alignment(type_id).has_value();
+        if ((t[0] & 0xffffu) != kTypeStruct) return get_nonstruct_alignment_bytes(type_id).has_value();
         for (std::size_t k = 2; k < t.size(); ++k)
-            if (!can_store_type(t[k])) return false;
+            if (!can_store_in_private_variable(t[k])) return false;
         return true;
     }
 
     /// Appends SPIR-V instructions that load one parameter from its private variable.
-    /// @param code receives the instructions
-    /// @param path member indices of the parameter
+    /// @param instructions receives the instructions
+    /// @param member_path member indices of the parameter
     /// @param result_id id of the loaded value
-    void append_parameter_load(SpirvWords& code, std::uint32_t type_id, const MemberPath& path,
-                               std::uint32_t result_id) {
+    void append_load_from_private_variable(SpirvWords& instructions, std::uint32_t type_id,
+                                           const MemberPath& member_path, std::uint32_t result_id) {
         const SpirvWords& t = module_.types.at(type_id);
         if ((t[0] & 0xffffu) != kTypeStruct) {
-            append_instruction(
-                code, make_instruction(kLoad, {type_id, result_id, get_private_variable(type_id, path)}));
+            append_spirv_instruction(
+                instructions,
+                make_spirv_instruction(
+                    kLoad, {type_id, result_id, get_or_declare_private_variable(type_id, member_path)}));
             return;
         }
         SpirvWords construct{std::uint32_t(t.size() + 1) << 16 | kCompositeConstruct, type_id, result_id};
         for (std::size_t k = 2; k < t.size(); ++k) {
-            MemberPath member = path;
+            MemberPath member = member_path;
             member.push_back(std::uint32_t(k - 2));
             construct.push_back(next_++);
-            append_parameter_load(code, t[k], member, construct.back());
+            append_load_from_private_variable(instructions, t[k], member, construct.back());
         }
-        append_instruction(code, construct);
+        append_spirv_instruction(instructions, construct);
     }
 
     /// Returns the edited SPIR-V module.
     /// @param function_code all functions of the module, in which loads of parameters
     /// were already replaced
-    SpirvWords make_edited_module(std::span<const std::uint32_t> words, const SpirvWords& function_code) {
-        const SpirvWords first = make_copy_instructions();
-        SpirvWords result(words.begin(), words.begin() + kHeaderWords);
+    SpirvWords make_module_with_hoisted_loads(std::span<const std::uint32_t> spirv_words,
+                                              const SpirvWords& function_code) {
+        const SpirvWords first = make_parameter_copy_instructions();
+        SpirvWords result(spirv_words.begin(), spirv_words.begin() + kHeaderWords);
         bool functions = false, decorated = false;
-        for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-            if (opcode == kFunction && !functions) append_instruction(result, globals_);
+        for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+            if (opcode == kFunction && !functions) append_spirv_instruction(result, globals_);
             functions = functions || opcode == kFunction;
             if (functions) return;
-            if (opcode == kDecorate && !decorated) append_instruction(result, decorations_);
+            if (opcode == kDecorate && !decorated) append_spirv_instruction(result, decorations_);
             decorated = decorated || opcode == kDecorate;
-            append_instruction(result, opcode == kEntryPoint
-                                           ? extend_entry_point(instruction)
-                                           : SpirvWords(instruction.begin(), instruction.end()));
+            append_spirv_instruction(result, opcode == kEntryPoint
+                                                 ? add_variables_to_entry_point(instruction)
+                                                 : SpirvWords(instruction.begin(), instruction.end()));
         });
-        append_functions(result, function_code, first);
+        append_functions_with_prologue(result, function_code, first);
         result[3] = next_;
         return result;
     }
@@ -175,110 +179,122 @@ private:
 
     /// Returns the alignment of a number, vector or address in bytes. Returns nullopt for
     /// any other type.
-    std::optional<std::uint32_t> get_type_alignment(std::uint32_t type_id) const {
+    std::optional<std::uint32_t> get_nonstruct_alignment_bytes(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
         switch (t[0] & 0xffffu) {
             case kTypeInt:
             case kTypeFloat:
                 return t[2] / 8;
             case kTypeVector:
-                return get_type_alignment(t[2]);
+                return get_nonstruct_alignment_bytes(t[2]);
             case kTypePointer:
                 return t[2] == kPhysicalStorage ? std::optional(8u) : std::nullopt;
             default:
                 return std::nullopt;
         }
     }
-    std::uint32_t get_pointer_type(std::map<std::uint32_t, std::uint32_t>& pointers,
-                                   std::uint32_t storage_class, std::uint32_t type_id) {
-        const auto [at, is_new] = pointers.try_emplace(type_id, next_);
+    std::uint32_t get_or_declare_pointer_type(
+        std::map<std::uint32_t, std::uint32_t>& pointer_type_by_target_type, std::uint32_t storage_class,
+        std::uint32_t type_id) {
+        const auto [at, is_new] = pointer_type_by_target_type.try_emplace(type_id, next_);
         if (is_new)
-            append_instruction(globals_, make_instruction(kTypePointer, {next_++, storage_class, type_id}));
+            append_spirv_instruction(globals_,
+                                     make_spirv_instruction(kTypePointer, {next_++, storage_class, type_id}));
         return at->second;
     }
-    std::uint32_t get_constant_id(std::uint32_t value) {
+    std::uint32_t get_or_declare_int_constant(std::uint32_t value) {
         for (const auto& [id, known] : module_.constants)
             if (known == value) return id;
         const auto [at, is_new] = index_.try_emplace(value, next_);
         if (is_new)
-            append_instruction(globals_, make_instruction(kConstant, {module_.int_type, next_++, value}));
+            append_spirv_instruction(globals_,
+                                     make_spirv_instruction(kConstant, {module_.int_type, next_++, value}));
         return at->second;
     }
-    std::uint32_t get_private_variable(std::uint32_t type_id, const MemberPath& path) {
-        if (const auto existing_variable = variables_.find(path); existing_variable != variables_.end())
+    std::uint32_t get_or_declare_private_variable(std::uint32_t type_id, const MemberPath& member_path) {
+        if (const auto existing_variable = variables_.find(member_path);
+            existing_variable != variables_.end())
             return existing_variable->second.id;
-        const std::uint32_t pointer_type = get_pointer_type(private_pointer_, kPrivate, type_id),
+        const std::uint32_t pointer_type = get_or_declare_pointer_type(private_pointer_, kPrivate, type_id),
                             id = next_++;
-        append_instruction(globals_, make_instruction(kVariable, {pointer_type, id, kPrivate}));
+        append_spirv_instruction(globals_, make_spirv_instruction(kVariable, {pointer_type, id, kPrivate}));
         if ((module_.types.at(type_id)[0] & 0xffffu) == kTypePointer)
-            append_instruction(decorations_, make_instruction(kDecorate, {id, kAliasedPointer}));
-        variables_[path] = {id, type_id};
+            append_spirv_instruction(decorations_, make_spirv_instruction(kDecorate, {id, kAliasedPointer}));
+        variables_[member_path] = {id, type_id};
         return id;
     }
     /// Returns the SPIR-V instructions that copy the parameters to the private variables.
-    SpirvWords make_copy_instructions() {
+    SpirvWords make_parameter_copy_instructions() {
         SpirvWords code, chain = module_.push_chain;
         const std::uint32_t block = next_ + 1;
         chain[2] = next_;
-        append_instruction(code, chain);
-        append_instruction(code, make_instruction(kLoad, {module_.block_pointer, block, chain[2]}));
+        append_spirv_instruction(code, chain);
+        append_spirv_instruction(code,
+                                 make_spirv_instruction(kLoad, {module_.block_pointer, block, chain[2]}));
         next_ += 2;
         for (const auto& [path, v] : variables_) {
-            const std::uint32_t to_storage = get_pointer_type(storage_pointer_, kPhysicalStorage, v.type);
-            // Reserves these ids first, because get_constant_id() also creates ids.
+            const std::uint32_t to_storage =
+                get_or_declare_pointer_type(storage_pointer_, kPhysicalStorage, v.type);
+            // Reserves these ids first, because get_or_declare_int_constant() also
+            // creates ids.
             const std::uint32_t at = next_++, value = next_++;
             SpirvWords access_chain{std::uint32_t(path.size() + 4) << 16 | kAccessChain, to_storage, at,
                                     block};
-            for (const std::uint32_t member : path) access_chain.push_back(get_constant_id(member));
-            append_instruction(code, access_chain);
-            append_instruction(
-                code, make_instruction(kLoad, {v.type, value, at, kAligned, *get_type_alignment(v.type)}));
-            append_instruction(code, make_instruction(kStore, {v.id, value}));
+            for (const std::uint32_t member : path)
+                access_chain.push_back(get_or_declare_int_constant(member));
+            append_spirv_instruction(code, access_chain);
+            append_spirv_instruction(
+                code, make_spirv_instruction(
+                          kLoad, {v.type, value, at, kAligned, *get_nonstruct_alignment_bytes(v.type)}));
+            append_spirv_instruction(code, make_spirv_instruction(kStore, {v.id, value}));
         }
         return code;
     }
-    SpirvWords extend_entry_point(SpirvInstruction instruction) const {
-        SpirvWords words(instruction.begin(), instruction.end());
+    SpirvWords add_variables_to_entry_point(SpirvInstruction entry_point_instruction) const {
+        SpirvWords words(entry_point_instruction.begin(), entry_point_instruction.end());
         for (const auto& [path, v] : variables_) words.push_back(v.id);
         words[0] = std::uint32_t(words.size()) << 16 | kEntryPoint;
         return words;
     }
     /// Appends all functions to the SPIR-V module. In the entry point, inserts the
-    /// instructions `first_instructions` after the variable declarations.
-    void append_functions(SpirvWords& result, const SpirvWords& code,
-                          const SpirvWords& first_instructions) const {
+    /// instructions `prologue_instructions` after the variable declarations.
+    void append_functions_with_prologue(SpirvWords& module_words, const SpirvWords& function_code,
+                                        const SpirvWords& prologue_instructions) const {
         bool in_entry = false, filled = false;
-        for (std::size_t at = 0; at < code.size(); at += code[at] >> 16) {
-            const std::uint32_t op = code[at] & 0xffffu;
-            in_entry = in_entry || (op == kFunction && code[at + 2] == module_.entry);
+        for (std::size_t at = 0; at < function_code.size(); at += function_code[at] >> 16) {
+            const std::uint32_t op = function_code[at] & 0xffffu;
+            in_entry = in_entry || (op == kFunction && function_code[at + 2] == module_.entry);
             if (in_entry && !filled && op != kFunction && op != kLabel && op != kVariable && op != kLine &&
                 op != kNoLine) {
-                append_instruction(result, first_instructions);
+                append_spirv_instruction(module_words, prologue_instructions);
                 filled = true;
             }
-            append_instruction(result, std::span(code).subspan(at, code[at] >> 16));
+            append_spirv_instruction(module_words,
+                                     std::span(function_code).subspan(at, function_code[at] >> 16));
         }
     }
 };
 
 }  // namespace
 
-std::vector<std::uint32_t> hoist_parameter_loads(std::span<const std::uint32_t> words) {
-    const SpirvModule module(words);
+std::vector<std::uint32_t> hoist_parameter_loads(std::span<const std::uint32_t> spirv_words) {
+    const SpirvModule module(spirv_words);
     ParameterLoadHoister result(module);
     SpirvWords code;
     bool functions = false, any = false;
-    for_each_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+    for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         functions = functions || opcode == kFunction;
         if (!functions) return;
         const auto path_entry =
             opcode == kLoad ? module.parameter_paths.find(instruction[3]) : module.parameter_paths.end();
-        if (path_entry == module.parameter_paths.end() || !result.can_store_type(instruction[1]))
-            return append_instruction(code, instruction);
-        result.append_parameter_load(code, instruction[1], path_entry->second, instruction[2]);
+        if (path_entry == module.parameter_paths.end() ||
+            !result.can_store_in_private_variable(instruction[1]))
+            return append_spirv_instruction(code, instruction);
+        result.append_load_from_private_variable(code, instruction[1], path_entry->second, instruction[2]);
         any = true;
     });
-    return any ? result.make_edited_module(words, code) : SpirvWords(words.begin(), words.end());
+    return any ? result.make_module_with_hoisted_loads(spirv_words, code)
+               : SpirvWords(spirv_words.begin(), spirv_words.end());
 }
 
 }  // namespace relidar::gpu

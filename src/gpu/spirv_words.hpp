@@ -18,17 +18,17 @@ using SpirvInstruction = std::span<const std::uint32_t>;
 /// Calls function(opcode, instruction) for each instruction of a SPIR-V module, in the
 /// order of the module.
 template <class F>
-void for_each_instruction(std::span<const std::uint32_t> words, const F& function) {
-    for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16)
-        function(words[at] & 0xffffu, words.subspan(at, words[at] >> 16));
+void for_each_spirv_instruction(std::span<const std::uint32_t> spirv_words, const F& function) {
+    for (std::size_t at = kHeaderWords; at < spirv_words.size(); at += spirv_words[at] >> 16)
+        function(spirv_words[at] & 0xffffu, spirv_words.subspan(at, spirv_words[at] >> 16));
 }
 
-inline void append_instruction(std::vector<std::uint32_t>& words, SpirvInstruction instruction) {
-    words.insert(words.end(), instruction.begin(), instruction.end());
+inline void append_spirv_instruction(std::vector<std::uint32_t>& spirv_words, SpirvInstruction instruction) {
+    spirv_words.insert(spirv_words.end(), instruction.begin(), instruction.end());
 }
 
-inline const char* get_name_operand(SpirvInstruction op_name) {
-    return reinterpret_cast<const char*>(&op_name[2]);
+inline const char* get_name_of_op_name_instruction(SpirvInstruction op_name_instruction) {
+    return reinterpret_cast<const char*>(&op_name_instruction[2]);
 }
 
 }  // namespace relidar::gpu

@@ -20,29 +20,32 @@ Stream::Impl::Impl(Device& d, bool with_timing)
     VkSemaphoreTypeCreateInfo type{VK_STRUCTURE_TYPE_SEMAPHORE_TYPE_CREATE_INFO};
     type.semaphoreType = VK_SEMAPHORE_TYPE_TIMELINE;
     VkSemaphoreCreateInfo semaphore{VK_STRUCTURE_TYPE_SEMAPHORE_CREATE_INFO, &type};
-    gpu::check_vulkan_result(vkCreateSemaphore(device->device, &semaphore, nullptr, &timeline),
-                             "vkCreateSemaphore");
-    gpu::set_object_name(device->device, VK_OBJECT_TYPE_SEMAPHORE, timeline, "submissions of a stream");
-    const bool measures = d.info().timestamps && device->launch_limit.has_time_limit();
+    gpu::throw_unless_vulkan_success(vkCreateSemaphore(device->device, &semaphore, nullptr, &timeline),
+                                     "vkCreateSemaphore");
+    gpu::set_vulkan_object_name(device->device, VK_OBJECT_TYPE_SEMAPHORE, timeline,
+                                "submissions of a stream");
+    const bool measures = d.info().timestamps && device->launch_limit.has_dispatch_time_limit();
     for (SubmissionSlot& slot : slots) {
         VkCommandPoolCreateInfo pool{VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
         pool.queueFamilyIndex = device->queue_family;
-        gpu::check_vulkan_result(vkCreateCommandPool(device->device, &pool, nullptr, &slot.pool),
-                                 "vkCreateCommandPool");
-        gpu::set_object_name(device->device, VK_OBJECT_TYPE_COMMAND_POOL, slot.pool, "commands of a stream");
+        gpu::throw_unless_vulkan_success(vkCreateCommandPool(device->device, &pool, nullptr, &slot.pool),
+                                         "vkCreateCommandPool");
+        gpu::set_vulkan_object_name(device->device, VK_OBJECT_TYPE_COMMAND_POOL, slot.pool,
+                                    "commands of a stream");
         if (!timing && !measures) continue;
         VkQueryPoolCreateInfo queries{VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO};
         queries.queryType = VK_QUERY_TYPE_TIMESTAMP;
         queries.queryCount = 2 * kMaxLaunches;
-        gpu::check_vulkan_result(vkCreateQueryPool(device->device, &queries, nullptr, &slot.queries),
-                                 "vkCreateQueryPool");
-        gpu::set_object_name(device->device, VK_OBJECT_TYPE_QUERY_POOL, slot.queries, "times of launches");
+        gpu::throw_unless_vulkan_success(vkCreateQueryPool(device->device, &queries, nullptr, &slot.queries),
+                                         "vkCreateQueryPool");
+        gpu::set_vulkan_object_name(device->device, VK_OBJECT_TYPE_QUERY_POOL, slot.queries,
+                                    "times of launches");
     }
 }
 
 Stream::Impl::~Impl() {
     if (device->compile_only) return;
-    device->wait_idle();
+    device->wait_until_device_idle();
     if (recording) --device->n_recording;
     for (SubmissionSlot& slot : slots) {
         if (slot.queries) vkDestroyQueryPool(device->device, slot.queries, nullptr);
@@ -51,96 +54,99 @@ Stream::Impl::~Impl() {
     if (timeline) vkDestroySemaphore(device->device, timeline, nullptr);
 }
 
-VkCommandBuffer Stream::Impl::get_command_buffer() {
+VkCommandBuffer Stream::Impl::get_recording_command_buffer() {
     SubmissionSlot& slot = slots[current];
     if (recording) return slot.commands;
     wait_for_submission(slot.ticket);
-    collect_launch_times(slot);
+    collect_launch_times_of_submission(slot);
     slot.block = slot.block_bytes = 0;
     slot.retained_buffers.clear();
-    gpu::check_vulkan_result(vkResetCommandPool(device->device, slot.pool, 0), "vkResetCommandPool");
+    gpu::throw_unless_vulkan_success(vkResetCommandPool(device->device, slot.pool, 0), "vkResetCommandPool");
     if (slot.queries) vkResetQueryPool(device->device, slot.queries, 0, 2 * kMaxLaunches);
     slot.n_buffers = 0;
-    begin_command_buffer(slot);
+    begin_command_buffer_of_submission(slot);
     recording = true;
     ++device->n_recording;
     return slot.commands;
 }
 
-void Stream::Impl::begin_command_buffer(SubmissionSlot& slot) {
+void Stream::Impl::begin_command_buffer_of_submission(SubmissionSlot& slot) {
     if (slot.n_buffers == slot.buffers.size()) {
         VkCommandBufferAllocateInfo allocate{VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
         allocate.commandPool = slot.pool;
         allocate.commandBufferCount = 1;
         VkCommandBuffer buffer = VK_NULL_HANDLE;
-        gpu::check_vulkan_result(vkAllocateCommandBuffers(device->device, &allocate, &buffer),
-                                 "vkAllocateCommandBuffers");
-        gpu::set_object_name(device->device, VK_OBJECT_TYPE_COMMAND_BUFFER, buffer, "commands of a stream");
+        gpu::throw_unless_vulkan_success(vkAllocateCommandBuffers(device->device, &allocate, &buffer),
+                                         "vkAllocateCommandBuffers");
+        gpu::set_vulkan_object_name(device->device, VK_OBJECT_TYPE_COMMAND_BUFFER, buffer,
+                                    "commands of a stream");
         slot.buffers.push_back(buffer);
     }
     slot.commands = slot.buffers[slot.n_buffers++];
     VkCommandBufferBeginInfo begin{VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
-    gpu::check_vulkan_result(vkBeginCommandBuffer(slot.commands, &begin), "vkBeginCommandBuffer");
+    gpu::throw_unless_vulkan_success(vkBeginCommandBuffer(slot.commands, &begin), "vkBeginCommandBuffer");
     recorded_s = 0.0;
 }
 
 void Stream::Impl::submit_recorded_commands() {
     SubmissionSlot& slot = slots[current];
-    gpu::check_vulkan_result(vkEndCommandBuffer(slot.commands), "vkEndCommandBuffer");
+    gpu::throw_unless_vulkan_success(vkEndCommandBuffer(slot.commands), "vkEndCommandBuffer");
     VkSubmitInfo info{VK_STRUCTURE_TYPE_SUBMIT_INFO};
     info.commandBufferCount = 1;
     info.pCommandBuffers = &slot.commands;
     device->submit_to_queue(info);
-    begin_command_buffer(slot);
+    begin_command_buffer_of_submission(slot);
 }
 
-void Stream::Impl::begin_debug_label(const std::string& name) {
+void Stream::Impl::begin_debug_label(const std::string& label_text) {
     if (!vkCmdBeginDebugUtilsLabelEXT) return;
     VkDebugUtilsLabelEXT label{VK_STRUCTURE_TYPE_DEBUG_UTILS_LABEL_EXT};
-    label.pLabelName = name.c_str();
-    vkCmdBeginDebugUtilsLabelEXT(get_command_buffer(), &label);
+    label.pLabelName = label_text.c_str();
+    vkCmdBeginDebugUtilsLabelEXT(get_recording_command_buffer(), &label);
 }
 
 void Stream::Impl::end_debug_label() {
-    if (vkCmdEndDebugUtilsLabelEXT) vkCmdEndDebugUtilsLabelEXT(get_command_buffer());
+    if (vkCmdEndDebugUtilsLabelEXT) vkCmdEndDebugUtilsLabelEXT(get_recording_command_buffer());
 }
 
 void Stream::Impl::end_concurrent_scope() {
     if (--n_concurrent > 0 || !owes_barrier) return;
     owes_barrier = false;
-    request_memory_barrier();
+    record_barrier_unless_in_scope();
 }
 
-void Stream::Impl::store_lane_command(const std::string& name, VulkanCommandRecorder command) {
+void Stream::Impl::add_command_to_current_lane(const std::string& command_name,
+                                               VulkanCommandRecorder command) {
     CommandSequence& chosen = lanes[lane];
-    if (chosen.empty() || chosen.back().closed) chosen.push_back({name, {}});
+    if (chosen.empty() || chosen.back().closed) chosen.push_back({command_name, {}});
     chosen.back().commands.push_back(std::move(command));
-    request_memory_barrier();
+    record_barrier_unless_in_scope();
 }
 
 /// Records the commands of all lanes (concurrent sequences), step by step. Each step has
 /// a single pair of timestamps. With more timestamps, the commands of a step would have
 /// to wait for each other.
-void Stream::Impl::record_stored_lane_commands() {
+void Stream::Impl::record_stored_commands_of_all_lanes() {
     std::size_t n_steps = 0;
     for (const CommandSequence& one : lanes) n_steps = std::max(n_steps, one.size());
     for (std::size_t k = 0; k < n_steps; ++k) {
         const auto has_step = [k](const CommandSequence& one) { return k < one.size(); };
         const std::string& name = std::ranges::find_if(lanes, has_step)->at(k).name;
-        begin_timing(name);
+        begin_command_timing(name);
         begin_debug_label(name);
         for (const CommandSequence& one : lanes)
             if (has_step(one))
-                for (const VulkanCommandRecorder& command : one[k].commands) command(get_command_buffer());
+                for (const VulkanCommandRecorder& command : one[k].commands)
+                    command(get_recording_command_buffer());
         end_debug_label();
-        end_timing();
+        end_command_timing();
         record_memory_barrier();
     }
     for (CommandSequence& one : lanes) one.clear();
 }
 
-void Stream::Impl::request_memory_barrier() {
+void Stream::Impl::record_barrier_unless_in_scope() {
     if (n_concurrent > 0) owes_barrier = true;
     else if (!lanes.empty()) lanes[lane].back().closed = true;
     else record_memory_barrier();
@@ -156,33 +162,36 @@ void Stream::Impl::record_memory_barrier() {
         later |= VK_PIPELINE_STAGE_HOST_BIT;
         host_reads = false;
     }
-    vkCmdPipelineBarrier(get_command_buffer(), VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, later, 0, 1, &all, 0,
-                         nullptr, 0, nullptr);
+    vkCmdPipelineBarrier(get_recording_command_buffer(), VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, later, 0, 1,
+                         &all, 0, nullptr, 0, nullptr);
 }
 
-void Stream::Impl::begin_timing(const std::string& name, gpu::KernelSpeed* speed, std::uint32_t n_groups,
-                                bool continues_launch) {
-    last_kernel = name;
-    VkCommandBuffer buffer = get_command_buffer();
+void Stream::Impl::begin_command_timing(const std::string& command_name, gpu::KernelSpeed* kernel_speed,
+                                        std::uint32_t n_workgroups, bool continues_launch) {
+    last_kernel = command_name;
+    VkCommandBuffer buffer = get_recording_command_buffer();
     SubmissionSlot& slot = slots[current];
-    if (speed && !speed->should_measure_dispatch(device->launch_limit.piece_s, n_groups)) speed = nullptr;
-    timed = slot.queries && (timing || speed) && slot.launches.size() < kMaxLaunches;
+    if (kernel_speed &&
+        !kernel_speed->count_and_decide_to_measure_dispatch(device->launch_limit.piece_s, n_workgroups))
+        kernel_speed = nullptr;
+    timed = slot.queries && (timing || kernel_speed) && slot.launches.size() < kMaxLaunches;
     if (!timed) return;
-    slot.launches.push_back({name, speed, n_groups, continues_launch});
+    slot.launches.push_back({command_name, kernel_speed, n_workgroups, continues_launch});
     vkCmdWriteTimestamp(buffer, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries,
                         2 * static_cast<std::uint32_t>(slot.launches.size() - 1));
 }
 
-void Stream::Impl::end_timing() {
+void Stream::Impl::end_command_timing() {
     SubmissionSlot& slot = slots[current];
     if (timed)
         vkCmdWriteTimestamp(slot.commands, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries,
                             2 * static_cast<std::uint32_t>(slot.launches.size() - 1) + 1);
 }
 
-Stream::Impl::StagedValue Stream::Impl::store_host_bytes(const void* bytes, std::size_t n_bytes) {
+Stream::Impl::StagedValue Stream::Impl::stage_host_bytes_for_kernels(const void* host_bytes,
+                                                                     std::size_t n_bytes) {
     constexpr std::size_t kAlignment = 64;
-    get_command_buffer();
+    get_recording_command_buffer();
     SubmissionSlot& slot = slots[current];
     const std::size_t aligned = (n_bytes + kAlignment - 1) / kAlignment * kAlignment;
     while (slot.block < slot.blocks.size() && slot.block_bytes + aligned > slot.blocks[slot.block]->n_bytes) {
@@ -195,13 +204,13 @@ Stream::Impl::StagedValue Stream::Impl::store_host_bytes(const void* bytes, std:
     const Buffer::Impl& block = *slot.blocks[slot.block];
     const std::size_t offset = slot.block_bytes;
     slot.block_bytes += aligned;
-    if (n_bytes != 0) std::memcpy(block.mapped + offset, bytes, n_bytes);
+    if (n_bytes != 0) std::memcpy(block.mapped + offset, host_bytes, n_bytes);
     return {block.handle, offset, block.address + offset};
 }
 
-void Stream::Impl::record_buffer_write(const Buffer& buffer, const void* bytes, std::size_t n_bytes) {
+void Stream::Impl::record_buffer_write(const Buffer& buffer, const void* host_bytes, std::size_t n_bytes) {
     if (device->compile_only || n_bytes == 0) return;
-    const StagedValue from = store_host_bytes(bytes, n_bytes);
+    const StagedValue from = stage_host_bytes_for_kernels(host_bytes, n_bytes);
     record_command("write", [from = from.buffer, to = buffer.impl().handle,
                              region = VkBufferCopy{from.offset, 0, n_bytes}](VkCommandBuffer commands) {
         vkCmdCopyBuffer(commands, from, to, 1, &region);
@@ -210,25 +219,26 @@ void Stream::Impl::record_buffer_write(const Buffer& buffer, const void* bytes, 
 
 void Stream::Impl::record_copy_to_host(const Buffer::Impl& source,
                                        const std::shared_ptr<const Buffer::Impl>& target,
-                                       const VkBufferCopy& region) {
-    if (region.size == 0) return;
-    record_command("read back", [this, source = source.handle, target, region](VkCommandBuffer commands) {
-        vkCmdCopyBuffer(commands, source, target->handle, 1, &region);
-        slots[current].retained_buffers.push_back(target);
-        host_reads = true;
-    });
+                                       const VkBufferCopy& copied_region) {
+    if (copied_region.size == 0) return;
+    record_command("read back",
+                   [this, source = source.handle, target, copied_region](VkCommandBuffer commands) {
+                       vkCmdCopyBuffer(commands, source, target->handle, 1, &copied_region);
+                       slots[current].retained_buffers.push_back(target);
+                       host_reads = true;
+                   });
 }
 
-std::uint64_t Stream::Impl::store_parameters(const KernelBase& kernel, const void* bytes,
-                                             std::size_t n_bytes) {
+std::uint64_t Stream::Impl::stage_kernel_parameters(const KernelBase& kernel, const void* parameter_struct,
+                                                    std::size_t n_bytes) {
     std::vector<std::byte> params(n_bytes);
-    std::memcpy(params.data(), bytes, n_bytes);
+    std::memcpy(params.data(), parameter_struct, n_bytes);
     for (const std::uint32_t offset : kernel.impl().addresses) {
         std::uint64_t address;
         std::memcpy(&address, params.data() + offset, sizeof(address));
         if (address == 0) std::memcpy(params.data() + offset, &device->nothing->address, sizeof(address));
     }
-    return store_host_bytes(params.data(), n_bytes).address;
+    return stage_host_bytes_for_kernels(params.data(), n_bytes).address;
 }
 
 /// Launch of a kernel. Its workgroups form rows and columns, because Vulkan limits the
@@ -239,78 +249,83 @@ struct Stream::Impl::Dispatch {
     std::array<std::uint64_t, 2> pushed;
     std::uint32_t rows, columns, rows_per_piece;
 
-    std::uint32_t count_dispatch_rows(std::uint32_t first_row) const {
+    std::uint32_t count_rows_of_dispatch_piece(std::uint32_t first_row) const {
         return std::min(rows_per_piece, rows - first_row);
     }
-    void record_dispatch(VkCommandBuffer commands, VkPipelineLayout layout, std::uint32_t first_row) const {
+    void record_one_dispatch_piece(VkCommandBuffer commands, VkPipelineLayout layout,
+                                   std::uint32_t first_row) const {
         vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
         vkCmdPushConstants(commands, layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(pushed), pushed.data());
-        vkCmdDispatchBase(commands, 0, first_row, 0, columns, count_dispatch_rows(first_row), 1);
+        vkCmdDispatchBase(commands, 0, first_row, 0, columns, count_rows_of_dispatch_piece(first_row), 1);
     }
 };
 
 namespace {
 
-Stream::Impl::Dispatch make_dispatch(VkPipeline pipeline, const std::array<std::uint64_t, 2>& push_constants,
-                                     std::uint32_t n_groups, std::uint32_t groups_per_piece) {
+Stream::Impl::Dispatch split_launch_into_dispatch_rows(VkPipeline pipeline,
+                                                       const std::array<std::uint64_t, 2>& push_constants,
+                                                       std::uint32_t n_workgroups,
+                                                       std::uint32_t max_workgroups_per_piece) {
     // Maximum number of workgroups per dimension that every Vulkan device supports.
     constexpr std::uint32_t kMaxGroups = 65535;
-    const std::uint32_t columns =
-        std::max(std::min({n_groups, kMaxGroups, groups_per_piece}), (n_groups - 1) / kMaxGroups + 1);
+    const std::uint32_t columns = std::max(std::min({n_workgroups, kMaxGroups, max_workgroups_per_piece}),
+                                           (n_workgroups - 1) / kMaxGroups + 1);
     // Gives all rows the same number of workgroups, so that the launch has few
     // superfluous workgroups.
-    const std::uint32_t rows = (n_groups - 1) / columns + 1, even_columns = (n_groups - 1) / rows + 1;
+    const std::uint32_t rows = (n_workgroups - 1) / columns + 1, even_columns = (n_workgroups - 1) / rows + 1;
     // A launch that is short enough, or that must not be split, is recorded as a single
     // dispatch with all rows.
-    const std::uint32_t rows_per_piece =
-        groups_per_piece >= n_groups ? rows : std::max(1u, groups_per_piece / even_columns);
+    const std::uint32_t rows_per_piece = max_workgroups_per_piece >= n_workgroups
+                                             ? rows
+                                             : std::max(1u, max_workgroups_per_piece / even_columns);
     return {pipeline, push_constants, rows, even_columns, rows_per_piece};
 }
 
 }  // namespace
 
-void Stream::Impl::launch_kernel(const KernelBase& kernel, std::uint32_t n_threads, const void* bytes,
-                                 std::size_t n_bytes) {
+void Stream::Impl::record_kernel_launch(const KernelBase& kernel, std::uint32_t n_threads,
+                                        const void* parameter_struct, std::size_t n_parameter_bytes) {
     if (device->compile_only)
         throw Error(ExitCode::bug,
                     fmt::format("cannot run kernel {}: the device was opened only to compile kernels",
                                 kernel.impl().name));
-    const VkPipeline pipeline = kernel.impl().get_compiled_pipeline();
-    const std::array<std::uint64_t, 2> pushed{store_parameters(kernel, bytes, n_bytes),
-                                              device->nothing->address};
+    const VkPipeline pipeline = kernel.impl().wait_for_compiled_pipeline();
+    const std::array<std::uint64_t, 2> pushed{
+        stage_kernel_parameters(kernel, parameter_struct, n_parameter_bytes), device->nothing->address};
     const std::string& name = kernel.impl().name;
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
     const gpu::LaunchTimeLimit& limit = device->launch_limit;
-    const gpu::KernelSpeed* speed = limit.has_time_limit() ? kernel.impl().speed : nullptr;
-    const Dispatch dispatch = make_dispatch(
-        pipeline, pushed, n_groups, speed ? speed->choose_groups_per_dispatch(limit.piece_s) : n_groups);
+    const gpu::KernelSpeed* speed = limit.has_dispatch_time_limit() ? kernel.impl().speed : nullptr;
+    const Dispatch dispatch = split_launch_into_dispatch_rows(
+        pipeline, pushed, n_groups, speed ? speed->choose_workgroups_per_dispatch(limit.piece_s) : n_groups);
     // Launches in lanes (concurrent sequences) are not split, because their commands are
     // recorded later and in a single submission.
-    if (speed && lanes.empty()) return record_dispatch_pieces(kernel.impl(), dispatch);
+    if (speed && lanes.empty()) return record_and_submit_dispatch_pieces(kernel.impl(), dispatch);
     record_command(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer commands) {
         for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
-            dispatch.record_dispatch(commands, layout, row);
+            dispatch.record_one_dispatch_piece(commands, layout, row);
     });
 }
 
-void Stream::Impl::record_dispatch_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch) {
+void Stream::Impl::record_and_submit_dispatch_pieces(const KernelBase::Impl& kernel,
+                                                     const Dispatch& dispatch) {
     const double piece_s = device->launch_limit.piece_s;
     for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece) {
-        const std::uint32_t n_groups = dispatch.count_dispatch_rows(row) * dispatch.columns;
-        double expected_s = kernel.speed->estimate_dispatch_s(n_groups);
+        const std::uint32_t n_groups = dispatch.count_rows_of_dispatch_piece(row) * dispatch.columns;
+        double expected_s = kernel.speed->estimate_dispatch_duration_s(n_groups);
         // While the speed of a kernel is unknown, each of its dispatches gets a separate
         // submission.
         if (expected_s == 0.0 && n_groups < dispatch.rows * dispatch.columns) expected_s = piece_s;
-        get_command_buffer();
+        get_recording_command_buffer();
         if (recorded_s > 0.0 && recorded_s + expected_s > piece_s) submit_recorded_commands();
-        begin_timing(kernel.name, kernel.speed, n_groups, row > 0);
+        begin_command_timing(kernel.name, kernel.speed, n_groups, row > 0);
         begin_debug_label(kernel.name);
-        dispatch.record_dispatch(get_command_buffer(), device->pipeline_layout, row);
+        dispatch.record_one_dispatch_piece(get_recording_command_buffer(), device->pipeline_layout, row);
         end_debug_label();
-        end_timing();
+        end_command_timing();
         recorded_s += expected_s;
     }
-    request_memory_barrier();
+    record_barrier_unless_in_scope();
 }
 
 void Stream::Impl::wait_for_submission(std::uint64_t ticket) {
@@ -324,10 +339,10 @@ void Stream::Impl::wait_for_submission(std::uint64_t ticket) {
     if (result != VK_SUCCESS)
         gpu::throw_vulkan_error(
             result, fmt::format("waiting for {} failed: the driver returned {} (last recorded kernel: {})",
-                                device->info.name, gpu::get_result_name(result), last_kernel));
+                                device->info.name, gpu::get_vulkan_result_name(result), last_kernel));
 }
 
-void Stream::Impl::collect_launch_times(SubmissionSlot& slot) {
+void Stream::Impl::collect_launch_times_of_submission(SubmissionSlot& slot) {
     if (slot.launches.empty()) return;
     std::vector<std::uint64_t> stamps(2 * slot.launches.size());
     const VkResult result =
@@ -342,7 +357,7 @@ void Stream::Impl::collect_launch_times(SubmissionSlot& slot) {
         launch_ms = continues ? launch_ms + ms : ms;
         const bool is_complete = i + 1 == slot.launches.size() || !slot.launches[i + 1].continues;
         if (timing && is_complete) times.add_launch_time(name, launch_ms);
-        if (speed) speed->add_measured_dispatch(n_groups, 1e-3 * ms);
+        if (speed) speed->update_speed_from_dispatch(n_groups, 1e-3 * ms);
     }
     slot.launches.clear();
 }
@@ -387,17 +402,17 @@ ConcurrentSequenceScope::~ConcurrentSequenceScope() {
     Stream::Impl& s = stream_.impl();
     // After an exception the commands are dropped, because the arrays that they use may
     // be destroyed.
-    if (std::uncaught_exceptions() == 0) s.record_stored_lane_commands();
+    if (std::uncaught_exceptions() == 0) s.record_stored_commands_of_all_lanes();
     s.lanes.clear();
 }
 
-void ConcurrentSequenceScope::select_command_lane(std::size_t lane_index) {
+void ConcurrentSequenceScope::select_sequence_to_record(std::size_t sequence_index) {
     Stream::Impl& s = stream_.impl();
-    if (lane_index >= s.lanes.size() || s.n_concurrent > 0)
+    if (sequence_index >= s.lanes.size() || s.n_concurrent > 0)
         throw Error(ExitCode::bug, fmt::format("cannot select command lane {} of {}: expected the index of a "
                                                "lane and no open ConcurrentLaunchScope",
-                                               lane_index, s.lanes.size()));
-    s.lane = lane_index;
+                                               sequence_index, s.lanes.size()));
+    s.lane = sequence_index;
 }
 
 std::uint64_t Stream::submit_commands() {
@@ -405,8 +420,8 @@ std::uint64_t Stream::submit_commands() {
     if (s.device->compile_only) return 0;
     if (s.n_concurrent > 0)
         throw Error(ExitCode::bug, "cannot submit commands: a ConcurrentLaunchScope is still open");
-    s.record_stored_lane_commands();
-    VkCommandBuffer commands = s.get_command_buffer();
+    s.record_stored_commands_of_all_lanes();
+    VkCommandBuffer commands = s.get_recording_command_buffer();
     // Marks the end of a frame. RenderDoc and GFXReconstruct need this label to capture a
     // program that has no window.
     if (vkCmdInsertDebugUtilsLabelEXT) {
@@ -414,7 +429,7 @@ std::uint64_t Stream::submit_commands() {
         frame_end.pLabelName = "vr-marker,frame_end,type,application";
         vkCmdInsertDebugUtilsLabelEXT(commands, &frame_end);
     }
-    gpu::check_vulkan_result(vkEndCommandBuffer(commands), "vkEndCommandBuffer");
+    gpu::throw_unless_vulkan_success(vkEndCommandBuffer(commands), "vkEndCommandBuffer");
     const std::uint64_t ticket = s.last_ticket + 1;
     VkTimelineSemaphoreSubmitInfo values{VK_STRUCTURE_TYPE_TIMELINE_SEMAPHORE_SUBMIT_INFO};
     values.signalSemaphoreValueCount = 1;
@@ -438,7 +453,7 @@ const KernelTimes& Stream::times() const {
         const bool open = impl_->recording && &slot == &impl_->slots[impl_->current];
         if (open || !slot.ticket) continue;
         impl_->wait_for_submission(slot.ticket);
-        impl_->collect_launch_times(slot);
+        impl_->collect_launch_times_of_submission(slot);
     }
     return impl_->times;
 }

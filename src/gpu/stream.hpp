@@ -34,7 +34,7 @@ struct KernelBase::Impl {
     /// Returns the compute pipeline, which belongs to the device. Waits until it is
     /// compiled.
     /// @throws DeviceError if the driver rejects the kernel
-    VkPipeline get_compiled_pipeline();
+    VkPipeline wait_for_compiled_pipeline();
 
 private:
     friend class KernelBase;
@@ -119,25 +119,25 @@ struct Stream::Impl {
 
     /// Returns the command buffer that commands are recorded to. Starts a new recording
     /// if there is none.
-    VkCommandBuffer get_command_buffer();
+    VkCommandBuffer get_recording_command_buffer();
     /// Records a command with timestamps, and a barrier after it. In a
     /// ConcurrentSequenceScope, only stores the command, and
-    /// record_stored_lane_commands() records it later.
-    /// @param name name of the command in the measured times
+    /// record_stored_commands_of_all_lanes() records it later.
+    /// @param command_name name of the command in the measured times
     template <class Recorded>
-    void record_command(const std::string& name, Recorded command) {
-        if (!lanes.empty()) return store_lane_command(name, std::move(command));
-        begin_timing(name);
-        begin_debug_label(name);
-        command(get_command_buffer());
+    void record_command(const std::string& command_name, Recorded command) {
+        if (!lanes.empty()) return add_command_to_current_lane(command_name, std::move(command));
+        begin_command_timing(command_name);
+        begin_debug_label(command_name);
+        command(get_recording_command_buffer());
         end_debug_label();
-        end_timing();
-        request_memory_barrier();
+        end_command_timing();
+        record_barrier_unless_in_scope();
     }
     void end_concurrent_scope();
     /// Records the stored commands of all lanes (concurrent sequences) and clears the
     /// lanes. Step n of a lane may run concurrently with step n of the other lanes.
-    void record_stored_lane_commands();
+    void record_stored_commands_of_all_lanes();
     /// Where a value from the host is stored until the submission is complete.
     struct StagedValue {
         VkBuffer buffer;
@@ -145,46 +145,48 @@ struct Stream::Impl {
         std::uint64_t address;
     };
     /// Stores a value from the host where the kernels of this submission can read it.
-    StagedValue store_host_bytes(const void* bytes, std::size_t n_bytes);
+    StagedValue stage_host_bytes_for_kernels(const void* host_bytes, std::size_t n_bytes);
     /// Stores an array from the host where the kernels of this submission can read it.
     /// Returns its device address.
     template <class T>
-    Address<T> store_host_values(const std::vector<T>& values) {
-        return Address<T>(store_host_bytes(values.data(), values.size() * sizeof(T)).address);
+    Address<T> stage_host_values_for_kernels(const std::vector<T>& host_values) {
+        return Address<T>(
+            stage_host_bytes_for_kernels(host_values.data(), host_values.size() * sizeof(T)).address);
     }
-    void record_buffer_write(const Buffer& buffer, const void* bytes, std::size_t n_bytes);
+    void record_buffer_write(const Buffer& buffer, const void* host_bytes, std::size_t n_bytes);
     /// Records a copy from a device buffer to host-readable memory, which stays alive
     /// until the submission is complete.
     void record_copy_to_host(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
-                             const VkBufferCopy& region);
-    void launch_kernel(const KernelBase& kernel, std::uint32_t n_threads, const void* params,
-                       std::size_t n_bytes);
+                             const VkBufferCopy& copied_region);
+    void record_kernel_launch(const KernelBase& kernel, std::uint32_t n_threads, const void* parameter_struct,
+                              std::size_t n_parameter_bytes);
     void wait_for_submission(std::uint64_t ticket);
-    void collect_launch_times(SubmissionSlot& slot);
+    void collect_launch_times_of_submission(SubmissionSlot& slot);
     struct Dispatch;
 
 private:
     /// Stores the parameter struct of a launch. Each address 0 in it becomes the address
     /// of a buffer with zeros.
     /// @return device address of the stored struct
-    std::uint64_t store_parameters(const KernelBase& kernel, const void* bytes, std::size_t n_bytes);
-    void store_lane_command(const std::string& name, VulkanCommandRecorder command);
+    std::uint64_t stage_kernel_parameters(const KernelBase& kernel, const void* parameter_struct,
+                                          std::size_t n_bytes);
+    void add_command_to_current_lane(const std::string& command_name, VulkanCommandRecorder command);
     /// Records a barrier, so that later commands see earlier device writes. In a
     /// ConcurrentLaunchScope, only the end of the scope records a barrier.
-    void request_memory_barrier();
+    void record_barrier_unless_in_scope();
     void record_memory_barrier();
     /// Writes the timestamp before a command.
-    /// @param speed speed of the launched kernel, or null
-    /// @param n_groups number of workgroups of the command
+    /// @param kernel_speed speed of the launched kernel, or null
+    /// @param n_workgroups number of workgroups of the command
     /// @param continues_launch true if the command continues a launch that was split
-    void begin_timing(const std::string& name, gpu::KernelSpeed* speed = nullptr, std::uint32_t n_groups = 0,
-                      bool continues_launch = false);
-    void end_timing();
+    void begin_command_timing(const std::string& command_name, gpu::KernelSpeed* kernel_speed = nullptr,
+                              std::uint32_t n_workgroups = 0, bool continues_launch = false);
+    void end_command_timing();
     /// Begins a named region that debuggers show. end_debug_label() ends it.
-    void begin_debug_label(const std::string& name);
+    void begin_debug_label(const std::string& label_text);
     void end_debug_label();
-    void record_dispatch_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch);
-    void begin_command_buffer(SubmissionSlot& slot);
+    void record_and_submit_dispatch_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch);
+    void begin_command_buffer_of_submission(SubmissionSlot& slot);
     /// Sends the commands recorded so far to the device. The submission continues in a
     /// new command buffer.
     void submit_recorded_commands();
@@ -195,7 +197,8 @@ private:
 template <class Params>
 void run(Stream& stream, const Kernel<Params>& kernel, std::size_t n_threads, const Params& params) {
     if (n_threads)
-        stream.impl().launch_kernel(kernel, static_cast<std::uint32_t>(n_threads), &params, sizeof(Params));
+        stream.impl().record_kernel_launch(kernel, static_cast<std::uint32_t>(n_threads), &params,
+                                           sizeof(Params));
 }
 
 }  // namespace relidar

@@ -18,17 +18,18 @@ constexpr std::size_t kSmallest = std::size_t(64) << 10, kLargest = std::size_t(
 void BufferTransfers::create_command_buffer() {
     VkCommandPoolCreateInfo pool{VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
     pool.queueFamilyIndex = device_.queue_family;
-    check_vulkan_result(vkCreateCommandPool(device_.device, &pool, nullptr, &pool_), "vkCreateCommandPool");
+    throw_unless_vulkan_success(vkCreateCommandPool(device_.device, &pool, nullptr, &pool_),
+                                "vkCreateCommandPool");
     VkCommandBufferAllocateInfo allocate{VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
     allocate.commandPool = pool_;
     allocate.commandBufferCount = 1;
-    check_vulkan_result(vkAllocateCommandBuffers(device_.device, &allocate, &commands_),
-                        "vkAllocateCommandBuffers");
-    set_object_name(device_.device, VK_OBJECT_TYPE_COMMAND_POOL, pool_, "copies");
-    set_object_name(device_.device, VK_OBJECT_TYPE_COMMAND_BUFFER, commands_, "copies");
+    throw_unless_vulkan_success(vkAllocateCommandBuffers(device_.device, &allocate, &commands_),
+                                "vkAllocateCommandBuffers");
+    set_vulkan_object_name(device_.device, VK_OBJECT_TYPE_COMMAND_POOL, pool_, "copies");
+    set_vulkan_object_name(device_.device, VK_OBJECT_TYPE_COMMAND_BUFFER, commands_, "copies");
     const VkFenceCreateInfo fence{VK_STRUCTURE_TYPE_FENCE_CREATE_INFO};
-    check_vulkan_result(vkCreateFence(device_.device, &fence, nullptr, &done_), "vkCreateFence");
-    set_object_name(device_.device, VK_OBJECT_TYPE_FENCE, done_, "copy is done");
+    throw_unless_vulkan_success(vkCreateFence(device_.device, &fence, nullptr, &done_), "vkCreateFence");
+    set_vulkan_object_name(device_.device, VK_OBJECT_TYPE_FENCE, done_, "copy is done");
 }
 
 BufferTransfers::~BufferTransfers() {
@@ -36,51 +37,52 @@ BufferTransfers::~BufferTransfers() {
     vkDestroyCommandPool(device_.device, pool_, nullptr);
 }
 
-Buffer::Impl& BufferTransfers::get_staging_buffer(std::unique_ptr<Buffer::Impl>& buffer, BufferPurpose use,
-                                                  std::size_t n_bytes) {
+Buffer::Impl& BufferTransfers::get_or_enlarge_staging_buffer(std::unique_ptr<Buffer::Impl>& staging_buffer,
+                                                             BufferPurpose purpose, std::size_t n_bytes) {
     const std::size_t staging_bytes = std::clamp(std::bit_ceil(n_bytes), kSmallest, kLargest);
-    if (!buffer || buffer->n_bytes < staging_bytes) {
-        buffer.reset();
-        buffer = std::make_unique<Buffer::Impl>(device_, staging_bytes, use, "staging");
+    if (!staging_buffer || staging_buffer->n_bytes < staging_bytes) {
+        staging_buffer.reset();
+        staging_buffer = std::make_unique<Buffer::Impl>(device_, staging_bytes, purpose, "staging");
     }
-    return *buffer;
+    return *staging_buffer;
 }
 
-void BufferTransfers::upload(const Buffer::Impl& target, const void* data, std::size_t n_bytes,
-                             std::size_t offset_bytes) {
+void BufferTransfers::upload_to_buffer(const Buffer::Impl& target, const void* host_data, std::size_t n_bytes,
+                                       std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
-    const Buffer::Impl& from = get_staging_buffer(upload_, BufferPurpose::upload, n_bytes);
+    const Buffer::Impl& from = get_or_enlarge_staging_buffer(upload_, BufferPurpose::upload, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kLargest) {
         const std::size_t n = std::min(kLargest, n_bytes - done);
-        std::memcpy(from.mapped, static_cast<const std::byte*>(data) + done, n);
-        copy_and_wait(from.handle, target.handle, {0, offset_bytes + done, n});
+        std::memcpy(from.mapped, static_cast<const std::byte*>(host_data) + done, n);
+        copy_buffer_and_wait(from.handle, target.handle, {0, offset_bytes + done, n});
     }
 }
 
-void BufferTransfers::download(const Buffer::Impl& source, void* data, std::size_t n_bytes,
-                               std::size_t offset_bytes) {
+void BufferTransfers::download_from_buffer(const Buffer::Impl& source, void* host_data, std::size_t n_bytes,
+                                           std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
-    const Buffer::Impl& to = get_staging_buffer(download_, BufferPurpose::readback, n_bytes);
+    const Buffer::Impl& to = get_or_enlarge_staging_buffer(download_, BufferPurpose::readback, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kLargest) {
         const std::size_t n = std::min(kLargest, n_bytes - done);
-        copy_and_wait(source.handle, to.handle, {offset_bytes + done, 0, n});
-        std::memcpy(static_cast<std::byte*>(data) + done, to.mapped, n);
+        copy_buffer_and_wait(source.handle, to.handle, {offset_bytes + done, 0, n});
+        std::memcpy(static_cast<std::byte*>(host_data) + done, to.mapped, n);
     }
 }
 
-void BufferTransfers::copy(const Buffer::Impl& source, const Buffer::Impl& target, std::size_t n_bytes) {
+void BufferTransfers::copy_buffer(const Buffer::Impl& source, const Buffer::Impl& target,
+                                  std::size_t n_bytes) {
     const std::lock_guard lock(mutex_);
-    copy_and_wait(source.handle, target.handle, {0, 0, n_bytes});
+    copy_buffer_and_wait(source.handle, target.handle, {0, 0, n_bytes});
 }
 
 /// Copies and waits until the copy is complete. Before the copy, no barrier is needed,
 /// because every submission of a stream ends with a barrier.
-void BufferTransfers::copy_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region) {
+void BufferTransfers::copy_buffer_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region) {
     if (!done_) create_command_buffer();
-    check_vulkan_result(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");
+    throw_unless_vulkan_success(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");
     VkCommandBufferBeginInfo begin{VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
-    check_vulkan_result(vkBeginCommandBuffer(commands_, &begin), "vkBeginCommandBuffer");
+    throw_unless_vulkan_success(vkBeginCommandBuffer(commands_, &begin), "vkBeginCommandBuffer");
     vkCmdCopyBuffer(commands_, source, target, 1, &region);
     VkMemoryBarrier memory_barrier{VK_STRUCTURE_TYPE_MEMORY_BARRIER};
     memory_barrier.srcAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT;
@@ -89,15 +91,15 @@ void BufferTransfers::copy_and_wait(VkBuffer source, VkBuffer target, const VkBu
     vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_TRANSFER_BIT,
                          VK_PIPELINE_STAGE_HOST_BIT | VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 1,
                          &memory_barrier, 0, nullptr, 0, nullptr);
-    check_vulkan_result(vkEndCommandBuffer(commands_), "vkEndCommandBuffer");
+    throw_unless_vulkan_success(vkEndCommandBuffer(commands_), "vkEndCommandBuffer");
     VkSubmitInfo info{VK_STRUCTURE_TYPE_SUBMIT_INFO};
     info.commandBufferCount = 1;
     info.pCommandBuffers = &commands_;
-    check_vulkan_result(vkResetFences(device_.device, 1, &done_), "vkResetFences");
+    throw_unless_vulkan_success(vkResetFences(device_.device, 1, &done_), "vkResetFences");
     device_.submit_to_queue(info, done_);
     ++device_.n_full_waits;
-    check_vulkan_result(vkWaitForFences(device_.device, 1, &done_, VK_TRUE, ~std::uint64_t(0)),
-                        "vkWaitForFences");
+    throw_unless_vulkan_success(vkWaitForFences(device_.device, 1, &done_, VK_TRUE, ~std::uint64_t(0)),
+                                "vkWaitForFences");
 }
 
 }  // namespace relidar::gpu

@@ -17,9 +17,11 @@ public:
     BufferTransfers(const BufferTransfers&) = delete;
     BufferTransfers& operator=(const BufferTransfers&) = delete;
 
-    void upload(const Buffer::Impl& target, const void* data, std::size_t n_bytes, std::size_t offset_bytes);
-    void download(const Buffer::Impl& source, void* data, std::size_t n_bytes, std::size_t offset_bytes);
-    void copy(const Buffer::Impl& source, const Buffer::Impl& target, std::size_t n_bytes);
+    void upload_to_buffer(const Buffer::Impl& target, const void* host_data, std::size_t n_bytes,
+                          std::size_t offset_bytes);
+    void download_from_buffer(const Buffer::Impl& source, void* host_data, std::size_t n_bytes,
+                              std::size_t offset_bytes);
+    void copy_buffer(const Buffer::Impl& source, const Buffer::Impl& target, std::size_t n_bytes);
 
 private:
     Device::Impl& device_;
@@ -32,9 +34,9 @@ private:
     std::unique_ptr<Buffer::Impl> upload_, download_;
 
     void create_command_buffer();
-    Buffer::Impl& get_staging_buffer(std::unique_ptr<Buffer::Impl>& buffer, BufferPurpose use,
-                                     std::size_t n_bytes);
-    void copy_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region);
+    Buffer::Impl& get_or_enlarge_staging_buffer(std::unique_ptr<Buffer::Impl>& staging_buffer,
+                                                BufferPurpose purpose, std::size_t n_bytes);
+    void copy_buffer_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region);
 };
 
 }  // namespace relidar::gpu

@@ -15,12 +15,12 @@
 namespace relidar {
 namespace {
 
-DeviceOpenCallbacks& get_first_use_functions() {
+DeviceOpenCallbacks& get_device_open_callbacks() {
     static DeviceOpenCallbacks functions;
     return functions;
 }
 
-std::string& get_injected_faults() {
+std::string& get_injected_fault_names() {
     static std::string faults;
     return faults;
 }
@@ -31,7 +31,7 @@ struct UnsavedTestResults {
     std::mutex mutex;
     std::map<std::string, DeviceTestResults> by_device;
 };
-UnsavedTestResults& get_unsaved_check_results() {
+UnsavedTestResults& get_unsaved_device_test_results() {
     static UnsavedTestResults results;
     return results;
 }
@@ -41,16 +41,17 @@ thread_local const DeviceTestResults* fixed_trust = nullptr;
 
 /// Returns the text of the file with a device's test results. A file is accepted only if
 /// its content equals this text exactly, so that damaged files are ignored.
-std::string format_check_results(const std::string& driver, const DeviceTestResults& trust) {
+std::string format_device_test_results(const std::string& driver_version,
+                                       const DeviceTestResults& test_results) {
     return fmt::format(
         "relidar {} checked this device at its first use. Delete this file to repeat the check.\n"
         "driver {}\nfloat_atomics {}\nfloat_swaps {}\nsubgroup_size {}\nray_query {}\n",
-        RELIDAR_VERSION, driver, int(trust.float_atomics), int(trust.float_swaps), trust.subgroup_size,
-        int(trust.ray_query));
+        RELIDAR_VERSION, driver_version, int(test_results.float_atomics), int(test_results.float_swaps),
+        test_results.subgroup_size, int(test_results.ray_query));
 }
 
-std::optional<DeviceTestResults> read_check_results(const std::filesystem::path& path,
-                                                    const std::string& driver) {
+std::optional<DeviceTestResults> read_device_test_results(const std::filesystem::path& path,
+                                                          const std::string& expected_driver_version) {
     std::ifstream file(path);
     std::stringstream content;
     content << file.rdbuf();
@@ -66,48 +67,51 @@ std::optional<DeviceTestResults> read_check_results(const std::filesystem::path&
     trust.float_atomics = atomics != 0;
     trust.float_swaps = swaps != 0;
     trust.ray_query = CheckVerdict(ray_query);
-    return text == format_check_results(driver, trust) ? std::optional(trust) : std::nullopt;
+    return text == format_device_test_results(expected_driver_version, trust) ? std::optional(trust)
+                                                                              : std::nullopt;
 }
 
 }  // namespace
 
-void set_first_use_check(DeviceOpenCallbacks first_use_functions) {
-    get_first_use_functions() = std::move(first_use_functions);
-    const std::scoped_lock lock(get_unsaved_check_results().mutex);
-    get_unsaved_check_results().by_device.clear();
+void set_device_open_callbacks(DeviceOpenCallbacks callbacks) {
+    get_device_open_callbacks() = std::move(callbacks);
+    const std::scoped_lock lock(get_unsaved_device_test_results().mutex);
+    get_unsaved_device_test_results().by_device.clear();
 }
 
-ScopedDeviceTestResults::ScopedDeviceTestResults(const DeviceTestResults& trust)
-    : before_(fixed_trust), trust_(trust) {
+ScopedDeviceTestResults::ScopedDeviceTestResults(const DeviceTestResults& test_results)
+    : before_(fixed_trust), trust_(test_results) {
     fixed_trust = &trust_;
 }
 ScopedDeviceTestResults::~ScopedDeviceTestResults() { fixed_trust = before_; }
 
 namespace gpu {
 
-void set_injected_faults(const std::string& faults) { get_injected_faults() = faults; }
+void set_injected_faults(const std::string& comma_separated_faults) {
+    get_injected_fault_names() = comma_separated_faults;
+}
 bool is_fault_injected(const std::string& fault_name) {
-    return ("," + get_injected_faults() + ",").find("," + fault_name + ",") != std::string::npos;
+    return ("," + get_injected_fault_names() + ",").find("," + fault_name + ",") != std::string::npos;
 }
 
-DeviceTestResults get_device_check_results(const Device::Impl& device, const DeviceOptions& options) {
+DeviceTestResults read_or_run_device_test(const Device::Impl& device, const DeviceOptions& options) {
     if (fixed_trust) return *fixed_trust;
-    if (!get_first_use_functions().check || options.compile_only) return {};
+    if (!get_device_open_callbacks().check || options.compile_only) return {};
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(device.physical, &properties);
     std::filesystem::path path;
     // Results are not stored if a test has injected faults, because these results must
     // not affect later runs.
-    if (!options.pipeline_cache.empty() && get_injected_faults().empty())
-        path = options.pipeline_cache / ("check_" + make_device_key(properties) + ".txt");
+    if (!options.pipeline_cache.empty() && get_injected_fault_names().empty())
+        path = options.pipeline_cache / ("check_" + make_cache_file_name(properties) + ".txt");
     const auto is_complete = [&](const std::optional<DeviceTestResults>& trust) {
         return trust && (trust->ray_query != CheckVerdict::unknown ||
                          device.traversal != RayTracingBackend::ray_query);
     };
-    const std::string key = make_device_key(properties) + " " + get_injected_faults();
-    UnsavedTestResults& unstored = get_unsaved_check_results();
+    const std::string key = make_cache_file_name(properties) + " " + get_injected_fault_names();
+    UnsavedTestResults& unstored = get_unsaved_device_test_results();
     const std::scoped_lock lock(unstored.mutex);
-    const std::optional<DeviceTestResults> saved_results = read_check_results(path, device.info.driver);
+    const std::optional<DeviceTestResults> saved_results = read_device_test_results(path, device.info.driver);
     if (is_complete(saved_results)) return *saved_results;
     const auto checked_before = unstored.by_device.find(key);
     if (checked_before != unstored.by_device.end() && is_complete(checked_before->second))
@@ -115,39 +119,41 @@ DeviceTestResults get_device_check_results(const Device::Impl& device, const Dev
     DeviceOptions check_options = options;
     check_options.index = device.info.index;
     check_options.traversal = device.traversal;
-    const DeviceTestResults trust = get_first_use_functions().check(check_options);
-    if (!path.empty()) replace_file_atomically(path, format_check_results(device.info.driver, trust));
-    if (!read_check_results(path, device.info.driver)) unstored.by_device[key] = trust;
+    const DeviceTestResults trust = get_device_open_callbacks().check(check_options);
+    if (!path.empty())
+        try_replace_file_atomically(path, format_device_test_results(device.info.driver, trust));
+    if (!read_device_test_results(path, device.info.driver)) unstored.by_device[key] = trust;
     return trust;
 }
 
-void apply_device_check_results(Device::Impl& device, const DeviceTestResults& trust) {
+void disable_methods_that_failed_test(Device::Impl& device, const DeviceTestResults& test_results) {
     DeviceInfo& info = device.info;
     const auto note = [&](const std::string& text) {
-        if (get_first_use_functions().note && !fixed_trust)
-            get_first_use_functions().note(fmt::format("{}: {}", info.name, text));
+        if (get_device_open_callbacks().note && !fixed_trust)
+            get_device_open_callbacks().note(fmt::format("{}: {}", info.name, text));
     };
-    if (!trust.float_atomics && info.float_atomics) {
+    if (!test_results.float_atomics && info.float_atomics) {
         info.float_atomics = false;
         note(
             "atomic additions of floats give wrong sums on this device, so relidar adds gradients without "
             "them");
     }
-    if (!trust.float_swaps && !info.float_atomics) {
+    if (!test_results.float_swaps && !info.float_atomics) {
         device.wrong_sums = true;
         note(
             "all methods of adding floats give wrong sums on this device; relidar can render on it, but "
             "cannot train");
     }
-    if (trust.subgroup_size != 0 && trust.subgroup_size != info.subgroup_size) {
+    if (test_results.subgroup_size != 0 && test_results.subgroup_size != info.subgroup_size) {
         note(
             fmt::format("subgroups of {} lanes give wrong results on this device; relidar uses subgroups of "
                         "{} lanes instead",
-                        info.subgroup_size, trust.subgroup_size));
-        info.subgroup_size = trust.subgroup_size;
+                        info.subgroup_size, test_results.subgroup_size));
+        info.subgroup_size = test_results.subgroup_size;
         device.forced_lanes = true;
     }
-    if (trust.ray_query != CheckVerdict::wrong || device.traversal != RayTracingBackend::ray_query) return;
+    if (test_results.ray_query != CheckVerdict::wrong || device.traversal != RayTracingBackend::ray_query)
+        return;
     note(fmt::format(
         "hardware ray queries of this device find other surfels than a search through all surfels; {}",
         info.software ? "relidar uses software traversal instead"

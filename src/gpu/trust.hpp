@@ -17,16 +17,16 @@ namespace relidar::gpu {
 /// version of the driver or of relidar. If the results cannot be stored in a file, they
 /// are kept in memory until the process ends. If the program has set no check, every
 /// method counts as correct.
-DeviceTestResults get_device_check_results(const Device::Impl& device, const DeviceOptions& options);
+DeviceTestResults read_or_run_device_test(const Device::Impl& device, const DeviceOptions& options);
 
 /// Replaces the methods that failed the device test by other methods, and prints one line
 /// for each. Call this function before the device is opened.
-void apply_device_check_results(Device::Impl& device, const DeviceTestResults& trust);
+void disable_methods_that_failed_test(Device::Impl& device, const DeviceTestResults& test_results);
 
 /// Makes parts of the device test fail, for tests. The names are separated by commas:
 /// float_atomics, float_swaps, subgroups:N, ray_query. In builds with RELIDAR_ASSERTS,
 /// apply_environment_variables() reads them from RELIDAR_FAULTS.
-void set_injected_faults(const std::string& faults);
+void set_injected_faults(const std::string& comma_separated_faults);
 bool is_fault_injected(const std::string& fault_name);
 
 }  // namespace relidar::gpu

@@ -32,7 +32,7 @@ struct TimeSpan {
 TimeSpan compute_sweep_time_span(const LidarSequence& sequence, const SweepTiming& sweep) {
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
     if (!sequence.rolling_shutter) return {sweep.time_s, sweep.time_s};
-    const double period_s = lidar.period_s();
+    const double period_s = lidar.get_sweep_period_s();
     if (period_s > 0.0) {
         const double first_s = sweep.time_s + (sweep.start ? sweep.start->time_s : -0.5 * period_s);
         return {first_s, first_s + period_s};
@@ -72,8 +72,8 @@ double compute_half_azimuth_width_rad(const Pose& sensor_from_box, const glm::dv
 /// Returns the time interval in which the rotating LiDAR head faces a box, so that its
 /// rays can hit the box. If this interval is unknown or extends beyond the sweep, returns
 /// the time interval of the full sweep.
-TimeSpan compute_facing_time_span(const LidarSequence& sequence, const PoseTrack& world_from_box,
-                                  const glm::dvec3& half_size_m, const SweepTiming& sweep) {
+TimeSpan compute_time_span_facing_box(const LidarSequence& sequence, const PoseTrack& world_from_box,
+                                      const glm::dvec3& half_size_m, const SweepTiming& sweep) {
     const TimeSpan all = compute_sweep_time_span(sequence, sweep);
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
     const double s_per_rad = compute_seconds_per_radian(lidar);
@@ -84,7 +84,8 @@ TimeSpan compute_facing_time_span(const LidarSequence& sequence, const PoseTrack
     };
     double faced_s = sweep.time_s;
     for (int step = 0; step < 3; ++step)
-        faced_s = compute_point_scan_time_s(sequence, sensor_from_box(faced_s).translation, sweep);
+        faced_s =
+            compute_time_when_lidar_faces_point_s(sequence, sensor_from_box(faced_s).translation, sweep);
     const double angle = compute_half_azimuth_width_rad(sensor_from_box(faced_s), half_size_m);
     const double half_s = ((1.0 + kBesideShare) * angle + kBeside_rad) * s_per_rad;
     const TimeSpan span{faced_s - half_s, faced_s + half_s};
@@ -95,7 +96,7 @@ TimeSpan compute_facing_time_span(const LidarSequence& sequence, const PoseTrack
 
 InstancePose compute_box_pose_in_sweep(const LidarSequence& sequence, const PoseTrack& world_from_box,
                                        const glm::dvec3& half_size_m, const SweepTiming& sweep) {
-    const TimeSpan span = compute_facing_time_span(sequence, world_from_box, half_size_m, sweep);
+    const TimeSpan span = compute_time_span_facing_box(sequence, world_from_box, half_size_m, sweep);
     const double half_s = 0.5 * (span.last_s - span.first_s), middle_s = 0.5 * (span.first_s + span.last_s);
     // If all rays fire at the same time, the actor has a velocity, but it does not move
     // during the sweep.

@@ -36,13 +36,13 @@ constexpr std::string_view kEveryClass = "all";
 
 /// Adds the returns of one scan that lie inside boxes. Converts each return to the frame
 /// of its box.
-void append_box_returns_of_frame(const LidarSequence& sequence, const LidarFrame& frame,
+void append_returns_inside_boxes(const LidarSequence& sequence, const LidarFrame& frame,
                                  const std::vector<BoxTrack>& boxes, bool include_second_returns,
                                  const std::vector<WalkedDistanceTrack>& walked_distances,
                                  std::vector<std::vector<LidarSample>>& samples_per_box) {
     std::vector<std::size_t> present;
     for (std::size_t b = 0; b < boxes.size(); ++b)
-        if (boxes[b].is_present(frame.time_s)) present.push_back(b);
+        if (boxes[b].is_observed_at_time(frame.time_s)) present.push_back(b);
     if (present.empty()) return;
     for_each_return(sequence, frame, include_second_returns, [&](const WorldReturn& world_return) {
         for (const std::size_t b : present) {
@@ -63,11 +63,10 @@ void append_box_returns_of_frame(const LidarSequence& sequence, const LidarFrame
 /// Collects the LiDAR returns of the training frames that lie inside boxes. Stores each
 /// point in the frame of its box.
 /// @return [boxes]
-std::vector<std::vector<LidarSample>> collect_box_samples(const LidarSequence& sequence,
-                                                          const std::vector<int>& train_frame_indices,
-                                                          const std::vector<BoxTrack>& boxes,
-                                                          const SceneInitialisationOptions& options,
-                                                          const ProgressReporter& progress) {
+std::vector<std::vector<LidarSample>> collect_samples_inside_boxes(
+    const LidarSequence& sequence, const std::vector<int>& train_frame_indices,
+    const std::vector<BoxTrack>& boxes, const SceneInitialisationOptions& options,
+    const ProgressReporter& progress) {
     std::vector<WalkedDistanceTrack> walks;
     for (const BoxTrack& box : boxes) walks.emplace_back(box.world_from_box);
     std::vector<std::vector<LidarSample>> samples(boxes.size());
@@ -75,7 +74,7 @@ std::vector<std::vector<LidarSample>> collect_box_samples(const LidarSequence& s
         train_frame_indices.size(), std::vector<std::vector<LidarSample>>(boxes.size()));
     parallel_for_with_progress(
         train_frame_indices.size(), progress, "collecting the points of actors", [&](std::size_t index) {
-            append_box_returns_of_frame(sequence, sequence.frames[std::size_t(train_frame_indices[index])],
+            append_returns_inside_boxes(sequence, sequence.frames[std::size_t(train_frame_indices[index])],
                                         boxes, options.second_returns, walks, of_frame[index]);
         });
     for (const std::vector<std::vector<LidarSample>>& frame : of_frame)
@@ -114,7 +113,7 @@ bool is_deformable_object(const BoxTrack& box, const SceneInitialisationOptions&
 
 /// Checks that the size of a box is positive and that all its poses are finite.
 /// @throws DataError if a size or a pose is invalid
-void check_box_size_and_poses(const BoxTrack& box) {
+void require_valid_box_size_and_poses(const BoxTrack& box) {
     const glm::dvec3& s = box.size_m;
     if (!(s.x > 0.0 && s.y > 0.0 && s.z > 0.0) || !std::isfinite(s.x + s.y + s.z))
         throw DataError(fmt::format("box {} has the size {} x {} x {} m, expected three lengths above 0",
@@ -128,7 +127,7 @@ void check_box_size_and_poses(const BoxTrack& box) {
     }
 }
 
-void check_track_names_exist(const LidarSequence& sequence, const std::string& track_names) {
+void require_track_names_exist(const LidarSequence& sequence, const std::string& track_names) {
     std::vector<std::string> box_ids;
     for (const BoxTrack& box : sequence.boxes) box_ids.push_back(box.id);
     for (const std::string& track : split_comma_separated_list(track_names))
@@ -148,8 +147,9 @@ void pad_with_random_samples(std::vector<LidarSample>& samples, std::size_t min_
     Random random(hash_integer_pair(seed, hash_integer(std::hash<std::string>{}(box.id))));
     while (samples.size() < min_count) {
         const glm::dvec3 p =
-            box.size_m *
-            (glm::dvec3(random.draw_uniform(), random.draw_uniform(), random.draw_uniform()) - 0.5);
+            box.size_m * (glm::dvec3(random.sample_uniform_number(), random.sample_uniform_number(),
+                                     random.sample_uniform_number()) -
+                          0.5);
         samples.push_back(
             {glm::vec3(p), static_cast<float>(intensity), glm::vec3(-p / std::max(glm::length(p), 1e-9))});
     }
@@ -171,7 +171,7 @@ std::vector<LidarSample> limit_and_pad_samples(std::vector<LidarSample> samples,
 ObservedBoxSurface find_observed_box_surface(const BoxTrack& box, const std::vector<LidarSample>& samples) {
     ObservedBoxSurface surface(box.size_m);
     for (const LidarSample& s : samples)
-        surface.mark_patch_observed(glm::dvec3(s.position), glm::dvec3(s.view));
+        surface.mark_patch_of_point_as_observed(glm::dvec3(s.position), glm::dvec3(s.view));
     return surface;
 }
 
@@ -190,8 +190,8 @@ void append_actor_to_scene(Scene& scene, const BoxTrack& box, const std::vector<
     if (rigid.size() < std::size_t(options.actor_min_points)) return;
     DeformingActorSurfels changing;
     if (is_deformable_object(box, options)) {
-        changing = make_surfels_of_changing_actor(samples, options, incidence,
-                                                  std::size_t(options.actor_points), progress);
+        changing = make_surfels_of_deforming_actor(samples, options, incidence,
+                                                   std::size_t(options.actor_points), progress);
         const bool is_rigid = !changing.why_rigid.empty();
         if (notes)
             notes->push_back(fmt::format(
@@ -206,7 +206,7 @@ void append_actor_to_scene(Scene& scene, const BoxTrack& box, const std::vector<
                             static_cast<std::uint32_t>(surfels.size()),
                             glm::vec3(0.5 * box.size_m + kPointMargin_m),
                             static_cast<float>(changing.period_m), find_observed_box_surface(box, samples)});
-    scene.surfels.append(surfels);
+    scene.surfels.append_surfels(surfels);
 }
 
 /// Returns the distance in metres that an actor has walked at the start of a new track.
@@ -242,7 +242,7 @@ std::vector<InstancePose> compute_instance_poses_in_sweep(const Scene& scene, co
                                : InstancePose{{}, false});
         const double stride_m = double(model.stride_m);
         if (!track || stride_m <= 0.0) continue;
-        const BoxTrack* logged_box = find_box(sequence, instance.track);
+        const BoxTrack* logged_box = find_box_track_by_id(sequence, instance.track);
         const bool is_logged_track = logged_box && &logged_box->world_from_box == track;
         const double before_m = logged_box && !is_logged_track && !logged_box->world_from_box.pose.empty()
                                     ? compute_walked_distance_at_start_m(*logged_box, *track)
@@ -258,24 +258,25 @@ std::vector<InstancePose> compute_instance_poses_in_sweep(const Scene& scene, co
 
 std::vector<BoxTrack> list_foreground_boxes(const LidarSequence& sequence,
                                             const SceneInitialisationOptions& options) {
-    check_track_names_exist(sequence, options.actor_tracks);
+    require_track_names_exist(sequence, options.actor_tracks);
     std::vector<BoxTrack> boxes;
     for (const BoxTrack& box : sequence.boxes) {
-        check_box_size_and_poses(box);
+        require_valid_box_size_and_poses(box);
         if (!options.mask_others && !should_become_actor(box, options)) continue;
         if (box.is_moving() || contains_word_in_list(options.actor_tracks, box.id)) boxes.push_back(box);
     }
     return boxes;
 }
 
-Scene initialise_scene(const LidarSequence& sequence, const std::vector<int>& train_positions,
+Scene initialise_scene(const LidarSequence& sequence, const std::vector<int>& train_frame_indices,
                        const SceneInitialisationOptions& options, const ProgressReporter& progress,
                        std::vector<std::string>* notes) {
-    Scene scene = make_background_scene(initialise_background(sequence, train_positions, options, progress));
+    Scene scene =
+        make_background_scene(initialise_background(sequence, train_frame_indices, options, progress));
     std::vector<BoxTrack> actor_boxes = list_foreground_boxes(sequence, options);
     std::erase_if(actor_boxes, [&](const BoxTrack& box) { return !should_become_actor(box, options); });
     std::vector<std::vector<LidarSample>> samples_per_box =
-        collect_box_samples(sequence, train_positions, actor_boxes, options, progress);
+        collect_samples_inside_boxes(sequence, train_frame_indices, actor_boxes, options, progress);
     for (std::size_t i = 0; i < actor_boxes.size(); ++i) {
         if (progress) progress("modelling actors", double(i) / double(actor_boxes.size()));
         append_actor_to_scene(scene, actor_boxes[i], samples_per_box[i],
@@ -315,7 +316,7 @@ std::vector<InstancePose> compute_instance_poses(const Scene& scene, const Lidar
     // uses a hash map because a log can have a thousand tracks
     std::unordered_map<std::string_view, const PoseTrack*> tracks;
     for (const BoxTrack& box : sequence.boxes)
-        if (box.is_present(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);
+        if (box.is_observed_at_time(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);
     return compute_instance_poses_in_sweep(scene, sequence, sweep, [&](const std::string& name) {
         const auto track = tracks.find(name);
         return track == tracks.end() ? nullptr : track->second;

@@ -26,19 +26,19 @@ public:
     explicit NumpyRandomState(std::uint32_t seed) : generator_(seed) {}
 
     /// Returns a uniform random number in [0, 1) with 53 random bits.
-    double uniform() {
+    double sample_uniform_0_to_1() {
         const std::uint32_t high = std::uint32_t(generator_()) >> 5, low = std::uint32_t(generator_()) >> 6;
         return (high * 67108864.0 + low) / 9007199254740992.0;
     }
-    double normal() {
+    double sample_normal_0_1() {
         if (has_next_) {
             has_next_ = false;
             return next_;
         }
         double x, y, r2;
         do {
-            x = 2.0 * uniform() - 1.0;
-            y = 2.0 * uniform() - 1.0;
+            x = 2.0 * sample_uniform_0_to_1() - 1.0;
+            y = 2.0 * sample_uniform_0_to_1() - 1.0;
             r2 = x * x + y * y;
         } while (r2 >= 1.0 || r2 == 0.0);
         const double scale = std::sqrt(-2.0 * std::log(r2) / r2);
@@ -77,10 +77,10 @@ void append_car_rectangles(const glm::dvec3& centre, double intensity, std::vect
 void append_facade_rectangles(int side, NumpyRandomState& random, std::vector<Rectangle>& rectangles) {
     const double half = kLength_m / 2;
     for (double x = -half; x < half - 1e-9;) {
-        const double width = std::min(8 + 10 * random.uniform(), half - x);
-        const double setback = 1.5 * random.uniform();
-        const double intensity = 0.25 + 0.4 * random.uniform();
-        const bool gap = random.uniform() < 0.1;
+        const double width = std::min(8 + 10 * random.sample_uniform_0_to_1(), half - x);
+        const double setback = 1.5 * random.sample_uniform_0_to_1();
+        const double intensity = 0.25 + 0.4 * random.sample_uniform_0_to_1();
+        const bool gap = random.sample_uniform_0_to_1() < 0.1;
         const double y = side * (kHalfWidth_m - setback);
         const glm::dvec3 up(0, 0, kHeight_m);
         if (!gap && side > 0) rectangles.push_back({{x, y, 0}, {width, 0, 0}, up, intensity});
@@ -92,17 +92,17 @@ void append_facade_rectangles(int side, NumpyRandomState& random, std::vector<Re
 void append_parked_car_rectangles(int side, NumpyRandomState& random, std::vector<Rectangle>& rectangles) {
     const double half = kLength_m / 2;
     for (double x = -half + 3; x < half - 5; x += 6.5) {
-        const bool skip = random.uniform() < 0.3;
-        const double along = random.uniform();
-        const double across = 0.3 * random.uniform();
-        const double intensity = 0.3 + 0.6 * random.uniform();
+        const bool skip = random.sample_uniform_0_to_1() < 0.3;
+        const double along = random.sample_uniform_0_to_1();
+        const double across = 0.3 * random.sample_uniform_0_to_1();
+        const double intensity = 0.3 + 0.6 * random.sample_uniform_0_to_1();
         if (!skip) append_car_rectangles({x + along, side * (7.5 + across), 0.0}, intensity, rectangles);
     }
 }
 
 /// Returns the rectangles of the ground, the facades and the parked cars. The seed is
 /// fixed, so the layout is always the same.
-std::vector<Rectangle> make_street_layout() {
+std::vector<Rectangle> make_street_rectangles() {
     NumpyRandomState random(1);
     std::vector<Rectangle> rectangles{
         {{-kLength_m / 2, -kHalfWidth_m, 0}, {kLength_m, 0, 0}, {0, 2 * kHalfWidth_m, 0}, 0.2}};
@@ -115,8 +115,9 @@ std::vector<Rectangle> make_street_layout() {
 
 /// Picks a random rectangle for each surfel. The probability of a rectangle is
 /// proportional to its area.
-std::vector<std::uint16_t> draw_rectangle_indices(std::size_t count, const std::vector<Rectangle>& rectangles,
-                                                  NumpyRandomState& random) {
+std::vector<std::uint16_t> sample_rectangle_indices_by_area(std::size_t count,
+                                                            const std::vector<Rectangle>& rectangles,
+                                                            NumpyRandomState& random) {
     std::vector<double> cumulative;
     double total = 0.0;
     for (const Rectangle& r : rectangles) cumulative.push_back(total += r.area);
@@ -124,30 +125,32 @@ std::vector<std::uint16_t> draw_rectangle_indices(std::size_t count, const std::
     std::vector<std::uint16_t> index(count);
     for (std::uint16_t& i : index) {
         const auto at =
-            std::upper_bound(cumulative.begin(), cumulative.end(), random.uniform()) - cumulative.begin();
+            std::upper_bound(cumulative.begin(), cumulative.end(), random.sample_uniform_0_to_1()) -
+            cumulative.begin();
         i = std::uint16_t(std::min<std::ptrdiff_t>(at, std::ptrdiff_t(rectangles.size()) - 1));
     }
     return index;
 }
 
-void draw_surfel_positions(const std::vector<Rectangle>& rectangles,
-                           const std::vector<std::uint16_t>& rectangle_index, NumpyRandomState& random,
-                           Surfels& surfels) {
+void sample_surfel_positions_on_rectangles(const std::vector<Rectangle>& rectangles,
+                                           const std::vector<std::uint16_t>& rectangle_index,
+                                           NumpyRandomState& random, Surfels& surfels) {
     std::vector<glm::dvec2> along(rectangle_index.size());
     for (glm::dvec2& ab : along) {
-        ab.x = random.uniform();
-        ab.y = random.uniform();
+        ab.x = random.sample_uniform_0_to_1();
+        ab.y = random.sample_uniform_0_to_1();
     }
     for (std::size_t i = 0; i < rectangle_index.size(); ++i) {
         const Rectangle& r = rectangles[rectangle_index[i]];
         surfels.mean[i] = glm::vec3(r.corner + along[i].x * r.edge_u + along[i].y * r.edge_v +
-                                    r.normal * (0.02 * random.normal()));
+                                    r.normal * (0.02 * random.sample_normal_0_1()));
     }
 }
 
 /// Returns the unit quaternion (w, x, y, z) of a rotation matrix with the columns x, y,
 /// z. The largest component of the quaternion is positive.
-glm::dvec4 make_quaternion(const glm::dvec3& x_axis, const glm::dvec3& y_axis, const glm::dvec3& z_axis) {
+glm::dvec4 make_wxyz_quaternion_from_axes(const glm::dvec3& x_axis, const glm::dvec3& y_axis,
+                                          const glm::dvec3& z_axis) {
     const double trace = x_axis.x + y_axis.y + z_axis.z;
     const std::array<glm::dvec4, 4> candidates{
         {{1 + trace, y_axis.z - z_axis.y, z_axis.x - x_axis.z, x_axis.y - y_axis.x},
@@ -162,41 +165,43 @@ glm::dvec4 make_quaternion(const glm::dvec3& x_axis, const glm::dvec3& y_axis, c
 
 /// Draws random rotations of the surfels. The surfel normals scatter around the normal of
 /// their rectangle. The rotation about the normal is uniform.
-void draw_surfel_rotations(const std::vector<Rectangle>& rectangles,
-                           const std::vector<std::uint16_t>& rectangle_index, NumpyRandomState& random,
-                           Surfels& surfels) {
+void sample_random_surfel_rotations(const std::vector<Rectangle>& rectangles,
+                                    const std::vector<std::uint16_t>& rectangle_index,
+                                    NumpyRandomState& random, Surfels& surfels) {
     std::vector<glm::dvec3> normal(rectangle_index.size());
     for (std::size_t i = 0; i < rectangle_index.size(); ++i) {
         glm::dvec3 noise;
-        for (int axis = 0; axis < 3; ++axis) noise[axis] = random.normal();
+        for (int axis = 0; axis < 3; ++axis) noise[axis] = random.sample_normal_0_1();
         normal[i] = glm::normalize(rectangles[rectangle_index[i]].normal + 0.05 * noise);
     }
     for (std::size_t i = 0; i < rectangle_index.size(); ++i) {
         const glm::dvec3 z = normal[i];
         const glm::dvec3 helper = std::abs(z.x) < 0.9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0);
         const glm::dvec3 x0 = glm::normalize(glm::cross(helper, z)), y0 = glm::cross(z, x0);
-        const double phi = 2.0 * kPi * random.uniform();
+        const double phi = 2.0 * kPi * random.sample_uniform_0_to_1();
         const glm::dvec3 x = std::cos(phi) * x0 + std::sin(phi) * y0;
-        surfels.rotation[i] = glm::vec4(make_quaternion(x, glm::cross(z, x), z));
+        surfels.rotation[i] = glm::vec4(make_wxyz_quaternion_from_axes(x, glm::cross(z, x), z));
     }
 }
 
-void draw_scales_and_opacities(bool shrink_with_count, NumpyRandomState& random, Surfels& surfels) {
-    const double factor = shrink_with_count ? std::sqrt(1e5 / double(surfels.mean.size())) : 1.0;
+void sample_random_scales_and_opacities(bool smaller_scales_for_more_surfels, NumpyRandomState& random,
+                                        Surfels& surfels) {
+    const double factor =
+        smaller_scales_for_more_surfels ? std::sqrt(1e5 / double(surfels.mean.size())) : 1.0;
     for (glm::vec2& log_scale : surfels.log_scale)
         for (int axis = 0; axis < 2; ++axis)
-            log_scale[axis] = float(std::log(0.1 * std::pow(3.0, random.uniform()) * factor));
+            log_scale[axis] = float(std::log(0.1 * std::pow(3.0, random.sample_uniform_0_to_1()) * factor));
     for (float& logit : surfels.opacity_logit) {
-        const double opacity = 0.1 + 0.89 * random.uniform();
+        const double opacity = 0.1 + 0.89 * random.sample_uniform_0_to_1();
         logit = float(std::log(opacity / (1.0 - opacity)));
     }
 }
 
 /// Draws random spherical harmonics. Rounds the coefficients to multiples of 1/4096
 /// (degree 0) or 1/256 (other degrees). Rounds half to even like numpy does.
-void draw_spherical_harmonics(const std::vector<Rectangle>& rectangles,
-                              const std::vector<std::uint16_t>& rectangle_index, NumpyRandomState& random,
-                              Surfels& surfels) {
+void sample_random_spherical_harmonics(const std::vector<Rectangle>& rectangles,
+                                       const std::vector<std::uint16_t>& rectangle_index,
+                                       NumpyRandomState& random, Surfels& surfels) {
     const auto put_dc = [&](std::size_t surfel, int channel, double value) {
         const double steps = std::clamp(std::nearbyint((value - 0.5) / kShC0 * 4096), -32000.0, 32000.0);
         surfels.sh[surfel * kShFloats + std::size_t(channel) * kShCoefficients] = float(steps / 4096);
@@ -204,29 +209,32 @@ void draw_spherical_harmonics(const std::vector<Rectangle>& rectangles,
     const std::size_t n = rectangle_index.size();
     for (std::size_t i = 0; i < n; ++i)
         put_dc(i, 0,
-               std::clamp(rectangles[rectangle_index[i]].intensity + 0.08 * random.normal(), 0.02, 0.98));
-    for (std::size_t i = 0; i < n; ++i) put_dc(i, 1, 1.0 + 0.3 * random.normal());
-    for (std::size_t i = 0; i < n; ++i) put_dc(i, 2, 0.3 * random.normal());
+               std::clamp(rectangles[rectangle_index[i]].intensity + 0.08 * random.sample_normal_0_1(), 0.02,
+                          0.98));
+    for (std::size_t i = 0; i < n; ++i) put_dc(i, 1, 1.0 + 0.3 * random.sample_normal_0_1());
+    for (std::size_t i = 0; i < n; ++i) put_dc(i, 2, 0.3 * random.sample_normal_0_1());
     for (std::size_t i = 0; i < n; ++i)
         for (int k = 1; k < kShCoefficients; ++k)
             for (int channel = 0; channel < kShChannels; ++channel) {
-                const double steps = std::clamp(std::nearbyint(0.05 * random.normal() * 256), -127.0, 127.0);
+                const double steps =
+                    std::clamp(std::nearbyint(0.05 * random.sample_normal_0_1() * 256), -127.0, 127.0);
                 surfels.sh[i * kShFloats + std::size_t(channel * kShCoefficients + k)] = float(steps / 256);
             }
 }
 
 }  // namespace
 
-Surfels make_benchmark_street_surfels(std::uint32_t n_surfels, std::uint32_t seed, bool shrink_with_count) {
-    const std::vector<Rectangle> rectangles = make_street_layout();
+Surfels make_benchmark_street_surfels(std::uint32_t n_surfels, std::uint32_t seed,
+                                      bool smaller_scales_for_more_surfels) {
+    const std::vector<Rectangle> rectangles = make_street_rectangles();
     NumpyRandomState random(seed);
     Surfels surfels;
     surfels.resize(n_surfels);
-    const std::vector<std::uint16_t> index = draw_rectangle_indices(n_surfels, rectangles, random);
-    draw_surfel_positions(rectangles, index, random, surfels);
-    draw_surfel_rotations(rectangles, index, random, surfels);
-    draw_scales_and_opacities(shrink_with_count, random, surfels);
-    draw_spherical_harmonics(rectangles, index, random, surfels);
+    const std::vector<std::uint16_t> index = sample_rectangle_indices_by_area(n_surfels, rectangles, random);
+    sample_surfel_positions_on_rectangles(rectangles, index, random, surfels);
+    sample_random_surfel_rotations(rectangles, index, random, surfels);
+    sample_random_scales_and_opacities(smaller_scales_for_more_surfels, random, surfels);
+    sample_random_spherical_harmonics(rectangles, index, random, surfels);
     return surfels;
 }
 

@@ -26,7 +26,7 @@ constexpr double kMostPairs = 200.0;
 
 /// Returns the number of patches along a length. The number is even, so that the symmetry
 /// plane y = 0 does not cut a patch.
-int count_patches_along(double length_m) {
+int compute_even_patch_count(double length_m) {
     return 2 * int(std::clamp(std::round(length_m / (2.0 * kBoxPatch_m)), 1.0, kMostPairs));
 }
 
@@ -46,8 +46,8 @@ double get_min_incidence_cosine(BoxSide side) { return side == BoxSide::top ? 0.
 
 ObservedBoxSurface::ObservedBoxSurface(const glm::dvec3& size_m) : half_m_(0.5 * size_m) {
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        n_[s] = {count_patches_along(size_m[kSideFrames[s].first]),
-                 count_patches_along(size_m[kSideFrames[s].second])};
+        n_[s] = {compute_even_patch_count(size_m[kSideFrames[s].first]),
+                 compute_even_patch_count(size_m[kSideFrames[s].second])};
         observed_patches_[s].assign(std::size_t(n_[s][0] * n_[s][1]), 0);
     }
 }
@@ -68,10 +68,10 @@ std::optional<ObservedBoxSurface::BoxSurfacePatch> ObservedBoxSurface::find_patc
         BoxSide(side),
         find_patch_index(on_surface[frame.first], half_m_[frame.first], n_[std::size_t(side)][0]),
         find_patch_index(on_surface[frame.second], half_m_[frame.second], n_[std::size_t(side)][1])};
-    return is_patch_considered(patch) ? std::optional(patch) : std::nullopt;
+    return is_patch_above_ground_margin(patch) ? std::optional(patch) : std::nullopt;
 }
 
-bool ObservedBoxSurface::is_patch_considered(const BoxSurfacePatch& patch) const {
+bool ObservedBoxSurface::is_patch_above_ground_margin(const BoxSurfacePatch& patch) const {
     return patch.side == BoxSide::top || (patch.row + 0.5) / n_[std::size_t(patch.side)][1] > kHiddenHeight;
 }
 
@@ -87,7 +87,8 @@ bool ObservedBoxSurface::has_observed_patch(const BoxSurfacePatch& patch) const 
                             [std::size_t(patch.row * n_[std::size_t(patch.side)][0] + patch.column)] != 0;
 }
 
-void ObservedBoxSurface::mark_patch_observed(const glm::dvec3& point_m, const glm::dvec3& ray_direction) {
+void ObservedBoxSurface::mark_patch_of_point_as_observed(const glm::dvec3& point_m,
+                                                         const glm::dvec3& ray_direction) {
     const std::optional<BoxSurfacePatch> patch = find_patch_of_point(point_m);
     if (!patch) return;
     const auto side = std::size_t(patch->side);
@@ -96,7 +97,7 @@ void ObservedBoxSurface::mark_patch_observed(const glm::dvec3& point_m, const gl
     observed_patches_[side][std::size_t(patch->row * n_[side][0] + patch->column)] = 1;
 }
 
-bool ObservedBoxSurface::is_patch_observed(const glm::dvec3& point_m) const {
+bool ObservedBoxSurface::is_patch_of_point_observed(const glm::dvec3& point_m) const {
     const std::optional<BoxSurfacePatch> patch = find_patch_of_point(point_m);
     return patch && has_observed_patch(*patch);
 }
@@ -114,7 +115,7 @@ std::array<double, 2> ObservedBoxSurface::compute_patch_areas(BoxSide side, bool
     for (int row = 0; row < rows; ++row) {
         for (int column = 0; column < columns; ++column) {
             const BoxSurfacePatch patch{side, column, row};
-            if (!is_patch_considered(patch)) continue;
+            if (!is_patch_above_ground_margin(patch)) continue;
             const bool held = mirrored
                                   ? !has_observed_patch(patch) && has_observed_patch(get_mirror_patch(patch))
                                   : has_observed_patch(patch);
@@ -124,33 +125,37 @@ std::array<double, 2> ObservedBoxSurface::compute_patch_areas(BoxSide side, bool
     return sum;
 }
 
-double ObservedBoxSurface::compute_area_fraction(bool mirrored) const {
+double ObservedBoxSurface::compute_observed_or_mirrored_fraction(bool is_mirrored_area) const {
     double held_m2 = 0.0, all_m2 = 0.0;
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        const std::array<double, 2> area = compute_patch_areas(BoxSide(s), mirrored);
+        const std::array<double, 2> area = compute_patch_areas(BoxSide(s), is_mirrored_area);
         held_m2 += area[0], all_m2 += area[1];
     }
     return held_m2 / all_m2;
 }
 
-double ObservedBoxSurface::compute_observed_fraction(BoxSide side) const {
+double ObservedBoxSurface::compute_observed_area_fraction(BoxSide side) const {
     const std::array<double, 2> area = compute_patch_areas(side, false);
     return area[0] / area[1];
 }
 
-double ObservedBoxSurface::compute_mirrored_fraction(BoxSide side) const {
+double ObservedBoxSurface::compute_mirrored_area_fraction(BoxSide side) const {
     const std::array<double, 2> area = compute_patch_areas(side, true);
     return area[0] / area[1];
 }
 
-double ObservedBoxSurface::compute_observed_fraction() const { return compute_area_fraction(false); }
-double ObservedBoxSurface::compute_mirrored_fraction() const { return compute_area_fraction(true); }
+double ObservedBoxSurface::compute_observed_area_fraction() const {
+    return compute_observed_or_mirrored_fraction(false);
+}
+double ObservedBoxSurface::compute_mirrored_area_fraction() const {
+    return compute_observed_or_mirrored_fraction(true);
+}
 
-ObservedSideFractions ObservedBoxSurface::compute_covered_fractions() const {
+ObservedSideFractions ObservedBoxSurface::compute_covered_fraction_of_each_side() const {
     ObservedSideFractions shares{};
     for (std::size_t s = 0; s < kBoxSides; ++s)
-        shares[s] = float(compute_observed_fraction(BoxSide(s)) +
-                          (is_completed ? compute_mirrored_fraction(BoxSide(s)) : 0.0));
+        shares[s] = float(compute_observed_area_fraction(BoxSide(s)) +
+                          (is_completed ? compute_mirrored_area_fraction(BoxSide(s)) : 0.0));
     return shares;
 }
 
@@ -161,7 +166,7 @@ std::optional<BoxSide> ObservedBoxSurface::find_mirror_completed_side(const glm:
     return patch->side;
 }
 
-double ObservedBoxSurface::compute_asymmetry_m(const std::vector<glm::vec3>& points_m) const {
+double ObservedBoxSurface::compute_left_right_asymmetry_m(const std::vector<glm::vec3>& points_m) const {
     struct Mean {
         double sum_m = 0.0;
         int n = 0;
@@ -189,7 +194,7 @@ std::string ObservedBoxSurface::format_observed_patches(BoxSide side) const {
     return text;
 }
 
-bool ObservedBoxSurface::parse_observed_patches(BoxSide side, const std::string& text) {
+bool ObservedBoxSurface::try_parse_and_set_observed_patches(BoxSide side, const std::string& text) {
     std::vector<char>& patches = observed_patches_[std::size_t(side)];
     if (text.size() != patches.size() || text.find_first_not_of("01") != std::string::npos) return false;
     std::ranges::transform(text, patches.begin(), [](char character) { return char(character == '1'); });

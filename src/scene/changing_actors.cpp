@@ -60,7 +60,7 @@ using SamplesByFrame = std::vector<std::unique_ptr<FrameSamples>>;
 
 SamplesByFrame group_samples_by_frame(const std::vector<LidarSample>& samples) {
     SamplesByFrame frames;
-    for (auto& [frame, of_frame] : group_indices_by_frame(samples))
+    for (auto& [frame, of_frame] : group_sample_indices_by_frame(samples))
         frames.push_back(std::make_unique<FrameSamples>(samples, std::move(of_frame)));
     for (std::size_t k = 0; k < frames.size(); ++k) {
         const std::size_t before = k > 0 ? k - 1 : 0, after = std::min(k + 1, frames.size() - 1);
@@ -154,10 +154,10 @@ std::vector<char> mark_static_samples(const std::vector<LidarSample>& samples, c
 /// Makes the surfels that represent an actor in one frame. They become more transparent
 /// as the actor walks away from its position in this frame. The opacity is a Gaussian
 /// whose standard deviation is the distance between two frames.
-Surfels make_surfels_of_frame(const SamplesByFrame& frames, std::size_t frame_index,
-                              const std::vector<LidarSample>& samples,
-                              const std::vector<LidarSample>& changing_samples, double period_m,
-                              const SceneInitialisationOptions& options, double incidence_coefficient) {
+Surfels make_actor_surfels_of_frame(const SamplesByFrame& frames, std::size_t frame_index,
+                                    const std::vector<LidarSample>& samples,
+                                    const std::vector<LidarSample>& changing_samples, double gait_period_m,
+                                    const SceneInitialisationOptions& options, double incidence_coefficient) {
     const FrameSamples& frame = *frames[frame_index];
     std::vector<glm::vec3> shifts(changing_samples.size());
     parallel_for_in_blocks(changing_samples.size(), [&](std::size_t i) {
@@ -165,17 +165,18 @@ Surfels make_surfels_of_frame(const SamplesByFrame& frames, std::size_t frame_in
     });
     std::vector<GaitPhaseWindow> gait;
     for (const glm::vec3& shift : smooth_shifts_by_median(changing_samples, shifts))
-        gait.push_back({float(frame.walked_m / period_m), float(period_m / (2.0 * kPi * frame.spacing_m)),
-                        float(period_m / (2.0 * kPi * frame.spacing_m)) * shift});
+        gait.push_back({float(frame.walked_m / gait_period_m),
+                        float(gait_period_m / (2.0 * kPi * frame.spacing_m)),
+                        float(gait_period_m / (2.0 * kPi * frame.spacing_m)) * shift});
     return make_surfels_with_gait(changing_samples, gait, options, incidence_coefficient);
 }
 
 }  // namespace
 
-DeformingActorSurfels make_surfels_of_changing_actor(const std::vector<LidarSample>& samples,
-                                                     const SceneInitialisationOptions& options,
-                                                     double incidence_coefficient, std::size_t max_surfels,
-                                                     const ProgressReporter& progress) {
+DeformingActorSurfels make_surfels_of_deforming_actor(const std::vector<LidarSample>& samples,
+                                                      const SceneInitialisationOptions& options,
+                                                      double incidence_coefficient, std::size_t max_surfels,
+                                                      const ProgressReporter& progress) {
     const SamplesByFrame frames = group_samples_by_frame(samples);
     if (frames.size() < kFewestChanging)
         return {
@@ -206,8 +207,8 @@ DeformingActorSurfels make_surfels_of_changing_actor(const std::vector<LidarSamp
             if (!rests[i]) changing.push_back(samples[i]);
         if (changing.empty()) continue;
         changing = select_one_sample_per_voxel(changing, most_in_frame);
-        actor.surfels.append(make_surfels_of_frame(frames, k, samples, changing, actor.period_m, options,
-                                                   incidence_coefficient));
+        actor.surfels.append_surfels(make_actor_surfels_of_frame(frames, k, samples, changing, actor.period_m,
+                                                                 options, incidence_coefficient));
     }
     actor.surfels = actor.surfels.reorder(compute_kd_tree_order(actor.surfels.mean));
     return actor;

@@ -28,9 +28,9 @@ struct DeformingActorSurfels {
 /// @return surfels and their period. The result is empty, with period 0, if there are
 /// fewer than three frames. It is also empty if the actor walks less than half a
 /// metre.
-DeformingActorSurfels make_surfels_of_changing_actor(const std::vector<LidarSample>& samples,
-                                                     const SceneInitialisationOptions& options,
-                                                     double incidence_coefficient, std::size_t max_surfels,
-                                                     const ProgressReporter& progress = {});
+DeformingActorSurfels make_surfels_of_deforming_actor(const std::vector<LidarSample>& samples,
+                                                      const SceneInitialisationOptions& options,
+                                                      double incidence_coefficient, std::size_t max_surfels,
+                                                      const ProgressReporter& progress = {});
 
 }  // namespace relidar

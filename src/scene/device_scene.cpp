@@ -24,7 +24,7 @@ static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry
 
 namespace {
 
-void check_primitives_match(PrimitiveType scene_primitive, const ImageFormationModel& image_model) {
+void require_matching_primitive(PrimitiveType scene_primitive, const ImageFormationModel& image_model) {
     if (scene_primitive == image_model.primitive) return;
     throw UsageError(
         fmt::format("cannot use image.primitive={}: the scene consists of {}; use image.primitive={}, "
@@ -33,7 +33,7 @@ void check_primitives_match(PrimitiveType scene_primitive, const ImageFormationM
                     get_primitive_kind(scene_primitive).name));
 }
 
-void check_scene_layout(const Scene& scene) {
+void require_valid_scene_layout(const Scene& scene) {
     // Checks that the surfels of each model directly follow the surfels of the previous
     // model. The kernels need this order, because they find the model of a surfel by
     // binary search.
@@ -56,10 +56,11 @@ void check_scene_layout(const Scene& scene) {
                 instance.model, scene.models.size()));
 }
 
-std::vector<SpecialisationConstant> make_activation_kernel_constants(bool stage_harmonics) {
-    std::vector<SpecialisationConstant> all{{SpecialisationConstantId::STAGED, stage_harmonics ? 1u : 0u}};
+std::vector<SpecialisationConstant> make_activation_kernel_constants(bool stage_sh_in_shared_memory) {
+    std::vector<SpecialisationConstant> all{
+        {SpecialisationConstantId::STAGED, stage_sh_in_shared_memory ? 1u : 0u}};
     // Limits a workgroup to 64 threads, so that it needs only 4.4 kB of shared memory.
-    if (stage_harmonics) all.push_back({SpecialisationConstantId::WORKGROUP_SIZE, 64u});
+    if (stage_sh_in_shared_memory) all.push_back({SpecialisationConstantId::WORKGROUP_SIZE, 64u});
     return all;
 }
 
@@ -103,7 +104,8 @@ struct InstanceGradientRows {
     }
 };
 
-std::vector<shared::ModelEntry> make_model_table(const Scene& scene, const InstanceGradientRows& placements) {
+std::vector<shared::ModelEntry> make_model_table(const Scene& scene,
+                                                 const InstanceGradientRows& gradient_rows) {
     std::vector<shared::ModelEntry> entries;
     for (std::size_t i = 0; i < scene.models.size(); ++i) {
         const SurfelModel& model = scene.models[i];
@@ -111,8 +113,8 @@ std::vector<shared::ModelEntry> make_model_table(const Scene& scene, const Insta
                            .n_surfels = model.count,
                            .half_size = model.half_size_m,
                            .half_diagonal = glm::length(model.half_size_m),
-                           .first_more = placements.first_more[i],
-                           .n_more = placements.first_more[i + 1] - placements.first_more[i]});
+                           .first_more = gradient_rows.first_more[i],
+                           .n_more = gradient_rows.first_more[i + 1] - gradient_rows.first_more[i]});
     }
     return entries;
 }
@@ -154,7 +156,7 @@ struct DeviceScene::Impl {
     /// Stores the poses of all instances, and returns the instance table for the device.
     /// Each entry has the transform from world to model, the motion, and the range of
     /// surfels. The surfel range of an absent instance is empty.
-    std::vector<shared::InstanceEntry> store_poses_and_make_table(
+    std::vector<shared::InstanceEntry> store_poses_and_make_instance_table(
         const std::vector<InstancePose>& instance_poses) {
         if (instance_poses.size() != layout.instances.size())
             throw DataError(
@@ -192,7 +194,7 @@ struct DeviceScene::Impl {
             origins.push_back(i < 0 ? view_origin_world_m
                                     : glm::vec3(inverse(poses[static_cast<std::size_t>(i)].world_from_model) *
                                                 glm::dvec3(view_origin_world_m)));
-        return stream.impl().store_host_values(origins);
+        return stream.impl().stage_host_values_for_kernels(origins);
     }
 
     /// Returns the phase of the walking motion of each model. If a model has several
@@ -208,40 +210,43 @@ struct DeviceScene::Impl {
             all.push_back(layout.models[m].stride_m > 0.0f ? static_cast<float>(turns - std::floor(turns))
                                                            : -1.0f);
         }
-        return stream.impl().store_host_values(all);
+        return stream.impl().stage_host_values_for_kernels(all);
     }
 };
 
 DeviceScene::DeviceScene(Device& device, const Scene& scene, std::optional<bool> stage_harmonics) {
-    check_scene_layout(scene);
-    impl_ = std::make_unique<Impl>(device, scene, stage_harmonics.value_or(prefers_coalesced_access(device)));
+    require_valid_scene_layout(scene);
+    impl_ = std::make_unique<Impl>(device, scene,
+                                   stage_harmonics.value_or(should_coalesce_memory_access(device)));
     impl_->parameters.upload(scene.surfels);
-    set_instance_poses(std::vector<Pose>(scene.instances.size()));
+    upload_instance_poses_and_wait(std::vector<Pose>(scene.instances.size()));
 }
 
 DeviceScene::~DeviceScene() = default;
 
-void DeviceScene::set_instance_poses(const std::vector<Pose>& world_from_instance) {
+void DeviceScene::upload_instance_poses_and_wait(const std::vector<Pose>& world_from_instance) {
     std::vector<InstancePose> placed;
     for (const Pose& pose : world_from_instance) placed.push_back({pose});
-    set_instance_poses(placed);
+    upload_instance_poses_and_wait(placed);
 }
 
-void DeviceScene::set_instance_poses(const std::vector<InstancePose>& instance_poses) {
-    impl_->instances.upload(impl_->store_poses_and_make_table(instance_poses));
+void DeviceScene::upload_instance_poses_and_wait(const std::vector<InstancePose>& instance_poses) {
+    impl_->instances.upload(impl_->store_poses_and_make_instance_table(instance_poses));
 }
 
-void DeviceScene::record_instance_poses(Stream& stream, const std::vector<InstancePose>& instance_poses) {
-    const std::vector<shared::InstanceEntry> entries = impl_->store_poses_and_make_table(instance_poses);
+void DeviceScene::record_upload_of_instance_poses(Stream& stream,
+                                                  const std::vector<InstancePose>& instance_poses) {
+    const std::vector<shared::InstanceEntry> entries =
+        impl_->store_poses_and_make_instance_table(instance_poses);
     stream.impl().record_buffer_write(impl_->instances.buffer(), entries.data(),
                                       entries.size() * sizeof(entries[0]));
 }
 
-void DeviceScene::compute_surfel_records(Stream& stream, const ImageFormationModel& model,
-                                         const glm::vec3& view_origin_m) {
+void DeviceScene::record_surfel_record_computation(Stream& stream, const ImageFormationModel& model,
+                                                   const glm::vec3& view_origin_m) {
     impl_->alpha_min = model.alpha_min;
     if (size() == 0) return;
-    check_primitives_match(primitive(), model);
+    require_matching_primitive(primitive(), model);
     run(stream, impl_->activate, size(),
         {.surfels = get_surfel_pointers(impl_->parameters),
          .records = impl_->records.address(),
@@ -257,14 +262,14 @@ void DeviceScene::compute_surfel_records(Stream& stream, const ImageFormationMod
 
 bool DeviceScene::can_skip_untouched_surfels() const { return impl_->list.has_value(); }
 
-void DeviceScene::backpropagate_surfel_records(Stream& stream, const ImageFormationModel& model,
-                                               const glm::vec3& view_origin_m,
-                                               const ActivationGradients& gradients) {
+void DeviceScene::record_surfel_record_backpropagation(Stream& stream, const ImageFormationModel& model,
+                                                       const glm::vec3& view_origin_m,
+                                                       const ActivationGradients& gradients) {
     if (size() == 0) return;
     const bool listed =
         gradients.touched_is_marked && can_skip_untouched_surfels() && !gradients.zero_untouched;
-    if (listed) impl_->list->collect_touched_rows(stream, gradients.touched->address(), size());
-    run(stream, impl_->activate_vjp, listed ? impl_->list->choose_thread_count(size()) : size(),
+    if (listed) impl_->list->record_listing_of_touched_rows(stream, gradients.touched->address(), size());
+    run(stream, impl_->activate_vjp, listed ? impl_->list->choose_threads_for_touched_rows(size()) : size(),
         {.surfels = get_surfel_pointers(impl_->parameters),
          .d_records = gradients.d_records->address(),
          .models = impl_->models.address(),
@@ -277,7 +282,7 @@ void DeviceScene::backpropagate_surfel_records(Stream& stream, const ImageFormat
              listed ? impl_->list->get_touched_rows_address() : Address<std::uint32_t, shared::TouchedRows>{},
          .n_listed = listed ? impl_->list->get_touched_count_address()
                             : Address<std::uint32_t, shared::TouchedCount>{},
-         .d_view = get_address(gradients.d_view),
+         .d_view = get_device_address_or_null(gradients.d_view),
          .n_surfels = size(),
          .n_models = impl_->count_models(),
          .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
@@ -303,7 +308,7 @@ void DeviceScene::set_models(const std::vector<SurfelModel>& models) {
     impl_->more_rows.upload(impl_->placements.more);
 }
 
-bool DeviceScene::has_new_gait_phases(const std::vector<InstancePose>& instance_poses) const {
+bool DeviceScene::would_change_gait_phases(const std::vector<InstancePose>& instance_poses) const {
     if (!impl_->parameters.bends) return false;
     for (std::size_t i = 0; i < std::min(instance_poses.size(), impl_->poses.size()); ++i) {
         const bool bends = impl_->layout.models[impl_->layout.instances[i].model].stride_m > 0.0f;
@@ -323,8 +328,8 @@ const Array<shared::InstanceEntry>& DeviceScene::get_instance_table() const { re
 float DeviceScene::alpha_min() const { return impl_->alpha_min; }
 PrimitiveType DeviceScene::primitive() const { return impl_->parameters.primitive; }
 std::uint32_t DeviceScene::size() const { return impl_->parameters.n; }
-std::uint32_t DeviceScene::get_first_gradient_row(std::size_t instance) const {
-    return impl_->placements.first_row[instance];
+std::uint32_t DeviceScene::get_first_gradient_row_of_instance(std::size_t instance_index) const {
+    return impl_->placements.first_row[instance_index];
 }
 std::uint32_t DeviceScene::count_gradient_rows() const { return impl_->placements.n_rows; }
 

@@ -93,8 +93,9 @@ std::optional<BoxTrack> fit_box_if_motion_proven(const VisibilityChecker& visibi
 /// Extends a labelled box to the times before and after its labels. Uses only the parts
 /// of the track in which other frames prove that the object moved. Returns nothing if no
 /// part has such a proof.
-std::optional<BoxTrack> extend_labelled_track_if_proven(const VisibilityChecker& visibility,
-                                                        MoverTrack& track, const BoxTrack& labelled_box) {
+std::optional<BoxTrack> extend_labelled_box_if_motion_proven(const VisibilityChecker& visibility,
+                                                             MoverTrack& track,
+                                                             const BoxTrack& labelled_box) {
     const BoxTrack box = extend_labelled_box(track, labelled_box);
     const double first_s = labelled_box.world_from_box.time_s.front();
     TrackMotionEvidence before, after;
@@ -168,17 +169,17 @@ std::vector<BoxTrack> fit_boxes_of_proven_movers(VisibilityChecker& visibility,
                                                  const LidarSequence& sequence,
                                                  const ProgressReporter& progress,
                                                  const ProcessGroup& group) {
-    const ProcessGroup::PartRange share = group.compute_assigned_range(tracks.size());
+    const ProcessGroup::PartRange share = group.get_range_of_process(tracks.size());
     for (std::size_t i = share.begin; i < share.end; ++i)
         for (const MoverObservation& o : tracks[i].observations)
-            visibility.create_range_images(o.cluster.points_m);
+            visibility.create_range_images_for_points(o.cluster.points_m);
     std::vector<std::optional<BoxTrack>> proven_boxes(share.end - share.begin);
     parallel_for_with_progress(
         proven_boxes.size(), progress, "computing the paths of moving objects", [&](std::size_t index) {
             MoverTrack& track = tracks[share.begin + index];
             proven_boxes[index] = track.label == kNoLabel
                                       ? fit_box_if_motion_proven(visibility, track)
-                                      : extend_labelled_track_if_proven(
+                                      : extend_labelled_box_if_motion_proven(
                                             visibility, track, sequence.boxes[std::size_t(track.label)]);
         });
     return gather_boxes_of_all_processes(group, tracks, proven_boxes, share.begin, sequence);
@@ -192,7 +193,7 @@ bool is_mostly_inside_box(const BoxTrack& inner_box, const BoxTrack& outer_box) 
     std::size_t inside = 0;
     for (std::size_t i = 0; i < inner_box.world_from_box.time_s.size(); ++i) {
         const double t_s = inner_box.world_from_box.time_s[i];
-        inside += outer_box.is_present(t_s) &&
+        inside += outer_box.is_observed_at_time(t_s) &&
                   outer_box.contains_point(inner_box.world_from_box.pose[i].translation, t_s, margin);
     }
     return 2 * inside > inner_box.world_from_box.time_s.size();
@@ -266,14 +267,16 @@ void merge_boxes_of_lidars(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> b
 
 }  // namespace
 
-std::vector<BoxTrack> discover_tracks(const LidarSequence& sequence, const std::vector<int>& train_positions,
-                                      const ProgressReporter& progress, const ProcessGroup& group) {
+std::vector<BoxTrack> discover_moving_object_tracks(const LidarSequence& sequence,
+                                                    const std::vector<int>& train_frame_indices,
+                                                    const ProgressReporter& progress,
+                                                    const ProcessGroup& group) {
     std::vector<BoxTrack> boxes;
     // Processes each LiDAR separately. If two LiDARs scanned at the same time, a joint
     // search would add an object twice to one track.
     for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
-        merge_boxes_of_lidars(boxes,
-                              discover_movers_of_lidar(lidar, sequence, train_positions, progress, group));
+        merge_boxes_of_lidars(
+            boxes, discover_movers_of_lidar(lidar, sequence, train_frame_indices, progress, group));
     std::stable_partition(boxes.begin(), boxes.end(),
                           [](const BoxTrack& box) { return !is_extension_of_label(box); });
     int n = 0;

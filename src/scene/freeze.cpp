@@ -96,7 +96,7 @@ void apply_gait_to_surfel(Surfels& surfels, std::size_t surfel_index, double gai
     surfels.opacity_logit[surfel_index] = float(std::log(std::max(opacity, kFaintest) / (1.0 - opacity)));
 }
 
-void transform_surfels(Surfels& surfels, const Pose& world_from_model) {
+void transform_surfels_to_world(Surfels& surfels, const Pose& world_from_model) {
     const ShRotation sh_rotation = make_harmonics_rotation_matrix(world_from_model.rotation);
     parallel_for_in_blocks(surfels.size(), [&](std::size_t index) {
         surfels.mean[index] = glm::vec3(world_from_model * glm::dvec3(surfels.mean[index]));
@@ -112,7 +112,7 @@ void transform_surfels(Surfels& surfels, const Pose& world_from_model) {
 
 }  // namespace
 
-Surfels bake_surfels_to_world(const Scene& scene, const std::vector<InstancePose>& instance_poses) {
+Surfels transform_all_surfels_to_world(const Scene& scene, const std::vector<InstancePose>& instance_poses) {
     if (instance_poses.size() != scene.instances.size())
         throw DataError(
             fmt::format("cannot freeze the scene: found {} poses, expected {}, one for each instance",
@@ -129,8 +129,8 @@ Surfels bake_surfels_to_world(const Scene& scene, const std::vector<InstancePose
         instance_surfels.gait.clear();
         instance_surfels.bends = false;
         if (!scene.instances[k].track.empty())
-            transform_surfels(instance_surfels, instance_poses[k].world_from_model);
-        all.append(instance_surfels);
+            transform_surfels_to_world(instance_surfels, instance_poses[k].world_from_model);
+        all.append_surfels(instance_surfels);
     }
     return all;
 }

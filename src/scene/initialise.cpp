@@ -63,7 +63,7 @@ std::vector<LidarSample> collect_background_samples(const LidarSequence& sequenc
     std::vector<LidarSample> samples;
     for_each_return(sequence, frame, options.second_returns, [&](const WorldReturn& world_return) {
         const auto is_in = [&](const BoxTrack& box) {
-            return box.is_present(world_return.time_s) &&
+            return box.is_observed_at_time(world_return.time_s) &&
                    box.contains_point(world_return.point_m, world_return.time_s, kMoverMargin_m);
         };
         if (std::ranges::any_of(excluded_boxes, is_in)) return;
@@ -116,10 +116,11 @@ struct VoxelSample {
 constexpr std::size_t kParts = 32;
 using VoxelSamplesByPart = std::array<std::vector<VoxelSample>, kParts>;
 
-VoxelSamplesByPart collect_samples_by_hash_table(const LidarSequence& sequence, const LidarFrame& frame,
-                                                 const std::vector<BoxTrack>& excluded_boxes,
-                                                 const NearestPointFinder<float>& sensor_positions,
-                                                 const SceneInitialisationOptions& options) {
+VoxelSamplesByPart partition_frame_samples_by_voxel_hash(const LidarSequence& sequence,
+                                                         const LidarFrame& frame,
+                                                         const std::vector<BoxTrack>& excluded_boxes,
+                                                         const NearestPointFinder<float>& sensor_positions,
+                                                         const SceneInitialisationOptions& options) {
     VoxelSamplesByPart placed;
     std::uint32_t number = 0;
     for (const LidarSample& s : collect_background_samples(sequence, frame, excluded_boxes, options)) {
@@ -162,7 +163,7 @@ std::vector<LidarSample> compute_mean_sample_per_voxel(const LidarSequence& sequ
                      double(begin) / double(train_frame_indices.size()));
         std::vector<VoxelSamplesByPart> frames(std::min(kFrames, train_frame_indices.size() - begin));
         parallel_for(static_cast<int>(frames.size()), [&](int index) {
-            frames[std::size_t(index)] = collect_samples_by_hash_table(
+            frames[std::size_t(index)] = partition_frame_samples_by_voxel_hash(
                 sequence, sequence.frames[std::size_t(train_frame_indices[begin + std::size_t(index)])],
                 separate, sensors, options);
         });
@@ -196,7 +197,7 @@ std::vector<LidarSample> remove_moving_samples(const std::vector<LidarSample>& s
     VisibilityChecker visibility(sequence, train_frame_indices);
     std::vector<glm::vec3> points;
     for (const LidarSample& sample : samples) points.push_back(sample.position);
-    visibility.create_range_images(points);
+    visibility.create_range_images_for_points(points);
     std::vector<char> keep(samples.size());
     parallel_for_blocks_with_progress(
         samples.size(), progress, "removing moving points", [&](std::size_t index) {
@@ -211,17 +212,17 @@ std::vector<LidarSample> remove_moving_samples(const std::vector<LidarSample>& s
 
 }  // namespace
 
-Surfels initialise_background(const LidarSequence& sequence, const std::vector<int>& train_positions,
+Surfels initialise_background(const LidarSequence& sequence, const std::vector<int>& train_frame_indices,
                               const SceneInitialisationOptions& options, const ProgressReporter& progress) {
     std::vector<LidarSample> samples =
-        compute_mean_sample_per_voxel(sequence, train_positions, options, progress);
+        compute_mean_sample_per_voxel(sequence, train_frame_indices, options, progress);
     if (options.unlabelled_movers != UnlabelledMoverPolicy::background)
-        samples = remove_moving_samples(samples, sequence, train_positions, progress);
+        samples = remove_moving_samples(samples, sequence, train_frame_indices, progress);
     if (samples.empty())
         throw DataError(
             fmt::format("cannot initialise the background of {}: none of its {} training frames has a return "
                         "outside moving boxes, expected at least one",
-                        sequence.name, train_positions.size()));
+                        sequence.name, train_frame_indices.size()));
     return make_surfels_from_points(samples, options, sequence.intensity_response.incidence, progress);
 }
 

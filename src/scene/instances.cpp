@@ -16,7 +16,7 @@ std::uint32_t append_model(Scene& scene, const Scene& source_scene, std::uint32_
     const Surfels surfels = source_scene.surfels.slice(added.first, added.count);
     added.first = static_cast<std::uint32_t>(scene.surfels.size());
     scene.models.push_back(std::move(added));
-    scene.surfels.append(surfels);
+    scene.surfels.append_surfels(surfels);
     return static_cast<std::uint32_t>(scene.models.size() - 1);
 }
 
@@ -33,12 +33,13 @@ Scene duplicate_shared_models(Scene scene) {
     return scene;
 }
 
-std::vector<bool> select_instances(const Scene& scene, const std::vector<std::string>& names) {
+std::vector<bool> mark_instances_with_names(const Scene& scene,
+                                            const std::vector<std::string>& instance_names) {
     std::vector<bool> selected(scene.instances.size(), false);
     std::vector<std::string> part_names{"background", "actors"};
     for (const ModelInstance& instance : scene.instances)
         if (!instance.track.empty()) part_names.push_back(instance.track);
-    for (const std::string& name : names) {
+    for (const std::string& name : instance_names) {
         if (std::find(part_names.begin(), part_names.end(), name) == part_names.end())
             throw UsageError(fmt::format("cannot select the part \"{}\" of the scene{} (known parts: {})",
                                          name, format_name_suggestion(name, part_names, "\""),

@@ -83,7 +83,7 @@ std::vector<GroundPose> compute_ground_poses_at_frames(const MoverTrack& track,
 struct AxisInterval {
     double low, high;
 };
-AxisInterval compute_extent_along(const MoverCluster& cluster, const glm::dvec3& axis) {
+AxisInterval compute_cluster_extent_along_axis(const MoverCluster& cluster, const glm::dvec3& axis) {
     std::vector<double> values;
     for (const glm::dvec3& p : cluster.points_m) values.push_back(glm::dot(axis, p));
     std::sort(values.begin(), values.end());
@@ -96,7 +96,7 @@ AxisInterval compute_extent_along(const MoverCluster& cluster, const glm::dvec3&
 double estimate_visible_half_length_m(const MoverTrack& track, const std::vector<glm::dvec3>& axes) {
     std::vector<double> lengths;
     for (std::size_t k = 0; k < axes.size(); ++k) {
-        const auto [low, high] = compute_extent_along(track.observations[k].cluster, axes[k]);
+        const auto [low, high] = compute_cluster_extent_along_axis(track.observations[k].cluster, axes[k]);
         lengths.push_back(high - low);
     }
     std::sort(lengths.begin(), lengths.end());
@@ -105,11 +105,12 @@ double estimate_visible_half_length_m(const MoverTrack& track, const std::vector
 
 /// Returns the position of an object's centre along an axis, for each observation. The
 /// visible end faces the sensor. The centre is half the object's size behind this end.
-std::vector<double> compute_centres_along(const MoverTrack& track, const std::vector<glm::dvec3>& axes,
-                                          double half_size_m) {
+std::vector<double> compute_object_centres_along_axes(const MoverTrack& track,
+                                                      const std::vector<glm::dvec3>& axes,
+                                                      double half_size_m) {
     std::vector<double> centres;
     for (std::size_t k = 0; k < axes.size(); ++k) {
-        const auto [low, high] = compute_extent_along(track.observations[k].cluster, axes[k]);
+        const auto [low, high] = compute_cluster_extent_along_axis(track.observations[k].cluster, axes[k]);
         const double sensor = glm::dot(axes[k], track.observations[k].sensor_m);
         centres.push_back(sensor > high  ? high - half_size_m
                           : sensor < low ? low + half_size_m
@@ -124,7 +125,7 @@ std::vector<double> compute_centres_along(const MoverTrack& track, const std::ve
 std::vector<double> compute_top_heights_m(const MoverTrack& track) {
     std::vector<double> observed_tops_m, result;
     for (const MoverObservation& o : track.observations)
-        observed_tops_m.push_back(compute_extent_along(o.cluster, {0.0, 0.0, 1.0}).high);
+        observed_tops_m.push_back(compute_cluster_extent_along_axis(o.cluster, {0.0, 0.0, 1.0}).high);
     for (const MoverObservation& o : track.observations) {
         double top = -1e30;
         for (std::size_t j = 0; j < observed_tops_m.size(); ++j)
@@ -145,9 +146,9 @@ std::vector<glm::dvec3> estimate_positions_from_visible_end(const MoverTrack& tr
     std::vector<glm::dvec3> along, across, positions_m;
     for (const GroundPose& p : ground_poses)
         along.push_back(p.get_forward_axis()), across.push_back(p.get_lateral_axis());
-    const std::vector<double> x = compute_centres_along(
+    const std::vector<double> x = compute_object_centres_along_axes(
         track, along, size_m ? 0.5 * size_m->x : estimate_visible_half_length_m(track, along));
-    const std::vector<double> y = compute_centres_along(
+    const std::vector<double> y = compute_object_centres_along_axes(
         track, across, size_m ? 0.5 * size_m->y : estimate_visible_half_length_m(track, across));
     const std::vector<double> top = compute_top_heights_m(track);
     for (std::size_t k = 0; k < ground_poses.size(); ++k)
@@ -235,11 +236,11 @@ struct LabelBoxOffset {
 };
 /// Returns the median offset between a labelled box and the visible points of its object.
 /// @param observation_indices indices of the labelled observations to use
-LabelBoxOffset estimate_label_offset(const MoverTrack& track,
-                                     const std::vector<std::size_t>& observation_indices,
-                                     const std::vector<GroundPose>& ground_poses,
-                                     const std::vector<glm::dvec3>& positions_m,
-                                     const BoxTrack& labelled_box) {
+LabelBoxOffset estimate_median_label_box_offset(const MoverTrack& track,
+                                                const std::vector<std::size_t>& observation_indices,
+                                                const std::vector<GroundPose>& ground_poses,
+                                                const std::vector<glm::dvec3>& positions_m,
+                                                const BoxTrack& labelled_box) {
     std::vector<double> values[4];
     for (const std::size_t k : observation_indices) {
         const Pose pose = labelled_box.world_from_box.interpolate_pose(track.observations[k].cluster.time_s);
@@ -314,8 +315,10 @@ BoxTrack extend_labelled_box(const MoverTrack& track, const BoxTrack& labelled_b
     for (int round = 0; round < kRounds; ++round) {
         const std::vector<GroundPose> ground_poses = compute_ground_poses_along(list_positions(path));
         positions_m = estimate_positions_from_visible_end(track, ground_poses, &labelled_box.size_m);
-        before = estimate_label_offset(track, end_labels.first, ground_poses, positions_m, labelled_box),
-        after = estimate_label_offset(track, end_labels.last, ground_poses, positions_m, labelled_box);
+        before = estimate_median_label_box_offset(track, end_labels.first, ground_poses, positions_m,
+                                                  labelled_box),
+        after =
+            estimate_median_label_box_offset(track, end_labels.last, ground_poses, positions_m, labelled_box);
         for (std::size_t k = 0; k < positions_m.size(); ++k)
             positions_m[k] = is_labelled(track.observations[k])
                                  ? labelled_box.world_from_box.interpolate_pose(times[k]).translation

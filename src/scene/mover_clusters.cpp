@@ -77,7 +77,7 @@ std::vector<LabelledBox> find_labelled_boxes_at(const LidarSequence& sequence, d
         const PoseTrack& track = box.world_from_box;
         if (track.pose.empty()) continue;
         if (box.is_moving()) {
-            if (box.is_present(time_s)) boxes.push_back({box, static_cast<int>(i)});
+            if (box.is_observed_at_time(time_s)) boxes.push_back({box, static_cast<int>(i)});
             continue;
         }
         BoxTrack& still = boxes.emplace_back(LabelledBox{box, kNoLabel}).box;
@@ -104,7 +104,7 @@ MoverCluster divide_sums_by_point_count(MoverCluster cluster_sums) {
     return cluster_sums;
 }
 
-FrameMoverReturns collect_returns_of_frame(const LidarSequence& sequence, const LidarFrame& frame) {
+FrameMoverReturns split_returns_by_labelled_boxes(const LidarSequence& sequence, const LidarFrame& frame) {
     const std::vector<LabelledBox> labelled = find_labelled_boxes_at(sequence, frame.time_s);
     std::vector<MoverCluster> of_boxes(labelled.size());
     FrameMoverReturns result;
@@ -134,11 +134,11 @@ FrameMoverReturns collect_returns_of_frame(const LidarSequence& sequence, const 
 
 /// Assigns each return to a cell of a world grid.
 /// @return [cells] mean position of the returns in each cell
-std::vector<glm::vec3> assign_cells_and_compute_means(std::vector<FrameMoverReturns>& frames) {
+std::vector<glm::vec3> assign_grid_cells_and_get_mean_points(std::vector<FrameMoverReturns>& frames) {
     std::vector<MoverReturn*> all;
     for (FrameMoverReturns& frame : frames)
         for (MoverReturn& r : frame.others) all.push_back(&r);
-    const ItemCellIndices numbers = assign_cell_numbers(all.size(), [&](std::size_t index) {
+    const ItemCellIndices numbers = number_cells_and_assign_items(all.size(), [&](std::size_t index) {
         return compute_grid_cell_key(glm::dvec3(all[index]->point_m), kCell_m);
     });
     const CellItemLists items(numbers);
@@ -146,8 +146,8 @@ std::vector<glm::vec3> assign_cells_and_compute_means(std::vector<FrameMoverRetu
     std::vector<glm::vec3> means(items.size());
     parallel_for_in_blocks(items.size(), [&](std::size_t cell) {
         glm::dvec3 sum(0.0);
-        for (const std::uint32_t i : items.get_items_of_cell(cell)) sum += glm::dvec3(all[i]->point_m);
-        means[cell] = glm::vec3(sum / double(items.get_items_of_cell(cell).size()));
+        for (const std::uint32_t i : items.get_item_indices_of_cell(cell)) sum += glm::dvec3(all[i]->point_m);
+        means[cell] = glm::vec3(sum / double(items.get_item_indices_of_cell(cell).size()));
     });
     return means;
 }
@@ -240,11 +240,11 @@ ClustersByFrame find_clusters_in_frames(const LidarSequence& sequence, std::span
                                         VisibilityChecker& visibility) {
     std::vector<FrameMoverReturns> frames(frame_indices.size());
     parallel_for(static_cast<int>(frame_indices.size()), [&](int index) {
-        frames[std::size_t(index)] = collect_returns_of_frame(
+        frames[std::size_t(index)] = split_returns_by_labelled_boxes(
             sequence, sequence.frames[std::size_t(frame_indices[std::size_t(index)])]);
     });
-    const std::vector<glm::vec3> cells = assign_cells_and_compute_means(frames);
-    visibility.create_range_images(cells);
+    const std::vector<glm::vec3> cells = assign_grid_cells_and_get_mean_points(frames);
+    visibility.create_range_images_for_points(cells);
     std::vector<CellMotionState> motion(cells.size());
     parallel_for_in_blocks(cells.size(), [&](std::size_t index) {
         const VisibilityChecker::VisibilityVotes votes = visibility.count_visibility_votes(cells[index]);
@@ -308,7 +308,7 @@ std::vector<std::vector<MoverCluster>> find_mover_clusters(const LidarSequence& 
                                                            const ProcessGroup& group) {
     const std::size_t n_stretches = std::max<std::size_t>(1, frame_indices.size() / kStretch);
     const auto first_of = [&](std::size_t stretch) { return frame_indices.size() * stretch / n_stretches; };
-    const ProcessGroup::PartRange share = group.compute_assigned_range(n_stretches);
+    const ProcessGroup::PartRange share = group.get_range_of_process(n_stretches);
     ClustersByFrame process_clusters;
     for (std::size_t s = share.begin; s < share.end; ++s) {
         if (progress)

@@ -66,7 +66,7 @@ glm::dvec3 estimate_first_velocity(const MoverTrack& track, std::size_t max_obse
 /// Returns the distance between a cluster and the predicted position of a track, divided
 /// by the largest allowed distance. A value above 1 means that the cluster is another
 /// object.
-double compute_match_cost(const MoverTrack& track, const MoverCluster& cluster) {
+double compute_track_cluster_match_cost(const MoverTrack& track, const MoverCluster& cluster) {
     const double dt = cluster.time_s - track.get_last_cluster().time_s;
     if (!(dt > 0.0 && dt < kMaxGap_s)) return 2.0;
     const double ratio = double(cluster.points_m.size()) / double(track.get_last_cluster().points_m.size());
@@ -81,13 +81,13 @@ double compute_match_cost(const MoverTrack& track, const MoverCluster& cluster) 
 /// Returns how badly a cluster matches a track. A value above 1 means that the cluster
 /// belongs to another object. While the tracked object has a label, only clusters with
 /// the same label match.
-double compute_match_cost(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
-                          const LidarSequence& sequence) {
-    if (track.label == kNoLabel) return compute_match_cost(track, cluster);
+double compute_track_cluster_match_cost(const MoverTrack& track, const MoverCluster& cluster,
+                                        double frame_time_s, const LidarSequence& sequence) {
+    if (track.label == kNoLabel) return compute_track_cluster_match_cost(track, cluster);
     if (cluster.label != kNoLabel) return cluster.label == track.label ? 0.0 : 2.0;
     return sequence.boxes[std::size_t(track.label)].world_from_box.contains_time(frame_time_s)
                ? 2.0
-               : compute_match_cost(track, cluster);
+               : compute_track_cluster_match_cost(track, cluster);
 }
 
 /// Builds tracks frame by frame. A track is open while a cluster of the next frame can
@@ -96,7 +96,7 @@ class OpenTrackSet {
 public:
     explicit OpenTrackSet(const LidarSequence& sequence) : sequence_(sequence) {}
 
-    void add_frame_clusters(double frame_time_s, const std::vector<MoverCluster>& clusters) {
+    void link_frame_clusters_to_tracks(double frame_time_s, const std::vector<MoverCluster>& clusters) {
         std::erase_if(open_, [&](std::size_t t) { return has_track_ended(tracks_[t], frame_time_s); });
         std::vector<char> track_is_used(tracks_.size(), 0), cluster_is_used(clusters.size(), 0);
         for (const TrackClusterMatch& fit : list_possible_matches(frame_time_s, clusters)) {
@@ -135,7 +135,8 @@ private:
         std::vector<TrackClusterMatch> result;
         for (const std::size_t t : open_)
             for (std::size_t c = 0; c < clusters.size(); ++c)
-                if (const double m = compute_match_cost(tracks_[t], clusters[c], frame_time_s, sequence_);
+                if (const double m =
+                        compute_track_cluster_match_cost(tracks_[t], clusters[c], frame_time_s, sequence_);
                     m < 1.0)
                     result.push_back({m, t, c});
         std::sort(result.begin(), result.end(),
@@ -171,8 +172,8 @@ double compute_horizontal_gap_m(const MoverCluster& first, const MoverCluster& s
 
 /// Returns the observations of two tracks that are in the same frame, as pairs of
 /// indices.
-std::vector<std::pair<std::size_t, std::size_t>> list_common_observation_pairs(const MoverTrack& first,
-                                                                               const MoverTrack& second) {
+std::vector<std::pair<std::size_t, std::size_t>> list_observation_pairs_in_same_frame(
+    const MoverTrack& first, const MoverTrack& second) {
     std::vector<std::pair<std::size_t, std::size_t>> pairs;
     for (std::size_t i = 0, j = 0; i < first.observations.size() && j < second.observations.size();) {
         if (first.observations[i].frame_time_s < second.observations[j].frame_time_s) ++i;
@@ -186,7 +187,7 @@ std::vector<std::pair<std::size_t, std::size_t>> list_common_observation_pairs(c
 /// roof of a van, its tail and its cabin form separate clusters.
 bool are_tracks_of_same_vehicle(const MoverTrack& track, const MoverTrack& other_track) {
     if (other_track.label != kNoLabel) return false;
-    const auto common = list_common_observation_pairs(track, other_track);
+    const auto common = list_observation_pairs_in_same_frame(track, other_track);
     if (2 * common.size() < other_track.observations.size() || common.size() < 4) return false;
     const auto& [i, j] = common[common.size() / 2];
     if (std::min(compute_visible_width_m(track.observations[i].cluster),
@@ -290,7 +291,7 @@ std::vector<MoverTrack> link_clusters_to_tracks(
     const std::vector<double>& frame_times_s, const LidarSequence& sequence) {
     OpenTrackSet open(sequence);
     for (std::size_t f = 0; f < clusters_per_frame.size(); ++f)
-        open.add_frame_clusters(frame_times_s[f], clusters_per_frame[f]);
+        open.link_frame_clusters_to_tracks(frame_times_s[f], clusters_per_frame[f]);
     return join_tracks_across_gaps(std::move(open).release_tracks());
 }
 
@@ -328,7 +329,7 @@ void merge_tracks_of_same_object(std::vector<MoverTrack>& tracks) {
     for (std::size_t a = 0; a < tracks.size(); ++a)
         for (std::size_t b = a + 1; b < tracks.size(); ++b) {
             if (!are_tracks_of_same_vehicle(tracks[a], tracks[b])) continue;
-            for (const auto& [i, j] : list_common_observation_pairs(tracks[a], tracks[b]))
+            for (const auto& [i, j] : list_observation_pairs_in_same_frame(tracks[a], tracks[b]))
                 tracks[a].observations[i].cluster.merge_cluster(tracks[b].observations[j].cluster);
             tracks.erase(tracks.begin() + std::ptrdiff_t(b--));
         }

@@ -57,9 +57,9 @@ struct NeighbourPlane {
 /// points form no surface, the normal points to the sensor. With another normal, the
 /// surfel could be edge-on to the sensor, so that rays of the next scan would miss the
 /// surfel.
-NeighbourPlane fit_plane(const std::vector<LidarSample>& samples,
-                         const std::vector<std::size_t>& neighbour_indices, const glm::dvec3& view_direction,
-                         double max_flatness) {
+NeighbourPlane fit_plane_to_neighbours(const std::vector<LidarSample>& samples,
+                                       const std::vector<std::size_t>& neighbour_indices,
+                                       const glm::dvec3& view_direction, double max_flatness) {
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
     for (const std::size_t j : neighbour_indices)
         mean += Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z);
@@ -97,9 +97,9 @@ glm::dvec3 make_perpendicular_direction(const glm::dvec3& normal, double angle_r
 }
 
 /// Returns the rotation (w, x, y, z) whose first and third columns are `x_axis` and
-/// `normal`.
-glm::vec4 make_quaternion_from_axes(const glm::dvec3& x_axis, const glm::dvec3& normal) {
-    const glm::dquat q = glm::quat_cast(glm::dmat3(x_axis, glm::cross(normal, x_axis), normal));
+/// `z_axis`.
+glm::vec4 make_quaternion_from_x_and_z_axes(const glm::dvec3& x_axis, const glm::dvec3& z_axis) {
+    const glm::dquat q = glm::quat_cast(glm::dmat3(x_axis, glm::cross(z_axis, x_axis), z_axis));
     return {float(q.w), float(q.x), float(q.y), float(q.z)};
 }
 
@@ -150,9 +150,9 @@ ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
     return gap;
 }
 
-glm::dvec3 draw_random_direction(Random& random) {
-    const glm::dvec3 d(random.draw_standard_normal(), random.draw_standard_normal(),
-                       random.draw_standard_normal());
+glm::dvec3 sample_random_unit_direction(Random& random) {
+    const glm::dvec3 d(random.sample_standard_normal(), random.sample_standard_normal(),
+                       random.sample_standard_normal());
     return d / std::max(glm::length(d), 1e-12);
 }
 
@@ -160,7 +160,7 @@ glm::dvec3 draw_random_direction(Random& random) {
 /// cos)) with albedo a and cos = -n . d, where d is the direction of a ray towards the
 /// surface. The cosine has a lower limit, because the albedo is inaccurate at grazing
 /// angles.
-/// @param normal zero if unknown; then the intensity is the same from all directions
+/// @param z_axis zero if unknown; then the intensity is the same from all directions
 void set_intensity_harmonics(float* sh_coefficients, const LidarSample& sample, const glm::dvec3& normal,
                              double incidence_coefficient) {
     constexpr double kGrazing = 0.1;
@@ -207,12 +207,12 @@ struct SurfelPlacement {
 /// nearest neighbours. If all neighbours lie on one scan line or on one side of a gap,
 /// repeats the search with more neighbours. One line does not determine the rotation of
 /// the plane about the line.
-SurfelPlacement estimate_surface_at(const Tree& tree, const std::vector<LidarSample>& samples,
-                                    std::size_t sample_index, std::vector<std::size_t> nearest_indices,
-                                    const SceneInitialisationOptions& options) {
+SurfelPlacement estimate_surface_at_sample(const Tree& tree, const std::vector<LidarSample>& samples,
+                                           std::size_t sample_index, std::vector<std::size_t> nearest_indices,
+                                           const SceneInitialisationOptions& options) {
     constexpr int kWider = 2;  // maximum number of repeated searches with more neighbours
     SurfelPlacement placement{
-        fit_plane(samples, nearest_indices, samples[sample_index].view, options.flatness), {}};
+        fit_plane_to_neighbours(samples, nearest_indices, samples[sample_index].view, options.flatness), {}};
     if (options.max_gap_m <= 0.0) return placement;
     const auto widen = [&] {
         nearest_indices =
@@ -223,7 +223,7 @@ SurfelPlacement estimate_surface_at(const Tree& tree, const std::vector<LidarSam
     for (int k = 0; is_line && !placement.plane.is_surface && k < kWider; ++k) {
         widen();
         const NeighbourPlane wider =
-            fit_plane(samples, nearest_indices, samples[sample_index].view, options.flatness);
+            fit_plane_to_neighbours(samples, nearest_indices, samples[sample_index].view, options.flatness);
         // Uses the normal of the plane through more neighbours, but keeps the position of
         // the sample, because this plane is too coarse for positions.
         if (wider.is_surface) placement.plane = {samples[sample_index].position, wider.normal, true, true};
@@ -236,36 +236,40 @@ SurfelPlacement estimate_surface_at(const Tree& tree, const std::vector<LidarSam
     return placement;
 }
 
-/// Computes all parameters of surfel `index` from its sample and the nearby samples.
-void compute_surfel_parameters(Surfels& surfels, std::size_t index, const std::vector<LidarSample>& samples,
-                               const Tree& tree, const SceneInitialisationOptions& options,
-                               double incidence_coefficient) {
+/// Computes all parameters of surfel `surfel_index` from its sample and the nearby
+/// samples.
+void compute_surfel_parameters(Surfels& surfels, std::size_t surfel_index,
+                               const std::vector<LidarSample>& samples, const Tree& tree,
+                               const SceneInitialisationOptions& options, double incidence_coefficient) {
     const std::size_t k =
         std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
-    NearestSamples nearest(tree, samples[index], k);
+    NearestSamples nearest(tree, samples[surfel_index], k);
     const double spacing = nearest.samples.size() > 1 ? nearest.compute_mean_spacing_m() : options.voxel_m;
-    Random random(hash_integer_pair(options.seed, index));
+    Random random(hash_integer_pair(options.seed, surfel_index));
     nearest.samples.resize(std::min(nearest.samples.size(), std::size_t(options.normal_neighbours) + 1));
-    SurfelPlacement placement{{{}, draw_random_direction(random)}, {}};
+    SurfelPlacement placement{{{}, sample_random_unit_direction(random)}, {}};
     if (options.normals && nearest.samples.size() >= 3)
-        placement = estimate_surface_at(tree, samples, index, std::move(nearest.samples), options);
+        placement =
+            estimate_surface_at_sample(tree, samples, surfel_index, std::move(nearest.samples), options);
     const NeighbourPlane& plane = placement.plane;
-    surfels.mean[index] = samples[index].position;
+    surfels.mean[surfel_index] = samples[surfel_index].position;
     if (options.flatness < 1.0 && plane.is_surface)
-        surfels.mean[index] -= glm::vec3(
-            glm::dot(glm::dvec3(samples[index].position) - plane.point, plane.normal) * plane.normal);
-    glm::dvec3 x = make_perpendicular_direction(plane.normal, random.draw_uniform(0.0, 2.0 * kPi));
+        surfels.mean[surfel_index] -= glm::vec3(
+            glm::dot(glm::dvec3(samples[surfel_index].position) - plane.point, plane.normal) * plane.normal);
+    glm::dvec3 x = make_perpendicular_direction(plane.normal, random.sample_uniform_number(0.0, 2.0 * kPi));
     const double width = placement.gap.get_larger_distance_m(),
                  round = std::min(spacing * options.scale_factor, options.max_scale_m);
     const bool reaches =
         !placement.gap.is_one_side_missing() && width > kGap * spacing && width < options.max_gap_m;
     if (reaches) x = placement.gap.across;
-    surfels.rotation[index] = make_quaternion_from_axes(x, plane.normal);
+    surfels.rotation[surfel_index] = make_quaternion_from_x_and_z_axes(x, plane.normal);
     const auto log_scale = [](double m) { return static_cast<float>(std::log(std::max(m, 1e-3))); };
-    surfels.log_scale[index] = {log_scale(reaches ? width * options.scale_factor : round), log_scale(round)};
-    surfels.opacity_logit[index] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
-    float* sh = surfels.sh.data() + index * kShFloats;
-    set_intensity_harmonics(sh, samples[index], plane.is_surface ? plane.normal : glm::dvec3(0.0),
+    surfels.log_scale[surfel_index] = {log_scale(reaches ? width * options.scale_factor : round),
+                                       log_scale(round)};
+    surfels.opacity_logit[surfel_index] =
+        static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
+    float* sh = surfels.sh.data() + surfel_index * kShFloats;
+    set_intensity_harmonics(sh, samples[surfel_index], plane.is_surface ? plane.normal : glm::dvec3(0.0),
                             incidence_coefficient);
     const double hit_logit = options.one_logit ? 0.0 : 0.5 * (1.0 + options.hit_margin),
                  drop_logit = hit_logit - options.hit_margin;

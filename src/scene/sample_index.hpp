@@ -18,7 +18,7 @@
 namespace relidar {
 
 /// Maps the number of each frame to the indices of the samples of this frame.
-inline std::map<int, std::vector<std::uint32_t>> group_indices_by_frame(
+inline std::map<int, std::vector<std::uint32_t>> group_sample_indices_by_frame(
     const std::vector<LidarSample>& samples) {
     std::map<int, std::vector<std::uint32_t>> groups;
     for (std::size_t i = 0; i < samples.size(); ++i) groups[samples[i].frame].push_back(std::uint32_t(i));

@@ -47,7 +47,7 @@ SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::strin
 }
 
 void SurfelArrays::upload(const Surfels& surfels) {
-    surfels.check_array_lengths();
+    surfels.require_equal_array_lengths();
     if (surfels.size() > 0 && surfels.primitive != primitive)
         throw DataError(fmt::format("cannot upload surfels: found {}, expected {} like in the arrays",
                                     get_primitive_kind(surfels.primitive).label,
@@ -82,7 +82,7 @@ void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::strin
                                             fmt::format("{} {}", description, group.name));
 }
 
-void SurfelArrays::fill_zero(Stream& stream) {
+void SurfelArrays::record_zero_fill(Stream& stream) {
     for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set()))
         stream.fill(group.device(*this));
 }

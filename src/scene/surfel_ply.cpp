@@ -199,7 +199,7 @@ struct PlyColumns {
     std::vector<std::size_t> offset;
 };
 
-PlyColumns find_property_columns(const PlyRecordLayout& layout, SurfelParameterSet parameter_set) {
+PlyColumns find_required_ply_properties(const PlyRecordLayout& layout, SurfelParameterSet parameter_set) {
     PlyColumns columns;
     for (const PlyProperty& p : list_ply_properties(parameter_set)) {
         if (!p.read) continue;
@@ -216,8 +216,8 @@ PlyColumns find_property_columns(const PlyRecordLayout& layout, SurfelParameterS
     return columns;
 }
 
-float check_property_value(float value, const PlyProperty& property, std::size_t vertex_index,
-                           std::size_t n_models) {
+float require_valid_property_value(float value, const PlyProperty& property, std::size_t vertex_index,
+                                   std::size_t n_models) {
     if (!std::isfinite(value))
         throw DataError(
             fmt::format("vertex {}: {} is {}, expected a finite number", vertex_index, property.name, value));
@@ -252,7 +252,7 @@ Scene group_surfels_by_model(const Surfels& surfels, const std::vector<std::uint
 
 /// Returns the position of the line end before "end_header", or npos if the header has no
 /// end.
-std::size_t find_end_of_header(const std::string& file_start) {
+std::size_t find_line_end_before_end_header(const std::string& file_start) {
     std::size_t at = file_start.find(kEndOfHeader);
     while (at != std::string::npos) {
         const std::string_view behind = std::string_view(file_start).substr(at + kEndOfHeader.size(), 2);
@@ -266,13 +266,13 @@ Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& s
                         SurfelParameterSet parameter_set) {
     const std::string start(reinterpret_cast<const char*>(file_bytes.data()),
                             std::min(file_bytes.size(), kMaxPlyHeader));
-    const std::size_t end = find_end_of_header(start);
+    const std::size_t end = find_line_end_before_end_header(start);
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
     if (end == std::string::npos)
         throw DataError(fmt::format("end_header is missing in the first {} bytes", start.size()));
     const PlyRecordLayout layout = parse_ply_header(start.substr(0, end));
     const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = file_bytes.size() - data;
-    const PlyColumns columns = find_property_columns(layout, parameter_set);
+    const PlyColumns columns = find_required_ply_properties(layout, parameter_set);
     if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
         throw DataError(fmt::format("found {} bytes of data, expected {} vertices of {} bytes", n_bytes,
                                     layout.count, layout.stride));
@@ -286,7 +286,7 @@ Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& s
                         sizeof value);
             set_property_value(
                 columns.property[k], surfels, i, model[i],
-                check_property_value(value, columns.property[k], i, scene_layout.models.size()));
+                require_valid_property_value(value, columns.property[k], i, scene_layout.models.size()));
         }
     return group_surfels_by_model(surfels, model, scene_layout);
 }
@@ -317,7 +317,7 @@ void write_ply_records(report_detail::OutputFile& file, const Surfels& surfels,
     }
 }
 
-void check_model_ranges(const Scene& scene) {
+void require_contiguous_model_ranges(const Scene& scene) {
     std::size_t next = 0;
     for (const SurfelModel& m : scene.models) {
         if (m.first != next)
@@ -334,8 +334,8 @@ void check_model_ranges(const Scene& scene) {
 
 void write_surfel_ply(const std::filesystem::path& path, const Scene& scene) {
     write_file_atomically(path, [&](const std::filesystem::path& temporary) {
-        scene.surfels.check_array_lengths();
-        check_model_ranges(scene);
+        scene.surfels.require_equal_array_lengths();
+        require_contiguous_model_ranges(scene);
         const std::vector<PlyProperty> list = list_ply_properties(scene.surfels.get_parameter_set());
         report_detail::OutputFile file(temporary);
         file.write(make_ply_header_text(scene.surfels, list, "frame of each model"));
@@ -348,7 +348,7 @@ void write_surfel_ply(const std::filesystem::path& path, const Scene& scene) {
 void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
                       const FileMetadata& header_comments) {
     write_file_atomically(path, [&](const std::filesystem::path& temporary) {
-        surfels.check_array_lengths();
+        surfels.require_equal_array_lengths();
         std::vector<PlyProperty> list = list_ply_properties(surfels.get_parameter_set());
         std::erase_if(list, [](const PlyProperty& property) { return property.kind == PlyProperty::model; });
         report_detail::OutputFile file(temporary);
@@ -358,12 +358,12 @@ void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
     });
 }
 
-Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, PrimitiveType primitive) {
+Scene read_surfel_ply(const std::filesystem::path& path, const Scene& scene_layout, PrimitiveType primitive) {
     const std::vector<std::byte> file = report_detail::read_file(path);
     try {
         const bool walks = std::ranges::any_of(
-            layout.models, [](const SurfelModel& model) { return model.stride_m > 0.0f; });
-        return parse_ply_surfels(file, layout, {primitive, walks});
+            scene_layout.models, [](const SurfelModel& model) { return model.stride_m > 0.0f; });
+        return parse_ply_surfels(file, scene_layout, {primitive, walks});
     } catch (const DataError& error) {
         throw DataError(fmt::format("cannot read PLY '{}': {}", path.string(), error.what()));
     }

@@ -49,7 +49,7 @@ void Surfels::add_gait_without_motion() {
     gait.resize(size());
 }
 
-void Surfels::check_array_lengths() const {
+void Surfels::require_equal_array_lengths() const {
     for (const SurfelParameterGroup& group : kParameterGroups) {
         const bool is_there = has_parameter_group(get_parameter_set(), group);
         const std::size_t n_values = group.values(*this).size(),
@@ -62,7 +62,7 @@ void Surfels::check_array_lengths() const {
     }
 }
 
-void Surfels::append(const Surfels& other) {
+void Surfels::append_surfels(const Surfels& other) {
     if (size() > 0 && other.size() > 0 && primitive != other.primitive)
         throw DataError(
             fmt::format("cannot join {} and {} primitives: found {} and {}, expected the same primitive "
@@ -108,7 +108,7 @@ void convert_to_primitive(Surfels& surfels, PrimitiveType primitive, double rela
         surfels.log_scale_w.push_back(0.5f * (s.x + s.y) + static_cast<float>(std::log(relative_thickness)));
 }
 
-Scene replace_background(const Scene& scene, const Surfels& background) {
+Scene copy_scene_with_new_background(const Scene& scene, const Surfels& background) {
     const std::uint32_t before = scene.models.front().count,
                         n = static_cast<std::uint32_t>(background.size());
     Scene other = copy_scene_without_surfels(scene);
@@ -118,7 +118,7 @@ Scene replace_background(const Scene& scene, const Surfels& background) {
     // Subtracts modulo 2^32. The sum is therefore correct even if the new background is
     // smaller than the old background.
     for (std::size_t i = 1; i < other.models.size(); ++i) other.models[i].first += n - before;
-    other.surfels.append(scene.surfels.slice(before, scene.surfels.size() - before));
+    other.surfels.append_surfels(scene.surfels.slice(before, scene.surfels.size() - before));
     return other;
 }
 
@@ -168,12 +168,14 @@ std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& p
     return order;
 }
 
-double compute_box_extent(const glm::vec3& half_size_m) { return 8.0 * double(glm::length(half_size_m)); }
+double compute_four_times_box_diagonal_m(const glm::vec3& half_size_m) {
+    return 8.0 * double(glm::length(half_size_m));
+}
 
-double compute_model_extent(const Scene& scene, std::size_t model) {
-    if (model >= scene.models.size() || scene.models[model].count == 0) return 1.0;
-    const SurfelModel& range = scene.models[model];
-    if (range.half_size_m.x > 0.0f) return compute_box_extent(range.half_size_m);
+double compute_robust_model_extent_m(const Scene& scene, std::size_t model_index) {
+    if (model_index >= scene.models.size() || scene.models[model_index].count == 0) return 1.0;
+    const SurfelModel& range = scene.models[model_index];
+    if (range.half_size_m.x > 0.0f) return compute_four_times_box_diagonal_m(range.half_size_m);
     const auto first = scene.surfels.mean.begin() + range.first, last = first + range.count;
     glm::dvec3 centre(0.0);
     for (auto p = first; p != last; ++p) centre += glm::dvec3(*p);
@@ -185,6 +187,8 @@ double compute_model_extent(const Scene& scene, std::size_t model) {
     return 3.0 * *q90;
 }
 
-double compute_background_extent(const Scene& scene) { return compute_model_extent(scene, 0); }
+double compute_robust_background_extent_m(const Scene& scene) {
+    return compute_robust_model_extent_m(scene, 0);
+}
 
 }  // namespace relidar

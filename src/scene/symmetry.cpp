@@ -38,11 +38,11 @@ Surfels mirror_left_right(Surfels surfels) {
     return surfels;
 }
 
-std::size_t add_mirrored_surfels(Surfels& surfels, ObservedBoxSurface& surface) {
+std::size_t replace_unobserved_by_mirrored_surfels(Surfels& surfels, ObservedBoxSurface& surface) {
     std::vector<glm::vec3> opaque_m;
     for (std::size_t i = 0; i < surfels.size(); ++i)
         if (surfels.opacity_logit[i] > 0.0f) opaque_m.push_back(surfels.mean[i]);
-    if (surface.compute_asymmetry_m(opaque_m) > kMostAsymmetry_m) return 0;
+    if (surface.compute_left_right_asymmetry_m(opaque_m) > kMostAsymmetry_m) return 0;
     std::vector<std::uint32_t> remaining_surfels, copied_surfels;
     for (std::uint32_t i = 0; i < surfels.size(); ++i) {
         const glm::dvec3 here(surfels.mean[i]), there(here.x, -here.y, here.z);
@@ -52,7 +52,7 @@ std::size_t add_mirrored_surfels(Surfels& surfels, ObservedBoxSurface& surface) 
     if (copied_surfels.empty()) return 0;
     const Surfels mirrored_surfels = mirror_left_right(surfels.reorder(copied_surfels));
     surfels = surfels.reorder(remaining_surfels);
-    surfels.append(mirrored_surfels);
+    surfels.append_surfels(mirrored_surfels);
     surface.is_completed = true;
     return copied_surfels.size();
 }

@@ -23,9 +23,8 @@ TouchedSurfelList::TouchedSurfelList(Device& device)
                      {device, "scene/list_touched", {{SpecialisationConstantId::WORKGROUP_SIZE, 128u}}}}) {}
 TouchedSurfelList::~TouchedSurfelList() = default;
 
-void TouchedSurfelList::collect_touched_rows(Stream& stream,
-                                             Address<std::uint32_t, shared::TouchedSurfels> touched_flags,
-                                             std::uint32_t n_rows) {
+void TouchedSurfelList::record_listing_of_touched_rows(
+    Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched_flags, std::uint32_t n_rows) {
     Impl& l = *impl_;
     if (l.rows.size() < n_rows) {
         stream.submit_and_wait();  // earlier submissions may still use the old array
@@ -43,11 +42,11 @@ Address<std::uint32_t, shared::TouchedCount> TouchedSurfelList::get_touched_coun
     return impl_->count.address();
 }
 
-std::size_t TouchedSurfelList::choose_thread_count(std::size_t max_rows) const {
+std::size_t TouchedSurfelList::choose_threads_for_touched_rows(std::size_t max_touched_rows) const {
     // Uses fewer threads on a CPU than on a GPU, so that each thread processes more
     // surfels.
-    const bool is_cpu = !prefers_coalesced_access(impl_->device);
-    return std::min(max_rows, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
+    const bool is_cpu = !should_coalesce_memory_access(impl_->device);
+    return std::min(max_touched_rows, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
 }
 
 }  // namespace relidar

@@ -84,7 +84,7 @@ glm::dvec3 compute_ground_tile_centre(const glm::dvec3& point_m) {
 }
 
 /// Shortens the list to at most kMostViews views, which are evenly spaced in the list.
-void limit_view_count(std::vector<std::uint32_t>& view_indices) {
+void keep_evenly_spaced_views(std::vector<std::uint32_t>& view_indices) {
     if (view_indices.size() <= kMostViews) return;
     std::vector<std::uint32_t> selected_indices;
     for (std::size_t k = 0; k < kMostViews; ++k)
@@ -128,7 +128,7 @@ std::vector<float> BeamGrid::compute_nearest_ranges_m(const Scan& scan) const {
     std::vector<float> nearest(std::size_t(rows()) * std::size_t(columns_));
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
-        const glm::vec3 point = scan.compute_end_point(ray);
+        const glm::vec3 point = scan.compute_return_point_in_sensor_frame(ray);
         const std::optional<BeamGridCell> at = find_grid_cell(glm::dvec3(point));
         if (!at) continue;
         float& here = nearest[std::size_t(at->row * columns_ + at->column)];
@@ -176,8 +176,8 @@ void VisibilityChecker::make_range_image(VisibilityImage& view, const LidarFrame
     for (int sector = 0; sector < n_sectors; ++sector) {
         const double azimuth = 2.0 * kPi * ((sector + 0.5) / n_sectors - 0.5);
         view.sensor_from_world.push_back(inverse(sequence_.world_from_vehicle.interpolate_mounted_pose(
-            compute_point_scan_time_s(sequence_, {std::cos(azimuth), std::sin(azimuth), 0.0},
-                                      get_sweep_moment(frame)),
+            compute_time_when_lidar_faces_point_s(sequence_, {std::cos(azimuth), std::sin(azimuth), 0.0},
+                                                  get_sweep_timing_of_frame(frame)),
             mounted)));
     }
     view.range_m = grids_[std::size_t(frame.lidar)].compute_nearest_ranges_m(frame.scan);
@@ -213,7 +213,7 @@ void VisibilityChecker::assign_views_to_tiles() {
         for (const ImageDistance& s : seen)
             if (s.distance_m <= std::max(kMaxTileDistance_m, kHardlyFarther * nearest))
                 views.push_back(s.view);
-        limit_view_count(views);
+        keep_evenly_spaced_views(views);
     }
 }
 

@@ -51,7 +51,7 @@ private:
 /// Range images of selected frames. Looks up a point in at most 64 frames, to limit the
 /// time per point. Uses frames whose sensor was within 40 m of the point, or almost as
 /// near as the nearest sensor. The selected frames are evenly spaced in time.
-/// create_range_images() creates only the images that the given points need.
+/// create_range_images_for_points() creates only the images that the given points need.
 class VisibilityChecker {
 public:
     /// Selects the frames that observe each tile of the ground. Creates no range images
@@ -62,7 +62,7 @@ public:
     /// points may be looked up.
     /// @param points_m [points] vectors of 3, world
     template <class Points>
-    void create_range_images(const Points& points_m) {
+    void create_range_images_for_points(const Points& points_m) {
         for (const auto& point_m : points_m) request_range_images(glm::dvec3(point_m));
         make_requested_range_images();
     }

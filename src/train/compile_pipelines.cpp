@@ -54,7 +54,7 @@ void compile_training_pipelines(Device& device, const LidarSequence& street, con
 /// Compiles all variants of the ray traversal. A running program uses only one of them,
 /// which depends on the type of the device.
 void compile_traversal_variants(Device& device, const LidarSequence& street) {
-    const Config config = make_preset("default");
+    const Config config = make_preset_config("default");
     const Scene scene = make_minimal_scene(street, config.image.primitive);
     for (const BvhTraversalMode traversal_mode : {BvhTraversalMode::lane, BvhTraversalMode::subgroup})
         for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes}) {
@@ -79,7 +79,7 @@ void compile_all_pipelines(Device& device, const std::function<void(const std::s
     };
     for (const char* preset : {"paper", "released", "default", "quick"}) {
         report(preset);
-        compile_training_pipelines(device, street, make_preset(preset));
+        compile_training_pipelines(device, street, make_preset_config(preset));
     }
     std::vector<KernelSetting> settings(std::begin(kSettings), std::end(kSettings));
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
@@ -89,7 +89,7 @@ void compile_all_pipelines(Device& device, const std::function<void(const std::s
     for (const PrimitiveProperties& kind : kPrimitives) settings.push_back({"image.primitive", kind.name});
     for (const KernelSetting& setting : settings) {
         report(std::string(setting.key) + "=" + setting.value);
-        Config config = make_preset("default");
+        Config config = make_preset_config("default");
         set_config_value(config, setting.key, setting.value);
         compile_training_pipelines(device, street, config);
     }

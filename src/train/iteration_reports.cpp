@@ -49,7 +49,7 @@ std::optional<IterationReports::IterationGroupReport> IterationReports::read_old
     const auto count = [&](ReadbackBuffer& readback) {
         return *static_cast<const std::uint32_t*>(readback.wait_for_copied_bytes(stream));
     };
-    add_loss_terms(report, static_cast<const float*>(slot.terms.wait_for_copied_bytes(stream)));
+    add_loss_terms_to_sums(report, static_cast<const float*>(slot.terms.wait_for_copied_bytes(stream)));
     if (report.line) store_log_line_with_means(*report.line);
     return IterationGroupReport{.first_step = first_step,
                                 .last_step = last_step,
@@ -60,7 +60,7 @@ std::optional<IterationReports::IterationGroupReport> IterationReports::read_old
                                 .stored_hits_per_ray = report.stored_hits_per_ray};
 }
 
-void IterationReports::add_loss_terms(const ClosedIterationGroup& report, const float* loss_terms) {
+void IterationReports::add_loss_terms_to_sums(const ClosedIterationGroup& report, const float* loss_terms) {
     for (const auto& [step, frame] : report.iterations) {
         for (std::size_t k = 0; k < kLossTerms; ++k) {
             const float term = *loss_terms++;

@@ -29,14 +29,14 @@ struct TrainLogLine {
 /// Counters on the device. Each report copies the counters and resets them to 0.
 struct DeviceHitCounters {
     /// [1] number of rays whose traversal stopped at the maximum number of passes
-    /// (ForwardPass::get_truncated_ray_count)
+    /// (ForwardPass::get_device_truncated_ray_count)
     const Array<std::uint32_t>* pass_cap = nullptr;
     /// [1] largest number of ray-surfel hits in one iteration
     /// (BackwardPass::get_device_max_hit_count); null if not needed
     const Array<std::uint32_t>* most_hits = nullptr;
     std::uint64_t hit_capacity = 0;
     /// [1] number of rays with more hits than can be stored
-    /// (ForwardPass::get_hit_overflow_ray_count)
+    /// (ForwardPass::get_device_hit_overflow_ray_count)
     const Array<std::uint32_t>* overfull = nullptr;
     std::uint32_t stored_hits_per_ray = 0;  ///< maximum number of stored hits per ray
 };
@@ -52,7 +52,7 @@ public:
     /// Adds an iteration after its GPU commands were recorded.
     /// @param frame_number  frame number of the dataset
     void add_iteration(int step, int frame_number) { iterations_.push_back({step, frame_number}); }
-    bool is_full() const { return iterations_.size() == kRows; }
+    bool is_loss_table_full() const { return iterations_.size() == kRows; }
     /// Starts to copy all losses and counters since the last report to the host. Does not
     /// wait. Call this function after add_iteration(), at most once per iteration.
     /// @param log_line  log line that ends with these iterations, if any
@@ -81,7 +81,7 @@ public:
         visit("n_summed", n_summed_);
     }
     /// Returns true if the state that was read from a checkpoint is valid.
-    bool has_valid_state() const { return sums_.size() == kLossTerms; }
+    bool is_restored_report_state_valid() const { return sums_.size() == kLossTerms; }
 
 private:
     static constexpr std::size_t kRows = 64;
@@ -112,7 +112,7 @@ private:
     std::uint64_t n_summed_ = 0;  ///< number of iterations in sums_
     std::vector<TrainLogLine> lines_;
 
-    void add_loss_terms(const ClosedIterationGroup& report, const float* loss_terms);
+    void add_loss_terms_to_sums(const ClosedIterationGroup& report, const float* loss_terms);
     void store_log_line_with_means(TrainLogLine log_line);
 };
 

@@ -14,7 +14,7 @@ namespace {
 
 constexpr int kMostFrames = 16;  // maximum number of frames per LiDAR
 
-std::vector<int> list_lidar_training_frames(const TrainedRun& run, int lidar_index) {
+std::vector<int> select_lidar_training_frames(const TrainedRun& run, int lidar_index) {
     std::vector<int> frames;
     for (const int position : run.split.train)
         if (run.sequence.frames[std::size_t(position)].lidar == lidar_index) frames.push_back(position);
@@ -24,7 +24,7 @@ std::vector<int> list_lidar_training_frames(const TrainedRun& run, int lidar_ind
 std::vector<float> collect_measured_intensities(const LidarSequence& sequence, const LidarFrame& frame,
                                                 const IgnoredMeasurements& mask_rules) {
     std::vector<float> measured;
-    const std::vector<float> dropped = find_measured_drops(sequence, frame, mask_rules);
+    const std::vector<float> dropped = classify_measured_drops_per_ray(sequence, frame, mask_rules);
     for (std::size_t i = 0; i < dropped.size(); ++i)
         measured.push_back(dropped[i] == 0.0f ? frame.scan.intensity[i] : kNoIntensity);
     return measured;
@@ -32,15 +32,15 @@ std::vector<float> collect_measured_intensities(const LidarSequence& sequence, c
 
 }  // namespace
 
-std::vector<IntensityScatterModel> learn_scatter(Device& device, const TrainedRun& run,
-                                                 const ScatterFitCallbacks& session) {
+std::vector<IntensityScatterModel> fit_intensity_scatter_per_lidar(Device& device, const TrainedRun& run,
+                                                                   const ScatterFitCallbacks& session) {
     Config config = run.config;
     config.sensor.sub_rays = config.sensor.returns = 1;
     ScanRenderer renderer(device, run.scene, config, run.sequence);
-    const IgnoredMeasurements masks = make_scene_mask_rules(config, run.scene);
+    const IgnoredMeasurements masks = make_mask_for_movers_without_model(config, run.scene);
     std::vector<IntensityScatterModel> result;
     for (int lidar = 0; lidar < int(run.sequence.lidars.size()); ++lidar) {
-        const std::vector<int> positions = list_lidar_training_frames(run, lidar);
+        const std::vector<int> positions = select_lidar_training_frames(run, lidar);
         std::vector<PairedIntensities> images;
         for (const int position : positions) {
             if (session.stop && session.stop()) return {};
@@ -50,8 +50,8 @@ std::vector<IntensityScatterModel> learn_scatter(Device& device, const TrainedRu
             const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
             const RenderedScan scan =
                 renderer.render(choose_nominal_sensor_of_frame(config, run.sequence, frame), frame.time_s);
-            images.push_back(
-                {get_rendered_intensities(scan), collect_measured_intensities(run.sequence, frame, masks)});
+            images.push_back({copy_inputs_of_random_intensities(scan),
+                              collect_measured_intensities(run.sequence, frame, masks)});
         }
         result.push_back(fit_intensity_scatter(images));
         if (session.progress) session.progress("learning the scatter of intensities", 1.0);

@@ -36,7 +36,7 @@ LidarSequence load_log(const Config& config, const ProgressReporter& progress, i
     options.max_scans = max_scans;
     std::error_code failed;
     const std::filesystem::path folder = std::filesystem::temp_directory_path(failed);
-    limit_scan_memory(std::uint64_t(config.dataset.memory_mib) << 20, failed ? "/tmp" : folder);
+    store_scans_above_limit_in_file(std::uint64_t(config.dataset.memory_mib) << 20, failed ? "/tmp" : folder);
     return load_sequence(config.dataset.path, options);
 }
 
@@ -44,7 +44,7 @@ namespace {
 
 /// Returns true if the log provides vehicle poses from which the registration of scans
 /// can start.
-bool has_usable_poses(const LidarSequence& sequence, const Config& config) {
+bool has_usable_vehicle_poses(const LidarSequence& sequence, const Config& config) {
     return config.dataset.poses != kNoPoses && sequence.has_poses;
 }
 
@@ -80,7 +80,7 @@ struct PoseCorrectionStatistics {
     }
     /// Returns a warning if the corrections are larger than the usual errors of good
     /// vehicle poses. Otherwise returns an empty text.
-    std::string make_warning_if_large() const {
+    std::string format_warning_if_corrections_large() const {
         constexpr double kLarge_m = 0.5, kLarge_deg = 5.0;
         if (most_m <= kLarge_m && most_deg <= kLarge_deg) return "";
         return fmt::format(
@@ -113,12 +113,14 @@ constexpr double kMostLost = 0.05;
 
 /// Prints which scans could not be registered.
 /// @throws DataError if too many scans failed
-void report_unregistered_scans(const LidarSequence& sequence, const RegistrationResult& registration,
-                               const Config& config, const LogPreparationCallbacks& session) {
+void report_or_reject_unregistered_scans(const LidarSequence& sequence,
+                                         const RegistrationResult& registration, const Config& config,
+                                         const LogPreparationCallbacks& session) {
     if (registration.lost.empty()) return;
     std::vector<int> frames;
     for (const LidarFrame& frame : sequence.frames) {
-        const bool is_lost = std::ranges::binary_search(registration.lost, sequence.get_pose_index(frame));
+        const bool is_lost =
+            std::ranges::binary_search(registration.lost, sequence.get_vehicle_pose_index_of_frame(frame));
         if (is_lost && (frames.empty() || frames.back() != frame.index)) frames.push_back(frame.index);
     }
     const std::size_t n = sequence.world_from_vehicle.pose.size();
@@ -159,15 +161,15 @@ RegistrationResult register_log_scans(LidarSequence& sequence, const TrainTestSp
         "scans registered: {:.0f} % of the points are on planes that several scans have "
         "observed, with a mean distance of {:.3f} m from these planes; {}{}",
         100.0 * registration.on_planes, registration.rounds.back().residual_m,
-        has_usable_poses(sequence, config) ? corrections.describe_corrections()
-                                           : describe_path_length(registration.world_from_vehicle),
+        has_usable_vehicle_poses(sequence, config) ? corrections.describe_corrections()
+                                                   : describe_path_length(registration.world_from_vehicle),
         describe_loop_closures(registration)));
-    if (const std::string warning = corrections.make_warning_if_large();
-        has_usable_poses(sequence, config) && !warning.empty()) {
+    if (const std::string warning = corrections.format_warning_if_corrections_large();
+        has_usable_vehicle_poses(sequence, config) && !warning.empty()) {
         session.report_line(warning);
         sequence.notes.push_back(warning);  // the command `info` prints notes
     }
-    report_unregistered_scans(sequence, registration, config, session);
+    report_or_reject_unregistered_scans(sequence, registration, config, session);
     return registration;
 }
 
@@ -182,9 +184,9 @@ void register_and_set_vehicle_poses(LidarSequence& sequence, const TrainTestSpli
 
 void calibrate_beam_range_offsets(LidarSequence& sequence, const TrainTestSplit& split,
                                   const SensorConfig& config, const LogPreparationCallbacks& session) {
-    const std::size_t n = sequence.count_beams();
-    if (n > 1 && config.should_calibrate("range")) {
-        const RangeCalibrationResult calibration = calibrate_beam_ranges(sequence, split.train);
+    const std::size_t n = sequence.count_beams_of_all_lidars();
+    if (n > 1 && config.is_calibration_enabled_for("range")) {
+        const RangeCalibrationResult calibration = fit_and_set_range_offset_of_beams(sequence, split.train);
         session.report_line(fmt::format(
             "range calibration of {} beams ({:.1f} million returns): the mean distance of points from planes "
             "is {:.1f} mm, or {:.1f} mm with one offset per beam; {}",
@@ -195,12 +197,13 @@ void calibrate_beam_range_offsets(LidarSequence& sequence, const TrainTestSplit&
 
 void calibrate_intensities(LidarSequence& sequence, const TrainTestSplit& split,
                            const LogPreparationCallbacks& session) {
-    const IntensityCalibrationResult calibration = calibrate_intensity(sequence, split.train);
+    const IntensityCalibrationResult calibration = fit_and_set_intensity_calibration(sequence, split.train);
     const IntensityResponse& r = sequence.intensity_response;
     const std::string fall = fmt::format(
         "the intensity decreases to a factor of {:.2f} at 40 m and {:.2f} at an incidence angle "
         "of 60 degrees, relative to 10 m and 0 degrees",
-        r.compute_range_factor(40.0) / r.compute_range_factor(10.0), r.compute_incidence_factor(0.5));
+        r.compute_intensity_factor_at_range(40.0) / r.compute_intensity_factor_at_range(10.0),
+        r.compute_intensity_factor_at_incidence(0.5));
     const std::string start = fmt::format(
         "intensity calibration ({:.1f} million returns): intensities of the same surface differ "
         "by {:.3f} (RMS)",
@@ -221,8 +224,8 @@ void report_range_noise(const LidarSequence& sequence, const LogPreparationCallb
                 "range noise{}: {:.0f} mm at 10 m and {:.0f} mm at 40 m (standard deviation on surfaces "
                 "perpendicular to the beam)",
                 lidar.name.empty() ? "" : " of " + lidar.name,
-                1e3 * lidar.range_noise.get_noise_sigma_m(10.0, 1.0),
-                1e3 * lidar.range_noise.get_noise_sigma_m(40.0, 1.0)));
+                1e3 * lidar.range_noise.get_range_noise_sigma_m(10.0, 1.0),
+                1e3 * lidar.range_noise.get_range_noise_sigma_m(40.0, 1.0)));
 }
 
 /// Throws an error if the user has interrupted the program.
@@ -241,10 +244,10 @@ void calibrate_lidars(LidarSequence& sequence, const TrainTestSplit& split, cons
         throw_if_interrupted(session);
         calibrate_beam_range_offsets(sequence, split, config, session);
         throw_if_interrupted(session);
-        measure_range_noise(sequence, split.train);
+        measure_and_set_range_noise(sequence, split.train);
         report_range_noise(sequence, session);
         throw_if_interrupted(session);
-        if (config.should_calibrate("intensity")) calibrate_intensities(sequence, split, session);
+        if (config.is_calibration_enabled_for("intensity")) calibrate_intensities(sequence, split, session);
     }
     const auto broadcast_from_first = [&](auto& values) {
         values = session.group.broadcast_from_first_process(std::move(values));
@@ -263,7 +266,7 @@ void calibrate_lidars(LidarSequence& sequence, const TrainTestSplit& split, cons
 }
 
 /// Returns a text with the id, size and speed of a box.
-std::string describe_box(const BoxTrack& box) {
+std::string describe_box_size_and_speed(const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;
     const double seconds = track.time_s.back() - track.time_s.front();
     return fmt::format(
@@ -284,19 +287,19 @@ std::string describe_label_extension(const BoxTrack& box) {
     return fmt::format("{} ({}) {}", box.id, box.category, fmt::join(sides, " and "));
 }
 
-void add_discovered_movers(LidarSequence& sequence, const TrainTestSplit& split,
-                           const LogPreparationCallbacks& session) {
+void discover_and_add_movers(LidarSequence& sequence, const TrainTestSplit& split,
+                             const LogPreparationCallbacks& session) {
     std::vector<std::string> movers, extended;
     const ProgressReporter progress = [&](std::string_view description, double done) {
         throw_if_interrupted(session);
         if (session.progress) session.progress(description, done);
     };
-    for (BoxTrack& box : discover_tracks(sequence, split.train, progress, session.group)) {
+    for (BoxTrack& box : discover_moving_object_tracks(sequence, split.train, progress, session.group)) {
         if (box.n_before + box.n_after > 0) {
             extended.push_back(describe_label_extension(box));
             *std::ranges::find(sequence.boxes, box.id, &BoxTrack::id) = std::move(box);
         } else {
-            movers.push_back(describe_box(box));
+            movers.push_back(describe_box_size_and_speed(box));
             sequence.boxes.push_back(std::move(box));
         }
     }
@@ -333,7 +336,7 @@ void refine_moving_box_poses(LidarSequence& sequence, const TrainTestSplit& spli
 
 RegistrationOptions make_registration_options(const LidarSequence& sequence, const Config& config) {
     RegistrationOptions options;
-    options.use_pose_motion = has_usable_poses(sequence, config);
+    options.use_pose_motion = has_usable_vehicle_poses(sequence, config);
     // Treats all boxes as moving if vehicle poses are unknown, because the motion of a
     // box in the world is then also unknown.
     for (const BoxTrack& box : sequence.boxes)
@@ -345,18 +348,18 @@ void prepare_log(LidarSequence& sequence, const TrainTestSplit& split, const Con
                  LogPreparationCallbacks session) {
     if (!session.report_line || !session.group.is_first_process())
         session.report_line = [](const std::string&) {};
-    if (!has_usable_poses(sequence, config) && !should_register_sensor_poses(config.train))
+    if (!has_usable_vehicle_poses(sequence, config) && !should_register_sensor_poses(config.train))
         throw UsageError(
             "the log has no poses, or dataset.poses=none is set, so the poses must be estimated from "
             "the scans; use train.refine_poses=sensor");
-    begin_stage(session.stages, "register");
+    begin_timed_stage_if_enabled(session.stages, "register");
     if (should_register_sensor_poses(config.train))
         register_and_set_vehicle_poses(sequence, split, config, session);
-    begin_stage(session.stages, "calibrate");
+    begin_timed_stage_if_enabled(session.stages, "calibrate");
     calibrate_lidars(sequence, split, config.sensor, session);
-    begin_stage(session.stages, "movers");
+    begin_timed_stage_if_enabled(session.stages, "movers");
     if (config.init.unlabelled_movers == UnlabelledMoverPolicy::actors)
-        add_discovered_movers(sequence, split, session);
+        discover_and_add_movers(sequence, split, session);
     if (should_register_sensor_poses(config.train)) refine_moving_box_poses(sequence, split, session);
 }
 

@@ -32,7 +32,7 @@ TrainingStepTimes measure_step_times(Device& device, const TrainedRun& run, int 
     const int first = std::max(1, run.config.train.iterations - n_steps - kWarmUp + 1);
     for (int k = 0; k < kWarmUp; ++k) loop.run_iteration(first + k);
     loop.wait_for_iterations();
-    const std::map<std::string, KernelTimes::LaunchTotals> before = loop.times().totals;
+    const std::map<std::string, KernelTimes::LaunchTotals> before = loop.get_training_kernel_times().totals;
     TrainingStepTimes result;
     const auto start = std::chrono::steady_clock::now();
     for (; result.n_steps < n_steps && !(should_stop && should_stop()); ++result.n_steps)
@@ -41,7 +41,7 @@ TrainingStepTimes measure_step_times(Device& device, const TrainedRun& run, int 
     if (result.n_steps == 0) return result;
     result.wall_ms = 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() /
                      result.n_steps;
-    for (const auto& [kernel, sum] : loop.times().totals) {
+    for (const auto& [kernel, sum] : loop.get_training_kernel_times().totals) {
         const auto earlier = before.find(kernel);
         const KernelTimes::LaunchTotals had =
             earlier == before.end() ? KernelTimes::LaunchTotals{} : earlier->second;
@@ -52,7 +52,7 @@ TrainingStepTimes measure_step_times(Device& device, const TrainedRun& run, int 
     }
     result.surfels = loop.get_surfel_count();
     result.rays = loop.count_rays_of_last_batch();
-    result.stored_hits_per_ray = loop.kept_hits();
+    result.stored_hits_per_ray = loop.get_max_stored_hits_per_ray();
     return result;
 }
 

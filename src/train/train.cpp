@@ -25,22 +25,15 @@ double measure_seconds_since(Clock::time_point start) {
     return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
-/// Returns the options for the initial scene. A surfel can have one drop logit instead of
-/// two. The single logit then starts with the difference of the two logits, which gives
-/// the same ray-drop probability (docs/method.md M6).
-SceneInitialisationOptions make_initialise_options(const Config& config) {
-    SceneInitialisationOptions options = config.init;
-    options.seed = config.train.seed;
-    options.one_logit = config.image.single_drop_logit;
-    return options;
-}
-
-/// Returns the initial scene of a training.
 Scene make_initial_scene(const LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
                          const TrainSession& session) {
+    SceneInitialisationOptions options = config.init;
+    options.seed = config.train.seed;
+    // A single drop logit starts with the difference of the usual two logits, for the same
+    // ray-drop probability (M6).
+    options.one_logit = config.image.single_drop_logit;
     std::vector<std::string> notes;
-    Scene scene =
-        initialise_scene(sequence, split.train, make_initialise_options(config), session.progress, &notes);
+    Scene scene = initialise_scene(sequence, split.train, options, session.progress, &notes);
     for (const std::string& note : notes)
         if (session.note) session.note(note);
     convert_to_primitive(scene.surfels, config.image.primitive, config.init.thickness);
@@ -49,8 +42,8 @@ Scene make_initial_scene(const LidarSequence& sequence, const TrainTestSplit& sp
 
 /// Prints the moving boxes without surfels. Training ignores the returns inside these
 /// boxes.
-void report_masked_boxes(const Scene& scene, const LidarSequence& sequence, const Config& config,
-                         const TrainSession& session) {
+void report_ignored_moving_boxes(const Scene& scene, const LidarSequence& sequence, const Config& config,
+                                 const TrainSession& session) {
     const std::vector<BoxTrack> masked = find_boxes_without_model(scene, sequence, config.init);
     if (masked.empty() || !session.note) return;
     session.note(
@@ -61,7 +54,8 @@ void report_masked_boxes(const Scene& scene, const LidarSequence& sequence, cons
 
 /// Prints how many training frames are kept in device memory. Prints nothing if all are
 /// kept.
-void report_resident_frames(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
+void report_frames_not_kept_on_device(const TrainingFrames& frames, const Config& config,
+                                      const TrainSession& session) {
     if (frames.count_resident_frames() == frames.get_all_frames().size() || !session.note) return;
     session.note(fmt::format(
         "{} of {} training frames fit into the device memory for frames "
@@ -80,8 +74,9 @@ Config disable_useless_pose_refinement(Config config, const LidarSequence& seque
     const auto report = [&](const char* note) {
         if (session.note) session.note(note);
     };
-    if (config.train.should_refine_poses("sensor") && std::ranges::all_of(split.train, is_in_first_sweep)) {
-        config.train.refine_poses = config.train.should_refine_poses("actors") ? "actors" : "none";
+    if (config.train.is_pose_refinement_enabled_for("sensor") &&
+        std::ranges::all_of(split.train, is_in_first_sweep)) {
+        config.train.refine_poses = config.train.is_pose_refinement_enabled_for("actors") ? "actors" : "none";
         report(
             "train.refine_poses=sensor has no effect, because training uses only one sweep, whose "
             "pose is fixed");
@@ -91,26 +86,23 @@ Config disable_useless_pose_refinement(Config config, const LidarSequence& seque
     return config;
 }
 
-bool should_log_at(int step, const TrainConfig& config) {
-    return step == 1 || step % std::max(1, config.log_every) == 0 || step == config.iterations;
-}
-
 /// Downloads the trained scene and its poses. Estimates the ray-drop of the sensor, the
 /// coverage, and the classes of the background.
-void download_trained_scene(TrainLoop& loop, Device& device, const LidarSequence& sequence,
-                            const TrainTestSplit& split, const Config& config, const TrainSession& session,
-                            TrainResult& result) {
+void fill_training_result(TrainLoop& loop, Device& device, const LidarSequence& sequence,
+                          const TrainTestSplit& split, const Config& config, const TrainSession& session,
+                          TrainResult& result) {
     result.interrupted = result.iterations < config.train.iterations;
-    result.scene = loop.download();
+    result.scene = loop.download_current_scene();
     result.poses = loop.get_refined_poses();
-    begin_stage(session.stages, "drops");
+    begin_timed_stage_if_enabled(session.stages, "drops");
     if (config.train.sensor_drop && !result.interrupted)
         result.scene.sensor_drop = loop.estimate_sensor_drop_rates(device, sequence);
-    begin_stage(session.stages, "coverage");
+    begin_timed_stage_if_enabled(session.stages, "coverage");
     const PoseTrack& poses = result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle;
-    result.coverage = compute_observed_coverage(sequence, poses, split.train,
-                                                resolve_max_range(config, sequence).dataset.max_range_m);
-    result.classes = compute_class_map(sequence, poses, split.train);
+    result.coverage = compute_observed_coverage(
+        sequence, poses, split.train, replace_automatic_max_range(config, sequence).dataset.max_range_m);
+    const std::vector<BoxTrack>& boxes = result.poses ? result.poses->boxes : sequence.boxes;
+    result.classes = compute_map_of_surface_classes(sequence, poses, boxes, split.train);
 }
 
 }  // namespace
@@ -120,40 +112,42 @@ TrainResult train(Device& device, const LidarSequence& sequence, const TrainTest
     if (split.train.empty())
         throw DataError(fmt::format("cannot train on {}: it has no training frames; expected at least one",
                                     sequence.name));
-    if (session.start) check_training_resumable(*session.start, sequence, split, config);
+    if (session.start) require_training_is_resumable(*session.start, sequence, split, config);
     TrainResult result;
     const Clock::time_point begin = Clock::now();
-    begin_stage(session.stages, "initialise");
+    begin_timed_stage_if_enabled(session.stages, "initialise");
     const Scene initial = session.start ? read_checkpoint_scene(*session.start)
                                         : make_initial_scene(sequence, split, config, session);
     result.initialise_s = measure_seconds_since(begin);
-    report_masked_boxes(initial, sequence, config, session);
+    report_ignored_moving_boxes(initial, sequence, config, session);
 
-    begin_stage(session.stages, "train");
+    begin_timed_stage_if_enabled(session.stages, "train");
     // must outlive the training loop, which stores a reference to these settings
     const Config training_config = disable_useless_pose_refinement(config, sequence, split, initial, session);
     if (session.progress) session.progress("allocating memory and loading kernels", 0.0);
     TrainLoop loop(device, sequence, split, initial, training_config);
     if (session.progress) session.progress("allocating memory and loading kernels", 1.0);
-    report_resident_frames(loop.get_training_frames(), config, session);
+    report_frames_not_kept_on_device(loop.get_training_frames(), config, session);
     if (session.start) {
-        loop.restore_state(*session.start);
-        read_training_result(*session.start, config, result);
+        loop.restore_training_state_from_checkpoint(*session.start);
+        read_training_log_and_times(*session.start, config, result);
     }
     CheckpointKeeper checkpoints(sequence, split, config, session);
     const Clock::time_point start = Clock::now();
     const double trained_before_s = result.train_s;
     const auto trained_s = [&] { return trained_before_s + measure_seconds_since(start); };
+    const int log_every = std::max(1, config.train.log_every);
     bool stop = false;
     const auto collect_lines = [&] {
         for (const TrainLogLine& line : loop.take_log_lines()) {
-            append_log_line(result.log, line, config, trained_s());
+            append_training_log_line(result.log, line, config, trained_s());
             stop = !progress(result.log.back()) || stop;
         }
     };
     while (result.iterations < config.train.iterations && !stop) {
         const int step = ++result.iterations;
-        loop.run_iteration(step, should_log_at(step, config.train));
+        const bool is_logged = step == 1 || step % log_every == 0 || step == config.train.iterations;
+        loop.run_iteration(step, is_logged);
         collect_lines();
         stop = stop || (session.stop && session.stop());
         if (!stop && !checkpoints.should_save_checkpoint(step)) continue;
@@ -163,9 +157,9 @@ TrainResult train(Device& device, const LidarSequence& sequence, const TrainTest
     }
     loop.complete_training();
     collect_lines();
-    download_trained_scene(loop, device, sequence, split, config, session, result);
+    fill_training_result(loop, device, sequence, split, config, session, result);
     result.train_s = trained_s();
-    result.times = loop.times();
+    result.times = loop.get_training_kernel_times();
     result.peak_device_bytes = device.peak_allocated_bytes();
     return result;
 }

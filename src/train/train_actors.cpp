@@ -56,8 +56,9 @@ struct ActorSighting {
 
 private:
     bool is_enlarged_box_hit_by_ray(const WorldRay& ray, double time_offset_s, double margin_m) const {
-        const PosedBox box{inverse(placed.motion.compute_pose_at(placed.world_from_model, time_offset_s)),
-                           half_size_m};
+        const PosedBox box{
+            inverse(placed.motion.compute_pose_at_sweep_time(placed.world_from_model, time_offset_s)),
+            half_size_m};
         const glm::dvec2 inside = box.compute_ray_entry_exit_m(ray, margin_m);
         return inside.x <= inside.y;
     }
@@ -92,17 +93,17 @@ std::vector<PoseTrack> list_sensor_tracks(const LidarSequence& sequence) {
 }
 
 /// Returns a frame and the actors that are near enough to have returns in it.
-FrameWithSightings find_visible_actors(const TrainedRun& run, int frame_index,
-                                       const std::vector<PoseTrack>& sensor_tracks) {
+FrameWithSightings find_actors_in_sensor_range(const TrainedRun& run, int frame_index,
+                                               const std::vector<PoseTrack>& sensor_tracks) {
     const LidarFrame& frame = run.sequence.frames[std::size_t(frame_index)];
     const PoseTrack& world_from_sensor = sensor_tracks[std::size_t(frame.lidar)];
     const std::vector<InstancePose> placed =
-        compute_instance_poses(run.scene, run.sequence, get_sweep_moment(frame));
+        compute_instance_poses(run.scene, run.sequence, get_sweep_timing_of_frame(frame));
     FrameWithSightings result{
         frame_index, world_from_sensor.interpolate_pose(frame.time_s).translation, 0.0, {}};
     for (const float range_m : frame.scan.range_m) result.reach_m = std::max(result.reach_m, double(range_m));
     for (std::size_t i = 0; i < placed.size(); ++i) {
-        const BoxTrack* box = find_box(run.sequence, run.scene.instances[i].track);
+        const BoxTrack* box = find_box_track_by_id(run.sequence, run.scene.instances[i].track);
         if (!box || !placed[i].present) continue;
         const ActorSighting sight{world_from_sensor.interpolate_pose(placed[i].time_s).translation, placed[i],
                                   0.5 * box->size_m};
@@ -119,7 +120,7 @@ std::vector<ActorTrainingSection> divide_log_into_sections(const TrainedRun& run
                                                            const std::vector<PoseTrack>& sensor_tracks) {
     std::vector<ActorTrainingSection> stretches(1);
     for (const int position : run.split.train) {
-        FrameWithSightings frame = find_visible_actors(run, position, sensor_tracks);
+        FrameWithSightings frame = find_actors_in_sensor_range(run, position, sensor_tracks);
         if (frame.sights.empty()) continue;
         std::set<std::size_t> reached, together = stretches.back().blocks;
         for (std::size_t i = 0; i < run.scene.blocks.size(); ++i)
@@ -180,8 +181,8 @@ LidarSequence make_log_of_section(const TrainedRun& run, const ActorTrainingSect
 }
 
 /// Returns the surfels that a ray can hit if it passes near an actor.
-Surfels select_surfels_along_rays(const Surfels& surfels,
-                                  const std::vector<const FrameWithSightings*>& frames) {
+Surfels select_surfels_on_rays_to_actors(const Surfels& surfels,
+                                         const std::vector<const FrameWithSightings*>& frames) {
     std::vector<std::uint8_t> is_selected(surfels.size(), 0);
     parallel_for_in_blocks(surfels.size(), [&](std::size_t index) {
         const glm::dvec3 mean = surfels.mean[index];
@@ -211,17 +212,17 @@ SectionScene make_scene_of_section(const TrainedRun& run, const ActorTrainingSec
     std::vector<const FrameWithSightings*> all;
     for (const FrameWithSightings& frame : section.frames) all.push_back(&frame);
     Surfels background =
-        select_surfels_along_rays(run.scene.surfels.slice(0, run.scene.models.front().count), all);
-    double extent_m = section.blocks.empty() ? compute_background_extent(run.scene) : 0.0;
+        select_surfels_on_rays_to_actors(run.scene.surfels.slice(0, run.scene.models.front().count), all);
+    double extent_m = section.blocks.empty() ? compute_robust_background_extent_m(run.scene) : 0.0;
     for (const std::size_t i : section.blocks) {
         const Scene block = make_background_scene(load_block_surfels(run.scene.blocks[i]));
         std::vector<const FrameWithSightings*> nearby_frames;
         for (const FrameWithSightings& frame : section.frames)
             if (frame.can_rays_reach_block(run.scene.blocks[i])) nearby_frames.push_back(&frame);
-        background.append(select_surfels_along_rays(block.surfels, nearby_frames));
-        extent_m += compute_background_extent(block) / double(section.blocks.size());
+        background.append_surfels(select_surfels_on_rays_to_actors(block.surfels, nearby_frames));
+        extent_m += compute_robust_background_extent_m(block) / double(section.blocks.size());
     }
-    return {replace_background(run.scene, background), extent_m};
+    return {copy_scene_with_new_background(run.scene, background), extent_m};
 }
 
 /// Returns the settings for training only the actors. Uses all rays, and does not refine
@@ -269,9 +270,9 @@ TrainingEndReason train_actors(Device& device, TrainedRun& run, const ActorTrain
         }
         loop.complete_training();
         done += std::size_t(config.train.iterations);
-        const Scene trained = loop.download();
+        const Scene trained = loop.download_current_scene();
         Surfels surfels = run.scene.surfels.slice(0, n_before);
-        surfels.append(trained.surfels.slice(trained.surfels.size() - n_actors, n_actors));
+        surfels.append_surfels(trained.surfels.slice(trained.surfels.size() - n_actors, n_actors));
         run.scene.surfels = std::move(surfels);
     }
     return TrainingEndReason::finished;

@@ -25,20 +25,20 @@ FrameSampler::FrameSampler(std::size_t count, std::uint64_t seed) : order_(count
     std::iota(order_.begin(), order_.end(), std::uint64_t(0));
 }
 
-std::size_t FrameSampler::draw_next_frame() {
+std::size_t FrameSampler::sample_next_frame_index() {
     if (position_ == 0)
         for (std::size_t i = order_.size(); i > 1; --i)
-            std::swap(order_[i - 1], order_[random_.draw_uint64() % i]);
+            std::swap(order_[i - 1], order_[random_.sample_random_uint64() % i]);
     const std::size_t frame = order_[position_];
     position_ = (position_ + 1) % order_.size();
     return frame;
 }
 
-std::optional<std::size_t> FrameSampler::peek_next_frame() const {
+std::optional<std::size_t> FrameSampler::peek_next_frame_index() const {
     return position_ == 0 ? std::nullopt : std::optional(std::size_t(order_[position_]));
 }
 
-bool FrameSampler::has_valid_state(std::size_t n_frames) const {
+bool FrameSampler::is_restored_frame_order_valid(std::size_t n_frames) const {
     std::vector<std::uint64_t> sorted = order_, all(n_frames);
     std::sort(sorted.begin(), sorted.end());
     std::iota(all.begin(), all.end(), std::uint64_t(0));
@@ -74,13 +74,14 @@ LearningRates compute_learning_rates(const TrainConfig& config, double extent_m,
 /// of the background. The rate is proportional to the extent of the model. Steps suitable
 /// for a street would move an actor's surfels out of its box.
 /// @return [models] factors
-std::vector<float> compute_position_rate_factors(const Scene& layout, double background_extent_m) {
+std::vector<float> compute_position_rate_factor_per_model(const Scene& scene_layout,
+                                                          double background_extent_m) {
     std::vector<float> factors;
-    for (const SurfelModel& model : layout.models)
-        factors.push_back(
-            model.half_size_m.x > 0.0f
-                ? static_cast<float>(compute_box_extent(model.half_size_m) / background_extent_m)
-                : 1.0f);
+    for (const SurfelModel& model : scene_layout.models)
+        factors.push_back(model.half_size_m.x > 0.0f
+                              ? static_cast<float>(compute_four_times_box_diagonal_m(model.half_size_m) /
+                                                   background_extent_m)
+                              : 1.0f);
     return factors;
 }
 
@@ -145,7 +146,7 @@ std::vector<float> compute_max_log_scales(const Surfels& surfels, double max_gro
 
 /// Returns true if every surfel gets a gradient in each iteration, even if no ray hits
 /// the surfel. This is so with the box loss, because it depends only on the surfels.
-bool has_dense_gradients(const Config& config) {
+bool does_every_surfel_get_gradient(const Config& config) {
     return config.loss.box > 0.0f && !config.train.only_touched;
 }
 
@@ -173,13 +174,13 @@ std::optional<RangeImageGrid> find_training_range_grid(const Config& config) {
                 "the setting train.grid={} cannot be combined with {}, which needs the rays of the "
                 "sensor (train.grid=native)",
                 config.train.grid, setting));
-    return find_range_grid(config.train.grid);
+    return get_range_image_grid_by_name(config.train.grid);
 }
 
 FrameUploadOptions make_frame_upload_options(const LidarSequence& sequence, const TrainTestSplit& split,
                                              const Scene& scene, const Config& config) {
     return {.unknown = make_training_mask_rules(sequence, split, scene, config),
-            .moves_rays = config.train.should_refine_poses("sensor"),
+            .moves_rays = config.train.is_pose_refinement_enabled_for("sensor"),
             .resident_bytes = std::uint64_t(config.train.frame_memory_mib) << 20,
             .grid = find_training_range_grid(config)};
 }
@@ -194,9 +195,9 @@ TrainLoop::TrainLoop(Device& device, const LidarSequence& sequence, const TrainT
       frames_(device, sequence, split.train, make_frame_upload_options(sequence, split, initial, config)),
       batches_(device, config, frames_.get_all_frames()),
       refiner_(device, sequence, initial, config.train, frames_),
-      differentiable_(
-          device, initial, config.image, make_renderer_options(config, frames_, n_fixed_surfels),
-          {make_backward_options(config), refiner_.get_required_gradients(), has_dense_gradients(config)}),
+      differentiable_(device, initial, config.image, make_renderer_options(config, frames_, n_fixed_surfels),
+                      {make_backward_options(config), refiner_.get_required_gradients(),
+                       does_every_surfel_get_gradient(config)}),
       renderer_(differentiable_.renderer()),
       stream_(renderer_.stream()),
       losses_(make_losses(device, config.loss, find_max_rays_per_frame(frames_.get_all_frames()))),
@@ -206,15 +207,16 @@ TrainLoop::TrainLoop(Device& device, const LidarSequence& sequence, const TrainT
       densifier_(device, initial, config.densify, config.image.alpha_min,
                  static_cast<std::uint32_t>(frames_.get_all_frames().size()), config.train.seed),
       reports_(device),
-      extent_m_(extent_m ? *extent_m : compute_background_extent(initial)),
+      extent_m_(extent_m ? *extent_m : compute_robust_background_extent_m(initial)),
       sampler_(frames_.get_all_frames().size(), config.train.seed) {
     for (std::size_t i = 0; i < frames_.get_all_frames().size(); ++i)
         frames_[i].placed = compute_instance_poses(
-            initial, sequence, get_sweep_moment(sequence.frames[std::size_t(frames_[i].position)]));
+            initial, sequence, get_sweep_timing_of_frame(sequence.frames[std::size_t(frames_[i].position)]));
     // Limits the size of surfels if there is no densification. Densification splits large
     // surfels, so it needs no limit.
     if (config.densify.strategy == DensifyStrategy::none)
-        adam_.set_max_log_scales(device, compute_max_log_scales(initial.surfels, config.train.max_growth));
+        adam_.set_max_log_scale_of_each_surfel(
+            device, compute_max_log_scales(initial.surfels, config.train.max_growth));
 }
 
 TrainLoop::~TrainLoop() {
@@ -228,17 +230,18 @@ TrainLoop::~TrainLoop() {
     }
 }
 
-const TrainingFrameData& TrainLoop::upload_and_place_frame(std::size_t frame_index, bool surfels_changed) {
-    TrainingFrameData& frame = frames_.make_frame_resident(stream_, frame_index);
+const TrainingFrameData& TrainLoop::upload_frame_and_move_instances(std::size_t frame_index,
+                                                                    bool surfels_changed) {
+    TrainingFrameData& frame = frames_.upload_frame_if_not_resident(stream_, frame_index);
     refiner_.move_frame_to_corrected_poses(stream_, frame);
-    if (surfels_changed) renderer_.prepare_view(frame.placed, frame.sensor_position_m);
-    else renderer_.move_instances(frame.placed, frame.sensor_position_m);
+    if (surfels_changed) renderer_.record_view_preparation(frame.placed, frame.sensor_position_m);
+    else renderer_.record_instance_poses_and_view(frame.placed, frame.sensor_position_m);
     return frame;
 }
 
 const TrainingFrameData& TrainLoop::prepare_frame_for_step(std::size_t frame_index, int step) {
     renderer_.set_sh_degree(get_active_sh_degree(config_.train, step));
-    return upload_and_place_frame(
+    return upload_frame_and_move_instances(
         frame_index, should_refit_tree(choose_tree_refit_options(config_, n_fixed_), config_.train, step));
 }
 
@@ -252,13 +255,13 @@ void TrainLoop::record_render_and_backward(const RayBatch& rays, const TargetBat
 }
 
 void TrainLoop::run_iteration(int step, bool ends_log_line) {
-    check_iteration_reports(step - kReadbackLag);
+    process_iteration_reports(step - kReadbackLag);
     refiner_.apply_pose_updates_until(stream_, step - kReadbackLag);
-    const std::size_t frame_index = sampler_.draw_next_frame();
+    const std::size_t frame_index = sampler_.sample_next_frame_index();
     DeviceScene& scene = renderer_.scene();
 
     const TrainingFrameData& frame = prepare_frame_for_step(frame_index, step);
-    if (const std::optional<std::size_t> next_frame_index = sampler_.peek_next_frame())
+    if (const std::optional<std::size_t> next_frame_index = sampler_.peek_next_frame_index())
         frames_.prefetch_frame(*next_frame_index);
     const SampledBatch batch = batches_.sample_random_batch(stream_, frame, sampler_.get_random_generator());
     const LossTermRow terms = reports_.get_current_loss_row();
@@ -270,41 +273,41 @@ void TrainLoop::run_iteration(int step, bool ends_log_line) {
             stream_, scene, {&gradients.surfels, config_.train.only_touched ? &gradients.touched : nullptr},
             terms);
     const bool is_full_frame = batch.rays.n_rays == frame.n_rays;
-    densifier_.accumulate_gradient_statistics(
+    densifier_.record_gradient_statistics_update(
         stream_, scene,
         {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), is_full_frame});
     LearningRates rates = compute_learning_rates(config_.train, extent_m_, step);
     if (config_.densify.strategy == DensifyStrategy::adaptive)
         rates.models = &scene.get_model_table(),
-        rates.mean_factors = compute_position_rate_factors(scene.get_scene_layout(), extent_m_);
+        rates.mean_factors = compute_position_rate_factor_per_model(scene.get_scene_layout(), extent_m_);
     const Array<std::uint32_t, shared::TouchedSurfels>* touched =
-        has_dense_gradients(config_) ? nullptr : &gradients.touched;
+        does_every_surfel_get_gradient(config_) ? nullptr : &gradients.touched;
     adam_.record_adam_step(stream_, scene.get_surfel_parameters(), gradients.surfels, touched, rates, step,
                            renderer_.model().sh_degree);
     reports_.add_iteration(step, frame.index);
-    if (densifier_.should_densify(step))
+    if (densifier_.should_densify_after_step(step))
         apply_surfel_change([&](double other_allocation_bytes) {
             return densifier_.densify_surfels(stream_, scene, adam_, step, other_allocation_bytes);
         });
-    densifier_.reset_opacities_if_scheduled(stream_, scene, adam_, step);
-    if (ends_log_line || reports_.is_full()) request_report(step, ends_log_line);
-    if (step % kGrowthEvery == 0) renderer_.accel().measure_bvh_traversal_cost(stream_);
+    densifier_.record_opacity_reset_if_scheduled(stream_, scene, adam_, step);
+    if (ends_log_line || reports_.is_loss_table_full()) request_report(step, ends_log_line);
+    if (step % kGrowthEvery == 0) renderer_.accel().record_bvh_cost_measurement(stream_);
     submitted_ = stream_.submit_commands();
     last_step_ = step;
 }
 
 void TrainLoop::apply_surfel_change(
     const std::function<DensifyReport(double other_allocation_bytes)>& change) {
-    differentiable_.apply_surfel_change(
+    differentiable_.change_surfels_and_reallocate_memory(
         [&](double other_allocation_bytes) { densified_.add_counts(change(other_allocation_bytes)); });
 }
 
 void TrainLoop::request_report(int step, bool ends_log_line) {
     const BackwardPass& backward = differentiable_.backward_pass();
     const DeviceHitCounters counts{
-        &renderer_.forward_pass().get_truncated_ray_count(),
+        &renderer_.forward_pass().get_device_truncated_ray_count(),
         config_.train.deterministic ? backward.get_device_max_hit_count() : nullptr,
-        backward.get_hit_capacity(), &renderer_.forward_pass().get_hit_overflow_ray_count(),
+        backward.get_hit_capacity(), &renderer_.forward_pass().get_device_hit_overflow_ray_count(),
         renderer_.get_stored_hits_per_ray()};
     reports_.record_report_readback(
         stream_, counts,
@@ -313,7 +316,7 @@ void TrainLoop::request_report(int step, bool ends_log_line) {
             : std::nullopt);
 }
 
-void TrainLoop::check_iteration_reports(int last_step) {
+void TrainLoop::process_iteration_reports(int last_step) {
     while (const std::optional<IterationReports::IterationGroupReport> report =
                reports_.read_oldest_report(stream_, last_step)) {
         if (report->pass_cap > 0)
@@ -322,7 +325,7 @@ void TrainLoop::check_iteration_reports(int last_step) {
                 "passes or the traversal stack; the scene probably has too many overlapping surfels",
                 report->first_step, report->last_step, report->pass_cap));
         increase_hit_capacity_if_needed(*report);
-        increase_hits_kept_per_ray(*report);
+        increase_stored_hits_per_ray_if_needed(*report);
     }
 }
 
@@ -341,7 +344,7 @@ void TrainLoop::increase_hit_capacity_if_needed(const IterationReports::Iteratio
     differentiable_.backward_pass().reserve_hit_memory(stream_, 2 * std::uint64_t(report.most_hits));
 }
 
-void TrainLoop::increase_hits_kept_per_ray(const IterationReports::IterationGroupReport& report) {
+void TrainLoop::increase_stored_hits_per_ray_if_needed(const IterationReports::IterationGroupReport& report) {
     // Ignores reports of steps before the last increase of the hits per ray.
     if (report.stored_hits_per_ray != renderer_.get_stored_hits_per_ray() || hit_memory_exhausted_) return;
     const std::uint32_t n_hits = recommend_stored_hits_per_ray(report.stored_hits_per_ray, report.overfull);
@@ -359,8 +362,8 @@ void TrainLoop::increase_hits_kept_per_ray(const IterationReports::IterationGrou
 void TrainLoop::wait_for_iterations() {
     request_report(last_step_, false);
     submitted_ = stream_.submit_commands();
-    check_iteration_reports(last_step_);
-    refiner_.fetch_pending_gradients(stream_);
+    process_iteration_reports(last_step_);
+    refiner_.wait_for_pending_gradients(stream_);
     stream_.wait_for_submission(submitted_);
 }
 
@@ -369,18 +372,19 @@ void TrainLoop::complete_training() {
     refiner_.apply_pose_updates_until(stream_, last_step_);
 }
 
-void TrainLoop::save_state(Checkpoint& checkpoint) {
+void TrainLoop::save_training_state_to_checkpoint(Checkpoint& checkpoint) {
     wait_for_iterations();
     checkpoint.texts["layout"] = format_scene_layout_json(renderer_.scene().get_scene_layout());
     visit_state(CheckpointWriter(checkpoint));
 }
 
-void TrainLoop::restore_state(const Checkpoint& checkpoint) {
+void TrainLoop::restore_training_state_from_checkpoint(const Checkpoint& checkpoint) {
     // waits for pending iterations, because they would overwrite the restored state
     wait_for_iterations();
     visit_state(CheckpointReader(checkpoint));
     last_step_ = checkpoint.iteration;
-    if (!sampler_.has_valid_state(frames_.get_all_frames().size()) || !reports_.has_valid_state())
+    if (!sampler_.is_restored_frame_order_valid(frames_.get_all_frames().size()) ||
+        !reports_.is_restored_report_state_valid())
         throw DataError(
             fmt::format("cannot resume from iteration {}: the stored frame order and loss sums do not fit {} "
                         "frames and {} loss terms",
@@ -409,22 +413,23 @@ RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSe
     for (std::size_t k = 0; k < frames_.get_all_frames().size(); ++k) {
         // Refits the tree before the first frame, because the last iteration moved the
         // surfels.
-        const TrainingFrameData& frame = upload_and_place_frame(k, k == 0);
+        const TrainingFrameData& frame = upload_frame_and_move_instances(k, k == 0);
         if (k + 1 < frames_.get_all_frames().size()) frames_.prefetch_frame(k + 1);
-        const std::uint32_t first = batches.draw_first_column(frame, sampler_.get_random_generator());
+        const std::uint32_t first =
+            batches.sample_random_first_column(frame, sampler_.get_random_generator());
         const auto passes = static_cast<std::uint32_t>(
-            std::clamp<std::size_t>(rays_of_frame / kRays, 1, batches.count_batches(frame)));
+            std::clamp<std::size_t>(rays_of_frame / kRays, 1, batches.count_batches_covering_frame(frame)));
         for (std::uint32_t pass = 0; pass < passes; ++pass)
-            count_dropped_rays(counts, sequence, frame,
-                               batches.gather_nth_batch(stream_, frame, first, pass));
+            add_batch_to_drop_counts(counts, sequence, frame,
+                                     batches.gather_nth_batch(stream_, frame, first, pass));
     }
-    RayDropTable drops = counts.estimate_drop_rates();
+    RayDropTable drops = counts.estimate_smoothed_drop_rates();
     mark_unobserved_sectors_as_dropped(drops, frames_.get_mask_rules().observed_drops, sequence);
     return drops;
 }
 
-void TrainLoop::count_dropped_rays(RayDropCounts& counts, const LidarSequence& sequence,
-                                   const TrainingFrameData& frame, const SampledBatch& batch) {
+void TrainLoop::add_batch_to_drop_counts(RayDropCounts& counts, const LidarSequence& sequence,
+                                         const TrainingFrameData& frame, const SampledBatch& batch) {
     // Minimum blending weight of a ray that hits a solid surface. Only such rays are
     // counted. In blind directions all rays are counted, because no surface was trained
     // there.
@@ -433,13 +438,13 @@ void TrainLoop::count_dropped_rays(RayDropCounts& counts, const LidarSequence& s
     const RayDropTable& observed = frames_.get_mask_rules().observed_drops;
     renderer_.record_forward_pass(batch.rays);
     stream_.submit_and_wait();
-    const RenderedRayValues r =
-        to_rendering(renderer_.get_last_rendered_batch().rendered->download(batch.rays.n_rays));
+    const RenderedRayValues r = convert_rays_to_rendered_values(
+        renderer_.get_last_rendered_batch().rendered->download(batch.rays.n_rays));
     for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
-        const std::size_t ray = batch.get_frame_ray_index(j);
+        const std::size_t ray = batch.convert_batch_to_frame_ray_index(j);
         if (r.hit_logit[j] > r.drop_logit[j] &&
             (r.weight[j] > kSolid || is_ray_in_blind_sector(observed, sequence, sweep, ray)))
-            counts.count_ray(sweep, ray);
+            counts.add_ray_to_drop_counts(sweep, ray);
     }
 }
 

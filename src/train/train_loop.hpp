@@ -27,20 +27,20 @@ namespace relidar {
 class FrameSampler {
 public:
     FrameSampler(std::size_t n, std::uint64_t seed);
-    std::size_t draw_next_frame();
-    /// Returns the frame that draw_next_frame() will return. Returns nothing at the end
-    /// of an epoch, because the order of the next epoch is still unknown.
-    std::optional<std::size_t> peek_next_frame() const;
+    std::size_t sample_next_frame_index();
+    /// Returns the frame that sample_next_frame_index() will return. Returns nothing at
+    /// the end of an epoch, because the order of the next epoch is still unknown.
+    std::optional<std::size_t> peek_next_frame_index() const;
     Random& get_random_generator() { return random_; }
 
     template <class Visitor>
     void visit_state(Visitor&& visit) {
         visit("sampler/order", order_);
         visit("sampler/position", position_);
-        visit("sampler/random", random_.get_mutable_state());
+        visit("sampler/random", random_.get_mutable_generator_state());
     }
     /// Returns true if a state that was read from a checkpoint is valid.
-    bool has_valid_state(std::size_t n_frames) const;
+    bool is_restored_frame_order_valid(std::size_t n_frames) const;
 
 private:
     std::vector<std::uint64_t> order_;
@@ -83,25 +83,26 @@ public:
     /// Waits for all submitted iterations, and writes the complete training state into a
     /// checkpoint.
     /// @throws DataError if a loss of these iterations was not finite
-    void save_state(Checkpoint& checkpoint);
+    void save_training_state_to_checkpoint(Checkpoint& checkpoint);
     /// Restores the state from a checkpoint. The loop must have been created with the
     /// scene and the log of the checkpoint.
     /// @throws DataError if the state does not match
-    void restore_state(const Checkpoint& checkpoint);
+    void restore_training_state_from_checkpoint(const Checkpoint& checkpoint);
     /// Estimates the probability that the sensor itself drops a ray. Uses only rays for
     /// which the scene predicts a return. Waits for the device.
     RayDropTable estimate_sensor_drop_rates(Device& device, const LidarSequence& sequence);
     /// Returns the current poses, or nothing if no poses are refined.
     std::optional<RefinedPoses> get_refined_poses() const {
-        return refiner_.is_active() ? std::optional(refiner_.get_refined_poses()) : std::nullopt;
+        return refiner_.is_pose_refinement_enabled() ? std::optional(refiner_.get_refined_poses())
+                                                     : std::nullopt;
     }
     /// Downloads the current scene. Waits for the device.
-    Scene download() { return renderer_.download_scene(); }
-    const KernelTimes& times() { return renderer_.stream().times(); }
+    Scene download_current_scene() { return renderer_.download_scene(); }
+    const KernelTimes& get_training_kernel_times() { return renderer_.stream().times(); }
     std::uint32_t get_surfel_count() const { return renderer_.scene().size(); }
     std::uint32_t count_rays_of_last_batch() const { return renderer_.get_last_rendered_batch().rays.n_rays; }
     /// Returns the number of hits that are currently stored for each ray.
-    std::uint32_t kept_hits() const { return renderer_.get_stored_hits_per_ray(); }
+    std::uint32_t get_max_stored_hits_per_ray() const { return renderer_.get_stored_hits_per_ray(); }
     const TrainingFrames& get_training_frames() const { return frames_; }
 
 private:
@@ -156,12 +157,12 @@ private:
     /// Uploads a frame if it is not on the device, and moves the instances to their poses
     /// in this frame.
     /// @param surfels_changed  true if surfels have changed since the last frame
-    const TrainingFrameData& upload_and_place_frame(std::size_t frame_index, bool surfels_changed);
+    const TrainingFrameData& upload_frame_and_move_instances(std::size_t frame_index, bool surfels_changed);
     /// Records GPU commands that render a batch, and compute its losses and gradients.
     void record_render_and_backward(const RayBatch& rays, const TargetBatch& targets,
                                     const LossTermRow& loss_terms);
     /// Checks the losses and counters of all iterations up to `last_step`.
-    void check_iteration_reports(int last_step);
+    void process_iteration_reports(int last_step);
     void request_report(int step, bool ends_log_line);
     /// Compares the number of hits in a report with the capacity of the hit buffer.
     /// Increases the capacity if more than half of it was used.
@@ -169,11 +170,11 @@ private:
     void increase_hit_capacity_if_needed(const IterationReports::IterationGroupReport& report);
     /// Increases the number of hits that are stored per ray if too many rays had more
     /// hits. Such rays are slow, because they must be traced twice.
-    void increase_hits_kept_per_ray(const IterationReports::IterationGroupReport& report);
+    void increase_stored_hits_per_ray_if_needed(const IterationReports::IterationGroupReport& report);
     /// Counts the rays of a batch for which the scene predicts a return, and how many
     /// were dropped.
-    void count_dropped_rays(RayDropCounts& counts, const LidarSequence& sequence,
-                            const TrainingFrameData& frame, const SampledBatch& batch);
+    void add_batch_to_drop_counts(RayDropCounts& counts, const LidarSequence& sequence,
+                                  const TrainingFrameData& frame, const SampledBatch& batch);
     void apply_surfel_change(const std::function<DensifyReport(double other_allocation_bytes)>& change);
 };
 

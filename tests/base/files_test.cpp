@@ -92,7 +92,7 @@ TEST_F(Files, ExcerptsAreShortAndPrintable) {
 
 TEST(TomlDepth, DeepKeysAndBracketsAreRefused) {
     const auto refused = [](const std::string& text) {
-        return get_data_error_message([&] { check_toml_nesting_depth(text, "f.toml"); });
+        return get_data_error_message([&] { require_toml_nesting_within_limit(text, "f.toml"); });
     };
     std::string dots = "a";
     for (int i = 0; i < 40000; ++i) dots += ".a";
@@ -103,10 +103,10 @@ TEST(TomlDepth, DeepKeysAndBracketsAreRefused) {
     EXPECT_THAT(refused("a = " + std::string(9, '[')), test::Names("f.toml:1 ... brackets"));
     EXPECT_THAT(refused("a = {b = [\n{c = [\n{d = [\n{e = [\n{f = 1"), test::Names("f.toml:5 ... brackets"));
     EXPECT_NO_THROW(
-        check_toml_nesting_depth("# ........................\na = \"..........\\\"..........\"\nb = "
-                                 "'..........'\nc.d.e.f.g.h.i.j = 1.5\n[k]\nl = "
-                                 "[1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5]\n",
-                                 "f.toml"));
+        require_toml_nesting_within_limit("# ........................\na = \"..........\\\"..........\"\nb = "
+                                          "'..........'\nc.d.e.f.g.h.i.j = 1.5\n[k]\nl = "
+                                          "[1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5]\n",
+                                          "f.toml"));
 }
 
 }  // namespace

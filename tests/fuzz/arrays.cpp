@@ -90,10 +90,11 @@ std::vector<Harness> list_array_harnesses() {
          }},
         {"model",
          [](const fs::path& folder) {
-             return written(folder, [](const fs::path& file) { save_model(file, make_small_scene()); });
+             return written(folder,
+                            [](const fs::path& file) { save_scene_to_model_file(file, make_small_scene()); });
          },
          [](std::string_view input, const fs::path& folder) {
-             read_as_file(input, folder, [](const fs::path& file) { load_model(file); });
+             read_as_file(input, folder, [](const fs::path& file) { load_scene_from_model_file(file); });
          }},
         {"checkpoint", make_checkpoint_seeds,
          [](std::string_view input, const fs::path& folder) {

@@ -347,17 +347,17 @@ void read_message(std::string_view input, const fs::path&) {
                               : kind % 2                          ? "ros1"
                                                                   : "cdr"};
     const std::string_view bytes = input.substr(1);
-    if (bag::get_topic_use(topic) == bag::MessagePurpose::cloud) {
-        const SharedBytes message = move_to_shared_bytes(std::string(bytes));
+    if (bag::get_message_purpose_of_topic(topic) == bag::MessagePurpose::cloud) {
+        const SharedBytes message = make_shared_bytes(std::string(bytes));
         bag::make_point_table(bag::read_cloud_of_message(topic, message.bytes), message);
-    } else if (bag::get_topic_use(topic) == bag::MessagePurpose::packets) {
+    } else if (bag::get_message_purpose_of_topic(topic) == bag::MessagePurpose::packets) {
         bag::MessageHeader header;
         packets::PacketIndex log;
         const std::vector<packets::ReceivedPacket> views =
             packets::read_packets_of_message(topic, bytes, 0, header);
         for (int k = 0; k < 2; ++k) log.add_packets_of_message(views, 0, {}, {});
         read_turns(log, views);
-    } else if (bag::get_topic_use(topic) == bag::MessagePurpose::boxes) {
+    } else if (bag::get_message_purpose_of_topic(topic) == bag::MessagePurpose::boxes) {
         bag::read_boxes_of_message(topic, bytes);
     } else if (topic_type == "std_msgs/String") {
         packets::read_text_message(topic, bytes);
@@ -417,8 +417,8 @@ void read_ousters(std::string_view input, const fs::path&) {
     while (reader.count_remaining_bytes() >= calibration.ouster->packet_bytes && views.size() < kMostPackets)
         views.push_back(
             {std::int64_t(views.size()) * 50000000, reader.read_bytes(calibration.ouster->packet_bytes)});
-    packets::find_ouster_format_of_packet({calibration.ouster}, "/ouster/lidar_packets",
-                                          views.empty() ? std::string_view() : views.front().bytes);
+    packets::find_ouster_metadata_of_packet({calibration.ouster}, "/ouster/lidar_packets",
+                                            views.empty() ? std::string_view() : views.front().bytes);
     packets::PacketIndex log;
     log.add_packets_of_message(views, 0, {}, calibration);
     read_turns(log, views);
@@ -485,7 +485,7 @@ void read_pcap(std::string_view input, const fs::path& folder) {
 void read_blocks(std::string_view input, const fs::path&) {
     constexpr std::size_t kMostPackets = 64;
     bag::ByteReader reader(input);
-    const std::size_t bytes = std::max<std::size_t>(reader.read_number<std::uint16_t>(), 1);
+    const std::size_t bytes = std::max<std::size_t>(reader.read_little_endian_number<std::uint16_t>(), 1);
     std::vector<packets::ReceivedPacket> views;
     std::string run;
     while (reader.count_remaining_bytes() >= bytes && views.size() < kMostPackets) {

@@ -98,7 +98,7 @@ void read_texts(const Drive& drive, unsigned options) {
                  },
                  [&] {
                      if (options & kPosesFile) kitti::read_pose_matrices(drive.poses(), frames);
-                     else kitti::read_oxts_poses(drive.folder(), frames);
+                     else kitti::compute_lidar_poses_from_oxts_files(drive.folder(), frames);
                  },
                  [&] { kitti::split_points_into_rings(kitti::read_kitti_scan_points(drive.scan()).points); },
                  [&] { kitti::read_tracklet_boxes(drive.folder() / "tracklet_labels.xml", frames, track); }});

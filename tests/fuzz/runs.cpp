@@ -20,7 +20,7 @@ namespace fs = std::filesystem;
 
 std::vector<std::string> make_coverage_seeds(const fs::path& folder) {
     ObservedVoxelSet coverage;
-    coverage.add_segment(glm::dvec3(-9.5, 0.25, 1.5), glm::dvec3(20.0, -3.0, 2.0));
+    coverage.add_voxels_on_line_segment(glm::dvec3(-9.5, 0.25, 1.5), glm::dvec3(20.0, -3.0, 2.0));
     run_detail::save_coverage(folder / "seed", coverage);
     return {read_contents(folder / "seed")};
 }
@@ -30,11 +30,12 @@ std::vector<std::string> make_coverage_seeds(const fs::path& folder) {
 void read_coverage(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
     ObservedVoxelSet coverage = run_detail::load_coverage(folder / "input");
-    coverage.add_coverage(ObservedVoxelSet(coverage));
-    for (const ObservedVoxelSet::VoxelBlock& block : coverage.list_cell_blocks()) {
+    coverage.add_all_voxels_of_set(ObservedVoxelSet(coverage));
+    for (const ObservedVoxelSet::VoxelBlock& block : coverage.list_voxel_blocks()) {
         const glm::dvec3 corner =
             glm::dvec3(block.grid_index) * (ObservedVoxelSet::kCell_m * ObservedVoxelSet::kBlockCells);
-        const double share = coverage.compute_observed_fraction(corner, corner + glm::dvec3(3.0, 20.0, -7.0));
+        const double share =
+            coverage.compute_observed_fraction_of_segment(corner, corner + glm::dvec3(3.0, 20.0, -7.0));
         if (!(share >= 0.0 && share <= 1.0)) std::abort();
     }
 }
@@ -48,7 +49,7 @@ std::vector<std::string> make_classes_seeds(const fs::path& folder) {
 void read_classes(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
     const SurfaceClassMap map = run_detail::load_class_map(folder / "input");
-    if (!map.empty()) (void)SurfaceClassLookup(map).find_nearest_class(glm::dvec3(0.1, 0.2, 0.3));
+    if (!map.empty()) (void)SurfaceClassLookup(map).find_class_of_nearest_cell(glm::dvec3(0.1, 0.2, 0.3));
 }
 
 std::vector<std::string> make_sweeps_seeds(const fs::path& folder) {
@@ -92,7 +93,7 @@ void read_scatter(std::string_view input, const fs::path& folder) {
         run_detail::load_intensity_scatter(folder / "input", 1);
     const RenderedIntensityImage image{
         2, 2, {0.1f, 0.2f, 0.3f, 0.4f}, {5.0f, 6.0f, 7.0f, 8.0f}, {0, 0, 0, 0}, {1, 1, 1, 1}, {0, 0, 0, 0}};
-    if (!scatter[0].empty()) draw_random_intensities(scatter[0], image, std::vector<std::uint8_t>(4, 1), 1);
+    if (!scatter[0].empty()) sample_random_intensities(scatter[0], image, std::vector<std::uint8_t>(4, 1), 1);
 }
 
 }  // namespace

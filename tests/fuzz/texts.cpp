@@ -22,7 +22,7 @@ namespace fs = std::filesystem;
 void read_config(std::string_view input, const fs::path& folder) {
     put(folder / "config.toml", input);
     Config config;
-    load_config(config, folder / "config.toml");
+    apply_config_file(config, folder / "config.toml");
 }
 
 /// Reads a street, and simulates it if it is small.
@@ -53,10 +53,11 @@ void read_scene(std::string_view input, const fs::path& folder) {
     const TrainedRun read = load_run(run.folder);
     const SpinningSensor& sensor = read.sequence.lidars[0].sensor;
     if (!sensor.beams.empty() && sensor.beams.size() * std::size_t(sensor.columns) < 10000) make_rays(sensor);
-    for (const BoxTrack& box : read.sequence.boxes) (void)box.is_present(read.sequence.frames[0].time_s);
+    for (const BoxTrack& box : read.sequence.boxes)
+        (void)box.is_observed_at_time(read.sequence.frames[0].time_s);
     for (const Lidar& lidar : read.sequence.lidars)  // creates the rays only if their number is small
         if (lidar.pattern && std::holds_alternative<RayTable>(*lidar.pattern)) make_nominal_rays(lidar, 0.0);
-    split_frames(read.sequence, 10);
+    split_frames_into_train_and_test(read.sequence, 10);
 }
 
 std::vector<std::string> make_scene_seeds(const fs::path& folder) {
@@ -191,7 +192,7 @@ std::vector<Harness> list_text_harnesses() {
         {"scenario", [](const fs::path&) { return std::vector<std::string>{kScenario}; }, read_entities},
         {"config",
          [](const fs::path&) {
-             return std::vector{to_toml(make_preset("quick")),
+             return std::vector{to_toml(make_preset_config("quick")),
                                 std::string("preset = \"paper\"\n[loss]\ndepth = 0.5\n")};
          },
          read_config},

@@ -21,11 +21,12 @@
 namespace relidar {
 namespace {
 
-static_assert(get_struct_name<shared::ImageLossParams>() == "ImageLossParams");
-static_assert(find_params_struct_name("diff/loss/image_loss") == "ImageLossParams", "as its shader declares");
-static_assert(find_params_struct_name("diff/loss/surfel_loss") != "ImageLossParams",
+static_assert(get_unqualified_struct_name<shared::ImageLossParams>() == "ImageLossParams");
+static_assert(find_parameter_struct_name("diff/loss/image_loss") == "ImageLossParams",
+              "as its shader declares");
+static_assert(find_parameter_struct_name("diff/loss/surfel_loss") != "ImageLossParams",
               "so Kernel<ImageLossParams> of it does not compile");
-static_assert(find_params_struct_name("loss/image_los").empty(), "nor does a name that no kernel has");
+static_assert(find_parameter_struct_name("loss/image_los").empty(), "nor does a name that no kernel has");
 
 template <class Rendered, class Targets>
 concept FillParameters = requires(Rendered rendered, Targets targets) {
@@ -101,9 +102,9 @@ TEST_F(AddressTest, NowhereIsWhatNoArrayHas) {
     const Array<glm::vec3> array(device(), 4, "test");
     const Address<glm::vec3> nowhere;
     EXPECT_NE(array.address(), nowhere);
-    EXPECT_EQ(get_address(&array), array.address());
+    EXPECT_EQ(get_device_address_or_null(&array), array.address());
     const Array<glm::vec3>* none = nullptr;
-    EXPECT_EQ(get_address(none), nowhere);
+    EXPECT_EQ(get_device_address_or_null(none), nowhere);
     EXPECT_EQ(Array<glm::vec3>().address(), nowhere);
     EXPECT_EQ(array.address_as<float>(1), array.address_as<float>(1));
     EXPECT_NE(array.address_as<float>(1), array.address_as<float>()) << "a part";

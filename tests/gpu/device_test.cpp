@@ -150,12 +150,12 @@ TEST_F(Gpu, ExtensionsOfRayQueryAreEnabledForRayQueryAlone) {
     };
     if (device().info().software) {
         const Device software({.index = device().info().index, .traversal = RayTracingBackend::software});
-        EXPECT_EQ(software.traversal(), RayTracingBackend::software);
+        EXPECT_EQ(software.get_ray_tracing_backend(), RayTracingBackend::software);
         EXPECT_FALSE(has_ray_tracing(software));
     }
     if (device().info().ray_query) {
         const Device ray_query({.index = device().info().index, .traversal = RayTracingBackend::ray_query});
-        EXPECT_EQ(ray_query.traversal(), RayTracingBackend::ray_query);
+        EXPECT_EQ(ray_query.get_ray_tracing_backend(), RayTracingBackend::ray_query);
         EXPECT_TRUE(has_ray_tracing(ray_query));
     } else {
         EXPECT_THROW(Device({.index = device().info().index, .traversal = RayTracingBackend::ray_query}),
@@ -172,42 +172,43 @@ TEST_F(Gpu, SubgroupsOfVaryingSizeMustBeControlled) {
     sizes.minSubgroupSize = 8;
     sizes.maxSubgroupSize = 32;
     gpu::OptionalFeatures optional;
-    EXPECT_EQ(gpu::list_features_missing_for_software(subgroup, sizes, optional),
+    EXPECT_EQ(gpu::list_missing_software_traversal_features(subgroup, sizes, optional),
               "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     optional.subgroup_size = true;
-    EXPECT_FALSE(gpu::can_require_subgroup_size(sizes, optional)) << "some lanes may be missing";
+    EXPECT_FALSE(gpu::can_request_full_subgroups_of_one_size(sizes, optional)) << "some lanes may be missing";
     optional.full_subgroups = true;
-    EXPECT_EQ(gpu::list_features_missing_for_software(subgroup, sizes, optional), "");
+    EXPECT_EQ(gpu::list_missing_software_traversal_features(subgroup, sizes, optional), "");
     sizes.maxSubgroupSize = 8;
-    EXPECT_EQ(gpu::list_features_missing_for_software(subgroup, sizes, {}), "") << "one size";
+    EXPECT_EQ(gpu::list_missing_software_traversal_features(subgroup, sizes, {}), "") << "one size";
     subgroup.supportedOperations &= ~VkSubgroupFeatureFlags(VK_SUBGROUP_FEATURE_SHUFFLE_BIT);
-    EXPECT_EQ(gpu::list_features_missing_for_software(subgroup, sizes, {}), "subgroup shuffles in compute");
+    EXPECT_EQ(gpu::list_missing_software_traversal_features(subgroup, sizes, {}),
+              "subgroup shuffles in compute");
 }
 
 TEST_F(Gpu, NetworksNeedShufflesInKnownSubgroups) {
     VkPhysicalDeviceSubgroupProperties subgroup{};
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{};
     sizes.minSubgroupSize = sizes.maxSubgroupSize = 8;
-    EXPECT_EQ(gpu::list_features_missing_for_networks(subgroup, sizes, {}), "subgroup shuffles in compute");
+    EXPECT_EQ(gpu::list_missing_network_features(subgroup, sizes, {}), "subgroup shuffles in compute");
     subgroup.supportedOperations = VK_SUBGROUP_FEATURE_SHUFFLE_BIT;
-    EXPECT_EQ(gpu::list_features_missing_for_networks(subgroup, sizes, {}), "");
+    EXPECT_EQ(gpu::list_missing_network_features(subgroup, sizes, {}), "");
     sizes.maxSubgroupSize = 32;
-    EXPECT_NE(gpu::list_features_missing_for_networks(subgroup, sizes, {}), "")
+    EXPECT_NE(gpu::list_missing_network_features(subgroup, sizes, {}), "")
         << "lanes of one size are not known";
 }
 
 TEST_F(Gpu, BestTraversalFollowsWhatADeviceHas) {
     DeviceInfo d;
     d.type = "discrete GPU";
-    EXPECT_EQ(choose_best_traversal(d), RayTracingBackend::automatic) << "neither";
+    EXPECT_EQ(choose_best_ray_tracing_backend(d), RayTracingBackend::automatic) << "neither";
     d.software = true;
-    EXPECT_EQ(choose_best_traversal(d), RayTracingBackend::software);
+    EXPECT_EQ(choose_best_ray_tracing_backend(d), RayTracingBackend::software);
     d.ray_query = true;
-    EXPECT_EQ(choose_best_traversal(d), RayTracingBackend::ray_query);
+    EXPECT_EQ(choose_best_ray_tracing_backend(d), RayTracingBackend::ray_query);
     d.type = "CPU";
-    EXPECT_EQ(choose_best_traversal(d), RayTracingBackend::software);
+    EXPECT_EQ(choose_best_ray_tracing_backend(d), RayTracingBackend::software);
     d.software = false;
-    EXPECT_EQ(choose_best_traversal(d), RayTracingBackend::ray_query);
+    EXPECT_EQ(choose_best_ray_tracing_backend(d), RayTracingBackend::ray_query);
 }
 
 }  // namespace

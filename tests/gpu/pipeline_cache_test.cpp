@@ -68,7 +68,8 @@ protected:
     static Opened open() {
         Device opened(apply_environment_variables());
         const PrefixSum prefix_sum(opened);
-        return {opened.impl().pipeline_cache->path(), opened.impl().pipeline_cache->get_loaded_byte_count()};
+        return {opened.impl().pipeline_cache->path(),
+                opened.impl().pipeline_cache->get_loaded_cache_size_bytes()};
     }
     /// Returns true if the driver stores pipelines, which means that its cache is longer
     /// than the Vulkan header.
@@ -160,7 +161,7 @@ TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
                                  SubgroupRequirement subgroups = SubgroupRequirement::any) {
         return Kernel<shared::ListTouchedParams>(opened, "scene/list_touched", constants, subgroups)
             .impl()
-            .get_compiled_pipeline();
+            .wait_for_compiled_pipeline();
     };
     const VkPipeline first = pipeline_of(of_64);
     EXPECT_NE(first, VK_NULL_HANDLE);
@@ -193,8 +194,8 @@ TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
     const auto used = begin(32), alike = begin(32), unused = begin(64);
     begin(128);
     EXPECT_EQ(opened.impl().pipelines.by_key.size(), 3u);
-    EXPECT_NE(used->impl().get_compiled_pipeline(), VK_NULL_HANDLE);
-    EXPECT_EQ(used->impl().get_compiled_pipeline(), alike->impl().get_compiled_pipeline());
+    EXPECT_NE(used->impl().wait_for_compiled_pipeline(), VK_NULL_HANDLE);
+    EXPECT_EQ(used->impl().wait_for_compiled_pipeline(), alike->impl().wait_for_compiled_pipeline());
     for (const auto& [key, made] : opened.impl().pipelines.by_key)
         EXPECT_EQ(made.get().result, VK_SUCCESS) << key;
 }

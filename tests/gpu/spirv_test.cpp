@@ -55,7 +55,7 @@ std::string text_of(const Words& extension) {
 TEST(SpirvModes, ParametersAreReadOnlyInEveryModule) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const std::vector<Words> before = instructions(kernel.words),
-                                 after = instructions(gpu::make_parameters_read_only(kernel.words));
+                                 after = instructions(gpu::mark_parameter_block_read_only(kernel.words));
         std::vector<Words> added;
         std::size_t k = 0;
         for (const Words& instruction : after) {
@@ -75,7 +75,8 @@ TEST(SpirvModes, AreAllThatIsAddedToAModule) {
         for (const gpu::ExecutionMode& mode :
              {gpu::kSubgroupUniformControlFlow, gpu::kMaximallyReconverges}) {
             const std::vector<Words> before = instructions(kernel.words),
-                                     after = instructions(gpu::add_execution_mode(kernel.words, mode));
+                                     after =
+                                         instructions(gpu::add_execution_mode_to_spirv(kernel.words, mode));
             ASSERT_FALSE(after.empty()) << kernel.name;
             int n_extensions = 0, n_modes = 0, last = 0;
             std::vector<Words> rest;
@@ -170,19 +171,19 @@ void expect_valid(const std::function<Words(std::span<const std::uint32_t>)>& ch
 
 TEST(SpirvModes, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::add_execution_mode(words, gpu::kSubgroupUniformControlFlow);
+        return gpu::add_execution_mode_to_spirv(words, gpu::kSubgroupUniformControlFlow);
     });
 }
 
 TEST(SpirvParameters, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::hoist_parameter_loads(gpu::make_parameters_read_only(words));
+        return gpu::hoist_parameter_loads(gpu::mark_parameter_block_read_only(words));
     });
 }
 
 TEST(SpirvLanes, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::hoist_parameter_loads(gpu::make_indices_nonuniform(words));
+        return gpu::hoist_parameter_loads(gpu::make_array_indices_nonuniform(words));
     });
 }
 
@@ -194,7 +195,7 @@ TEST(SpirvLanes, AreInEveryIndex) {
         std::uint32_t block = 0, block_pointer = 0;
         std::set<std::uint32_t> addresses, parameters, sums;
         int n_indices = 0;
-        for (const Words& i : instructions(gpu::make_indices_nonuniform(kernel.words))) {
+        for (const Words& i : instructions(gpu::make_array_indices_nonuniform(kernel.words))) {
             const std::uint32_t opcode = i[0] & 0xffffu;
             if (opcode == name && std::string(reinterpret_cast<const char*>(&i[2])) == "ParamsBlock")
                 block = i[1];

@@ -88,7 +88,8 @@ TEST_F(StreamTest, CopyThatIsMeasured) {
     stream.submit_and_wait();
     for (std::uint32_t i = kCopied; i < kAll; ++i) values[i] = glm::vec4(-1.0f);
     EXPECT_EQ(to.download(), values);
-    EXPECT_GT(measure_copy_bytes_per_s(device()).value_or(0.0), 1e8);  // all memory is faster than this
+    EXPECT_GT(measure_copy_bandwidth_bytes_per_s(device()).value_or(0.0),
+              1e8);  // all memory is faster than this
 }
 
 TEST_F(StreamTest, ReadbacksArriveWithTheirSubmission) {
@@ -173,10 +174,10 @@ TEST_F(StreamHazards, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
     stream.copy(a.buffer(), b.buffer(), 400);
     stream.fill(a, 4u);
     stream.submit_and_wait();
-    EXPECT_EQ(count_validation_messages(watched), 0u) << "every launch but those of the scope waits";
+    EXPECT_EQ(get_validation_message_count(watched), 0u) << "every launch but those of the scope waits";
     EXPECT_EQ(b.download(), Words(100, 1u));
     EXPECT_EQ(c.download(), Words(100, 3u));
-    EXPECT_EQ(count_validation_messages(watched), 0u);
+    EXPECT_EQ(get_validation_message_count(watched), 0u);
     EXPECT_EQ(stream.times().milliseconds.at("fill").size(), device().info().timestamps ? 4u : 0u);
     {
         const ConcurrentLaunchScope scope(stream);
@@ -185,7 +186,7 @@ TEST_F(StreamHazards, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
         EXPECT_THROW(stream.submit_commands(), Error) << "in an open scope";
     }
     stream.submit_and_wait();
-    EXPECT_GT(count_validation_messages(watched), 0u) << "no barrier inside the scope";
+    EXPECT_GT(get_validation_message_count(watched), 0u) << "no barrier inside the scope";
 }
 
 TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
@@ -199,22 +200,22 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
     {
         ConcurrentSequenceScope lanes(stream, 2);
         stream.fill(arrays[0], 1u);
-        lanes.select_command_lane(1);
+        lanes.select_sequence_to_record(1);
         {
             const ConcurrentLaunchScope scope(stream);  // a single step
             stream.fill(arrays[3], 2u);
             stream.fill(arrays[4], 3u);
         }
         copy(stream, 3, 5);
-        lanes.select_command_lane(0);
+        lanes.select_sequence_to_record(0);
         copy(stream, 0, 1);
         copy(stream, 1, 2);
-        lanes.select_command_lane(1);
+        lanes.select_sequence_to_record(1);
         stream.impl().record_buffer_write(arrays[3].buffer(), Words(50, 7u).data(), 200);
     }
     copy(stream, 5, 0);
     stream.submit_and_wait();
-    EXPECT_EQ(count_validation_messages(watched), 0u);
+    EXPECT_EQ(get_validation_message_count(watched), 0u);
     for (const auto& [array, value] :
          std::map<std::size_t, std::uint32_t>{{0, 2u}, {1, 1u}, {2, 1u}, {4, 3u}, {5, 2u}})
         EXPECT_EQ(arrays[array].download(), Words(100, value)) << array;
@@ -227,11 +228,11 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
     {
         ConcurrentSequenceScope lanes(stream, 2);
         stream.fill(arrays[0], 5u);
-        lanes.select_command_lane(1);
+        lanes.select_sequence_to_record(1);
         stream.fill(arrays[0], 6u);  // deliberate hazard: an array that the other lane writes
     }
     stream.submit_and_wait();
-    EXPECT_GT(count_validation_messages(watched), 0u) << "no barrier between lanes";
+    EXPECT_GT(get_validation_message_count(watched), 0u) << "no barrier between lanes";
 }
 
 TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
@@ -240,7 +241,7 @@ TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
     ReadbackBuffer first(device(), 400, "a"), second(device(), 400, "b");
     {
         ConcurrentSequenceScope lanes(stream, 3);
-        lanes.select_command_lane(2);
+        lanes.select_sequence_to_record(2);
         stream.fill(a, 1u);
         first.record_copy_to_host(stream, a.buffer(), 400);
         stream.submit_and_wait();
@@ -248,10 +249,10 @@ TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
         EXPECT_EQ(static_cast<const std::uint32_t*>(first.wait_for_copied_bytes(stream))[99], 1u);
         stream.fill(b, 2u);
         second.record_copy_to_host(stream, b.buffer(), 400);
-        EXPECT_THROW(lanes.select_command_lane(3), Error);
+        EXPECT_THROW(lanes.select_sequence_to_record(3), Error);
         EXPECT_THROW(ConcurrentSequenceScope(stream, 2), Error) << "within others";
         const ConcurrentLaunchScope scope(stream);
-        EXPECT_THROW(lanes.select_command_lane(0), Error) << "in an open scope";
+        EXPECT_THROW(lanes.select_sequence_to_record(0), Error) << "in an open scope";
     }
     stream.submit_commands();
     EXPECT_EQ(static_cast<const std::uint32_t*>(second.wait_for_copied_bytes(stream))[99], 2u);
@@ -277,7 +278,7 @@ protected:
             device(), KernelName<shared::CopyParams>("gpu/copy"),
             std::vector<SpecialisationConstant>{{SpecialisationConstantId::WORKGROUP_SIZE, kThreads}});
         piece_s_before = std::exchange(limit().piece_s, 0.1);
-        limit().get_kernel_speed("gpu/copy").add_measured_dispatch(1000, 1.0);
+        limit().get_kernel_speed("gpu/copy").update_speed_from_dispatch(1000, 1.0);
     }
     void TearDown() override {
         if (copy) limit().piece_s = piece_s_before;
@@ -296,8 +297,8 @@ protected:
 /// Together, the pieces of a launch must do all the work. The measured times must count a
 /// launch once, not once per piece.
 TEST_F(CutLaunches, DoTheSameWork) {
-    EXPECT_EQ(limit().get_kernel_speed("gpu/copy").choose_groups_per_dispatch(0.1), 100u);
-    EXPECT_EQ(limit().get_kernel_speed("unknown").choose_groups_per_dispatch(0.1),
+    EXPECT_EQ(limit().get_kernel_speed("gpu/copy").choose_workgroups_per_dispatch(0.1), 100u);
+    EXPECT_EQ(limit().get_kernel_speed("unknown").choose_workgroups_per_dispatch(0.1),
               gpu::KernelSpeed::kUnknownGroups);
     Stream stream(device(), true);
     for (const bool in_lane : {false, true}) {
@@ -346,13 +347,13 @@ TEST_F(CutLaunches, ArraysOutliveAnException) {
 /// launches to be cut.
 TEST(LaunchLimit, ForgetsOldSpeeds) {
     gpu::LaunchTimeLimit limit;
-    EXPECT_FALSE(limit.has_time_limit());
+    EXPECT_FALSE(limit.has_dispatch_time_limit());
     gpu::KernelSpeed& speed = limit.get_kernel_speed("kernel");
-    speed.add_measured_dispatch(10, 10.0);
-    EXPECT_EQ(speed.choose_groups_per_dispatch(1.0), 1u);
-    for (int i = 0; i < 50; ++i) speed.add_measured_dispatch(10, 0.1);
-    EXPECT_EQ(speed.choose_groups_per_dispatch(1.0), 100u);
-    EXPECT_DOUBLE_EQ(speed.estimate_dispatch_s(200), 2.0);
+    speed.update_speed_from_dispatch(10, 10.0);
+    EXPECT_EQ(speed.choose_workgroups_per_dispatch(1.0), 1u);
+    for (int i = 0; i < 50; ++i) speed.update_speed_from_dispatch(10, 0.1);
+    EXPECT_EQ(speed.choose_workgroups_per_dispatch(1.0), 100u);
+    EXPECT_DOUBLE_EQ(speed.estimate_dispatch_duration_s(200), 2.0);
 }
 
 /// Launches of kernels that read the total number of workgroups must not be cut, because
@@ -368,7 +369,7 @@ TEST(LaunchLimit, CutsNoKernelThatCountsItsThreads) {
         const bool counts = text.find("thread_count()") != std::string::npos ||
                             text.find("gl_NumWorkGroups") != std::string::npos;
         const std::string name = fs::relative(entry.path(), shaders).replace_extension().generic_string();
-        EXPECT_EQ(gpu::can_split_launch(name), !counts) << name;
+        EXPECT_EQ(gpu::can_split_kernel_launch(name), !counts) << name;
         n_counting_kernels += counts;
     }
     EXPECT_GE(n_counting_kernels, 4u);

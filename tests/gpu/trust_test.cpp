@@ -27,22 +27,22 @@ protected:
         std::filesystem::remove_all(folder);
         if (IsSkipped() || HasFatalFailure()) return;
         options.index = device().info().index;
-        options.traversal = device().traversal();
+        options.traversal = device().get_ray_tracing_backend();
         options.pipeline_cache = folder;
     }
     void TearDown() override {
         gpu::set_injected_faults("");
-        set_first_use_check({});
+        set_device_open_callbacks({});
         std::filesystem::remove_all(folder);
         test::DeviceTest::TearDown();
     }
     /// Installs a check that returns `result` and counts how often it is called.
     void check_gives(const DeviceTestResults& result) {
-        set_first_use_check({[this, result](const DeviceOptions&) {
-                                 ++n_checks;
-                                 return result;
-                             },
-                             [this](const std::string& text) { notes.push_back(text); }});
+        set_device_open_callbacks({[this, result](const DeviceOptions&) {
+                                       ++n_checks;
+                                       return result;
+                                   },
+                                   [this](const std::string& text) { notes.push_back(text); }});
     }
     std::filesystem::path file() const {
         for (const auto& entry : std::filesystem::directory_iterator(folder))
@@ -58,11 +58,11 @@ protected:
 
 TEST_F(TrustTest, SumsAndSubgroupsOfThisDeviceAreRight) {
     if (device().info().float_atomics) {
-        EXPECT_EQ(compute_atomic_sum_error(device(), false), 0.0);
+        EXPECT_EQ(test_atomic_adds_and_get_max_error(device(), false), 0.0);
     }
-    EXPECT_EQ(compute_atomic_sum_error(device(), true), 0.0);
-    EXPECT_EQ(describe_subgroup_failure(device()), "");
-    EXPECT_THAT(list_subgroup_sizes(device()), testing::Contains(device().info().subgroup_size));
+    EXPECT_EQ(test_atomic_adds_and_get_max_error(device(), true), 0.0);
+    EXPECT_EQ(test_subgroups_and_describe_error(device()), "");
+    EXPECT_THAT(list_requestable_subgroup_sizes(device()), testing::Contains(device().info().subgroup_size));
 }
 
 /// Simulates additions without atomics, which must lose some of the 256 additions to each
@@ -70,14 +70,14 @@ TEST_F(TrustTest, SumsAndSubgroupsOfThisDeviceAreRight) {
 TEST_F(TrustTest, ForcedFaultsAreFound) {
     gpu::set_injected_faults("float_atomics");
     if (device().info().float_atomics) {
-        EXPECT_GT(compute_atomic_sum_error(device(), false), 0.1);
+        EXPECT_GT(test_atomic_adds_and_get_max_error(device(), false), 0.1);
     }
-    EXPECT_EQ(compute_atomic_sum_error(device(), true), 0.0);
+    EXPECT_EQ(test_atomic_adds_and_get_max_error(device(), true), 0.0);
     gpu::set_injected_faults("float_swaps,subgroups:" + std::to_string(device().info().subgroup_size));
-    EXPECT_GT(compute_atomic_sum_error(device(), true), 0.1);
-    EXPECT_THAT(describe_subgroup_failure(device()), HasSubstr("subgroupAdd: found"));
+    EXPECT_GT(test_atomic_adds_and_get_max_error(device(), true), 0.1);
+    EXPECT_THAT(test_subgroups_and_describe_error(device()), HasSubstr("subgroupAdd: found"));
     gpu::set_injected_faults("subgroups:128");
-    EXPECT_EQ(describe_subgroup_failure(device()), "");
+    EXPECT_EQ(test_subgroups_and_describe_error(device()), "");
 }
 
 TEST_F(TrustTest, DeviceIsCheckedOncePerDriver) {
@@ -121,14 +121,14 @@ TEST_F(TrustTest, WrongAtomicsAreReplacedAndReported) {
     check_gives({.float_atomics = false, .ray_query = CheckVerdict::right});
     const Device opened(options);
     EXPECT_FALSE(opened.info().float_atomics);
-    EXPECT_EQ(choose_float_atomics_variant(opened).suffix, "@_swap");
+    EXPECT_EQ(choose_float_add_kernel_variant(opened).suffix, "@_swap");
     EXPECT_THAT(notes, ElementsAre(test::Names("atomic additions ... gradients")));
 }
 
 TEST_F(TrustTest, WrongSumsAllowNoTraining) {
     check_gives({.float_atomics = false, .float_swaps = false, .ray_query = CheckVerdict::right});
     const Device opened(options);
-    EXPECT_THROW(choose_float_atomics_variant(opened), DeviceError);
+    EXPECT_THROW(choose_float_add_kernel_variant(opened), DeviceError);
     EXPECT_THAT(notes.back(), test::Names("train"));
 }
 
@@ -145,7 +145,7 @@ TEST_F(TrustTest, WrongRayQueriesAreReplaced) {
     check_gives({.ray_query = CheckVerdict::wrong});
     options.traversal = RayTracingBackend::ray_query;
     const Device opened(options);
-    EXPECT_EQ(opened.traversal(), RayTracingBackend::software);
+    EXPECT_EQ(opened.get_ray_tracing_backend(), RayTracingBackend::software);
     EXPECT_THAT(notes, ElementsAre(test::Names("search ... software")));
 }
 

@@ -80,7 +80,8 @@ protected:
         auto on_device = std::make_unique<DeviceScene>(device(), scene, stages_harmonics());
         Stream stream(device());
         // full turns of the phase must not matter
-        on_device->record_instance_poses(stream, {{}, {.world_from_model = {}, .phase = kPhase + 3.0}});
+        on_device->record_upload_of_instance_poses(stream,
+                                                   {{}, {.world_from_model = {}, .phase = kPhase + 3.0}});
         stream.submit_and_wait();
         return on_device;
     }
@@ -131,7 +132,7 @@ TEST_P(Activate, RecordsAgreeWithReference) {
     DeviceScene& scene = *placed;
     for (const int degree : {3, 1}) {
         Stream stream(device());
-        scene.compute_surfel_records(stream, image_model(degree), view);
+        scene.record_surfel_record_computation(stream, image_model(degree), view);
         stream.submit_and_wait();
         const std::vector<float> actual = test::to_floats(scene.get_surfel_records().download());
         for (std::size_t i = 0; i < surfels.size(); ++i) {
@@ -167,7 +168,7 @@ TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
     const std::unique_ptr<DeviceScene> placed = on_device(surfels);
     DeviceScene& scene = *placed;
     Stream stream(device());
-    scene.compute_surfel_records(stream, image_model(1), glm::vec3(0.0f));
+    scene.record_surfel_record_computation(stream, image_model(1), glm::vec3(0.0f));
     stream.submit_and_wait();
     const std::vector<shared::SurfelRecord> records = scene.get_surfel_records().download();
     for (std::size_t i = 0; i < surfels.size(); ++i)
@@ -233,8 +234,8 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
         Array<float, shared::ViewGradients> d_view(device(), 3 * surfels.size(), "view gradient");
         const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
                                                              "record gradient");
-        scene.backpropagate_surfel_records(stream, image_model(degree), view,
-                                           {&upstream, &d_surfels, &touched, &d_view});
+        scene.record_surfel_record_backpropagation(stream, image_model(degree), view,
+                                                   {&upstream, &d_surfels, &touched, &d_view});
         stream.submit_and_wait();
         const Surfels actual = d_surfels.download();
         const std::vector<std::uint32_t> marks = touched.download();
@@ -276,8 +277,8 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
                                                          "record gradient");
     Stream stream(device());
-    scene.backpropagate_surfel_records(stream, image_model(3), glm::vec3(0.0f),
-                                       {&upstream, &d_surfels, &touched, nullptr, false});
+    scene.record_surfel_record_backpropagation(stream, image_model(3), glm::vec3(0.0f),
+                                               {&upstream, &d_surfels, &touched, nullptr, false});
     stream.submit_and_wait();
     const Surfels after = d_surfels.download();
     for (std::size_t i = 0; i < n; ++i) {
@@ -308,10 +309,11 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
                                                              "touched");
         Array<float, shared::ViewGradients> d_view(device(), 3 * surfels.size(), "view gradient");
         Stream stream(device());
-        d_surfels.fill_zero(stream);
+        d_surfels.record_zero_fill(stream);
         stream.fill(d_view);
-        placed->backpropagate_surfel_records(stream, image_model(3), glm::vec3(0.3f, -0.2f, 0.1f),
-                                             {&upstream, &d_surfels, &touched, &d_view, false, is_marked});
+        placed->record_surfel_record_backpropagation(
+            stream, image_model(3), glm::vec3(0.3f, -0.2f, 0.1f),
+            {&upstream, &d_surfels, &touched, &d_view, false, is_marked});
         stream.submit_and_wait();
         return std::tuple(d_surfels.download(), touched.download(), d_view.download());
     };

@@ -30,7 +30,8 @@ SceneInitialisationOptions make_options_with_actors() {
 
 TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
     const LidarSequence street = make_synthetic_street(make_street_options());
-    const Scene scene = initialise_scene(street, split_frames(street, 10).train, make_options_with_actors());
+    const Scene scene = initialise_scene(street, split_frames_into_train_and_test(street, 10).train,
+                                         make_options_with_actors());
     ASSERT_EQ(scene.models.size(), 3u) << "the background and two cars";
     ASSERT_EQ(scene.instances.size(), 3u);
     EXPECT_TRUE(scene.instances[0].track.empty());
@@ -51,18 +52,23 @@ TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
     }
     SceneInitialisationOptions by_kind = make_options_with_actors();
     by_kind.actor_classes = "cyclist, vehicle";
-    EXPECT_EQ(initialise_scene(street, split_frames(street, 10).train, by_kind).models.size(), 3u)
+    EXPECT_EQ(
+        initialise_scene(street, split_frames_into_train_and_test(street, 10).train, by_kind).models.size(),
+        3u)
         << "whatever a dataset calls them";
     SceneInitialisationOptions nothing;
     nothing.actor_classes = "";
-    EXPECT_EQ(initialise_scene(street, split_frames(street, 10).train, nothing).models.size(), 1u)
+    EXPECT_EQ(
+        initialise_scene(street, split_frames_into_train_and_test(street, 10).train, nothing).models.size(),
+        1u)
         << "no class is wanted: masked instead";
 }
 
 TEST(Actors, StandWhereTheirBoxIsAndAreAbsentOutsideItsLabels) {
     LidarSequence street = make_synthetic_street(make_street_options());
     street.rolling_shutter = false;
-    const Scene scene = initialise_scene(street, split_frames(street, 10).train, make_options_with_actors());
+    const Scene scene = initialise_scene(street, split_frames_into_train_and_test(street, 10).train,
+                                         make_options_with_actors());
     ASSERT_GE(scene.instances.size(), 2u);
     const auto box = std::find_if(street.boxes.begin(), street.boxes.end(),
                                   [&](const BoxTrack& b) { return b.id == scene.instances[1].track; });
@@ -87,14 +93,15 @@ const SurfelModel& find_model_of_track(const Scene& scene, std::string_view trac
 }
 
 std::size_t n_models(const LidarSequence& street, SceneInitialisationOptions options) {
-    return initialise_scene(street, split_frames(street, 10).train, options).models.size();
+    return initialise_scene(street, split_frames_into_train_and_test(street, 10).train, options)
+        .models.size();
 }
 
 TEST(Actors, AreChosenByClassOrTrack) {
     const LidarSequence street = make_synthetic_street(make_street_options());
     SceneInitialisationOptions options = make_options_with_actors();
     options.actor_tracks = "1";
-    const Scene one = initialise_scene(street, split_frames(street, 10).train, options);
+    const Scene one = initialise_scene(street, split_frames_into_train_and_test(street, 10).train, options);
     ASSERT_EQ(one.models.size(), 2u);
     EXPECT_EQ(one.instances[1].track, "1");
     options.actor_tracks = "1, 7";
@@ -103,11 +110,14 @@ TEST(Actors, AreChosenByClassOrTrack) {
     options.actor_classes = "";
     EXPECT_EQ(list_foreground_boxes(street, options).size(), 2u);
     EXPECT_EQ(n_models(street, options), 1u);
-    const std::size_t masked = initialise_background(street, split_frames(street, 10).train, options).size();
+    const std::size_t masked =
+        initialise_background(street, split_frames_into_train_and_test(street, 10).train, options).size();
     options.mask_others = false;
     EXPECT_TRUE(list_foreground_boxes(street, options).empty());
     EXPECT_EQ(n_models(street, options), 1u);
-    EXPECT_GT(initialise_background(street, split_frames(street, 10).train, options).size(), masked + 100)
+    EXPECT_GT(
+        initialise_background(street, split_frames_into_train_and_test(street, 10).train, options).size(),
+        masked + 100)
         << "the cars' points are in it";
 }
 
@@ -115,7 +125,7 @@ TEST(Actors, OtherBoxesAreMaskedOrPartOfTheBackground) {
     LidarSequence street = make_synthetic_street(make_street_options());
     ASSERT_EQ(street.boxes.size(), 2u);
     street.boxes[0].category = "Pedestrian";
-    const std::vector<int> train = split_frames(street, 10).train;
+    const std::vector<int> train = split_frames_into_train_and_test(street, 10).train;
     SceneInitialisationOptions options = make_options_with_actors();
     options.actor_classes = "person";
     const Scene masked = initialise_scene(street, train, options);
@@ -140,7 +150,7 @@ TEST(Actors, TrackChosenByNameNeedNotMove) {
     options.actor_tracks = "0";
     EXPECT_EQ(list_foreground_boxes(street, options).size(), 2u);
     box.world_from_box = {{box.world_from_box.time_s[6]}, {box.world_from_box.pose[6]}};
-    const Scene scene = initialise_scene(street, split_frames(street, 10).train, options);
+    const Scene scene = initialise_scene(street, split_frames_into_train_and_test(street, 10).train, options);
     EXPECT_EQ(scene.instances.size(), 2u) << "one observation is enough";
     EXPECT_TRUE(compute_instance_poses(scene, street, {box.world_from_box.time_s[0]})[1].present);
     EXPECT_FALSE(compute_instance_poses(scene, street, {box.world_from_box.time_s[0] + 0.1})[1].present);
@@ -148,7 +158,7 @@ TEST(Actors, TrackChosenByNameNeedNotMove) {
 
 TEST(Actors, ArePaddedInTheirBox) {
     const LidarSequence street = make_synthetic_street(make_street_options());
-    const std::vector<int> train = split_frames(street, 10).train;
+    const std::vector<int> train = split_frames_into_train_and_test(street, 10).train;
     const Scene plain = initialise_scene(street, train, make_options_with_actors());
     SceneInitialisationOptions options = make_options_with_actors();
     options.actor_pad_to = 3000;
@@ -187,7 +197,8 @@ TEST(Actors, OverlappingAndEmptyBoxesBecomeWhatTheyHold) {
     street.boxes.push_back(street.boxes[0]);
     street.boxes.back().id = "empty";
     for (Pose& pose : street.boxes.back().world_from_box.pose) pose.translation.z += 40.0;
-    const Scene scene = initialise_scene(street, split_frames(street, 10).train, make_options_with_actors());
+    const Scene scene = initialise_scene(street, split_frames_into_train_and_test(street, 10).train,
+                                         make_options_with_actors());
     EXPECT_EQ(scene.instances.size(), 4u)
         << "background, two cars and the twin; a box without points is no actor";
     EXPECT_EQ(find_model_of_track(scene, "twin").count, find_model_of_track(scene, "0").count);
@@ -212,13 +223,13 @@ TEST_F(ActorsOnDevice, AbsentInstancesAreNotSeenByAnyTraversal) {
         const ForcedBehaviourScope forced(device(), {.brute_force = brute_force});
         Renderer renderer(device(), scene, {});
         const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
-        renderer.move_instances({at(20, true), at(5, true), at(8, true)}, glm::vec3(0.0f));
+        renderer.record_instance_poses_and_view({at(20, true), at(5, true), at(8, true)}, glm::vec3(0.0f));
         EXPECT_NEAR(renderer.render_rays(ray).median_depth[0], 5.0f, 1e-5f);
-        renderer.move_instances({at(20, true), at(5, false), at(8, true)}, glm::vec3(0.0f));
+        renderer.record_instance_poses_and_view({at(20, true), at(5, false), at(8, true)}, glm::vec3(0.0f));
         EXPECT_NEAR(renderer.render_rays(ray).median_depth[0], 8.0f, 1e-5f);
-        renderer.move_instances({at(20, true), at(5, false), at(8, false)}, glm::vec3(0.0f));
+        renderer.record_instance_poses_and_view({at(20, true), at(5, false), at(8, false)}, glm::vec3(0.0f));
         EXPECT_NEAR(renderer.render_rays(ray).median_depth[0], 20.0f, 1e-5f);
-        renderer.move_instances({at(20, true), at(3, true), at(8, false)}, glm::vec3(0.0f));
+        renderer.record_instance_poses_and_view({at(20, true), at(3, true), at(8, false)}, glm::vec3(0.0f));
         EXPECT_NEAR(renderer.render_rays(ray).median_depth[0], 3.0f, 1e-5f);
     }
 }

@@ -24,7 +24,7 @@ Street make_street_without_labels() {
     for (const BoxTrack& box : street.log.boxes)
         if (box.is_moving()) street.truth.push_back(box);
     street.log.boxes.clear();
-    street.split = split_frames(street.log, 10);
+    street.split = split_frames_into_train_and_test(street.log, 10);
     return street;
 }
 
@@ -46,7 +46,8 @@ const BoxTrack* fingerprint_of(const std::vector<BoxTrack>& tracks, const BoxTra
 TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
     const Street street = make_street_without_labels();
     ASSERT_GE(street.truth.size(), 2u);
-    const std::vector<BoxTrack> discovered_tracks = discover_tracks(street.log, street.split.train);
+    const std::vector<BoxTrack> discovered_tracks =
+        discover_moving_object_tracks(street.log, street.split.train);
     EXPECT_EQ(discovered_tracks.size(), street.truth.size());
     for (const BoxTrack& truth : street.truth) {
         const BoxTrack* track = fingerprint_of(discovered_tracks, truth);
@@ -58,7 +59,7 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
         std::vector<glm::dvec3> relative_positions_m;
         for (std::size_t i = 0; i < track->world_from_box.time_s.size(); ++i) {
             const double t_s = track->world_from_box.time_s[i];
-            if (truth.is_present(t_s))
+            if (truth.is_observed_at_time(t_s))
                 relative_positions_m.push_back(inverse(track->world_from_box.pose[i]) *
                                                truth.world_from_box.interpolate_pose(t_s).translation);
         }
@@ -104,7 +105,8 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
         // uses the oncoming car, because only the rear of the leading car is visible
         const BoxTrack& truth = street.truth[1];
         const std::vector<double> cut_s = cut_labels(street.log.boxes[1], street.log.frames, first, end);
-        const std::vector<BoxTrack> discovered_tracks = discover_tracks(street.log, street.split.train);
+        const std::vector<BoxTrack> discovered_tracks =
+            discover_moving_object_tracks(street.log, street.split.train);
         ASSERT_EQ(discovered_tracks.size(), 1u) << "no second actor; labels " << first << " to " << end;
         const BoxTrack& box = discovered_tracks[0];
         EXPECT_EQ(box.id, truth.id);
@@ -112,7 +114,8 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
         EXPECT_EQ(box.size_m, truth.size_m);
         EXPECT_EQ(box.n_before > 0, first > 0);
         EXPECT_EQ(box.n_after > 0, end < 24);
-        EXPECT_EQ(box.copy_labelled_poses().world_from_box.time_s, street.log.boxes[1].world_from_box.time_s);
+        EXPECT_EQ(box.copy_track_of_labelled_poses().world_from_box.time_s,
+                  street.log.boxes[1].world_from_box.time_s);
         const std::ptrdiff_t n_visible_labels =
             std::ranges::count_if(cut_s, [&](double t_s) { return t_s >= 0.9 && t_s < 2.4; });
         EXPECT_GE(box.n_before + box.n_after, std::size_t(n_visible_labels) - 2)
@@ -139,7 +142,8 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
                     truth.contains_point(w.point_m, w.time_s, 0.1))
                     frame.scan.range_m[ray] = frame.scan.intensity[ray] = 0.0f;
     }
-    const std::vector<BoxTrack> discovered_tracks = discover_tracks(street.log, street.split.train);
+    const std::vector<BoxTrack> discovered_tracks =
+        discover_moving_object_tracks(street.log, street.split.train);
     EXPECT_EQ(discovered_tracks.size(), street.truth.size());
     const BoxTrack* track = fingerprint_of(discovered_tracks, truth);
     ASSERT_NE(track, nullptr);
@@ -151,7 +155,8 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
 /// class.
 TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     const Street street = make_street_without_labels();
-    const std::vector<BoxTrack> discovered_tracks = discover_tracks(street.log, street.split.train);
+    const std::vector<BoxTrack> discovered_tracks =
+        discover_moving_object_tracks(street.log, street.split.train);
     const BoxTrack *ahead = fingerprint_of(discovered_tracks, street.truth[0]),
                    *oncoming = fingerprint_of(discovered_tracks, street.truth[1]);
     ASSERT_TRUE(ahead && oncoming);
@@ -186,9 +191,9 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
         street.log.lidars.push_back(street.log.lidars[0]);
         street.log.lidars[0].name = "first", street.log.lidars[1].name = "second";
         street.log.frames = std::move(frames);
-        check_sequence(street.log);
+        require_valid_sequence(street.log);
         const std::vector<BoxTrack> discovered_tracks =
-            discover_tracks(street.log, split_frames(street.log, 10).train);
+            discover_moving_object_tracks(street.log, split_frames_into_train_and_test(street.log, 10).train);
         EXPECT_EQ(discovered_tracks.size(), street.truth.size()) << first_frame_is_complete;
         for (const BoxTrack& truth : street.truth)
             EXPECT_NE(fingerprint_of(discovered_tracks, truth), nullptr) << "box " << truth.id;
@@ -198,7 +203,7 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
 TEST(DiscoverTracks, LeavesLabelledAndRestingThingsAlone) {
     Street street = make_street_without_labels();
     street.log.boxes = street.truth;
-    EXPECT_TRUE(discover_tracks(street.log, street.split.train).empty());
+    EXPECT_TRUE(discover_moving_object_tracks(street.log, street.split.train).empty());
 }
 
 /// Objects that are static while they have labels must not be discovered as moving,
@@ -212,7 +217,7 @@ TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
         still.world_from_box.pose.push_back({});
     }
     street.log.boxes = {still};
-    EXPECT_TRUE(discover_tracks(street.log, street.split.train).empty());
+    EXPECT_TRUE(discover_moving_object_tracks(street.log, street.split.train).empty());
 }
 
 /// Simulates a roof rack: returns at the same position relative to the sensor in every
@@ -225,14 +230,14 @@ TEST(DiscoverTracks, LeavesItsOwnVehicleAlone) {
             if (d.x < -0.6f && d.y > 0.2f && d.y < 0.5f && d.z > -0.35f && d.z < -0.15f)
                 frame.scan.range_m[i] = 1.3f;
         }
-    EXPECT_EQ(discover_tracks(street.log, street.split.train).size(), street.truth.size());
+    EXPECT_EQ(discover_moving_object_tracks(street.log, street.split.train).size(), street.truth.size());
 }
 
 TEST(DiscoverTracks, LooksAtTrainingFramesOnly) {
     Street street = make_street_without_labels();
-    const std::vector<BoxTrack> before = discover_tracks(street.log, street.split.train);
+    const std::vector<BoxTrack> before = discover_moving_object_tracks(street.log, street.split.train);
     for (float& range : street.log.frames[10].scan.range_m) range = 5.0f;
-    const std::vector<BoxTrack> after = discover_tracks(street.log, street.split.train);
+    const std::vector<BoxTrack> after = discover_moving_object_tracks(street.log, street.split.train);
     ASSERT_EQ(before.size(), after.size());
     for (std::size_t i = 0; i < before.size(); ++i) {
         ASSERT_EQ(before[i].world_from_box.time_s, after[i].world_from_box.time_s);
@@ -250,7 +255,7 @@ TEST(DiscoverTracks, BecomeActors) {
     SceneInitialisationOptions options;
     options.unlabelled_movers = UnlabelledMoverPolicy::actors;
     options.actor_min_points = 20;
-    for (const BoxTrack& box : discover_tracks(street.log, street.split.train))
+    for (const BoxTrack& box : discover_moving_object_tracks(street.log, street.split.train))
         street.log.boxes.push_back(box);
     EXPECT_EQ(initialise_scene(street.log, street.split.train, options).models.size(),
               1 + street.truth.size());

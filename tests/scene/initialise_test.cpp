@@ -32,8 +32,8 @@ glm::vec3 normal_of(const glm::vec4& quaternion) {
 
 TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
     const LidarSequence street = make_synthetic_street(make_small_street());
-    const Surfels surfels =
-        initialise_background(street, split_frames(street, 10).train, {.max_scale_m = 0.5});
+    const Surfels surfels = initialise_background(street, split_frames_into_train_and_test(street, 10).train,
+                                                  {.max_scale_m = 0.5});
     ASSERT_GT(surfels.size(), 5000u);
     float ground = 1e9f;
     for (const glm::vec3& p : surfels.mean) ground = std::min(ground, p.z);
@@ -166,14 +166,14 @@ TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
     const std::size_t all = initialise_background(street, train, options).size();
     options.unlabelled_movers = UnlabelledMoverPolicy::removed;
     EXPECT_GT(double(initialise_background(street, train, options).size()), 0.99 * double(all));
-    EXPECT_TRUE(discover_tracks(street, train).empty());
+    EXPECT_TRUE(discover_moving_object_tracks(street, train).empty());
 }
 
 TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
     SyntheticOptions longer = make_small_street();
     longer.n_frames = 20;  // long enough to observe the surfaces that a car hid
     const LidarSequence street = make_synthetic_street(longer);
-    const std::vector<int> train = split_frames(street, 10).train;
+    const std::vector<int> train = split_frames_into_train_and_test(street, 10).train;
     SceneInitialisationOptions options;
     const std::size_t labelled = count_in_moving_boxes(street, initialise_background(street, train, options));
     LidarSequence unlabelled = street;
@@ -190,7 +190,7 @@ TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
 
 TEST(Initialise, HeldOutFramesDoNotMatter) {
     LidarSequence street = make_synthetic_street(make_small_street());
-    const TrainTestSplit split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     const Surfels before = initialise_background(street, split.train, {});
     for (const int position : split.test)
         for (float& range : street.frames[std::size_t(position)].scan.range_m) range *= 0.5f;
@@ -203,7 +203,8 @@ TEST(Initialise, NothingToStartFromIsAnError) {
     LidarSequence street = make_synthetic_street(make_small_street());
     for (LidarFrame& frame : street.frames)
         std::fill(frame.scan.range_m.begin(), frame.scan.range_m.end(), 0.0f);
-    EXPECT_THROW(initialise_background(street, split_frames(street, 10).train, {}), DataError);
+    EXPECT_THROW(initialise_background(street, split_frames_into_train_and_test(street, 10).train, {}),
+                 DataError);
 }
 
 }  // namespace

@@ -43,8 +43,8 @@ TEST(MoverPath, TakesNoiseOutAndLeavesOutliersAside) {
     for (const double t : times) {
         // a curve of 8 m radius at 4 m/s
         truth.push_back({8.0 * std::sin(0.5 * t), 8.0 - 8.0 * std::cos(0.5 * t), 0.0});
-        positions_m.push_back(truth.back() + 0.05 * glm::dvec3(random.draw_standard_normal(),
-                                                               random.draw_standard_normal(), 0.0));
+        positions_m.push_back(truth.back() + 0.05 * glm::dvec3(random.sample_standard_normal(),
+                                                               random.sample_standard_normal(), 0.0));
     }
     positions_m[30] += glm::dvec3(2.0, -2.0, 0.0);
     const std::vector<KinematicState> path = smooth_path(times, positions_m);
@@ -75,7 +75,7 @@ TEST(MoverPath, StandsWithTheHeadingItCameWith) {
         times.push_back(t);
         positions_m.push_back(
             glm::dvec3(4.0 * std::min(t - 1.0, 0.0) - brakes * brakes + starts * starts, 0.0, 0.0) +
-            0.03 * glm::dvec3(random.draw_standard_normal(), random.draw_standard_normal(), 0.0));
+            0.03 * glm::dvec3(random.sample_standard_normal(), random.sample_standard_normal(), 0.0));
     }
     for (const KinematicState& state : smooth_path(times, positions_m)) smooth.push_back(state.position_m);
     const std::vector<double> yaw = compute_path_headings_rad(smooth);

@@ -24,7 +24,7 @@ constexpr std::size_t kMinVisibleReturns = 12;
 // An object should be discovered if it has enough returns in at least this number of
 // frames.
 constexpr std::size_t kMinVisibleFrames = 10;
-constexpr double kFarthest_m = 40.0;  // discover_tracks() ignores objects farther away
+constexpr double kFarthest_m = 40.0;  // discover_moving_object_tracks() ignores objects farther away
 // The centre of a discovered box must lie in the true box, enlarged by this margin.
 constexpr double kInside_m = 0.3;
 // a discovered box may exceed the size of the true box by at most this length
@@ -56,7 +56,7 @@ bool is_of(const BoxTrack& track, const BoxTrack& truth) {
     std::size_t inside = 0;
     for (std::size_t i = 0; i < track.world_from_box.time_s.size(); ++i) {
         const double t_s = track.world_from_box.time_s[i];
-        inside += truth.is_present(t_s) &&
+        inside += truth.is_observed_at_time(t_s) &&
                   truth.contains_point(track.world_from_box.pose[i].translation, t_s, kInside_m);
     }
     return 10 * inside >= 8 * track.world_from_box.time_s.size() &&
@@ -68,7 +68,7 @@ bool is_of(const BoxTrack& track, const BoxTrack& truth) {
 double measure_stray_m(const BoxTrack& track, const BoxTrack& thing) {
     std::vector<glm::dvec3> relative_positions_m;
     for (std::size_t i = 0; i < track.world_from_box.time_s.size(); ++i)
-        if (const double t_s = track.world_from_box.time_s[i]; thing.is_present(t_s))
+        if (const double t_s = track.world_from_box.time_s[i]; thing.is_observed_at_time(t_s))
             relative_positions_m.push_back(inverse(track.world_from_box.pose[i]) *
                                            thing.world_from_box.interpolate_pose(t_s).translation);
     glm::dvec3 mean(0.0);
@@ -119,8 +119,8 @@ struct Score {
 void add_street(const SyntheticOptions& options, Score& score) {
     LidarSequence log = make_synthetic_street(options);
     const std::vector<BoxTrack> truth = std::exchange(log.boxes, {});
-    const std::vector<int> train = split_frames(log, 10).train;
-    const std::vector<BoxTrack> discovered_tracks = discover_tracks(log, train);
+    const std::vector<int> train = split_frames_into_train_and_test(log, 10).train;
+    const std::vector<BoxTrack> discovered_tracks = discover_moving_object_tracks(log, train);
     std::vector<char> is_matched(discovered_tracks.size(), 0);
     const std::vector<std::size_t> n_visible_frames = list_frames_that_see(log, train, truth);
     score.discovered += discovered_tracks.size();
@@ -198,11 +198,13 @@ TEST(MoverScores, NoParkedCarMovesWhereSidesAndPosesChange) {
         Random random(seed);
         glm::dvec3 off_m(0.0);
         for (Pose& pose : log.world_from_vehicle.pose) {
-            off_m += kDriftStep_m * glm::dvec3(random.draw_standard_normal(), random.draw_standard_normal(),
-                                               0.3 * random.draw_standard_normal());
+            off_m +=
+                kDriftStep_m * glm::dvec3(random.sample_standard_normal(), random.sample_standard_normal(),
+                                          0.3 * random.sample_standard_normal());
             pose.translation += off_m;
         }
-        for (const BoxTrack& discovered_track : discover_tracks(log, split_frames(log, 10).train)) {
+        for (const BoxTrack& discovered_track :
+             discover_moving_object_tracks(log, split_frames_into_train_and_test(log, 10).train)) {
             const PoseTrack& track = discovered_track.world_from_box;
             const bool is_one = std::ranges::any_of(truth, [&](const BoxTrack& thing) {
                 std::size_t inside = 0;

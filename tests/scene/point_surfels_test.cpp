@@ -33,9 +33,9 @@ std::vector<LidarSample> make_lines_at(const std::vector<double>& places,
     std::vector<LidarSample> samples;
     for (const double x : places)
         for (int k = -20; k <= 20; ++k) {
-            const glm::dvec3 noise(0.001 * random.draw_standard_normal(),
-                                   0.001 * random.draw_standard_normal(),
-                                   0.001 * random.draw_standard_normal());
+            const glm::dvec3 noise(0.001 * random.sample_standard_normal(),
+                                   0.001 * random.sample_standard_normal(),
+                                   0.001 * random.sample_standard_normal());
             samples.push_back(
                 {glm::vec3(glm::dvec3(x, kSpacing * k, height(x)) + noise), 0.5f, {0.8f, 0.0f, -0.6f}});
         }
@@ -96,8 +96,9 @@ TEST(PointSurfels, AreRoundWherePointsAreEven) {
     std::vector<LidarSample> samples;
     for (int i = -20; i <= 20; ++i)
         for (int j = -20; j <= 20; ++j) {
-            const double x = i + random.draw_uniform(-0.25, 0.25), y = j + random.draw_uniform(-0.25, 0.25);
-            samples.push_back({glm::vec3(kSpacing * x, kSpacing * y, 0.001 * random.draw_standard_normal()),
+            const double x = i + random.sample_uniform_number(-0.25, 0.25),
+                         y = j + random.sample_uniform_number(-0.25, 0.25);
+            samples.push_back({glm::vec3(kSpacing * x, kSpacing * y, 0.001 * random.sample_standard_normal()),
                                0.5f,
                                {0.8f, 0.0f, -0.6f}});
         }

@@ -85,7 +85,7 @@ const StreetSurfel kLastOf1000{999,
 
 TEST(Street, FamilyAOf1000) {
     const Surfels s = make_benchmark_street_surfels(1000);
-    s.check_array_lengths();
+    s.require_equal_array_lengths();
     expect_sample(s, kFirstOf1000);
     expect_sample(s, kLastOf1000);
     expect_sums(s, {50157.65320637668, 1531.3510222060395, 361.5212205052376, 545.7502571195364,

@@ -23,8 +23,8 @@ PoseTrack make_straight_walk(double speed_mps, double jitter_m, double from_s = 
     for (double t = from_s; t < from_s + 5.05; t += 0.1) {
         track.time_s.push_back(t);
         track.pose.push_back({glm::dquat(1, 0, 0, 0),
-                              {speed_mps * t, jitter_m * random.draw_standard_normal(),
-                               jitter_m * random.draw_standard_normal()}});
+                              {speed_mps * t, jitter_m * random.sample_standard_normal(),
+                               jitter_m * random.sample_standard_normal()}});
     }
     return track;
 }
@@ -57,7 +57,7 @@ protected:
     }
     static void SetUpTestSuite() {
         log = make_synthetic_street(options());
-        split = split_frames(log, 10);
+        split = split_frames_into_train_and_test(log, 10);
         start.opacity = 0.99, start.scale_factor = 0.5;  // opaque and small, as after training
         walking = initialise_scene(log, split.train, start, {}, &notes);
         start.deform = "";
@@ -72,7 +72,7 @@ protected:
     /// hit a walker in the exact street.
     std::vector<double> errors(const Scene& scene, const LidarSequence& at, const LidarFrame& frame,
                                const Scan& exact, const std::string& track) {
-        const BoxTrack& box = *find_box(at, track);
+        const BoxTrack& box = *find_box_track_by_id(at, track);
         const PoseTrack world_from_sensor = at.get_world_from_sensor(frame.lidar);
         WorldRays rays;
         std::vector<double> truth;
@@ -88,10 +88,11 @@ protected:
         }
         Renderer renderer(device(), scene, {}, {.n_rays = static_cast<std::uint32_t>(rays.size())});
         // moves the scene to a different phase of the stride first
-        renderer.move_instances(compute_instance_poses(scene, log, get_sweep_moment(log.frames[0])),
-                                glm::vec3(0.0f));
-        renderer.move_instances(compute_instance_poses(scene, at, get_sweep_moment(frame)),
-                                glm::vec3(world_from_sensor.interpolate_pose(frame.time_s).translation));
+        renderer.record_instance_poses_and_view(
+            compute_instance_poses(scene, log, get_sweep_timing_of_frame(log.frames[0])), glm::vec3(0.0f));
+        renderer.record_instance_poses_and_view(
+            compute_instance_poses(scene, at, get_sweep_timing_of_frame(frame)),
+            glm::vec3(world_from_sensor.interpolate_pose(frame.time_s).translation));
         const RenderedRayValues r = renderer.render_rays(rays);
         std::vector<double> off;
         for (std::size_t i = 0; i < truth.size(); ++i)
@@ -112,7 +113,7 @@ protected:
 
 TEST_F(Walkers, PeopleAndCyclistsChangeAndTheBackgroundDoesNot) {
     for (const char* track : {"0", "1", "3"}) {
-        const std::vector<Pose>& poses = find_box(log, track)->world_from_box.pose;
+        const std::vector<Pose>& poses = find_box_track_by_id(log, track)->world_from_box.pose;
         EXPECT_GT(double(model_of(walking, track).stride_m),
                   0.8 * glm::distance(poses.front().translation, poses.back().translation))
             << track << ": the motion repeats after the recorded distance";
@@ -154,7 +155,7 @@ TEST_F(Walkers, StepByDistance) {
                                            walking.models.begin() - 1);
     const LidarFrame& frame = log.frames[30];
     const double before = compute_instance_poses(walking, log, SweepTiming{log.frames[15].time_s})[at].phase;
-    const double phase = compute_instance_poses(walking, slow, get_sweep_moment(frame))[at].phase;
+    const double phase = compute_instance_poses(walking, slow, get_sweep_timing_of_frame(frame))[at].phase;
     EXPECT_NEAR(phase, before, 0.03) << "turns, half way";
     const Scan exact = cast_rays_into_synthetic_street(
         options(), {{std::stoul(walker), box}}, frame.scan.rays, log.get_world_from_sensor(0), frame.time_s);

@@ -26,7 +26,7 @@ struct FunctionsRequest : QueuedRequest {
     std::function<bool()> cancelled = [] { return false; };
 
     void submit_to_device(bool is_last) override { on_submit(is_last); }
-    void wait_and_store_response() override { on_finish(); }
+    void wait_for_device_and_store_response() override { on_finish(); }
     bool is_cancelled() const override { return cancelled(); }
 };
 using Outcome = RenderQueue::RequestOutcome;
@@ -94,7 +94,7 @@ TEST(RenderQueue, RunsAllRequestsOnOneThread) {
 std::string list_parts(const std::vector<std::pair<char, std::size_t>>& line, std::size_t together,
                        char fails = ' ') {
     RenderQueue queue(8);
-    queue.set_batch_size(together);
+    queue.set_max_requests_per_batch(together);
     std::string parts;  // accessed only by the queue's thread
     std::vector<std::jthread> clients;
     std::optional<Blocker> blocker(std::in_place, queue);

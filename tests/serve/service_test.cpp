@@ -32,8 +32,8 @@ protected:
         const relidar::TrainedRun run = load_run(folder / "small");
         ScanRenderer renderer(device(), run);
         renderer.set_weather(parse_weather(in_weather));
-        const SimulatedSensor choice = sensor.empty() ? make_configured_sensor(run.config, run.sequence)
-                                                      : choose_sensor(sensor, run.config, run.sequence);
+        const SimulatedSensor choice = sensor.empty() ? make_sensor_from_config(run.config, run.sequence)
+                                                      : find_or_load_sensor(sensor, run.config, run.sequence);
         return renderer.render(choice, request, sample);
     }
     static void expect_same(const v1::LidarScan& scan, const RenderedScan& truth) {
@@ -118,13 +118,15 @@ TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
 
     const relidar::TrainedRun run = load_run(folder / "small");
     const RenderedScan scan = rendered({0.45, sensor_path}, "", {});
-    ScanOutputOptions format = make_scan_format(run, make_configured_sensor(run.config, run.sequence));
+    ScanOutputOptions format =
+        make_default_output_options(run, make_sensor_from_config(run.config, run.sequence));
     format.formats = {"ply"}, format.deskew = true;
     ScanFolderWriter(folder / "files", format).write_scan(0, scan);
     EXPECT_EQ(read_ply_positions(folder / "files" / "frame_000000.ply"), beside_image)
         << "render --format ply";
 
-    const view::ScanColumns in_viewer = view::convert_simulated_scan(scan, run.config, kDatasetOrigin_m);
+    const view::ScanColumns in_viewer =
+        view::convert_simulated_scan_to_columns(scan, run.config, kDatasetOrigin_m);
     std::vector<float> ends;
     for (const glm::vec3& end : in_viewer.position_m) ends.insert(ends.end(), {end.x, end.y, end.z});
     EXPECT_EQ(list_returned_positions(ends, scan), beside_image) << "viewer";

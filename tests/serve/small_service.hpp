@@ -57,7 +57,7 @@ inline TrainedRun make_small_run(const std::filesystem::path& folder) {
     // rays over a quarter turn ahead, to the wall and past its edges
     for (double y_m = -20.0; y_m <= 20.0; y_m += 0.5)
         for (double z_m = -2.0; z_m <= 2.0; z_m += 0.5)
-            run.coverage.add_segment(glm::dvec3(0.0), glm::dvec3(20.0, y_m, z_m));
+            run.coverage.add_voxels_on_line_segment(glm::dvec3(0.0), glm::dvec3(20.0, y_m, z_m));
     return run;
 }
 
@@ -98,7 +98,7 @@ protected:
         options.listen = "127.0.0.1:0";
         options.waiting = waiting;
         options.memory_mib = memory_mib;
-        options.device = apply_environment_variables({.traversal = device().traversal()});
+        options.device = apply_environment_variables({.traversal = device().get_ray_tracing_backend()});
         server.emplace(options);
     }
     std::string address() const { return "127.0.0.1:" + std::to_string(server->port()); }

@@ -35,7 +35,7 @@ ActorAsset make_plate_asset(const std::string& name, std::size_t n_surfels = 1,
     surfels.mean[0] = {};
     surfels.sh[0] = 1.0f;
     const Surfels one = surfels;
-    for (std::size_t i = 1; i < n_surfels; ++i) surfels.append(one);
+    for (std::size_t i = 1; i < n_surfels; ++i) surfels.append_surfels(one);
     if (primitive == PrimitiveType::gaussian) convert_to_primitive(surfels, PrimitiveType::gaussian, 0.1);
     run.scene.models = {{"background", 0, 0}, {name, 0, std::uint32_t(n_surfels)}};
     run.scene.instances = {{0, ""}, {1, name}};
@@ -133,7 +133,7 @@ TEST_F(Spawn, CopiesRenderAsThoseOfEdits) {
             insert_track(std::move(edited), asset.copy_driving_scene(), "van-1", {actor_poses[i].second});
     edited = remove_track(std::move(edited), "car");
     ScanRenderer renderer(device(), edited.scene, run.config, edited.sequence);
-    const RenderedScan truth = renderer.render(make_configured_sensor(run.config, run.sequence),
+    const RenderedScan truth = renderer.render(make_sensor_from_config(run.config, run.sequence),
                                                {0.5, {{0.5}, {make_pose_at_x(0.0)}}});
     EXPECT_EQ(values<float>(scan.image().range_m()), truth.image.range_m);
     EXPECT_EQ(values<float>(scan.image().intensity()), truth.image.intensity);
@@ -209,7 +209,7 @@ TEST_F(Spawn, WhatMakesNoSenseIsRefusedByNameAndChangesNothing) {
     expect_refused(make_spawn_request({{"x", "asset van-2"}}), Code::NOT_FOUND,
                    "actors[0].asset ... \"van-2\"");
     expect_refused(make_spawn_request({{"x", "mine"}}), Code::NOT_FOUND, "actors[0].actor: found \"mine\"");
-    expect_refused(make_spawn_request({{"x", ""}}), Code::INVALID_ARGUMENT, "actor nor asset");
+    expect_refused(make_spawn_request({{"x", ""}}), Code::INVALID_ARGUMENT, "neither ... actor ... asset");
     expect_refused(make_spawn_request({{"", "car"}}), Code::INVALID_ARGUMENT, "actors[0].name");
     expect_refused(make_spawn_request({{std::string(201, 'x'), "car"}}), Code::INVALID_ARGUMENT,
                    "of 201 bytes");
@@ -288,11 +288,11 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     }
     const AssetCatalogue shelf({(folder / "more").string()});
     SceneSet scenes(device(), sources, before + budget, shelf);
-    const SimulatedSensor sensor = make_configured_sensor(scenes.get_runs_without_surfels()[0].config,
-                                                          scenes.get_runs_without_surfels()[0].sequence);
+    const SimulatedSensor sensor = make_sensor_from_config(scenes.get_runs_without_surfels()[0].config,
+                                                           scenes.get_runs_without_surfels()[0].sequence);
     const auto ranges = [&] {
         std::vector<float> range_m;
-        scenes.call_with_scene(
+        scenes.load_scene_and_call_with_renderer(
             0, {}, [&](ScanRenderer& renderer) { range_m = renderer.render(sensor, request).image.range_m; });
         return range_m;
     };
@@ -308,7 +308,7 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     };
     EXPECT_THAT(refused({"x", {true, "large"}, {1, 1, 1}, 20000}), Names("memory"));
     EXPECT_TRUE(scenes.get_spawned_actors().list_occupied_slots(0).empty());
-    EXPECT_EQ(scenes.get_spawned_actors().count_slots(0), 0u);
+    EXPECT_EQ(scenes.get_spawned_actors().count_slots_of_scene(0), 0u);
     EXPECT_EQ(ranges(), truth);
     EXPECT_EQ(refused({"x", {false, "car"}, {1, 1, 1}, 1}), "") << "the name is free, and this one fits";
     EXPECT_EQ(scenes.get_spawned_actors().list_occupied_slots(0).size(), 1u);
@@ -319,15 +319,15 @@ TEST(SpawnedPlaces, AreMadeInGrowingNumbersAndUsedAgain) {
     const SpawnedModelSource car{false, "car"}, van{true, "van"};
     std::vector<std::size_t> sizes;
     for (int i = 0; i < 17; ++i) {
-        actors.occupy_slots(1, {{fmt::format("{}", i), car}});
-        sizes.push_back(actors.count_slots(1));
+        actors.assign_actors_to_slots(1, {{fmt::format("{}", i), car}});
+        sizes.push_back(actors.count_slots_of_scene(1));
     }
     EXPECT_THAT(sizes,
                 ElementsAre(1u, 2u, 4u, 4u, 8u, 8u, 8u, 8u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 24u));
-    EXPECT_EQ(actors.count_slots(0), 0u) << "of another scene";
-    actors.release_slots(1, {"1", "3"});
-    EXPECT_EQ(actors.occupy_slots(1, {{"v", van}})[0].position, 24u) << "a place keeps its source";
-    EXPECT_EQ(actors.occupy_slots(1, {{"c", car}})[0].position, 1u);
+    EXPECT_EQ(actors.count_slots_of_scene(0), 0u) << "of another scene";
+    actors.remove_actors_and_free_slots(1, {"1", "3"});
+    EXPECT_EQ(actors.assign_actors_to_slots(1, {{"v", van}})[0].position, 24u) << "a place keeps its source";
+    EXPECT_EQ(actors.assign_actors_to_slots(1, {{"c", car}})[0].position, 1u);
 }
 
 TEST_F(Spawn, ADamagedAssetIsToldToWhoPlacesIt) {

@@ -59,7 +59,7 @@ Device* find_device() { return process_device->find(); }
 void DeviceTest::SetUp() {
     device_ = find_device();
     if (device_) {
-        messages_before_ = count_validation_messages(*device_);
+        messages_before_ = get_validation_message_count(*device_);
         return;
     }
     const char* required = std::getenv("RELIDAR_REQUIRE_GPU");
@@ -70,7 +70,7 @@ void DeviceTest::SetUp() {
 
 void DeviceTest::TearDown() {
     if (!device_) return;
-    EXPECT_EQ(count_validation_messages(*device_), messages_before_)
+    EXPECT_EQ(get_validation_message_count(*device_), messages_before_)
         << "the validation layer complained (see stderr)";
 }
 

@@ -27,7 +27,7 @@ inline LidarSequence make_two_lidar_street(const SyntheticOptions& options) {
         street.frames.push_back({frame.index, frame.time_s,
                                  cast_rays_into_synthetic_street(options, rays, track, frame.time_s), 1});
     }
-    check_sequence(street);
+    require_valid_sequence(street);
     return street;
 }
 

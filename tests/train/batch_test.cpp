@@ -119,7 +119,7 @@ TEST_F(Batch, BatchesOfAFrameShareItsRaysOut) {
             stream.submit_and_wait();
             const std::vector<DeviceRay> rays = batch.rays.rays->download();
             for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
-                const std::size_t ray = batch.get_frame_ray_index(j);
+                const std::size_t ray = batch.convert_batch_to_frame_ray_index(j);
                 ASSERT_LT(ray, draw_counts.size());
                 ++draw_counts[ray];
                 EXPECT_EQ(rays[batch.rays.first + j * batch.rays.stride].origin.x, float(ray));
@@ -148,7 +148,7 @@ TEST_F(Batch, EveryNthRayOfAListIsNoImageAndTheWholeFrameIs) {
                                   .sample_random_batch(stream, list[0], random);
     EXPECT_EQ(some.rays.stride, 5u);
     EXPECT_EQ(some.rays.n_rays, 40u);
-    EXPECT_FALSE(some.targets.image.has_image_layout());
+    EXPECT_FALSE(some.targets.image.has_image_rows_and_columns());
     for (const char* batch : {"rays", "columns"}) {
         const SampledBatch all = BatchSampler(device(), make_config_for(batch, 0), frames)
                                      .sample_random_batch(stream, frames[0], random);

@@ -53,7 +53,7 @@ void write_scan(const fs::path& folder, int frame, const Scan& scan) {
             // Columns are sorted by decreasing azimuth from +180 degrees.
             const auto ray = std::size_t(row * columns + (columns / 2 - 1 - k + columns) % columns);
             if (scan.range_m[ray] == 0.0f) continue;
-            const glm::vec4 point(scan.compute_end_point(ray), scan.intensity[ray]);
+            const glm::vec4 point(scan.compute_return_point_in_sensor_frame(ray), scan.intensity[ray]);
             const std::uint32_t label = get_label(scan.classes[ray]) | 77u << 16;
             points.append(reinterpret_cast<const char*>(&point), sizeof point);
             labels.append(reinterpret_cast<const char*>(&label), sizeof label);
@@ -68,7 +68,7 @@ void write_semantic_kitti(const fs::path& folder, const SyntheticOptions& option
     const LidarSequence street = make_synthetic_street(options);
     std::string poses, times;
     for (const LidarFrame& frame : street.frames) {
-        const Pose pose = street.world_from_vehicle.pose[street.get_pose_index(frame)];
+        const Pose pose = street.world_from_vehicle.pose[street.get_vehicle_pose_index_of_frame(frame)];
         const glm::dmat4 m = to_matrix(pose);
         for (int i = 0; i < 12; ++i) poses += fmt::format("{}{}", m[i % 4][i / 4], i == 11 ? "\n" : " ");
         times += fmt::format("{}\n", frame.time_s);
@@ -89,8 +89,8 @@ TEST_F(TrainedClasses, OfHeldOutScansAreThoseOfTheStreet) {
     write_semantic_kitti(folder, {.n_frames = 7, .rows = 64, .columns = 200, .moving_cars = false});
     const LidarSequence log = load_sequence(folder.string(), {});
     fs::remove_all(folder.parent_path().parent_path());
-    const TrainTestSplit split = split_frames(log, 0, "3");
-    Config config = make_preset("quick");
+    const TrainTestSplit split = split_frames_into_train_and_test(log, 0, "3");
+    Config config = make_preset_config("quick");
     config.init.voxel_m = 0.4;
     config.train.iterations = 60;
     config.train.rays_per_iteration = 0;

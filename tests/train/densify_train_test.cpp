@@ -21,7 +21,7 @@ LidarSequence make_growing_street() {
 /// Returns settings with about an eighth of the surfels that other tests use with their
 /// `small` settings. Uses every second ray.
 Config make_sparse_config() {
-    Config config = make_preset("quick");
+    Config config = make_preset_config("quick");
     config.init.voxel_m = 1.2;
     config.init.max_scale_m = 1.0;
     config.init.scale_factor = 0.7;
@@ -55,7 +55,7 @@ double get_final_loss(const TrainResult& result) {
 
 TEST_F(DensifyTrain, GrowthLowersTheLoss) {
     const LidarSequence sequence = make_growing_street();
-    const TrainTestSplit split = split_frames(sequence, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(sequence, 10);
     std::map<DensifyStrategy, double> loss;
     for (const DensifyStrategy strategy : {DensifyStrategy::none, DensifyStrategy::adaptive}) {
         Config config = make_sparse_config();
@@ -79,7 +79,7 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
 /// Actors must grow in their model.
 TEST_F(DensifyTrain, ActorsStayInTheirModels) {
     const LidarSequence sequence = make_growing_street();
-    const TrainTestSplit split = split_frames(sequence, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(sequence, 10);
     Config config = make_sparse_config();
     config.init.actor_classes = "Car";
     config.init.actor_min_points = 20;
@@ -107,7 +107,7 @@ TEST_F(DensifyTrain, ActorsStayInTheirModels) {
 /// must end early, but training must continue.
 TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
     const LidarSequence sequence = make_growing_street();
-    const TrainTestSplit split = split_frames(sequence, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(sequence, 10);
     Config config = make_sparse_config();
     config.train.iterations = 40;
     config.densify.from = config.densify.every = 5;

@@ -16,8 +16,8 @@ namespace {
 class KeptHits : public test::DeviceTest {
 protected:
     LidarSequence street = make_synthetic_street({.n_frames = 4, .rows = 16, .columns = 128});
-    TrainTestSplit split = split_frames(street, 0);
-    Config config = make_preset("quick");
+    TrainTestSplit split = split_frames_into_train_and_test(street, 0);
+    Config config = make_preset_config("quick");
 
     void SetUp() override {
         test::DeviceTest::SetUp();
@@ -37,21 +37,22 @@ protected:
         TrainLoop loop(device(), street, split, initialise_scene(street, split.train, config.init), config);
         for (int step = 1; step <= config.train.iterations; ++step) loop.run_iteration(step, step % 4 == 0);
         loop.complete_training();
-        return {loop.download(), loop.kept_hits()};
+        return {loop.download_current_scene(), loop.get_max_stored_hits_per_ray()};
     }
 
     /// Renders a scene separately. For each n in `counts`, returns the share of rays with
     /// more than n hits.
     std::vector<double> share_beyond(const Scene& scene, const std::vector<std::uint32_t>& counts) {
         Renderer renderer(device(), scene, config.image,
-                          {.accel = {}, .trace = make_base_trace_options(config)});
+                          {.accel = {}, .trace = make_common_trace_options(config)});
         std::vector<double> shares(counts.size(), 0.0);
         std::size_t n_rays = 0;
         for (const int position : split.train) {
             const LidarFrame& frame = street.frames[std::size_t(position)];
             const PoseTrack track = street.get_world_from_sensor(frame.lidar);
-            renderer.prepare_view(compute_instance_poses(scene, street, get_sweep_moment(frame)),
-                                  glm::vec3(track.interpolate_pose(frame.time_s).translation));
+            renderer.record_view_preparation(
+                compute_instance_poses(scene, street, get_sweep_timing_of_frame(frame)),
+                glm::vec3(track.interpolate_pose(frame.time_s).translation));
             const RayTable table = make_nominal_rays(street.get_lidar(frame), frame.time_s);
             WorldRays rays;
             for (std::size_t i = 0; i < table.size(); ++i) {

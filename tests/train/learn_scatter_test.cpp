@@ -32,23 +32,24 @@ TrainedRun make_grainy_run() {
     for (LidarFrame& frame : run.sequence.frames)
         for (float& intensity : frame.scan.intensity)
             intensity =
-                std::max(std::round((intensity + 0.05f * static_cast<float>(random.draw_standard_normal())) /
-                                    kStep),
-                         0.0f) *
+                std::max(
+                    std::round((intensity + 0.05f * static_cast<float>(random.sample_standard_normal())) /
+                               kStep),
+                    0.0f) *
                 kStep;
-    run.split = split_frames(run.sequence, 5);
-    run.config = make_preset("quick");
+    run.split = split_frames_into_train_and_test(run.sequence, 5);
+    run.config = make_preset_config("quick");
     run.scene = initialise_scene(run.sequence, run.split.train, run.config.init);
     return run;
 }
 
 TEST_F(LearnScatter, TrainingFramesScatterAlike) {
     relidar::TrainedRun run = make_grainy_run();
-    run.intensity_scatter = learn_scatter(device(), run);
+    run.intensity_scatter = fit_intensity_scatter_per_lidar(device(), run);
     ASSERT_EQ(run.intensity_scatter.size(), 1u);
     EXPECT_EQ(run.intensity_scatter[0].step, double(kStep));
     ScanRenderer exact(device(), run.scene, run.config, run.sequence), renderer(device(), run);
-    const SimulatedSensor sensor = choose_sensor("native", run.config, run.sequence);
+    const SimulatedSensor sensor = find_or_load_sensor("native", run.config, run.sequence);
     double real = 0.0, drawn = 0.0, n = 0.0;
     for (const int position : run.split.train) {
         const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
@@ -76,7 +77,7 @@ TEST_F(LearnScatter, TrainingFramesScatterAlike) {
 
 TEST_F(LearnScatter, StopsWhereItIsAskedTo) {
     const relidar::TrainedRun run = make_grainy_run();
-    EXPECT_TRUE(learn_scatter(device(), run, {.stop = [] { return true; }}).empty());
+    EXPECT_TRUE(fit_intensity_scatter_per_lidar(device(), run, {.stop = [] { return true; }}).empty());
 }
 
 }  // namespace

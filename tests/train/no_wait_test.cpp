@@ -21,8 +21,8 @@ namespace {
 class NoWait : public test::DeviceTest {
 protected:
     LidarSequence street = make_synthetic_street({.n_frames = 6, .rows = 16, .columns = 128});
-    TrainTestSplit split = split_frames(street, 0);
-    Config config = make_preset("quick");
+    TrainTestSplit split = split_frames_into_train_and_test(street, 0);
+    Config config = make_preset_config("quick");
 
     void SetUp() override {
         test::DeviceTest::SetUp();
@@ -60,7 +60,8 @@ TEST_F(NoWait, NorAllocationInAnIteration) {
 TEST_F(NoWait, ButALossThatIsNoNumberEndsTrainingSoon) {
     FrameSampler sampler(split.train.size(), config.train.seed);
     int poisoned_step = 1;
-    while (sampler.draw_next_frame() != 3) ++poisoned_step, sampler.get_random_generator().draw_uint64();
+    while (sampler.sample_next_frame_index() != 3)
+        ++poisoned_step, sampler.get_random_generator().sample_random_uint64();
     LidarFrame& frame = street.frames[std::size_t(split.train[3])];
     std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(),
               std::numeric_limits<float>::quiet_NaN());

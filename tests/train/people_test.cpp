@@ -49,8 +49,8 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
                                                         .range_noise_m = 0.01,
                                                         .speed_mps = 5.0,
                                                         .people = true});
-    const TrainTestSplit split = split_frames(street, 6);
-    Config config = make_preset("quick");
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 6);
+    Config config = make_preset_config("quick");
     config.train.iterations = 110;
     config.train.rays_per_iteration = 4096;
     config.train.refine_poses = "none";
@@ -87,7 +87,7 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
 TEST_F(People, MaskedBoxesAreReported) {
     const LidarSequence street =
         make_synthetic_street({.n_frames = 12, .rows = 16, .columns = 256, .people = true});
-    Config config = make_preset("quick");
+    Config config = make_preset_config("quick");
     config.init.voxel_m = 0.4;
     config.init.actor_classes = "Car";
     config.train.iterations = 1;
@@ -95,8 +95,8 @@ TEST_F(People, MaskedBoxesAreReported) {
     TrainSession session;
     session.note = [&](const std::string& line) { notes.push_back(line); };
     train(
-        device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; },
-        session);
+        device(), street, split_frames_into_train_and_test(street, 0), config,
+        [](const TrainProgress&) { return true; }, session);
     ASSERT_EQ(notes.size(), 1u);
     EXPECT_NE(notes[0].find("2 (Pedestrian), 3 (Pedestrian), 4 (Pedestrian), 5 (Cyclist)"), std::string::npos)
         << notes[0];

@@ -19,8 +19,8 @@ TrainedRun train_small_run(Device& device) {
     TrainedRun run;
     run.sequence =
         make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 32, .columns = 512, .range_noise_m = 0.01});
-    run.split = split_frames(run.sequence, 4);
-    run.config = make_preset("quick");
+    run.split = split_frames_into_train_and_test(run.sequence, 4);
+    run.config = make_preset_config("quick");
     run.config.train.iterations = 60;
     run.config.train.rays_per_iteration = 4096;
     run.config.train.refine_poses = "none";
@@ -48,7 +48,7 @@ TEST_F(PlaceHeldOut, FindsWhereTheyWereAndMovesNothingElse) {
     const Twist off{0.03, -0.02, 0.02, 1e-3, -2e-3, 2e-3};
     relidar::TrainedRun run = move_run(device(), off);
     const relidar::TrainedRun before = run;
-    const HeldOutPoseReport placed = place_held_out(device(), run);
+    const HeldOutPoseReport placed = estimate_held_out_vehicle_poses(device(), run);
     ASSERT_EQ(placed.scans, run.split.test.size());
     EXPECT_TRUE(run.held_out_placed);
     EXPECT_EQ(placed.placed, placed.scans);
@@ -64,7 +64,7 @@ TEST_F(PlaceHeldOut, FindsWhereTheyWereAndMovesNothingElse) {
         EXPECT_EQ(run.sequence.world_from_vehicle.pose[std::size_t(k)].translation,
                   before.sequence.world_from_vehicle.pose[std::size_t(k)].translation);
     relidar::TrainedRun again = before;
-    place_held_out(device(), again);
+    estimate_held_out_vehicle_poses(device(), again);
     for (const int k : run.split.test)
         EXPECT_EQ(again.sequence.world_from_vehicle.pose[std::size_t(k)].translation,
                   run.sequence.world_from_vehicle.pose[std::size_t(k)].translation);
@@ -79,16 +79,17 @@ TEST_F(PlaceHeldOut, DoesNothingWhereItIsNotAskedForOrStopped) {
         return true;
     };
     int n_stop_calls = 0;
-    EXPECT_EQ(place_held_out(device(), run, {{}, [&] { return ++n_stop_calls > 1; }}).scans, 0u);
+    EXPECT_EQ(estimate_held_out_vehicle_poses(device(), run, {{}, [&] { return ++n_stop_calls > 1; }}).scans,
+              0u);
     EXPECT_TRUE(stays()) << "stopped at the second scan";
     EXPECT_FALSE(run.held_out_placed);
     run.config.train.place_held_out = false;
-    EXPECT_EQ(place_held_out(device(), run).scans, 0u);
+    EXPECT_EQ(estimate_held_out_vehicle_poses(device(), run).scans, 0u);
     EXPECT_TRUE(stays());
     EXPECT_TRUE(run.held_out_placed) << "it was asked, and there was nothing to do";
     run.config.train.place_held_out = true;
     run.config.train.pose_register = false;
-    EXPECT_EQ(place_held_out(device(), run).scans, 0u);
+    EXPECT_EQ(estimate_held_out_vehicle_poses(device(), run).scans, 0u);
     EXPECT_TRUE(stays());
 }
 

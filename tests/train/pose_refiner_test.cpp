@@ -184,14 +184,14 @@ TEST(TrackCorrectionOf, AQuadraticBowl) {
             if (k == 5) continue;  // held out
             Twist g;
             for (std::size_t j = 0; j < 6; ++j)
-                g[j] = correction.interpolate_correction(k)[j] - target_twists[k][j];
+                g[j] = correction.get_or_interpolate_correction(k)[j] - target_twists[k][j];
             correction.add_pose_gradient(k, 1.0, g);
         }
         correction.run_adam_step({.rate_m = 5e-3 / (1 + 0.05 * i), .rate_rad = 5e-4 / (1 + 0.05 * i)});
     }
     for (std::size_t k = 0; k < 8; ++k)
         for (std::size_t j = 0; j < 6; ++j)
-            EXPECT_NEAR(correction.interpolate_correction(k)[j],
+            EXPECT_NEAR(correction.get_or_interpolate_correction(k)[j],
                         k == 5 ? 0.5 * (target_twists[4][j] + target_twists[6][j]) : target_twists[k][j],
                         j < 3 ? 1e-3 : 1e-4)
                 << k;
@@ -200,11 +200,12 @@ TEST(TrackCorrectionOf, AQuadraticBowl) {
         strict.add_pose_gradient(2, 1.0, {1e-3, 0, 0, 0, 0, 0});
         strict.run_adam_step({.rate_m = 1e-3, .rate_rad = 1e-3, .prior_per_m2 = 0.05});
     }
-    EXPECT_NEAR(strict.interpolate_correction(2)[0], -0.01, 1e-3) << "where the prior's pull is the loss's";
+    EXPECT_NEAR(strict.get_or_interpolate_correction(2)[0], -0.01, 1e-3)
+        << "where the prior's pull is the loss's";
 }
 
 Config make_refining_config(const std::string& description, int iterations) {
-    Config config = make_preset("quick");
+    Config config = make_preset_config("quick");
     config.init.voxel_m = 0.2;
     config.train.iterations = iterations;
     config.train.rays_per_iteration = 0;
@@ -219,7 +220,7 @@ std::pair<PoseError, PoseError> measure_errors_of_training(Device& device, const
     LidarSequence street = street_of(11, 32, 256);
     const PoseTrack exact = street.world_from_vehicle;
     set_vehicle_poses(street, perturb_track(exact, 0.05, 0.3 * kDegree, 1));
-    const TrainTestSplit split = split_frames(street, 0);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 0);
     const PoseError before = error_of(street.world_from_vehicle, exact, split.train);
     prepare_log(street, split, config);
     const TrainResult result =
@@ -286,8 +287,8 @@ TEST_F(Poses, OfTheActorsComeBack) {
     config.train.pose_rate_m = 1e-3;
     config.init.actor_min_points = 20;
     config.init.scale_factor = 0.8;  // uses larger surfels without holes, because a car has few points
-    const TrainResult result =
-        train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; });
+    const TrainResult result = train(device(), street, split_frames_into_train_and_test(street, 0), config,
+                                     [](const TrainProgress&) { return true; });
     ASSERT_TRUE(result.poses);
     const std::vector<int> all{0, 1, 2, 3, 4, 5, 6};
     for (std::size_t b = 0; b < exact.size(); ++b) {
@@ -301,8 +302,8 @@ TEST_F(Poses, OfTheActorsComeBack) {
 
 TEST_F(Poses, AreKeptWhereNoneIsRefined) {
     const LidarSequence street = street_of(4, 8, 64, true);
-    EXPECT_FALSE(train(device(), street, split_frames(street, 0), make_refining_config("none", 2),
-                       [](const TrainProgress&) { return true; })
+    EXPECT_FALSE(train(device(), street, split_frames_into_train_and_test(street, 0),
+                       make_refining_config("none", 2), [](const TrainProgress&) { return true; })
                      .poses);
     Config config;
     EXPECT_THROW(set_config_value(config, "train.refine_poses", "sensors"), UsageError);
@@ -312,8 +313,8 @@ TEST_F(Poses, AreKeptWhereNoneIsRefined) {
     config = make_refining_config("actors", 2);
     config.init.actor_classes = "", config.init.mask_others = false;
     train(
-        device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; },
-        session);
+        device(), street, split_frames_into_train_and_test(street, 0), config,
+        [](const TrainProgress&) { return true; }, session);
     ASSERT_EQ(notes.size(), 1u);
     EXPECT_THAT(notes[0], test::Names("train.refine_poses=actors"));
 }
@@ -328,8 +329,8 @@ TEST_F(Poses, OfASingleSweepStays) {
     session.note = [&](const std::string& note) { notes.push_back(note); };
     const auto poses = [&](const std::string& held_out) {
         return train(
-                   device(), street, split_frames(street, 0, held_out), make_refining_config("sensor", 2),
-                   [](const TrainProgress&) { return true; }, session)
+                   device(), street, split_frames_into_train_and_test(street, 0, held_out),
+                   make_refining_config("sensor", 2), [](const TrainProgress&) { return true; }, session)
             .poses;
     };
     EXPECT_FALSE(poses("0:2,3"));

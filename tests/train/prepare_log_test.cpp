@@ -112,7 +112,7 @@ TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
     // The log is long enough for two sections.
     const LidarSequence original_log =
         street({.n_frames = 400, .rows = 16, .columns = 128, .range_noise_m = 0.01, .people = true});
-    const TrainTestSplit split = split_frames(original_log, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(original_log, 10);
     Config config;
     config.train.refine_poses = "sensor";
     config.init.unlabelled_movers = UnlabelledMoverPolicy::actors,
@@ -151,7 +151,7 @@ TEST(PrepareLog, WarnsOfPosesThatDoNotFitTheScans) {
     Config config;
     config.train.allow_lost_scans = true;
     config.train.refine_poses = "sensor";
-    const TrainTestSplit split = split_frames(good, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(good, 10);
     const auto warning_of = [&](LidarSequence log) {
         std::string report_text;
         prepare_log(log, split, config,

@@ -49,8 +49,8 @@ LidarSequence make_weak_street() {
 TrainedRun trained(Device& device, LidarSequence street) {
     TrainedRun run;
     run.sequence = std::move(street);
-    run.split = split_frames(run.sequence, 5);
-    run.config = make_preset("quick");
+    run.split = split_frames_into_train_and_test(run.sequence, 5);
+    run.config = make_preset_config("quick");
     run.config.train.iterations = 80;
     run.config.train.rays_per_iteration = 4096;
     run.config.train.refine_poses = "none";
@@ -64,7 +64,7 @@ TrainedRun trained(Device& device, LidarSequence street) {
     run.scene =
         train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;
     // a run with a different flatness cannot be saved
-    run.config.init.flatness = make_preset("quick").init.flatness;
+    run.config.init.flatness = make_preset_config("quick").init.flatness;
     return run;
 }
 
@@ -88,7 +88,7 @@ std::pair<double, double> measure_accuracies(Device& device, const TrainedRun& r
     for (const int position : run.split.test) {
         const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
         const RenderedScan scan =
-            renderer.render(choose_sensor("native", run.config, run.sequence), frame.time_s);
+            renderer.render(find_or_load_sensor("native", run.config, run.sequence), frame.time_s);
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             const bool is_far = scan.median_range_m[i] > 0.8f * kReach_m && scan.weight[i] > 0.9f;
             const bool of_weak = is_far && is_well_inside(frame.scan.rays.direction[i]);
@@ -148,7 +148,7 @@ TEST_F(RefineDrops, AnotherSensorIsNotWorse) {
         .seed = 6, .n_frames = 11, .rows = 32, .columns = 512, .speed_mps = 4.0, .people = true};
     relidar::TrainedRun run = trained(device(), make_synthetic_street(options));
     run.config.refine.epochs = 6;
-    const SimulatedSensor sensor = choose_sensor("VLP-32C", run.config, run.sequence);
+    const SimulatedSensor sensor = find_or_load_sensor("VLP-32C", run.config, run.sequence);
     ScanRenderer renderer(device(), run);
     const double before = compute_exact_accuracy(renderer, options, run, sensor);
     renderer.set_drop_network(refine_drops(device(), run));
@@ -164,8 +164,8 @@ TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
     run.drop_network = refine_drops(device(), run);
     EXPECT_EQ(run.drop_network.image, "kitti360");
     ScanRenderer renderer(device(), run);
-    const SimulatedSensor grid = make_configured_sensor(run.config, run.sequence),
-                          native = choose_sensor("native", run.config, run.sequence);
+    const SimulatedSensor grid = make_sensor_from_config(run.config, run.sequence),
+                          native = find_or_load_sensor("native", run.config, run.sequence);
     EXPECT_TRUE(renderer.has_drop_network_for(grid));
     EXPECT_FALSE(renderer.has_drop_network_for(native));
     renderer.enable_optional_channels("surfel_drop_prob");
@@ -219,7 +219,7 @@ TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
     save_run(run);
     relidar::TrainedRun loaded = load_run(run.folder);
     copy_scans_into_run(loaded, loaded.split.train, run.sequence);
-    check_network_training_resumable(half, loaded);
+    require_network_training_is_resumable(half, loaded);
     const RayDropNetwork resumed = refine_drops(device(), loaded, {.start = &half});
     EXPECT_EQ(resumed.parameters, expected.parameters);
     EXPECT_EQ(resumed.running, expected.running);
@@ -249,11 +249,11 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
     other.config.refine.rate = 0.5;
     EXPECT_THAT(message(other),
                 test::Names("2 ... step 2 ... setting refine.rate: found 0.5, expected 0.01"));
-    restore_network_settings(checkpoint, other.config);
+    copy_network_settings_into_config(checkpoint, other.config);
     EXPECT_EQ(other.config.refine.rate, run.config.refine.rate);
     other.config.train.log_every = 7, other.config.train.checkpoint_minutes = 3.0,
     other.config.refine.enabled = false;
-    check_network_training_resumable(checkpoint, other);
+    require_network_training_is_resumable(checkpoint, other);
     other = run;
     other.scene.surfels.sh[5] += 0.001f;
     EXPECT_THAT(message(other), test::Names("3 ... step 2 ... scene"));

@@ -31,7 +31,7 @@ constexpr int kIterations = 40;
 constexpr int kStoppedAfter = 17;
 
 Config make_resumed_config() {
-    Config config = make_preset("quick");
+    Config config = make_preset_config("quick");
     config.init.voxel_m = 0.4;
     config.train.iterations = kIterations;
     // uses a quarter of the rays of a frame, so that the choice of rays is random too
@@ -90,7 +90,7 @@ protected:
         ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
         folder = pattern;
         street = make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256});
-        split = split_frames(street, 10);
+        split = split_frames_into_train_and_test(street, 10);
     }
     void TearDown() override {
         fs::remove_all(folder);
@@ -117,16 +117,18 @@ protected:
 
 TEST(ResumedSampler, GoesOnWithTheSameFramesAndNumbers) {
     FrameSampler sampler(10, 3), other(10, 99);
-    for (int i = 0; i < 27; ++i) sampler.draw_next_frame(), sampler.get_random_generator().draw_uint64();
+    for (int i = 0; i < 27; ++i)
+        sampler.sample_next_frame_index(), sampler.get_random_generator().sample_random_uint64();
     Checkpoint checkpoint;
     sampler.visit_state(CheckpointWriter(checkpoint));
-    other.draw_next_frame();
+    other.sample_next_frame_index();
     other.visit_state(CheckpointReader(checkpoint));
-    EXPECT_TRUE(other.has_valid_state(10));
-    EXPECT_FALSE(other.has_valid_state(9));
+    EXPECT_TRUE(other.is_restored_frame_order_valid(10));
+    EXPECT_FALSE(other.is_restored_frame_order_valid(9));
     for (int i = 0; i < 100; ++i) {
-        ASSERT_EQ(sampler.draw_next_frame(), other.draw_next_frame());
-        ASSERT_EQ(sampler.get_random_generator().draw_uint64(), other.get_random_generator().draw_uint64());
+        ASSERT_EQ(sampler.sample_next_frame_index(), other.sample_next_frame_index());
+        ASSERT_EQ(sampler.get_random_generator().sample_random_uint64(),
+                  other.get_random_generator().sample_random_uint64());
     }
 }
 
@@ -254,10 +256,10 @@ TEST_F(Resume, RestoresEveryArrayBitByBit) {
         fresh(device(), street, split, initial, other);
     for (int step = 1; step <= kStoppedAfter; ++step) trained.run_iteration(step);
     Checkpoint saved, again;
-    trained.save_state(saved);
+    trained.save_training_state_to_checkpoint(saved);
     fresh.run_iteration(1);
-    fresh.restore_state(saved);
-    fresh.save_state(again);
+    fresh.restore_training_state_from_checkpoint(saved);
+    fresh.save_training_state_to_checkpoint(again);
     ASSERT_EQ(saved.arrays.size(), again.arrays.size());
     const auto same = [](const Pose& first, const Pose& second) {
         return first.rotation == second.rotation && first.translation == second.translation;
@@ -318,7 +320,8 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     const auto setting = [&](const char* key, const char* value) {
         Config config = make_resumed_config();
         set_config_value(config, key, value);
-        return error_message<UsageError>([&] { check_training_resumable(start, street, split, config); });
+        return error_message<UsageError>(
+            [&] { require_training_is_resumable(start, street, split, config); });
     };
     EXPECT_NE(setting("loss.depth", "0.3").find("setting loss.depth: found 0.3, expected 0.1"),
               std::string::npos);
@@ -331,12 +334,12 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
                                      {"render.range", "median"},
                                      {"dataset.path", "moved"}})
         set_config_value(free, key, value);
-    EXPECT_NO_THROW(check_training_resumable(start, street, split, free));
+    EXPECT_NO_THROW(require_training_is_resumable(start, street, split, free));
 
     Checkpoint other_version = start;
     const auto error = [&] {
         return get_data_error_message(
-            [&] { check_training_resumable(other_version, street, split, make_resumed_config()); });
+            [&] { require_training_is_resumable(other_version, street, split, make_resumed_config()); });
     };
     other_version.texts["setting/train.colour"] = "red";
     EXPECT_THAT(error(), test::Names("train.colour"));
@@ -346,10 +349,10 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
 
     const auto log = [&](const char* part, const LidarSequence& other, const TrainTestSplit& frames) {
         const std::string message = get_data_error_message(
-            [&] { check_training_resumable(start, other, frames, make_resumed_config()); });
+            [&] { require_training_is_resumable(start, other, frames, make_resumed_config()); });
         EXPECT_THAT(message, test::Names(std::string("log's ... ") + part));
     };
-    log("training frames", street, split_frames(street, 5));
+    log("training frames", street, split_frames_into_train_and_test(street, 5));
     LidarSequence other = street;
     other.frames[3].scan.range_m[100] += 1e-3f;
     log("scans", other, split);
@@ -392,7 +395,8 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
     const std::size_t poisoned = 6;  // index among the training frames
     FrameSampler sampler(split.train.size(), config.train.seed);
     int expected = 1;
-    while (sampler.draw_next_frame() != poisoned) ++expected, sampler.get_random_generator().draw_uint64();
+    while (sampler.sample_next_frame_index() != poisoned)
+        ++expected, sampler.get_random_generator().sample_random_uint64();
     LidarFrame& frame = street.frames[std::size_t(split.train[poisoned])];
     std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(),
               std::numeric_limits<float>::quiet_NaN());
@@ -400,13 +404,13 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
     Checkpoint checkpoint;
     for (int step = 1; step <= 10; ++step) {
         loop.run_iteration(step);
-        if (step == expected - 1) loop.save_state(checkpoint);
+        if (step == expected - 1) loop.save_training_state_to_checkpoint(checkpoint);
     }
     const std::string message = get_data_error_message([&] { loop.wait_for_iterations(); });
     ASSERT_GT(expected, 1);
     EXPECT_THAT(message, test::Names("iteration " + std::to_string(expected) + ", frame " +
                                      std::to_string(frame.index) + " ... intensity"));
-    EXPECT_NO_THROW(check_finite(checkpoint)) << "of the iteration before";
+    EXPECT_NO_THROW(require_finite_checkpoint_arrays(checkpoint)) << "of the iteration before";
 }
 
 TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {

@@ -51,7 +51,7 @@ void add(Score& score, const RenderedScan& scan, const Scan& truth) {
 }
 
 Config make_rig_config(int iterations) {
-    Config config = make_preset("quick");
+    Config config = make_preset_config("quick");
     config.train.iterations = iterations;
     config.train.rays_per_iteration = 8192;
     config.train.refine_poses = "none";
@@ -64,7 +64,7 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     const SyntheticOptions options{.n_frames = 11, .rig = rig};
     LidarSequence street = make_synthetic_street(options);
     ASSERT_EQ(street.lidars.size(), 4u);
-    const TrainTestSplit split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     ASSERT_EQ(split.test.size(), 4u);
     const Config config = make_rig_config(100);
     prepare_log(street, split, config, {});
@@ -74,7 +74,7 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     std::vector<Score> scores(4);
     for (const int position : split.test) {
         const LidarFrame& frame = street.frames[std::size_t(position)];
-        SimulatedSensor sensor = make_configured_sensor(config, street, frame.lidar);
+        SimulatedSensor sensor = make_sensor_from_config(config, street, frame.lidar);
         sensor.returns = frame.lidar == test::kTwoReturns ? 2 : 1;
         const RenderedScan scan = renderer.render(sensor, frame.time_s);
         ASSERT_EQ(scan.image.direction, to_vector(frame.scan.rays.direction))
@@ -117,7 +117,7 @@ double measure_missed_ground(Device& device, const LidarSequence& street, const 
     const TrainResult result = train(device, street, split, config, {});
     ScanRenderer renderer(device, result.scene, config, street);
     const double time_s = street.frames[std::size_t(split.test[0])].time_s;
-    const SimulatedSensor sensor = make_sensor_choice(find_sensor("OS1-64"));
+    const SimulatedSensor sensor = make_simulated_sensor(find_sensor("OS1-64"));
     const RenderedScan scan = renderer.render(sensor, time_s);
     const Scan truth =
         cast_rays_into_synthetic_street(options, sensor.rays, street.get_world_from_sensor(0), time_s);
@@ -142,7 +142,7 @@ TEST_F(RigStreet, ADenserSensorSeesNoHolesBetweenTheRingsOfTheLog) {
     const SyntheticOptions options{.n_frames = 11, .rig = rig.string()};
     LidarSequence log = make_synthetic_street(options);
     // holds out the middle frame and the last frame
-    const TrainTestSplit split = split_frames(log, int(log.frames.size()) / 2);
+    const TrainTestSplit split = split_frames_into_train_and_test(log, int(log.frames.size()) / 2);
     prepare_log(log, split, make_rig_config(0), {});
     const double with = measure_missed_ground(device(), log, split, options, 2.0),
                  without = measure_missed_ground(device(), log, split, options, 0.0);

@@ -45,8 +45,8 @@ LidarSequence log_of(int n_frames, int step = 1) {
 RayDropTable table_of(const LidarSequence& log) {
     RayDropCounts counts(log);
     for (const LidarFrame& frame : log.frames)
-        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.count_ray(frame, i);
-    return counts.estimate_drop_rates();
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add_ray_to_drop_counts(frame, i);
+    return counts.estimate_smoothed_drop_rates();
 }
 
 float at(const RayDropTable& table, int beam, int column) {

@@ -36,8 +36,8 @@ protected:
         options.columns = 384;
         run.folder = folder;
         run.sequence = make_synthetic_street(options);
-        run.split = split_frames(run.sequence, 10);
-        run.config = make_preset("quick");
+        run.split = split_frames_into_train_and_test(run.sequence, 10);
+        run.config = make_preset_config("quick");
         run.config.init.voxel_m = 0.3;
         run.config.init.actor_min_points = 10;
         // large enough to close the holes between the points of a car
@@ -47,7 +47,7 @@ protected:
         Scene full_scene = initialise_scene(run.sequence, run.split.train, run.config.init);
         for (std::size_t i = 0; i < full_scene.surfels.size(); ++i)
             full_scene.surfels.opacity_logit[i] = i < full_scene.models[0].count ? 6.0f : -1.5f;
-        run.scene = replace_background(full_scene, {});
+        run.scene = copy_scene_with_new_background(full_scene, {});
         for (const bool right : {false, true}) run.scene.blocks.push_back(save_half(full_scene, right));
     }
 
@@ -67,7 +67,7 @@ protected:
             block.low_m = glm::min(block.low_m, mean);
             block.high_m = glm::max(block.high_m, mean);
         }
-        save_model(block.file, half);
+        save_scene_to_model_file(block.file, half);
         return block;
     }
 
@@ -116,7 +116,7 @@ TEST_F(TrainActors, CloseUpBeforeTheJoinedBackgroundWhichStays) {
 }
 
 TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
-    run.scene = load_all_blocks(run.scene);
+    run.scene = copy_scene_with_all_blocks_loaded(run.scene);
     const Scene was = run.scene;
     const std::size_t n = was.models[0].count;
     ASSERT_GT(n, 1000u);
@@ -140,7 +140,7 @@ TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
     for (glm::vec3& mean : far.mean) mean += glm::vec3(0.0f, 0.0f, 60.0f);  // above the street
     const Scene above = make_background_scene(far);
     SceneBlock block{folder / "above.safetensors", 100, {-100, -100, -100}, {100, 100, 100}};
-    save_model(block.file, above);
+    save_scene_to_model_file(block.file, above);
     other.scene.blocks.push_back(block);
     // excludes the learning rate of means, because it depends on the extent of all blocks
     for (relidar::TrainedRun* each : {&run, &other})

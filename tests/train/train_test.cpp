@@ -29,7 +29,7 @@ INSTANTIATE_TEST_SUITE_P(Primitives, TrainEither, testing::ValuesIn(list_all_pri
 SyntheticOptions make_small_street() { return {.n_frames = 11, .rows = 16, .columns = 256}; }
 
 Config make_small_config() {
-    Config config = make_preset("quick");
+    Config config = make_preset_config("quick");
     config.init.voxel_m = 0.4;
     config.train.iterations = 60;
     config.train.rays_per_iteration = 0;
@@ -47,7 +47,7 @@ double measure_held_out_error(Device& device, const Scene& scene, const Config& 
 
 TEST_P(TrainEither, LearnsTheStreet) {
     const LidarSequence street = make_synthetic_street(make_small_street());
-    const TrainTestSplit split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     Config config = make_small_config();
     config.image.primitive = GetParam();
     const TrainResult result =
@@ -76,7 +76,7 @@ TEST_P(TrainEither, LearnsTheStreet) {
 /// proportional to 4 x the diagonal of a car's box and not to the extent of the street.
 TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
     const LidarSequence street = make_synthetic_street(make_small_street());
-    const TrainTestSplit split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     Config config = make_small_config();
     config.train.iterations = 1;
     config.densify.strategy = DensifyStrategy::adaptive;
@@ -88,7 +88,7 @@ TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
     ASSERT_GE(before.models.size(), 3u) << "the background and two cars";
     for (const SurfelModel& model : before.models) {
         const double extent_m = model.half_size_m.x > 0.0f ? 8.0 * double(glm::length(model.half_size_m))
-                                                           : compute_background_extent(before);
+                                                           : compute_robust_background_extent_m(before);
         double farthest_m = 0.0;
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i)
             for (int axis = 0; axis < 3; ++axis)
@@ -102,7 +102,7 @@ TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
 
 TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
     const LidarSequence street = make_synthetic_street(make_small_street());
-    const TrainTestSplit split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     Config config = make_small_config();
     config.image.primitive = GetParam();
     config.train.scale_rate = 0.1;
@@ -133,7 +133,7 @@ TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
 /// saved scene.
 TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
     const LidarSequence street = make_synthetic_street(make_small_street());
-    const TrainTestSplit split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     Config config = make_small_config();
     config.init.hit_margin = 2.1;
     const auto trained = [&](bool single, int iterations) {
@@ -173,7 +173,7 @@ TEST_F(Train, DeterministicTrainingRepeatsItself) {
     SyntheticOptions options = make_small_street();
     options.n_frames = 5;
     const LidarSequence street = make_synthetic_street(options);
-    const TrainTestSplit split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         Config config = make_small_config();
         config.image.sh_direction = direction;
@@ -199,8 +199,8 @@ TEST_F(Train, DeterministicTrainingRepeatsItself) {
 TEST_F(Train, StopsWhenAskedAndKeepsTheScene) {
     const LidarSequence street = make_synthetic_street(make_small_street());
     int calls = 0;
-    const TrainResult result = train(device(), street, split_frames(street, 10), make_small_config(),
-                                     [&](const TrainProgress&) { return ++calls < 2; });
+    const TrainResult result = train(device(), street, split_frames_into_train_and_test(street, 10),
+                                     make_small_config(), [&](const TrainProgress&) { return ++calls < 2; });
     EXPECT_TRUE(result.interrupted);
     EXPECT_EQ(result.log.back().iteration, 10);
     EXPECT_GT(result.scene.surfels.size(), 100u);
@@ -213,7 +213,7 @@ TEST_F(Train, ActorsBeatMasking) {
     SyntheticOptions options = make_small_street();
     options.rows = 32, options.columns = 512;
     const LidarSequence street = make_synthetic_street(options);
-    const TrainTestSplit split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     const LidarFrame& frame = street.frames[std::size_t(split.test[0])];
     std::map<std::string, double> error;
     for (const std::string classes : {"Car", ""}) {
@@ -254,7 +254,7 @@ TEST(Targets, RaysOfMovingBoxesAreUnknown) {
     for (const LidarFrame& frame : street.frames) {
         std::vector<DeviceRay> rays;
         std::vector<DeviceTarget> targets;
-        make_rays_and_targets(street, frame, {}, rays, targets);
+        compute_training_rays_and_targets(street, frame, {}, rays, targets);
         for (std::size_t i = 0; i < rays.size(); ++i) {
             if (!(targets[i].range_m > 0.0f)) continue;
             const glm::dvec3 p =
@@ -284,7 +284,7 @@ TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
         if (are_actors) unknown.actors = {street.boxes[0].id, street.boxes[1].id};
         std::vector<DeviceRay> rays;
         std::vector<DeviceTarget> targets;
-        make_rays_and_targets(street, street.frames[frame], unknown, rays, targets);
+        compute_training_rays_and_targets(street, street.frames[frame], unknown, rays, targets);
         double n = 0.0, n_masked = 0.0;
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const glm::dvec3 p =
@@ -312,7 +312,7 @@ bool is_hidden(const RayTable& rays, std::size_t index) {
 
 TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
     LidarSequence street = make_synthetic_street(make_small_street());
-    const TrainTestSplit split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     for (LidarFrame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (is_hidden(frame.scan.rays, i)) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;

@@ -42,11 +42,12 @@ TEST(OnGrid, NearestReturnsOfCells) {
     const Scan& scan = log.frames[0].scan;
     std::map<int, std::size_t> nearest;
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        const int cell = scan.range_m[i] > 0.0f ? find_cell(scan.compute_end_point(i)) : -1;
+        const int cell =
+            scan.range_m[i] > 0.0f ? find_cell(scan.compute_return_point_in_sensor_frame(i)) : -1;
         if (cell < 0) continue;
         const auto [at, is_new] = nearest.try_emplace(cell, i);
-        if (!is_new &&
-            glm::length(scan.compute_end_point(i)) < glm::length(scan.compute_end_point(at->second)))
+        if (!is_new && glm::length(scan.compute_return_point_in_sensor_frame(i)) <
+                           glm::length(scan.compute_return_point_in_sensor_frame(at->second)))
             at->second = i;
     }
     ASSERT_GT(nearest.size(), 10000u);
@@ -66,7 +67,8 @@ TEST(OnGrid, NearestReturnsOfCells) {
             continue;
         }
         const std::size_t ray = match->second;
-        if (std::abs(binned.scan.range_m[cell] - glm::length(scan.compute_end_point(ray))) > 1e-4f) {
+        if (std::abs(binned.scan.range_m[cell] -
+                     glm::length(scan.compute_return_point_in_sensor_frame(ray))) > 1e-4f) {
             ++elsewhere;
             continue;
         }
@@ -108,14 +110,14 @@ TEST_F(FramesInTurn, AreThoseOfTheLog) {
         Random random(1);
         std::size_t next = 0;
         for (int step = 0; step < 30; ++step) {
-            const TrainingFrameData& frame = frames.make_frame_resident(stream, next);
+            const TrainingFrameData& frame = frames.upload_frame_if_not_resident(stream, next);
             const LidarFrame& sweep = log.frames[next];
-            next = random.draw_uint64() % 5;
+            next = random.sample_random_uint64() % 5;
             if (step % 3 != 0) frames.prefetch_frame(step % 3 == 1 ? next : (next + 1) % 5);
             stream.submit_and_wait();
             std::vector<DeviceRay> rays;
             std::vector<DeviceTarget> targets;
-            make_rays_and_targets(log, sweep, {}, rays, targets);
+            compute_training_rays_and_targets(log, sweep, {}, rays, targets);
             ASSERT_EQ(frame.n_rays, rays.size());
             const std::vector<DeviceRay> there = frame.get_device_rays().download(frame.n_rays);
             const std::vector<DeviceTarget> measured = frame.get_device_targets().download(frame.n_rays);
@@ -128,8 +130,9 @@ TEST_F(FramesInTurn, AreThoseOfTheLog) {
                 ASSERT_TRUE(measured[i].range_m == targets[i].range_m &&
                             measured[i].weight == targets[i].weight)
                     << step << ", ray " << i;
-                const TrackInterpolation interpolation = log.world_from_vehicle.find_pose_segment(
-                    sweep.time_s + double(sweep.scan.rays.time_offset_s[i]));
+                const TrackInterpolation interpolation =
+                    log.world_from_vehicle.find_poses_before_and_after_time(
+                        sweep.time_s + double(sweep.scan.rays.time_offset_s[i]));
                 ASSERT_EQ(frame.first_knot + track_positions[i].left, interpolation.left)
                     << "turn " << step << ", ray " << i;
                 ASSERT_LT(track_positions[i].left + 1, frame.n_knots + (frame.n_knots == 1))
@@ -172,7 +175,7 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
     const LidarSequence log =
         make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .moving_cars = true});
     const auto trained = [&](int frame_memory_mib, const std::string& batch) {
-        Config config = make_preset("quick");
+        Config config = make_preset_config("quick");
         config.init.voxel_m = 0.4;
         config.train.iterations = 20;
         config.train.rays_per_iteration = 1000;
@@ -184,7 +187,8 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
         std::vector<std::string> notes;
         const TrainSession session{{}, nullptr, {}, [&](const std::string& note) { notes.push_back(note); }};
         TrainResult result = train(
-            device(), log, split_frames(log, 0), config, [](const TrainProgress&) { return true; }, session);
+            device(), log, split_frames_into_train_and_test(log, 0), config,
+            [](const TrainProgress&) { return true; }, session);
         const auto n_reported = std::count_if(notes.begin(), notes.end(), [](const std::string& note) {
             return test::find_missing_part(note, "0 of 8 ... train.frame_memory_mib=0").empty();
         });
@@ -216,7 +220,7 @@ TEST_F(FramesInTurn, AreCellsOfAGrid) {
     const LidarSequence log = street(2);
     TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .grid = make_kitti360_grid()});
     Stream stream(device());
-    const TrainingFrameData& frame = frames.make_frame_resident(stream, 0);
+    const TrainingFrameData& frame = frames.upload_frame_if_not_resident(stream, 0);
     EXPECT_EQ(frame.n_rays, 66u * 1030u);
     EXPECT_EQ(frame.image.rows, 66u);
     EXPECT_TRUE(frame.image.circular);
@@ -225,7 +229,7 @@ TEST_F(FramesInTurn, AreCellsOfAGrid) {
     for (std::size_t i = 0; i < targets.size(); ++i)
         ASSERT_EQ(targets[i].range_m, binned.scan.range_m[i]) << i;
 
-    Config config = make_preset("quick");
+    Config config = make_preset_config("quick");
     config.train.grid = "kitti360";
     const TrainTestSplit split{positions(log), {}};
     EXPECT_THAT(error_message<UsageError>(

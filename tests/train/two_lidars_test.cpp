@@ -13,7 +13,7 @@ namespace {
 class TwoLidars : public test::DeviceTest {};
 
 Config make_two_lidar_config() {
-    Config config = make_preset("quick");
+    Config config = make_preset_config("quick");
     config.init.voxel_m = 0.4;
     config.train.rays_per_iteration = 0;
     config.train.log_every = 10;
@@ -28,13 +28,13 @@ double measure_held_out_error(Device& device, const Scene& scene, const Config& 
                               const LidarSequence& street, const LidarFrame& frame) {
     ScanRenderer renderer(device, scene, config, street);
     const RenderedScan scan =
-        renderer.render(make_configured_sensor(config, street, frame.lidar), frame.time_s);
+        renderer.render(make_sensor_from_config(config, street, frame.lidar), frame.time_s);
     return evaluate(scan.image, make_measured_image(config, frame.scan)).at("strict/depth_mae_m");
 }
 
 TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
     LidarSequence street = test::make_two_lidar_street({.n_frames = 11, .rows = 16, .columns = 256});
-    const TrainTestSplit split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     Config config = make_two_lidar_config();
     std::string report_text;
     prepare_log(street, split, config,

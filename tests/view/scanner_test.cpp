@@ -26,7 +26,7 @@ using Json = nlohmann::json;
 TrainedRun make_small_run() {
     TrainedRun run;
     run.folder = "nowhere";
-    run.config = make_preset("quick");
+    run.config = make_preset_config("quick");
     run.config.dataset.path = "synthetic:nowhere";
     run.config.refine.enabled = false;
     SyntheticOptions street;
@@ -34,7 +34,7 @@ TrainedRun make_small_run() {
     street.rows = 16;
     street.columns = 256;
     run.sequence = make_synthetic_street(street);
-    run.split = split_frames(run.sequence, 3);
+    run.split = split_frames_into_train_and_test(run.sequence, 3);
     SceneInitialisationOptions options;
     options.actor_min_points = 10;
     run.scene = initialise_scene(run.sequence, run.split.train, options);
@@ -103,7 +103,7 @@ protected:
                           const Weather& weather = {}) {
         ScanRenderer renderer(device(), run);
         renderer.set_weather(weather);
-        return renderer.render(choose_sensor("native", run.config, run.sequence), time_s, offset);
+        return renderer.render(find_or_load_sensor("native", run.config, run.sequence), time_s, offset);
     }
     TabCache tab;
 
@@ -115,7 +115,7 @@ TEST_F(LiveScan, IsWhatTheRendererGives) {
     LiveScanRequest wish;
     wish.time_s = 0.23;  // between frames
     wish.sensor_offset = {make_rotation(0.3, 0.0, 0.0), {1.0, 2.0, 0.5}};
-    const Read live(scanner().render_encoded_scan(tab, wish));
+    const Read live(scanner().render_scan_as_binary_message(tab, wish));
     EXPECT_EQ(live.header["image"], Json({16, 256}));
     expect_same(live, rendered(run(), wish.time_s, wish.sensor_offset), run());
 }
@@ -127,7 +127,7 @@ TEST_F(LiveScan, ShowsAsManyReturnsAsTheScanHasPoints) {
     run.config.refine.enabled = true;
     run.drop_network = test::make_network_that_never_drops();
     BrowserScanRenderer scans(run, {}, device());
-    const Read live(scans.render_encoded_scan(tab, {.time_s = 0.2}));
+    const Read live(scans.render_scan_as_binary_message(tab, {.time_s = 0.2}));
     const auto drop = live.array<std::uint8_t>("drop");
     const std::size_t n = convert_scan_to_points(rendered(run, 0.2, {}), run.config, {}).size();
     EXPECT_LT(n, drop.size());
@@ -138,7 +138,7 @@ TEST_F(LiveScan, HasTheWeatherOfEachRequest) {
     LiveScanRequest wish;
     for (const Weather& weather : {Weather{.fog_visibility_m = 30.0}, Weather{.snow_mm_h = 5.0}, Weather{}}) {
         wish.weather = weather;
-        const Read live(scanner().render_encoded_scan(tab, wish));
+        const Read live(scanner().render_scan_as_binary_message(tab, wish));
         const RenderedScan expected = rendered(run(), wish.time_s, {}, weather);
         expect_same(live, expected, run());
         if (weather.is_clear()) continue;
@@ -146,8 +146,8 @@ TEST_F(LiveScan, HasTheWeatherOfEachRequest) {
         EXPECT_EQ(sources, *find_channel_values<std::int32_t>(expected.channels, "source"));
         EXPECT_THAT(sources, testing::Contains(testing::Gt(0)));
     }
-    EXPECT_EQ(scanner().describe_run_as_json()["weather"]["help"], make_weather_help());
-    EXPECT_EQ(scanner().describe_run_as_json()["channels"].back()["name"], "source")
+    EXPECT_EQ(scanner().make_initial_page_data_json()["weather"]["help"], make_weather_help());
+    EXPECT_EQ(scanner().make_initial_page_data_json()["channels"].back()["name"], "source")
         << "the page can colour by it";
 }
 
@@ -158,16 +158,18 @@ TEST_F(LiveScan, ShowsEditsAsAnEditedRunDoes) {
     wish.time_s = 0.2;
     wish.edits.moves[first] = {1.0, -2.0, 0.0, 15.0};
     wish.edits.removed = {second};
-    const relidar::TrainedRun edited = make_edited_run(run(), scanner().get_other_runs(), wish.edits);
+    const relidar::TrainedRun edited =
+        apply_edits_to_copy_of_run(run(), scanner().get_other_runs(), wish.edits);
     EXPECT_EQ(edited.edits.size(), 2u);
     const RenderedScan expected = rendered(edited, wish.time_s, {});
-    expect_same(Read(scanner().render_encoded_scan(tab, wish)), expected, run());
+    expect_same(Read(scanner().render_scan_as_binary_message(tab, wish)), expected, run());
 
     wish.edits.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 3.0, -2.0, 2.0}}};
-    const Read with_copy(scanner().render_encoded_scan(tab, wish));
-    expect_same(with_copy,
-                rendered(make_edited_run(run(), scanner().get_other_runs(), wish.edits), wish.time_s, {}),
-                run());
+    const Read with_copy(scanner().render_scan_as_binary_message(tab, wish));
+    expect_same(
+        with_copy,
+        rendered(apply_edits_to_copy_of_run(run(), scanner().get_other_runs(), wish.edits), wish.time_s, {}),
+        run());
     EXPECT_EQ(with_copy.header["instances"][3], first + "-copy-1");
 }
 
@@ -176,13 +178,14 @@ TEST_F(LiveScan, ShowsActorsOfOtherRuns) {
     LiveScanRequest wish;
     wish.edits.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 0.0, 0.0, 2.0}},
                          {first, "other", {8.0, -3.0, -0.9, 0.0, 0.0, 0.0, 0.0}}};
-    const relidar::TrainedRun edited = make_edited_run(run(), scanner().get_other_runs(), wish.edits);
+    const relidar::TrainedRun edited =
+        apply_edits_to_copy_of_run(run(), scanner().get_other_runs(), wish.edits);
     EXPECT_THAT(edited.edits.back().edit, testing::StartsWith("--insert ")) << "as `relidar edit` takes it";
-    const Read live(scanner().render_encoded_scan(tab, wish));
+    const Read live(scanner().render_scan_as_binary_message(tab, wish));
     expect_same(live, rendered(edited, wish.time_s, {}), run());
     EXPECT_EQ(live.header["instances"][4], first + "-insert-1");
     wish.edits.copies[1].from = "elsewhere";
-    EXPECT_THROW(scanner().render_encoded_scan(tab, wish), UsageError);
+    EXPECT_THROW(scanner().render_scan_as_binary_message(tab, wish), UsageError);
 }
 
 TEST_F(LiveScan, PutsCopiesOnTheGround) {
@@ -190,8 +193,8 @@ TEST_F(LiveScan, PutsCopiesOnTheGround) {
     const Pose there = car.world_from_box.pose.front();  // the street is flat
     for (const char* from : {"", "other"}) {
         const ActorEdits::ActorCopy copy =
-            place_copy_on_ground(run(), scanner().get_other_runs(),
-                                 {car.id, from, {there.translation.x - 5.0, there.translation.y + 2.0}});
+            make_actor_copy_on_ground(run(), scanner().get_other_runs(),
+                                      {car.id, from, {there.translation.x - 5.0, there.translation.y + 2.0}});
         EXPECT_EQ(copy.from, from);
         EXPECT_NEAR(copy.at[0], there.translation.x - 5.0, 1e-9);
         EXPECT_NEAR(copy.at[1], there.translation.y + 2.0, 1e-9);
@@ -199,26 +202,26 @@ TEST_F(LiveScan, PutsCopiesOnTheGround) {
         EXPECT_NEAR(copy.at[4], 0.0, 1.0);
         EXPECT_NEAR(copy.at[5], 0.0, 1.0);
     }
-    EXPECT_THROW(place_copy_on_ground(run(), scanner().get_other_runs(), {car.id, "", {1000.0, 1000.0}}),
+    EXPECT_THROW(make_actor_copy_on_ground(run(), scanner().get_other_runs(), {car.id, "", {1000.0, 1000.0}}),
                  UsageError);
 }
 
 TEST_F(LiveScan, HidesWithoutAnEdit) {
     LiveScanRequest wish;
     wish.edits.hidden = {run().scene.instances[1].track, run().scene.instances[2].track};
-    EXPECT_TRUE(make_edited_run(run(), scanner().get_other_runs(), wish.edits).edits.empty());
+    EXPECT_TRUE(apply_edits_to_copy_of_run(run(), scanner().get_other_runs(), wish.edits).edits.empty());
     const std::vector<std::uint16_t> instance =
-        Read(scanner().render_encoded_scan(tab, wish)).array<std::uint16_t>("instance");
+        Read(scanner().render_scan_as_binary_message(tab, wish)).array<std::uint16_t>("instance");
     EXPECT_THAT(instance, testing::Each(testing::AnyOf(0, 65535)));
 }
 
 TEST_F(LiveScan, SaysHowMuchTheLogHasSeen) {
     LiveScanRequest wish;
-    const Json here = Read(scanner().render_encoded_scan(tab, wish)).header;
+    const Json here = Read(scanner().render_scan_as_binary_message(tab, wish)).header;
     EXPECT_LT(here["unseen"].get<double>(), 0.1);
     EXPECT_FALSE(here["much_unseen"].get<bool>());
     wish.sensor_offset.translation = {0.0, 0.0, -5.0};
-    const Json below = Read(scanner().render_encoded_scan(tab, wish)).header;
+    const Json below = Read(scanner().render_scan_as_binary_message(tab, wish)).header;
     EXPECT_GT(below["unseen"].get<double>(), 0.9);
     EXPECT_TRUE(below["much_unseen"].get<bool>());
 }
@@ -226,18 +229,19 @@ TEST_F(LiveScan, SaysHowMuchTheLogHasSeen) {
 TEST_F(LiveScan, RefusesWhatIsNotThere) {
     LiveScanRequest wish;
     wish.sensor = "/etc/passwd";
-    EXPECT_THROW(scanner().render_encoded_scan(tab, wish), UsageError);
+    EXPECT_THROW(scanner().render_scan_as_binary_message(tab, wish), UsageError);
     wish.sensor = "file";
-    EXPECT_THROW(scanner().render_encoded_scan(tab, wish), UsageError);
+    EXPECT_THROW(scanner().render_scan_as_binary_message(tab, wish), UsageError);
     wish.sensor = "native";
     wish.lidar = 1;
-    EXPECT_THROW(scanner().render_encoded_scan(tab, wish), UsageError);
+    EXPECT_THROW(scanner().render_scan_as_binary_message(tab, wish), UsageError);
     wish.lidar = 0;
     wish.edits.removed = {"nobody"};
-    EXPECT_THROW(scanner().render_encoded_scan(tab, wish), UsageError);
-    EXPECT_THROW(scanner().load_uploaded_sensor(tab, {"x.npz", "x"}), UsageError);
-    EXPECT_THROW(scanner().load_uploaded_sensor(tab, {"x.csv", "x\n1\n"}), DataError);
-    EXPECT_EQ(scanner().load_uploaded_sensor(tab, {"x.csv", "elevation_deg\n1\n"})["rows"], 1);
+    EXPECT_THROW(scanner().render_scan_as_binary_message(tab, wish), UsageError);
+    EXPECT_THROW(scanner().store_uploaded_sensor_and_describe_it(tab, {"x.npz", "x"}), UsageError);
+    EXPECT_THROW(scanner().store_uploaded_sensor_and_describe_it(tab, {"x.csv", "x\n1\n"}), DataError);
+    EXPECT_EQ(scanner().store_uploaded_sensor_and_describe_it(tab, {"x.csv", "elevation_deg\n1\n"})["rows"],
+              1);
 }
 
 }  // namespace

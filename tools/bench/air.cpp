@@ -30,7 +30,7 @@ constexpr std::size_t kProbes = 256;
 constexpr std::size_t kTogether = 4096;  // Number of points whose test rays are cast together.
 
 /// Returns directions that are evenly distributed on the sphere (Fibonacci spiral).
-std::array<glm::vec3, kProbes> make_uniform_sphere_directions() {
+std::array<glm::vec3, kProbes> make_evenly_spaced_sphere_directions() {
     std::array<glm::vec3, kProbes> directions;
     for (std::size_t i = 0; i < kProbes; ++i) {
         const double z = 1.0 - 2.0 * (double(i) + 0.5) / double(kProbes),
@@ -66,38 +66,38 @@ struct SimulatedRayRanges {
 /// test rays are cast from the point in all directions, and also back to the point from
 /// all directions. The rays back to the point start at two distances: kOnSurface_m and
 /// kFar_m.
-std::vector<float> compute_distances_to_street(const StreetScanSetup& place,
-                                               const SimulatedRayRanges& ray_ends,
-                                               const std::vector<std::size_t>& ray_indices) {
-    static const std::array<glm::vec3, kProbes> directions = make_uniform_sphere_directions();
+std::vector<float> compute_point_to_street_distances(const StreetScanSetup& street_scan,
+                                                     const SimulatedRayRanges& simulated_ranges,
+                                                     const std::vector<std::size_t>& ray_indices) {
+    static const std::array<glm::vec3, kProbes> directions = make_evenly_spaced_sphere_directions();
     std::vector<float> nearest(ray_indices.size(), std::numeric_limits<float>::infinity());
     for (std::size_t first = 0; first < ray_indices.size(); first += kTogether) {
         RayTable probes;
         std::vector<std::size_t> probe_targets;  // [probes] index into `ray_indices`
         for (std::size_t k = first; k < std::min(first + kTogether, ray_indices.size()); ++k) {
             const std::size_t i = ray_indices[k];
-            const glm::vec3 point = ray_ends.compute_point_on_ray(i, ray_ends.range_m[i]);
+            const glm::vec3 point = simulated_ranges.compute_point_on_ray(i, simulated_ranges.range_m[i]);
             for (const float from_m : {0.0f, kOnSurface_m, kFar_m}) {
                 for (const glm::vec3& direction : directions) {
                     probes.origin.push_back(point + from_m * direction);
                     probes.direction.push_back(from_m > 0.0f ? -direction : direction);
-                    probes.time_offset_s.push_back(ray_ends.rays.time_offset_s[i]);
-                    probes.channel.push_back(ray_ends.rays.channel[i]);
+                    probes.time_offset_s.push_back(simulated_ranges.rays.time_offset_s[i]);
+                    probes.channel.push_back(simulated_ranges.rays.channel[i]);
                     probe_targets.push_back(k);
                 }
             }
         }
         probes.rows = 1;
         probes.columns = static_cast<int>(probe_targets.size());
-        const Scan around =
-            cast_rays_into_synthetic_street(place.street, probes, place.world_from_sensor, place.time_s);
+        const Scan around = cast_rays_into_synthetic_street(
+            street_scan.street, probes, street_scan.world_from_sensor, street_scan.time_s);
         for (std::size_t j = 0; j < probe_targets.size(); ++j) {
             const std::size_t i = ray_indices[probe_targets[j]];
             if (around.range_m[j] > 0.0f)
-                nearest[probe_targets[j]] =
-                    std::min(nearest[probe_targets[j]],
-                             glm::distance(around.compute_end_point(j),
-                                           ray_ends.compute_point_on_ray(i, ray_ends.range_m[i])));
+                nearest[probe_targets[j]] = std::min(
+                    nearest[probe_targets[j]],
+                    glm::distance(around.compute_return_point_in_sensor_frame(j),
+                                  simulated_ranges.compute_point_on_ray(i, simulated_ranges.range_m[i])));
         }
     }
     return nearest;
@@ -107,35 +107,38 @@ struct AirPointCounts {
     std::size_t points = 0, in_air = 0, far_out = 0, at_another_range = 0;
 
     /// Counts the points of a scan, and how many of them float in empty space.
-    /// @param ends  simulated and true ranges of the rays
-    /// @param scan  the same scan; its drop probabilities select the rays with a return
-    void count_points_in_air(const StreetScanSetup& place, const SimulatedRayRanges& ends,
-                             const RenderedScan& scan) {
-        const std::vector<float>& range_m = ends.range_m;
+    /// @param simulated_ranges  simulated and true ranges of the rays
+    /// @param rendered_scan  the same scan; its drop probabilities select the rays with a
+    /// return
+    void add_counts_of_points_in_air(const StreetScanSetup& street_scan,
+                                     const SimulatedRayRanges& simulated_ranges,
+                                     const RenderedScan& rendered_scan) {
+        const std::vector<float>& range_m = simulated_ranges.range_m;
         std::vector<std::size_t> doubtful;
         for (std::size_t i = 0; i < range_m.size(); ++i) {
-            if (!is_ray_returned(scan.image.drop_prob[i], range_m[i])) continue;
+            if (!is_ray_returned(rendered_scan.image.drop_prob[i], range_m[i])) continue;
             ++points;
-            if (std::abs(range_m[i] - ends.truth.range_m[i]) > kOnSurface_m) doubtful.push_back(i);
+            if (std::abs(range_m[i] - simulated_ranges.truth.range_m[i]) > kOnSurface_m)
+                doubtful.push_back(i);
         }
         at_another_range += doubtful.size();
-        for (const float d : compute_distances_to_street(place, ends, doubtful)) {
+        for (const float d : compute_point_to_street_distances(street_scan, simulated_ranges, doubtful)) {
             in_air += d > kOnSurface_m;
             far_out += d > kFar_m;
         }
     }
-    std::string format_table_row(const std::string& name) const {
+    std::string format_table_row(const std::string& scan_name) const {
         const auto share = [&](std::size_t count) {
             return 100.0 * double(count) / double(std::max<std::size_t>(points, 1));
         };
-        return fmt::format("| {} | {} | {:.2f} % | **{:.2f} %** | {:.2f} % |\n", name, points,
+        return fmt::format("| {} | {} | {:.2f} % | **{:.2f} %** | {:.2f} % |\n", scan_name, points,
                            share(at_another_range), share(in_air), share(far_out));
     }
 };
 
 void print_points_in_air_table(const std::string& run_folder, int device_index) {
     const TrainedRun run = load_run(run_folder);
-    const SyntheticOptions street = read_synthetic_street_options(run);
+    const SyntheticOptions street = read_street_options_of_run(run);
     Device device(apply_environment_variables({.index = device_index}));
     ScanRenderer renderer(device, run);
     fmt::print(
@@ -149,7 +152,7 @@ void print_points_in_air_table(const std::string& run_folder, int device_index) 
         AirPointCounts points, image;
         for (const int position : run.split.test) {
             const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
-            const SimulatedSensor sensor = make_configured_sensor(run.config, run.sequence, frame.lidar);
+            const SimulatedSensor sensor = make_sensor_from_config(run.config, run.sequence, frame.lidar);
             const RayTable rays = make_nominal_rays(run.sequence.get_lidar(frame), frame.time_s);
             const Pose offset{{1, 0, 0, 0}, offset_m};
             const PoseTrack track =
@@ -157,8 +160,8 @@ void print_points_in_air_table(const std::string& run_folder, int device_index) 
             const RenderedScan scan = renderer.render(sensor, frame.time_s, offset);
             const StreetScanSetup scan_setup{street, track, frame.time_s};
             const Scan truth = cast_rays_into_synthetic_street(street, rays, track, frame.time_s);
-            points.count_points_in_air(scan_setup, {rays, scan.median_range_m, truth}, scan);
-            image.count_points_in_air(scan_setup, {rays, scan.image.range_m, truth}, scan);
+            points.add_counts_of_points_in_air(scan_setup, {rays, scan.median_range_m, truth}, scan);
+            image.add_counts_of_points_in_air(scan_setup, {rays, scan.image.range_m, truth}, scan);
         }
         fmt::print("{}{}", points.format_table_row(name + ", points"),
                    image.format_table_row(name + ", image"));

@@ -48,7 +48,7 @@ void benchmark_drop_network(const DeviceOptions& device_options, const RayDropNe
     const double step = measure_median_time_ms(n_repeats, [&] { network.run_training_step(); }),
                  peak_mib = double(device.peak_allocated_bytes()) / 0x1p20;
     const double infer = measure_median_time_ms(n_repeats, [&] { network.run_inference(); }),
-                 giga = 1e-6 * network.count_inference_operations();
+                 giga = 1e-6 * network.count_inference_flops();
     fmt::print("{:>8} x {:<6} {:10.2f} {:14.1f} {:10.2f} {:14.1f} {:10.1f}\n", rows, columns, step,
                3.0 * options.batch * giga / step, infer, giga / infer, peak_mib);
     print_kernel_times(network.times(), n_repeats + 1);

@@ -53,7 +53,7 @@ struct EmbreeHit {
     unsigned surfel;
 };
 
-bool is_hit_before(const EmbreeHit& first, const EmbreeHit& second) {
+bool is_hit_nearer_to_ray_origin(const EmbreeHit& first, const EmbreeHit& second) {
     return first.t != second.t ? first.t < second.t : first.surfel < second.surfel;
 }
 
@@ -74,7 +74,7 @@ struct RayQueryState {
     int n = 0;
     EmbreeHit hits[kMaxChunk];
 
-    void insert_hit_of_surfel(unsigned surfel_index) {
+    void intersect_surfel_and_insert_hit(unsigned surfel_index) {
         const SurfelGeometry& s = world->records[surfel_index];
         const glm::vec3 to_mean = s.mean - origin;
         const float t = glm::dot(s.normal, to_mean) / glm::dot(s.normal, direction);
@@ -82,9 +82,9 @@ struct RayQueryState {
         const glm::vec3 p = t * direction - to_mean;
         const float u = glm::dot(s.axis_u, p), v = glm::dot(s.axis_v, p);
         const EmbreeHit hit{t, s.opacity * std::exp(-0.5f * (u * u + v * v)), surfel_index};
-        if (!(hit.alpha >= world->model.alpha_min) || !is_hit_before(after, hit)) return;
+        if (!(hit.alpha >= world->model.alpha_min) || !is_hit_nearer_to_ray_origin(after, hit)) return;
         int slot = n;
-        while (slot > 0 && is_hit_before(hit, hits[slot - 1])) --slot;
+        while (slot > 0 && is_hit_nearer_to_ray_origin(hit, hits[slot - 1])) --slot;
         // Ignores a second hit of the same surfel. Embree splits a quad into two
         // triangles, so a ray can hit both.
         if (slot == chunk || (slot > 0 && hits[slot - 1].surfel == surfel_index)) return;
@@ -98,12 +98,13 @@ struct RayQueryState {
     }
 };
 
-void filter_hit_candidate(const RTCFilterFunctionNArguments* args) {
-    RayQueryState& query = *reinterpret_cast<RayQueryState*>(args->context);
-    query.insert_hit_of_surfel(RTCHitN_primID(args->hit, 1, 0));
+void collect_hit_in_embree_filter(const RTCFilterFunctionNArguments* filter_arguments) {
+    RayQueryState& query = *reinterpret_cast<RayQueryState*>(filter_arguments->context);
+    query.intersect_surfel_and_insert_hit(RTCHitN_primID(filter_arguments->hit, 1, 0));
     // Rejects hits before the end of the query, so that Embree continues the search.
     // Accepts the first hit after the end, because it stops the ray.
-    args->valid[0] = RTCRayN_tfar(args->ray, 1, 0) > query.get_search_end_distance() ? -1 : 0;
+    filter_arguments->valid[0] =
+        RTCRayN_tfar(filter_arguments->ray, 1, 0) > query.get_search_end_distance() ? -1 : 0;
 }
 
 /// Evaluates real spherical harmonics of degree 3 (shaders/scene/gaussian/sh.glsl).
@@ -145,7 +146,7 @@ public:
             mesh, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT4, 4 * sizeof(unsigned), surfels.size()));
         for (std::size_t i = 0; i < surfels.size(); ++i) add_surfel_quad(surfels, i, corners + 4 * i);
         for (unsigned i = 0; i < 4 * surfels.size(); ++i) indices[i] = i;
-        rtcSetGeometryIntersectFilterFunction(mesh, filter_hit_candidate);
+        rtcSetGeometryIntersectFilterFunction(mesh, collect_hit_in_embree_filter);
         rtcSetGeometryBuildQuality(mesh, RTC_BUILD_QUALITY_HIGH);
         rtcCommitGeometry(mesh);
         rtcAttachGeometry(scene_, mesh);
@@ -160,7 +161,7 @@ public:
     EmbreeRenderer(const EmbreeRenderer&) = delete;
     EmbreeRenderer& operator=(const EmbreeRenderer&) = delete;
 
-    RenderedPixel trace_ray(const glm::vec3& origin, const glm::vec3& direction) const {
+    RenderedPixel render_ray(const glm::vec3& origin, const glm::vec3& direction) const {
         RayQueryState query;
         query.world = &world_, query.origin = origin, query.direction = direction, query.chunk = chunk_;
         query.after = {world_.model.near_m, 0.0f, ~0u};
@@ -168,7 +169,7 @@ public:
         evaluate_sh_basis(direction, basis);
         RenderedPixel pixel;
         for (int pass = 0; pass < kMaxPasses; ++pass) {
-            find_next_hits(query);
+            find_next_nearest_hits(query);
             for (int i = 0; i < query.n; ++i)
                 if (!blend_hit_into_pixel(query.hits[i], basis, pixel)) return add_background_to_pixel(pixel);
             if (query.n < query.chunk) return add_background_to_pixel(pixel);
@@ -197,7 +198,7 @@ private:
         output_corners[3] = m - u + v;
     }
 
-    void find_next_hits(RayQueryState& query) const {
+    void find_next_nearest_hits(RayQueryState& query) const {
         query.n = 0;
         RTCRayHit target{};
         target.ray.org_x = query.origin.x, target.ray.org_y = query.origin.y,
@@ -257,7 +258,7 @@ std::vector<RenderedPixel> render_rays_on_threads(const EmbreeRenderer& renderer
     const auto work = [&] {
         for (std::size_t begin = next.fetch_add(kBlock); begin < image.size(); begin = next.fetch_add(kBlock))
             for (std::size_t i = begin; i < std::min(begin + kBlock, image.size()); ++i)
-                image[i] = renderer.trace_ray(rays.origin[i], rays.direction[i]);
+                image[i] = renderer.render_ray(rays.origin[i], rays.direction[i]);
     };
     std::vector<std::thread> threads;
     for (int i = 1; i < n_threads; ++i) threads.emplace_back(work);

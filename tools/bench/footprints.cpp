@@ -39,8 +39,9 @@ struct BeamReturn {
 using BeamReturns = std::vector<BeamReturn>;
 
 /// Replaces each ray by a dense cone of rays, which samples the footprint of the beam.
-/// @param divergence_rad divergence of all beams; if 0, each ray keeps its divergence
-RayTable expand_rays_to_cones(const RayTable& rays, double divergence_rad) {
+/// @param beam_divergence_rad divergence of all beams; if 0, each ray keeps its
+/// divergence
+RayTable replace_rays_by_ray_cones(const RayTable& rays, double beam_divergence_rad) {
     RayTable cone;
     cone.rows = rays.rows;
     cone.columns = rays.columns * kCone;
@@ -49,7 +50,8 @@ RayTable expand_rays_to_cones(const RayTable& rays, double divergence_rad) {
             side = glm::normalize(
                 glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
         for (int k = 0; k < kCone; ++k) {
-            const double full_rad = divergence_rad > 0.0 ? divergence_rad : rays.get_beam_divergence_rad(i);
+            const double full_rad =
+                beam_divergence_rad > 0.0 ? beam_divergence_rad : rays.get_beam_divergence_rad(i);
             const double angle = 0.5 * full_rad * std::sqrt((k + 0.5) / kCone);
             const glm::dvec3 off =
                 std::cos(k * kGolden_rad) * side + std::sin(k * kGolden_rad) * glm::cross(d, side);
@@ -65,7 +67,7 @@ RayTable expand_rays_to_cones(const RayTable& rays, double divergence_rad) {
 /// Computes the returns of a beam from its cone of rays. After sorting by range,
 /// neighbouring rays belong to the same return if their ranges differ by less than
 /// kSeparation_m.
-BeamReturns merge_cone_into_returns(const Scan& cone_scan, std::size_t beam_index) {
+BeamReturns merge_cone_ranges_into_returns(const Scan& cone_scan, std::size_t beam_index) {
     std::vector<std::pair<float, float>> hits;
     for (std::size_t i = beam_index * kCone; i < (beam_index + 1) * kCone; ++i)
         if (cone_scan.range_m[i] > 0.0f)
@@ -90,8 +92,8 @@ struct TrueBeamReturns {
     bool edge = false;      ///< True if two surfaces each receive at least a tenth of the beam's light.
 };
 
-TrueBeamReturns compute_true_returns(const Scan& cone_scan, std::size_t beam_index) {
-    TrueBeamReturns truth{merge_cone_into_returns(cone_scan, beam_index)};
+TrueBeamReturns find_true_first_and_second_return(const Scan& cone_scan, std::size_t beam_index) {
+    TrueBeamReturns truth{merge_cone_ranges_into_returns(cone_scan, beam_index)};
     std::size_t n = 0;
     for (std::size_t i = beam_index * kCone; i < (beam_index + 1) * kCone; ++i)
         n += cone_scan.range_m[i] > 0.0f;
@@ -115,33 +117,33 @@ struct FootprintScore {
     double squares = 0.0, absolute = 0.0;
 };
 
-float compute_nearest_range_error_m(const BeamReturns& returns, float range_m) {
+float compute_distance_to_nearest_return_m(const BeamReturns& returns, float range_m) {
     float best = 1e9f;
     for (const BeamReturn& r : returns) best = std::min(best, std::abs(r.range_m - range_m));
     return best;
 }
 
-void add_scan_to_score(FootprintScore& score, const RenderedScan& rendered_scan,
-                       const Scan& exact_cone_scan) {
+void add_scan_to_footprint_score(FootprintScore& score, const RenderedScan& rendered_scan,
+                                 const Scan& exact_cone_scan) {
     const std::vector<float>& range_m = rendered_scan.median_range_m;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
-        const TrueBeamReturns truth = compute_true_returns(exact_cone_scan, i);
+        const TrueBeamReturns truth = find_true_first_and_second_return(exact_cone_scan, i);
         const bool returns = is_ray_returned(rendered_scan.image.drop_prob[i], range_m[i]);
         const float second_m =
             rendered_scan.second_returns.empty() ? 0.0f : rendered_scan.second_returns[0].range_m[i];
         score.second_returns += truth.second_m > 0.0f;
         score.reported += second_m > 0.0f;
         score.detected += truth.second_m > 0.0f && second_m > 0.0f &&
-                          compute_nearest_range_error_m(truth.returns, second_m) < kOnSurface_m;
-        score.invented +=
-            second_m > 0.0f && !(truth.returns.size() > 1 &&
-                                 compute_nearest_range_error_m(truth.returns, second_m) < kOnSurface_m);
+                          compute_distance_to_nearest_return_m(truth.returns, second_m) < kOnSurface_m;
+        score.invented += second_m > 0.0f &&
+                          !(truth.returns.size() > 1 &&
+                            compute_distance_to_nearest_return_m(truth.returns, second_m) < kOnSurface_m);
         if (!truth.edge || !returns) continue;
         const double error = double(range_m[i]) - double(truth.first_m);
         ++score.edges;
         score.squares += error * error;
         score.absolute += std::abs(error);
-        score.in_air += compute_nearest_range_error_m(truth.returns, range_m[i]) > kOnSurface_m;
+        score.in_air += compute_distance_to_nearest_return_m(truth.returns, range_m[i]) > kOnSurface_m;
     }
 }
 
@@ -151,12 +153,13 @@ void print_footprint_scores(const std::string& run_folder, const std::string& se
     const SensorModel model = find_sensor(sensor_name);
     const RayTable rays = make_rays(model);
     const double divergence_rad = 1e-3 * divergence_mrad;
-    const SyntheticOptions street = read_synthetic_street_options(run);
+    const SyntheticOptions street = read_street_options_of_run(run);
     Device device(apply_environment_variables({.index = device_index}));
     std::vector<Scan> cones;
     for (const int position : run.split.test) {
         const double time_s = run.sequence.frames[std::size_t(position)].time_s;
-        cones.push_back(cast_rays_into_synthetic_street(street, expand_rays_to_cones(rays, divergence_rad),
+        cones.push_back(cast_rays_into_synthetic_street(street,
+                                                        replace_rays_by_ray_cones(rays, divergence_rad),
                                                         run.sequence.get_world_from_sensor(0), time_s));
         remove_returns_outside_limits(
             cones.back(), intersect_range_limits(model.limits, run.sequence.lidars[0].sensor.range_limits()));
@@ -175,10 +178,10 @@ void print_footprint_scores(const std::string& run_folder, const std::string& se
         ScanRenderer renderer(device, run);
         FootprintScore score;
         for (std::size_t f = 0; f < cones.size(); ++f) {
-            SimulatedSensor choice = make_sensor_choice(model);
+            SimulatedSensor choice = make_simulated_sensor(model);
             choice.limits =
                 intersect_range_limits(model.limits, run.sequence.lidars[0].sensor.range_limits());
-            add_scan_to_score(
+            add_scan_to_footprint_score(
                 score, renderer.render(choice, run.sequence.frames[std::size_t(run.split.test[f])].time_s),
                 cones[f]);
         }

@@ -62,7 +62,7 @@ public:
     /// Runs one pass of the convolution.
     /// @param pass_index 0: forward, 1: derivative by the input, 2: derivative by the
     /// weights
-    void run_pass(std::size_t pass_index) {
+    void run_forward_or_gradient_pass(std::size_t pass_index) {
         passes_[pass_index].primitive.execute(stream_, passes_[pass_index].arguments);
         stream_.wait();
     }
@@ -93,7 +93,7 @@ private:
 struct WallAndCpuTimes {
     std::vector<double> wall, cpu;
 
-    void append_measured_times(const std::function<void()>& run_pass) {
+    void time_pass_and_append(const std::function<void()>& run_pass) {
         const std::clock_t start = std::clock();
         wall.push_back(measure_wall_time_ms(run_pass));
         cpu.push_back(1e3 * double(std::clock() - start) / CLOCKS_PER_SEC);
@@ -102,11 +102,11 @@ struct WallAndCpuTimes {
 
 /// Prints one line with wall times, processor times and GFLOP per second, for the device
 /// and for oneDNN.
-void print_pass_times(const ConvolutionSize& size, const char* pass_name, const WallAndCpuTimes& device_times,
-                      const WallAndCpuTimes& host_times) {
-    const double of_device = median(device_times.cpu), of_host = median(host_times.cpu),
-                 wall_device = median(device_times.wall), wall_host = median(host_times.wall),
-                 operations = 1e-6 * size.count_operations_per_pass();
+void print_gpu_and_cpu_pass_times(const ConvolutionSize& size, const char* pass_name,
+                                  const WallAndCpuTimes& gpu_times, const WallAndCpuTimes& cpu_times) {
+    const double of_device = median(gpu_times.cpu), of_host = median(cpu_times.cpu),
+                 wall_device = median(gpu_times.wall), wall_host = median(cpu_times.wall),
+                 operations = 1e-6 * size.count_convolution_flops();
     fmt::print(
         "{:>7} {:>7} {:<10} {:9.2f} {:9.2f} {:9.2f} {:9.2f} {:9.1f} {:9.1f} {:9.1f} {:9.1f} {:7.2f} "
         "{:7.2f}\n",
@@ -124,12 +124,12 @@ void benchmark_convolution(Device& device, const ConvolutionSize& size, int n_re
         {"by input", [&] { on_device.compute_input_gradient(); }},
         {"by weights", [&] { on_device.compute_weight_gradient(); }}};
     for (std::size_t pass = 0; pass < passes.size(); ++pass) {
-        const auto host = [&] { on_host.run_pass(pass); };
+        const auto host = [&] { on_host.run_forward_or_gradient_pass(pass); };
         passes[pass].second(), host();  // Warm-up run, not timed.
         WallAndCpuTimes of_device, of_host;
         for (int i = 0; i < n_repeats; ++i)
-            of_device.append_measured_times(passes[pass].second), of_host.append_measured_times(host);
-        print_pass_times(size, passes[pass].first, of_device, of_host);
+            of_device.time_pass_and_append(passes[pass].second), of_host.time_pass_and_append(host);
+        print_gpu_and_cpu_pass_times(size, passes[pass].first, of_device, of_host);
     }
 }
 

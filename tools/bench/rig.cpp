@@ -62,8 +62,8 @@ ScanRanges extract_return_ranges(const Scan& scan) {
 /// result.
 /// @param exact_returns exact scan, whose second returns have at least a tenth of the
 /// beam's light
-void add_second_return_to_score(RigScanScore& score, const ScanRanges& rendered_returns,
-                                const ScanRanges& exact_returns, std::size_t ray_index) {
+void count_second_return_in_score(RigScanScore& score, const ScanRanges& rendered_returns,
+                                  const ScanRanges& exact_returns, std::size_t ray_index) {
     const float is_m = exact_returns.second_m[ray_index], reported_m = rendered_returns.second_m[ray_index];
     const bool right = is_m > 0.0f && reported_m > 0.0f &&
                        std::min(std::abs(reported_m - is_m),
@@ -74,8 +74,8 @@ void add_second_return_to_score(RigScanScore& score, const ScanRanges& rendered_
     score.invented += reported_m > 0.0f && !right;
 }
 
-void add_returns_to_score(RigScanScore& score, const ScanRanges& rendered_returns,
-                          const ScanRanges& exact_returns) {
+void add_scan_comparison_to_score(RigScanScore& score, const ScanRanges& rendered_returns,
+                                  const ScanRanges& exact_returns) {
     for (std::size_t i = 0; i < exact_returns.range_m.size(); ++i) {
         const bool returns = rendered_returns.range_m[i] > 0.0f, is_there = exact_returns.range_m[i] > 0.0f;
         ++score.rays;
@@ -90,7 +90,7 @@ void add_returns_to_score(RigScanScore& score, const ScanRanges& rendered_return
             score.squares += score.errors_m.back() * score.errors_m.back();
         }
         if (!exact_returns.second_m.empty())
-            add_second_return_to_score(score, rendered_returns, exact_returns, i);
+            count_second_return_in_score(score, rendered_returns, exact_returns, i);
     }
 }
 
@@ -111,22 +111,24 @@ std::string format_score_row(const std::string& name, RigScanScore& score) {
 /// Casts rays into the exact synthetic street and returns their ranges. A beam with two
 /// returns is cast as a cone of rays.
 /// @param lateral_offset_m shift of the sensor to the left and upwards, metres
-ScanRanges cast_exact_returns(const SyntheticOptions& street, RayTable rays,
-                              const PoseTrack& world_from_sensor, double time_s,
-                              const SimulatedSensor& sensor, float lateral_offset_m = 0.0f) {
-    for (glm::vec3& origin : rays.origin) origin += lateral_offset_m * glm::vec3(0.0f, 1.0f, 1.0f);
-    Scan scan = sensor.returns == 2
-                    ? cast_beams_into_synthetic_street(street, rays, world_from_sensor, time_s)
-                    : cast_rays_into_synthetic_street(street, rays, world_from_sensor, time_s);
+ScanRanges cast_exact_street_ranges(const SyntheticOptions& street, RayTable rays_in_sensor_frame,
+                                    const PoseTrack& world_from_sensor, double time_s,
+                                    const SimulatedSensor& sensor, float lateral_offset_m = 0.0f) {
+    for (glm::vec3& origin : rays_in_sensor_frame.origin)
+        origin += lateral_offset_m * glm::vec3(0.0f, 1.0f, 1.0f);
+    Scan scan =
+        sensor.returns == 2
+            ? cast_beams_into_synthetic_street(street, rays_in_sensor_frame, world_from_sensor, time_s)
+            : cast_rays_into_synthetic_street(street, rays_in_sensor_frame, world_from_sensor, time_s);
     remove_returns_outside_limits(scan, sensor.limits);
     return extract_return_ranges(scan);
 }
 
 /// Renders the held-out sweeps with another sensor than the one in the log, and scores
 /// them. The sensor replaces the first LiDAR.
-void print_score_of_other_sensor(ScanRenderer& renderer, const TrainedRun& run,
-                                 const SyntheticOptions& street, const std::string& sensor_name) {
-    const SimulatedSensor sensor = choose_sensor(sensor_name, run.config, run.sequence);
+void render_and_score_other_sensor(ScanRenderer& renderer, const TrainedRun& run,
+                                   const SyntheticOptions& exact_street, const std::string& sensor_name) {
+    const SimulatedSensor sensor = find_or_load_sensor(sensor_name, run.config, run.sequence);
     if (sensor.rays.direction.empty())
         throw UsageError(
             fmt::format("cannot use the sensor {}: its rays change from scan to scan, expected a sensor with "
@@ -137,8 +139,9 @@ void print_score_of_other_sensor(ScanRenderer& renderer, const TrainedRun& run,
     for (const int position : run.split.test) {
         const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
         if (frame.lidar != 0) continue;
-        add_returns_to_score(score, extract_return_ranges(renderer.render(sensor, frame.time_s)),
-                             cast_exact_returns(street, sensor.rays, track, frame.time_s, sensor));
+        add_scan_comparison_to_score(
+            score, extract_return_ranges(renderer.render(sensor, frame.time_s)),
+            cast_exact_street_ranges(exact_street, sensor.rays, track, frame.time_s, sensor));
     }
     std::sort(score.errors_m.begin(), score.errors_m.end());
     if (score.errors_m.empty())
@@ -154,7 +157,7 @@ void print_score_of_other_sensor(ScanRenderer& renderer, const TrainedRun& run,
 void print_rig_scores(const std::string& run_folder, int device_index, float lateral_offset_m,
                       const std::vector<std::string>& other_sensor_names) {
     TrainedRun run = load_run(run_folder);
-    const SyntheticOptions street = read_synthetic_street_options(run);
+    const SyntheticOptions street = read_street_options_of_run(run);
     const auto rig = read_sensor_rig(street.rig);
     if (!rig)
         throw UsageError(
@@ -168,17 +171,17 @@ void print_rig_scores(const std::string& run_folder, int device_index, float lat
         const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
         const Lidar& lidar = run.sequence.get_lidar(frame);
         const auto mounted = std::ranges::find(*rig, lidar.name, &MountedSensor::name);
-        SimulatedSensor sensor = make_configured_sensor(run.config, run.sequence, frame.lidar);
+        SimulatedSensor sensor = make_sensor_from_config(run.config, run.sequence, frame.lidar);
         sensor.returns = mounted != rig->end() ? mounted->returns : 1;
         const RayTable rays = make_nominal_rays(lidar, frame.time_s);
         const PoseTrack track = run.sequence.get_world_from_sensor(frame.lidar);
-        const ScanRanges truth = cast_exact_returns(street, rays, track, frame.time_s, sensor);
-        add_returns_to_score(scores[std::size_t(frame.lidar)],
-                             extract_return_ranges(renderer.render(sensor, frame.time_s)), truth);
+        const ScanRanges truth = cast_exact_street_ranges(street, rays, track, frame.time_s, sensor);
+        add_scan_comparison_to_score(scores[std::size_t(frame.lidar)],
+                                     extract_return_ranges(renderer.render(sensor, frame.time_s)), truth);
         if (lateral_offset_m > 0.0f)
-            add_returns_to_score(
+            add_scan_comparison_to_score(
                 beside[std::size_t(frame.lidar)],
-                cast_exact_returns(street, rays, track, frame.time_s, sensor, lateral_offset_m), truth);
+                cast_exact_street_ranges(street, rays, track, frame.time_s, sensor, lateral_offset_m), truth);
     }
     fmt::print(
         "| LiDAR | rays | median range error | RMSE | correct drops | second returns | reported correctly | "
@@ -200,7 +203,7 @@ void print_rig_scores(const std::string& run_folder, int device_index, float lat
             "|---|--:|--:|--:|--:|--:|--:|--:|\n",
             run.sequence.lidars[0].name, kOnSurface_m);
     for (const std::string& other : other_sensor_names)
-        print_score_of_other_sensor(renderer, run, street, other);
+        render_and_score_other_sensor(renderer, run, street, other);
 }
 
 }  // namespace

@@ -16,7 +16,7 @@ constexpr double kStep_s = 0.1, kLane_m = 1.2, kActorBrakes_mps2 = 4.0, kEgoBrak
 
 /// Returns the distance to the nearest point ahead in the lane of the ego car. Ignores
 /// points of the ground and of the car's bonnet. Returns 100 m if there is no such point.
-double find_gap_to_nearest_point_m(const LidarPoints& points) {
+double compute_free_distance_ahead_m(const LidarPoints& points) {
     double gap_m = 100.0;
     for (const glm::vec3& p : points.position_m) {
         if (p.x > 3.0f && std::abs(p.y) < kLane_m && p.z > -1.2f && p.z < 0.5f)
@@ -33,7 +33,7 @@ int main(int argc, char** argv) try {
     const std::string actor = run.scene.instances[1].track;
     Device device;
     ScanRenderer renderer(device, run);
-    const SimulatedSensor sensor = make_configured_sensor(run.config, run.sequence);
+    const SimulatedSensor sensor = make_sensor_from_config(run.config, run.sequence);
 
     Pose start = run.sequence.get_world_from_sensor(0).pose.front();
     // converts the pose to the world frame of the dataset, which requests use
@@ -53,7 +53,7 @@ int main(int argc, char** argv) try {
         // Requests the points in the sensor frame at time t. The program could do other
         // work before it waits for the points.
         renderer.submit_points(sensor, request, t);
-        const double gap_m = find_gap_to_nearest_point_m(renderer.wait_for_points().points);
+        const double gap_m = compute_free_distance_ahead_m(renderer.wait_for_points().points);
         if (gap_m < 6.0 + ego_mps * ego_mps / (2.0 * kEgoBrakes_mps2) * 1.3)
             ego_mps = std::max(0.0, ego_mps - kEgoBrakes_mps2 * kStep_s);
         if (t > 2.0) actor_mps = std::max(0.0, actor_mps - kActorBrakes_mps2 * kStep_s);

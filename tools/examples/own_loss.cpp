@@ -41,7 +41,7 @@ int main(int argc, char** argv) try {
     if (argc != 2) return std::fprintf(stderr, "usage: %s DRIVE\n", argv[0]), 2;
     const LidarSequence log = load_sequence(argv[1], {});
     const PoseTrack trajectory = log.get_world_from_sensor(0);
-    const TrainTestSplit split = split_frames(log, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(log, 10);
     const Scene scene = initialise_scene(log, split.train, {});
     Device device;
     DifferentiableRenderer differentiable(device, scene, ImageFormationModel{});
@@ -61,8 +61,8 @@ int main(int argc, char** argv) try {
                 rays.direction.push_back(glm::vec3(ray.direction));
             rays.time_s.push_back(log.rolling_shutter ? frame.scan.rays.time_offset_s[i] : 0.0f);
         }
-        renderer.prepare_view(compute_instance_poses(scene, log, get_sweep_moment(frame)),
-                              glm::vec3(trajectory.interpolate_pose(frame.time_s).translation));
+        renderer.record_view_preparation(compute_instance_poses(scene, log, get_sweep_timing_of_frame(frame)),
+                                         glm::vec3(trajectory.interpolate_pose(frame.time_s).translation));
         last = compute_loss_and_gradients(renderer.render_rays(rays), frame.scan, d);
         differentiable.compute_gradients(d);
         adam.record_adam_step(renderer.stream(), renderer.scene().get_surfel_parameters(),

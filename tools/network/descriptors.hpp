@@ -8,7 +8,7 @@
 namespace relidar {
 
 /// Raises the limit of open file descriptors to the maximum that the system allows.
-inline void raise_file_descriptor_limit() {
+inline void raise_open_file_limit_to_maximum() {
     rlimit limit{};
     if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
     limit.rlim_cur = limit.rlim_max;

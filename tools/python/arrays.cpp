@@ -31,25 +31,25 @@ bool has_shape(const py::array& array, const NumpyShape& expected_shape) {
 
 }  // namespace
 
-py::array to_numpy(NamedArray&& array) {
-    const NumpyShape shape(array.shape.begin(), array.shape.end());
-    const py::dtype dtype(array.dtype == "b1" ? "?" : array.dtype);
-    auto* owned_bytes = new std::vector<std::byte>(std::move(array.bytes));
+py::array to_numpy(NamedArray&& npz_array) {
+    const NumpyShape shape(npz_array.shape.begin(), npz_array.shape.end());
+    const py::dtype dtype(npz_array.dtype == "b1" ? "?" : npz_array.dtype);
+    auto* owned_bytes = new std::vector<std::byte>(std::move(npz_array.bytes));
     const py::capsule owner(owned_bytes, [](void* p) { delete static_cast<std::vector<std::byte>*>(p); });
     return py::array(dtype, shape, owned_bytes->data(), owner);
 }
 
-py::dict convert_to_array_dict(std::vector<NamedArray>&& arrays) {
+py::dict convert_to_array_dict(std::vector<NamedArray>&& npz_arrays) {
     py::dict dict;
-    for (NamedArray& array : arrays) {
+    for (NamedArray& array : npz_arrays) {
         const py::str name(array.name);
         dict[name] = to_numpy(std::move(array));
     }
     return dict;
 }
 
-void check_numpy_array(const py::handle& object, const std::string& name_for_errors,
-                       const py::dtype& expected_dtype, const NumpyShape& expected_shape) {
+void require_numpy_dtype_and_shape(const py::handle& object, const std::string& name_for_errors,
+                                   const py::dtype& expected_dtype, const NumpyShape& expected_shape) {
     const std::string expected =
         fmt::format("an array of {} {}", format_dtype(expected_dtype), format_shape(expected_shape));
     if (!py::isinstance<py::array>(object)) {

@@ -41,15 +41,15 @@ py::array make_read_only_array_view(const std::vector<Element>& values, const Nu
 }
 
 /// Converts one array of an npz file to a numpy array.
-py::array to_numpy(NamedArray&& array);
+py::array to_numpy(NamedArray&& npz_array);
 /// Converts all arrays of an npz file to a dict of numpy arrays.
-py::dict convert_to_array_dict(std::vector<NamedArray>&& arrays);
+py::dict convert_to_array_dict(std::vector<NamedArray>&& npz_arrays);
 
 /// Checks the dtype, shape and C order of a numpy array.
 /// @throws DataError if the object is not such an array; the message contains the actual
 /// type and shape
-void check_numpy_array(const py::handle& object, const std::string& name_for_errors,
-                       const py::dtype& expected_dtype, const NumpyShape& expected_shape);
+void require_numpy_dtype_and_shape(const py::handle& object, const std::string& name_for_errors,
+                                   const py::dtype& expected_dtype, const NumpyShape& expected_shape);
 
 /// Returns the values of a numpy array in C order, without a copy.
 /// @param name_for_errors name of the values, for error messages
@@ -58,7 +58,7 @@ void check_numpy_array(const py::handle& object, const std::string& name_for_err
 template <class Number>
 std::span<const Number> get_checked_array_values(const py::handle& object, const std::string& name_for_errors,
                                                  const NumpyShape& expected_shape) {
-    check_numpy_array(object, name_for_errors, py::dtype::of<Number>(), expected_shape);
+    require_numpy_dtype_and_shape(object, name_for_errors, py::dtype::of<Number>(), expected_shape);
     const auto array = py::reinterpret_borrow<py::array>(object);
     return {static_cast<const Number*>(array.data()), static_cast<std::size_t>(array.size())};
 }
@@ -66,8 +66,9 @@ std::span<const Number> get_checked_array_values(const py::handle& object, const
 /// Copies the values of a numpy array into a vector. Each Element of the vector consists
 /// of one or more Numbers.
 template <class Number, class Element>
-std::vector<Element> copy_array_to_vector(const py::handle& object, const std::string& name_for_errors,
-                                          const NumpyShape& expected_shape) {
+std::vector<Element> copy_checked_array_to_vector(const py::handle& object,
+                                                  const std::string& name_for_errors,
+                                                  const NumpyShape& expected_shape) {
     const std::span<const Number> values =
         get_checked_array_values<Number>(object, name_for_errors, expected_shape);
     const auto* first = reinterpret_cast<const Element*>(values.data());

@@ -24,7 +24,7 @@ using PythonProgressCallback = std::optional<std::function<void(const std::strin
 /// Converts a Python callback to a C++ progress callback. If the Python callback raises
 /// an exception or the user presses Ctrl-C, the work is aborted immediately. Use it only
 /// for work that can be aborted at any point.
-inline ProgressReporter make_progress_callback(const PythonProgressCallback& python_callback) {
+inline ProgressReporter wrap_python_progress_callback(const PythonProgressCallback& python_callback) {
     return [&python_callback](std::string_view description, double done) {
         const py::gil_scoped_acquire interpreter;
         if (PyErr_CheckSignals() != 0) throw py::error_already_set();
@@ -52,7 +52,7 @@ public:
     }
     /// Checks whether the user has pressed Ctrl-C. Returns true if the work can continue,
     /// because no exception was raised.
-    bool can_continue() {
+    bool has_no_exception_or_interrupt() {
         return (*this)([] {});
     }
     void rethrow_stored_exception() const {

@@ -17,7 +17,7 @@ namespace {
 
 namespace py = pybind11;
 
-std::string format_setting_value(const std::string& key, const py::handle& value) {
+std::string convert_setting_value_to_text(const std::string& key, const py::handle& value) {
     if (py::isinstance<py::str>(value)) return value.cast<std::string>();
     if (py::isinstance<py::bool_>(value)) return value.cast<bool>() ? "true" : "false";
     if (py::isinstance<py::int_>(value) || py::isinstance<py::float_>(value)) return py::repr(value);
@@ -27,7 +27,7 @@ std::string format_setting_value(const std::string& key, const py::handle& value
                     std::string(py::str(py::type::handle_of(value).attr("__name__")))));
 }
 
-ConfigKey find_config_key(const Config& config, const std::string& key) {
+ConfigKey get_existing_config_key(const Config& config, const std::string& key) {
     const std::vector<ConfigKey> keys = list_config_keys(config);
     const auto it = std::find_if(keys.begin(), keys.end(), [&](const ConfigKey& k) { return k.key == key; });
     if (it != keys.end()) return *it;
@@ -39,18 +39,18 @@ ConfigKey find_config_key(const Config& config, const std::string& key) {
 }
 
 Config make_config_from_preset(const std::string& preset, const py::dict& settings) {
-    Config config = make_preset(preset);
+    Config config = make_preset_config(preset);
     set_config_values_from_python(config, settings);
     return config;
 }
 
 Config load_config_file(const std::filesystem::path& path) {
-    Config config = make_preset("default");
-    load_config(config, path);
+    Config config = make_preset_config("default");
+    apply_config_file(config, path);
     return config;
 }
 
-py::dict convert_to_settings_dict(const Config& config) {
+py::dict convert_config_to_python_dict(const Config& config) {
     py::dict values;
     for (const ConfigKey& key : list_config_keys(config)) values[py::str(key.key)] = key.value;
     return values;
@@ -63,7 +63,7 @@ void show_python_warning(const std::string& message) {
 }
 
 void set_config_value_from_python(Config& config, const std::string& key, const py::handle& value) {
-    set_config_value(config, key, format_setting_value(key, value));
+    set_config_value(config, key, convert_setting_value_to_text(key, value));
 }
 
 void set_config_values_from_python(Config& config, const py::dict& settings) {
@@ -90,14 +90,18 @@ void bind_config_class(py::module_& module) {
                     "or DataError with a description of the error.")
         .def(
             "__getitem__",
-            [](const Config& config, const std::string& key) { return find_config_key(config, key).value; },
+            [](const Config& config, const std::string& key) {
+                return get_existing_config_key(config, key).value;
+            },
             py::arg("key"), "Returns the value as text, in the same form as in the TOML file.")
         .def("__setitem__", &set_config_value_from_python, py::arg("key"), py::arg("value"))
         .def(
             "help",
-            [](const Config& config, const std::string& key) { return find_config_key(config, key).help; },
+            [](const Config& config, const std::string& key) {
+                return get_existing_config_key(config, key).help;
+            },
             py::arg("key"), "Returns the description of a setting.")
-        .def("values", &convert_to_settings_dict,
+        .def("values", &convert_config_to_python_dict,
              "Returns all settings as a dict of texts, in the order of the TOML file.")
         .def(
             "copy", [](const Config& config) { return config; }, "Returns a copy of the settings.")

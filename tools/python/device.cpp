@@ -14,7 +14,7 @@
 namespace relidar::python {
 namespace {
 
-SharedDevice& get_default_device() {
+SharedDevice& get_shared_default_device() {
     static SharedDevice device;
     return device;
 }
@@ -27,7 +27,7 @@ SharedDevice open_device(int index, const std::string& traversal_name, std::uint
             index));
     DeviceOptions options;
     options.index = index;
-    options.traversal = parse_traversal_method(traversal_name);
+    options.traversal = parse_ray_tracing_backend(traversal_name);
     options.memory_limit_bytes = memory_limit_bytes;
     options.validation = enable_validation;
     const py::gil_scoped_release others_run;
@@ -40,15 +40,15 @@ const char* format_traversal_name(RayTracingBackend traversal) {
 
 std::string format_device_repr(const LockableDevice& device) {
     return fmt::format("<relidar.Device {}: {}, {}>", device.device.info().index, device.device.info().name,
-                       format_traversal_name(device.device.traversal()));
+                       format_traversal_name(device.device.get_ray_tracing_backend()));
 }
 
 }  // namespace
 
 SharedDevice get_device_or_default(SharedDevice device) {
     if (device) return device;
-    if (!get_default_device()) get_default_device() = open_device(-1, "auto", 0, false);
-    return get_default_device();
+    if (!get_shared_default_device()) get_shared_default_device() = open_device(-1, "auto", 0, false);
+    return get_shared_default_device();
 }
 
 DeviceLock::DeviceLock(LockableDevice& device) : device_(device) {
@@ -63,9 +63,9 @@ DeviceLock::DeviceLock(LockableDevice& device) : device_(device) {
 DeviceLock::~DeviceLock() { device_.user = std::thread::id(); }
 
 void bind_device_class(py::module_& module) {
-    set_first_use_check({check_device_at_first_use, [](const std::string& text) {
-                             std::fprintf(stderr, "relidar: note: %s\n", text.c_str());
-                         }});
+    set_device_open_callbacks({test_device_capabilities, [](const std::string& text) {
+                                   std::fprintf(stderr, "relidar: note: %s\n", text.c_str());
+                               }});
     py::class_<DeviceInfo>(module, "DeviceInfo",
                            "A Vulkan device of this machine and the features that relidar can use.")
         .def_readonly("index", &DeviceInfo::index)
@@ -103,7 +103,9 @@ void bind_device_class(py::module_& module) {
         .def_property_readonly("info", [](const LockableDevice& open) { return open.device.info(); })
         .def_property_readonly(
             "traversal",
-            [](const LockableDevice& open) { return format_traversal_name(open.device.traversal()); },
+            [](const LockableDevice& open) {
+                return format_traversal_name(open.device.get_ray_tracing_backend());
+            },
             "\"ray_query\" or \"software\".")
         .def_property_readonly(
             "peak_bytes", [](const LockableDevice& open) { return open.device.peak_allocated_bytes(); },
@@ -111,7 +113,8 @@ void bind_device_class(py::module_& module) {
         .def("__repr__", &format_device_repr);
     // Closes the default device at exit. The Python interpreter and the Vulkan loader
     // must still exist at this time.
-    py::module_::import("atexit").attr("register")(py::cpp_function([] { get_default_device().reset(); }));
+    py::module_::import("atexit").attr("register")(
+        py::cpp_function([] { get_shared_default_device().reset(); }));
 }
 
 }  // namespace relidar::python

@@ -29,11 +29,11 @@ struct PythonDifferentiableRenderer {
 std::unique_ptr<PythonDifferentiableRenderer> make_differentiable_renderer(
     const Scene& scene, const std::optional<Config>& config, bool with_pose_gradients,
     bool with_ray_gradients, SharedDevice device) {
-    const Config settings = config.value_or(make_preset("default"));
+    const Config settings = config.value_or(make_preset_config("default"));
     ImageFormationModel image = settings.image;
     image.primitive = scene.surfels.primitive;
     const RendererOptions options{
-        {}, make_base_trace_options(settings), 0, static_cast<std::uint32_t>(settings.trace.keep_hits)};
+        {}, make_common_trace_options(settings), 0, static_cast<std::uint32_t>(settings.trace.keep_hits)};
     const GradientOptions gradients{make_backward_options(settings),
                                     {.rays = with_ray_gradients, .poses = with_pose_gradients}};
     device = get_device_or_default(device);
@@ -75,14 +75,14 @@ void set_instance_poses(PythonDifferentiableRenderer& renderer, const py::object
     const glm::vec3 view = view_origin.is_none() ? renderer.differentiable->renderer().view_origin_m()
                                                  : convert_array_to_vec3(view_origin, "view_origin");
     const DeviceLock use(renderer.differentiable.get_open_device());
-    renderer.differentiable->renderer().prepare_view(placed, view);
+    renderer.differentiable->renderer().record_view_preparation(placed, view);
     renderer.placed = std::move(placed);
 }
 
 py::dict run_forward_pass(PythonDifferentiableRenderer& renderer, const py::object& origins,
                           const py::object& directions) {
-    const WorldRays rays{copy_array_to_vector<float, glm::vec3>(origins, "origins", {kAny, 3}),
-                         copy_array_to_vector<float, glm::vec3>(directions, "directions", {kAny, 3})};
+    const WorldRays rays{copy_checked_array_to_vector<float, glm::vec3>(origins, "origins", {kAny, 3}),
+                         copy_checked_array_to_vector<float, glm::vec3>(directions, "directions", {kAny, 3})};
     if (rays.origin.size() != rays.direction.size())
         throw DataError(
             fmt::format("directions: found {} directions and {} origins, expected the same number",
@@ -111,13 +111,14 @@ py::dict run_forward_pass(PythonDifferentiableRenderer& renderer, const py::obje
 #define RELIDAR_NAME(name, built, value, input, slope, meaning) #name ", "
 #define RELIDAR_MEANING(name, built, value, input, slope, meaning) #name " (" meaning "), "
 
-RenderedGradients read_output_gradients(const py::dict& arrays, std::size_t n_rays) {
+RenderedGradients read_gradients_of_rendered_values(const py::dict& gradient_arrays_by_name,
+                                                    std::size_t n_rays) {
     RenderedGradients d;
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) {#name, &d.name},
     const std::vector<std::pair<std::string, std::vector<float>*>> gradient_arrays{
         RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)};
 #undef RELIDAR_VALUES
-    for (const auto& [key, array] : arrays) {
+    for (const auto& [key, array] : gradient_arrays_by_name) {
         const std::string name = py::str(key);
         const auto match = std::find_if(gradient_arrays.begin(), gradient_arrays.end(),
                                         [&](const auto& p) { return p.first == name; });
@@ -125,14 +126,16 @@ RenderedGradients read_output_gradients(const py::dict& arrays, std::size_t n_ra
             throw UsageError(fmt::format("d_rendered: found \"{}\", expected one of " RELIDAR_IMAGE_VALUES(
                                              RELIDAR_NAME) "which are the values that have gradients",
                                          name));
-        *match->second = copy_array_to_vector<float, float>(array, "d_rendered: " + name,
-                                                            {static_cast<py::ssize_t>(n_rays)});
+        *match->second = copy_checked_array_to_vector<float, float>(array, "d_rendered: " + name,
+                                                                    {static_cast<py::ssize_t>(n_rays)});
     }
     return d;
 }
 
-py::dict run_backward_pass(PythonDifferentiableRenderer& renderer, const py::dict& output_gradients) {
-    const RenderedGradients d = read_output_gradients(output_gradients, renderer.n_rays);
+py::dict run_backward_pass(PythonDifferentiableRenderer& renderer,
+                           const py::dict& gradients_of_rendered_values) {
+    const RenderedGradients d =
+        read_gradients_of_rendered_values(gradients_of_rendered_values, renderer.n_rays);
     HostGradients gradients;
     {
         const DeviceLock use(renderer.differentiable.get_open_device());

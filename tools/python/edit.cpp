@@ -34,79 +34,83 @@ struct RunBeingEdited {
     }
 
     /// Applies an edit to the run and adds it to the history of the run.
-    /// @param description text that describes the edit in scene.json
-    RunBeingEdited& apply_edit(const std::string& description,
-                               const std::function<SceneWithLog(SceneWithLog)>& edit) {
+    /// @param history_text text that describes the edit in scene.json
+    RunBeingEdited& apply_edit_and_add_to_history(
+        const std::string& history_text,
+        const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
         // Applies the edit to a copy, so that the run does not change if the edit fails.
-        run.replace_driving_scene(edit(run.copy_driving_scene()));
-        run.edits.push_back({origin, description});
+        run.replace_driving_scene(edit_scene_with_log(run.copy_driving_scene()));
+        run.edits.push_back({origin, history_text});
         return *this;
     }
 
     /// Applies an edit that can change the times at which an actor is present. Warns if
     /// the actor is then missing in more frames of the log.
-    RunBeingEdited& apply_timing_edit(const std::string& description, const std::string& track_name,
-                                      const std::function<SceneWithLog(SceneWithLog)>& edit) {
-        const BoxTrack* box = find_box(run.sequence, track_name);
+    RunBeingEdited& apply_edit_and_warn_if_actor_misses(
+        const std::string& history_text, const std::string& track_name,
+        const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
+        const BoxTrack* box = find_box_track_by_id(run.sequence, track_name);
         const BoxTrack before = box ? *box : BoxTrack{};
-        apply_edit(description, edit);
+        apply_edit_and_add_to_history(history_text, edit_scene_with_log);
         if (const std::string note = describe_frames_without_actor(before, run.sequence); !note.empty())
             show_python_warning(note);
         return *this;
     }
 
-    std::unique_ptr<LoadedRun> make_loaded_run() const { return std::make_unique<LoadedRun>(run, device); }
+    std::unique_ptr<LoadedRun> copy_as_loaded_run() const { return std::make_unique<LoadedRun>(run, device); }
 };
 
 std::string format_vector(const glm::dvec3& vector) {
     return fmt::format("{:.6g},{:.6g},{:.6g}", vector.x, vector.y, vector.z);
 }
 
-RunBeingEdited& keep_background_or_actors(RunBeingEdited& edits, const std::string& kept_part) {
-    if (kept_part == "background") return edits.apply_edit("keep background", remove_all_actors);
-    if (kept_part == "actors") return edits.apply_edit("keep actors", remove_background);
-    throw UsageError(fmt::format("keep(): found \"{}\", expected background or actors", kept_part));
+RunBeingEdited& remove_all_except_part(RunBeingEdited& run_being_edited, const std::string& kept_part_name) {
+    if (kept_part_name == "background")
+        return run_being_edited.apply_edit_and_add_to_history("keep background", remove_all_actors);
+    if (kept_part_name == "actors")
+        return run_being_edited.apply_edit_and_add_to_history("keep actors", remove_background);
+    throw UsageError(fmt::format("keep(): found \"{}\", expected background or actors", kept_part_name));
 }
 
-RunBeingEdited& move_actor(RunBeingEdited& edits, const std::string& track_name,
+RunBeingEdited& move_actor(RunBeingEdited& run_being_edited, const std::string& track_name,
                            const py::object& box_from_moved_box) {
-    const Pose box_from_moved = convert_to_pose(box_from_moved_box, "pose");
-    return edits.apply_edit(
+    const Pose box_from_moved = convert_matrix_to_pose(box_from_moved_box, "pose");
+    return run_being_edited.apply_edit_and_add_to_history(
         fmt::format("move {}:{}", track_name, format_vector(box_from_moved.translation)),
         [&](SceneWithLog driving) { return move_track(std::move(driving), track_name, box_from_moved); });
 }
 
-RunBeingEdited& replace_actor_trajectory(RunBeingEdited& edits, const std::string& track_name,
-                                         const py::object& trajectory) {
-    const PoseTrack poses = read_pose_track(trajectory, "trajectory", 0.0);
-    return edits.apply_timing_edit(
+RunBeingEdited& replace_actor_trajectory(RunBeingEdited& run_being_edited, const std::string& track_name,
+                                         const py::object& times_and_box_poses) {
+    const PoseTrack poses = convert_python_poses_to_track(times_and_box_poses, "trajectory", 0.0);
+    return run_being_edited.apply_edit_and_warn_if_actor_misses(
         fmt::format("follow {}: {} poses", track_name, poses.pose.size()), track_name,
         [&](SceneWithLog driving) { return replace_trajectory(std::move(driving), track_name, poses); });
 }
 
-RunBeingEdited& copy_actor(RunBeingEdited& edits, const std::string& track_name, const py::object& start_pose,
-                           double speed_mps) {
-    const NewActorMotion start{convert_to_pose(start_pose, "pose"), speed_mps};
-    return edits.apply_edit(
+RunBeingEdited& copy_actor(RunBeingEdited& run_being_edited, const std::string& track_name,
+                           const py::object& start_pose, double speed_mps) {
+    const NewActorMotion start{convert_matrix_to_pose(start_pose, "pose"), speed_mps};
+    return run_being_edited.apply_edit_and_add_to_history(
         fmt::format("copy {}@{}:{:.6g}", track_name, format_vector(start.dataset_from_box.translation),
                     speed_mps),
         [&](SceneWithLog driving) { return copy_track(std::move(driving), track_name, start); });
 }
 
-RunBeingEdited& insert_actor_of_other_run(RunBeingEdited& edits, const LoadedRun& other_run,
+RunBeingEdited& insert_actor_of_other_run(RunBeingEdited& run_being_edited, const LoadedRun& other_run,
                                           const std::string& track_name, const py::object& start_pose,
                                           double speed_mps) {
-    const NewActorMotion start{convert_to_pose(start_pose, "pose"), speed_mps};
+    const NewActorMotion start{convert_matrix_to_pose(start_pose, "pose"), speed_mps};
     const std::string said = fmt::format("insert {}#{}@{}:{:.6g}", other_run.run.folder.string(), track_name,
                                          format_vector(start.dataset_from_box.translation), speed_mps);
-    return edits.apply_edit(said, [&](SceneWithLog driving) {
+    return run_being_edited.apply_edit_and_add_to_history(said, [&](SceneWithLog driving) {
         return insert_track(std::move(driving), other_run.run.copy_driving_scene(), track_name, start);
     });
 }
 
-std::unique_ptr<LoadedRun> save_edited_run(const RunBeingEdited& edits, const fs::path& folder,
+std::unique_ptr<LoadedRun> save_edited_run(const RunBeingEdited& run_being_edited, const fs::path& folder,
                                            bool overwrite) {
-    auto loaded = edits.make_loaded_run();
+    auto loaded = run_being_edited.copy_as_loaded_run();
     save_run_to_folder(loaded->run, folder, overwrite);
     return loaded;
 }
@@ -124,7 +128,7 @@ void bind_edit_class(py::module_& module) {
         .def(
             "remove",
             [](RunBeingEdited& edits, const std::string& track) -> RunBeingEdited& {
-                return edits.apply_edit("remove " + track, [&](SceneWithLog driving) {
+                return edits.apply_edit_and_add_to_history("remove " + track, [&](SceneWithLog driving) {
                     return remove_track(std::move(driving), track);
                 });
             },
@@ -135,7 +139,7 @@ void bind_edit_class(py::module_& module) {
         .def(
             "retime",
             [](RunBeingEdited& edits, const std::string& track, double seconds) -> RunBeingEdited& {
-                return edits.apply_timing_edit(
+                return edits.apply_edit_and_warn_if_actor_misses(
                     fmt::format("retime {}:{:.6g}", track, seconds), track,
                     [&](SceneWithLog driving) { return delay_track(std::move(driving), track, seconds); });
             },
@@ -151,9 +155,9 @@ void bind_edit_class(py::module_& module) {
              "there it drives straight ahead")
         .def("insert", &insert_actor_of_other_run, py::arg("other"), py::arg("track"), py::arg("pose"),
              py::arg("speed_mps") = 0.0, same, "Adds a copy of an actor of another run, like copy().")
-        .def("keep", &keep_background_or_actors, py::arg("what"), same,
+        .def("keep", &remove_all_except_part, py::arg("what"), same,
              "Keeps only the \"background\" or only the \"actors\".")
-        .def("run", &RunBeingEdited::make_loaded_run, "Returns the edited run.")
+        .def("run", &RunBeingEdited::copy_as_loaded_run, "Returns the edited run.")
         .def("save", &save_edited_run, py::arg("folder"), py::kw_only(), py::arg("overwrite") = false,
              "Writes the edited run to a folder and returns it.");
     const auto run = py::reinterpret_borrow<py::class_<LoadedRun>>(module.attr("Run"));

@@ -34,7 +34,7 @@ py::object add_exception_type(py::module_& module, const char* type_name, const 
     return type;
 }
 
-void translate_exception(std::exception_ptr exception) {
+void raise_as_python_exception(std::exception_ptr exception) {
     try {
         if (exception) std::rethrow_exception(exception);
     } catch (const UsageError& error) {
@@ -71,7 +71,7 @@ void bind_error_types(py::module_& module) {
         "No device is available, a feature is missing, a Vulkan call failed, or the device "
         "memory is exhausted.",
         py::make_tuple(all.error, builtin(PyExc_RuntimeError)), ExitCode::device);
-    py::register_exception_translator(translate_exception);
+    py::register_exception_translator(raise_as_python_exception);
 }
 
 }  // namespace relidar::python

@@ -10,7 +10,7 @@
 namespace relidar::python {
 namespace {
 
-py::dict make_evaluation_dict(const EvaluationResult& evaluation) {
+py::dict convert_evaluation_to_dict(const EvaluationResult& evaluation) {
     py::list frames;
     for (const ScoredFrame& frame : evaluation.frames)
         frames.append(py::dict(py::arg("frame") = frame.frame, py::arg("time_s") = frame.time_s,
@@ -19,36 +19,37 @@ py::dict make_evaluation_dict(const EvaluationResult& evaluation) {
                     py::arg("trace_ms") = evaluation.trace_ms);
 }
 
-EvaluationResult evaluate_loaded_run(LoadedRun& loaded, const LidarSequence& log,
-                                     const std::optional<std::string>& baseline,
-                                     const ProgressReporter& progress) {
-    TrainedRun run = loaded.run;
-    copy_scans_into_run(run, run.split.test, log);
-    if (baseline) {
-        copy_scans_into_run(run, run.split.train, log);
+EvaluationResult evaluate_run_or_baseline(LoadedRun& loaded_run, const LidarSequence& log_with_real_scans,
+                                          const std::optional<std::string>& baseline_name,
+                                          const ProgressReporter& report_progress) {
+    TrainedRun run = loaded_run.run;
+    copy_scans_into_run(run, run.split.test, log_with_real_scans);
+    if (baseline_name) {
+        copy_scans_into_run(run, run.split.train, log_with_real_scans);
         const py::gil_scoped_release others_run;
-        return evaluate_baseline(*baseline, run.config, run.sequence, run.split, progress);
+        return evaluate_baseline(*baseline_name, run.config, run.sequence, run.split, report_progress);
     }
-    DeviceObject<ScanRenderer>& renderer = loaded.get_renderer();
+    DeviceObject<ScanRenderer>& renderer = loaded_run.get_renderer();
     const DeviceLock use(renderer.get_open_device());
     renderer->set_visible_instances(std::vector<bool>(run.scene.instances.size(), true));
-    return evaluate_frames(*renderer, run.config, run.sequence, run.split.test, progress);
+    return evaluate_frames(*renderer, run.config, run.sequence, run.split.test, report_progress);
 }
 
-py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<std::string>& baseline,
+py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<std::string>& baseline_name,
                       const PythonProgressCallback& report_progress) {
     // Throws an error if the baseline is unknown. This is checked before the log is
     // loaded, because loading takes a long time.
-    if (baseline) (void)parse_baseline_motion(*baseline);
+    if (baseline_name) (void)parse_baseline_motion(*baseline_name);
     if (run.run.split.test.empty())
         throw DataError(run.run.folder.string() + ": the run has no held-out frames, expected at least one");
-    const ProgressReporter progress = make_progress_callback(report_progress);
+    const ProgressReporter progress = wrap_python_progress_callback(report_progress);
     LidarSequence read;
     if (!log) {
         const py::gil_scoped_release others_run;
         read = load_log(run.run.config, progress);
     }
-    return make_evaluation_dict(evaluate_loaded_run(run, log ? log->sequence : read, baseline, progress));
+    return convert_evaluation_to_dict(
+        evaluate_run_or_baseline(run, log ? log->sequence : read, baseline_name, progress));
 }
 
 }  // namespace

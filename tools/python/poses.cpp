@@ -52,7 +52,7 @@ void write_row_major_matrix(const Pose& pose, double* output) {
 
 }  // namespace
 
-Pose convert_to_pose(const py::handle& matrix, const std::string& name_for_errors) {
+Pose convert_matrix_to_pose(const py::handle& matrix, const std::string& name_for_errors) {
     return convert_row_major_matrix_to_pose(
         get_checked_array_values<double>(matrix, name_for_errors, {4, 4}).data(), name_for_errors);
 }
@@ -67,30 +67,31 @@ std::vector<Pose> convert_to_poses(const py::handle& matrices, const std::string
     return poses;
 }
 
-PoseTrack read_pose_track(const py::handle& object, const std::string& name_for_errors,
-                          double single_pose_time_s) {
-    if (!py::isinstance<py::tuple>(object))
-        return {{single_pose_time_s}, {convert_to_pose(object, name_for_errors)}};
-    const auto pair = py::reinterpret_borrow<py::tuple>(object);
+PoseTrack convert_python_poses_to_track(const py::handle& pose_or_times_and_poses,
+                                        const std::string& name_for_errors, double time_of_single_pose_s) {
+    if (!py::isinstance<py::tuple>(pose_or_times_and_poses))
+        return {{time_of_single_pose_s}, {convert_matrix_to_pose(pose_or_times_and_poses, name_for_errors)}};
+    const auto pair = py::reinterpret_borrow<py::tuple>(pose_or_times_and_poses);
     if (pair.size() != 2)
         throw DataError(fmt::format(
             "{}: found a tuple of {} entries, expected a pose [4,4] or (times [n], poses [n,4,4])",
             name_for_errors, pair.size()));
-    PoseTrack track{copy_array_to_vector<double, double>(pair[0], name_for_errors + ": times", {kAny}),
-                    convert_to_poses(pair[1], name_for_errors + ": poses")};
+    PoseTrack track{
+        copy_checked_array_to_vector<double, double>(pair[0], name_for_errors + ": times", {kAny}),
+        convert_to_poses(pair[1], name_for_errors + ": poses")};
     if (track.time_s.size() != track.pose.size())
         throw DataError(fmt::format("{}: found {} times and {} poses, expected the same number of both",
                                     name_for_errors, track.time_s.size(), track.pose.size()));
     return track;
 }
 
-py::array convert_to_matrix_array(const Pose& pose) {
+py::array convert_pose_to_matrix_array(const Pose& pose) {
     std::vector<double> numbers(16);
     write_row_major_matrix(pose, numbers.data());
     return move_to_numpy_array<double>(std::move(numbers), {4, 4});
 }
 
-py::tuple convert_to_times_and_poses(const PoseTrack& track, const glm::dvec3& position_offset_m) {
+py::tuple convert_track_to_times_and_poses(const PoseTrack& track, const glm::dvec3& position_offset_m) {
     std::vector<double> numbers(16 * track.pose.size());
     for (std::size_t i = 0; i < track.pose.size(); ++i)
         write_row_major_matrix({track.pose[i].rotation, track.pose[i].translation + position_offset_m},
@@ -105,7 +106,7 @@ void bind_pose_functions(py::module_& module) {
         "pose",
         [](double x, double y, double z, double yaw_deg, double pitch_deg, double roll_deg) {
             const double radians = kPi / 180.0;
-            return convert_to_matrix_array(
+            return convert_pose_to_matrix_array(
                 {make_rotation(yaw_deg * radians, pitch_deg * radians, roll_deg * radians), {x, y, z}});
         },
         py::arg("x"), py::arg("y"), py::arg("z"), py::arg("yaw_deg") = 0.0, py::arg("pitch_deg") = 0.0,

@@ -39,22 +39,23 @@ struct RenderArguments {
     bool boxes;
 };
 
-PointCoordinateFrame find_point_frame_by_name(const std::string& frame_name) {
+PointCoordinateFrame parse_point_frame_name(const std::string& frame_name) {
     if (frame_name == "sensor") return PointCoordinateFrame::sensor;
     if (frame_name == "world") return PointCoordinateFrame::world;
     throw UsageError(fmt::format("argument frame: found \"{}\", expected sensor or world", frame_name));
 }
 
 /// Returns the path of one LiDAR of the log in the world frame of the dataset.
-PoseTrack compute_logged_sensor_track(const LidarSequence& sequence, int lidar_index) {
-    return shift_track(sequence.get_world_from_sensor(lidar_index), sequence.world_offset_m);
+PoseTrack get_recorded_track_in_dataset_frame(const LidarSequence& sequence, int lidar_index) {
+    return add_offset_to_track_positions(sequence.get_world_from_sensor(lidar_index),
+                                         sequence.world_offset_m);
 }
 
 /// Checks that a track has poses around a time. At other times, the poses would be
 /// extrapolated.
 /// @throws UsageError if the time is more than `tolerance_s` before or after the track
-void check_track_covers_time(const PoseTrack& track, double time_s, double tolerance_s,
-                             const std::string& name_for_errors) {
+void require_time_within_track(const PoseTrack& track, double time_s, double tolerance_s,
+                               const std::string& name_for_errors) {
     // A single pose is valid at all times. The library itself rejects a time that is not
     // finite.
     if (track.pose.size() < 2 || !std::isfinite(time_s)) return;
@@ -64,7 +65,8 @@ void check_track_covers_time(const PoseTrack& track, double time_s, double toler
                                      time_s, begin_s, end_s));
 }
 
-ActorTracksByName read_actor_poses(const py::dict& poses_by_actor, double time_s) {
+ActorTracksByName convert_actor_pose_dict_to_tracks(const py::dict& poses_by_actor,
+                                                    double time_of_single_poses_s) {
     // An actor may be rendered this long before its first pose or after its last pose. A
     // sweep begins before its nominal time and ends after it, so the limit is not 0.
     constexpr double kBeside_s = 1.0;
@@ -72,9 +74,10 @@ ActorTracksByName read_actor_poses(const py::dict& poses_by_actor, double time_s
     for (const auto& [name, pose] : poses_by_actor) {
         const std::string track = py::str(name);
         const std::string what = fmt::format("actors[\"{}\"]", track);
-        const PoseTrack& added = poses[track] = read_pose_track(pose, what, time_s);
-        check_track_covers_time(added, time_s, kBeside_s,
-                                fmt::format("time relative to the poses of {}", what));
+        const PoseTrack& added = poses[track] =
+            convert_python_poses_to_track(pose, what, time_of_single_poses_s);
+        require_time_within_track(added, time_of_single_poses_s, kBeside_s,
+                                  fmt::format("time relative to the poses of {}", what));
     }
     return poses;
 }
@@ -92,17 +95,18 @@ ScanRequest make_scan_request_from_arguments(const RenderArguments& arguments, c
     ScanRequest request;
     request.time_s = arguments.time.value_or(run.sequence.frames.front().time_s);
     request.dataset_from_sensor = arguments.pose.is_none()
-                                      ? compute_logged_sensor_track(run.sequence, lidar_index)
-                                      : read_pose_track(arguments.pose, "pose", request.time_s);
-    check_track_covers_time(request.dataset_from_sensor, request.time_s, 0.0,
-                            arguments.pose.is_none() ? "time in the log" : "time on the poses");
-    if (arguments.actors) request.dataset_from_actor = read_actor_poses(*arguments.actors, request.time_s);
+                                      ? get_recorded_track_in_dataset_frame(run.sequence, lidar_index)
+                                      : convert_python_poses_to_track(arguments.pose, "pose", request.time_s);
+    require_time_within_track(request.dataset_from_sensor, request.time_s, 0.0,
+                              arguments.pose.is_none() ? "time in the log" : "time on the poses");
+    if (arguments.actors)
+        request.dataset_from_actor = convert_actor_pose_dict_to_tracks(*arguments.actors, request.time_s);
     return request;
 }
 
 /// Returns the boxes of the actors in a scan as a dict of arrays.
-py::dict make_actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& format) {
-    const std::vector<ActorBox> boxes = find_actor_boxes(scan, format);
+py::dict find_actor_boxes_in_scan_as_dict(const RenderedScan& scan, const ScanOutputOptions& output_options) {
+    const std::vector<ActorBox> boxes = find_actor_boxes(scan, output_options);
     std::vector<std::string> tracks, categories;
     std::vector<double> sizes_m, times_s, poses, velocities_mps, shares;
     std::vector<std::int32_t> points;
@@ -128,21 +132,22 @@ py::dict make_actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions
          make_array("points", {n}, points.data(), n), make_array("visible_share", {n}, shares.data(), n)});
 }
 
-py::dict render_scan_as_dict(LoadedRun& loaded, const RenderArguments& arguments) {
-    const TrainedRun& run = loaded.run;
+py::dict render_scan_as_dict(LoadedRun& loaded_run, const RenderArguments& arguments) {
+    const TrainedRun& run = loaded_run.run;
     const int lidar = find_lidar_index_by_name(run.sequence, arguments.lidar);
     const ScanRequest request = make_scan_request_from_arguments(arguments, run, lidar);
-    SimulatedSensor sensor = make_sensor_from_python(arguments.sensor, run, lidar);
+    SimulatedSensor sensor = find_or_make_sensor_for_run(arguments.sensor, run, lidar);
     if (arguments.pose.is_none())
-        sensor = align_sensor_with_sweep(sensor, run.sequence.frames, run.sequence.lidars, request.time_s);
+        sensor = copy_sensor_with_azimuths_of_sweep(sensor, run.sequence.frames, run.sequence.lidars,
+                                                    request.time_s);
     const std::vector<bool> shown = arguments.only.empty()
                                         ? std::vector<bool>(run.scene.instances.size(), true)
-                                        : select_instances(run.scene, arguments.only);
-    ScanOutputOptions format = make_scan_format(run, sensor);
-    format.frame = find_point_frame_by_name(arguments.frame);
+                                        : mark_instances_with_names(run.scene, arguments.only);
+    ScanOutputOptions format = make_default_output_options(run, sensor);
+    format.frame = parse_point_frame_name(arguments.frame);
     format.deskew = arguments.deskew;
     const Weather weather = parse_weather(arguments.weather);
-    DeviceObject<ScanRenderer>& renderer = loaded.get_renderer();
+    DeviceObject<ScanRenderer>& renderer = loaded_run.get_renderer();
     RenderedScan scan;
     {
         const DeviceLock use(renderer.get_open_device());
@@ -155,7 +160,7 @@ py::dict render_scan_as_dict(LoadedRun& loaded, const RenderArguments& arguments
         make_scan_arrays(scan, find_nearest_frame_number(run.sequence, request.time_s), format));
     if (!arguments.boxes) return arrays;
     if (request.dataset_from_actor) replace_actor_box_poses(format, *request.dataset_from_actor);
-    arrays["boxes"] = make_actor_boxes_dict(scan, format);
+    arrays["boxes"] = find_actor_boxes_in_scan_as_dict(scan, format);
     return arrays;
 }
 
@@ -166,18 +171,19 @@ std::vector<std::string> list_actor_track_names(const TrainedRun& run) {
     return names;
 }
 
-std::unique_ptr<LoadedRun> open_run(const fs::path& folder, const py::dict& settings,
-                                    const SharedDevice& device) {
+std::unique_ptr<LoadedRun> load_run_with_settings(const fs::path& folder, const py::dict& settings,
+                                                  const SharedDevice& device) {
     TrainedRun run = load_run(folder);
     set_config_values_from_python(run.config, settings);
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
 
-std::unique_ptr<LoadedRun> copy_run_with_surfels(const LoadedRun& loaded, const py::dict& surfel_arrays) {
-    auto changed = std::make_unique<LoadedRun>(loaded.run, loaded.device);
+std::unique_ptr<LoadedRun> copy_run_with_replaced_surfels(const LoadedRun& loaded_run,
+                                                          const py::dict& surfel_arrays) {
+    auto changed = std::make_unique<LoadedRun>(loaded_run.run, loaded_run.device);
     Surfels surfels = read_surfels_from_arrays(surfel_arrays);
     Scene& scene = changed->run.scene;
-    scene = load_all_blocks(scene);
+    scene = copy_scene_with_all_blocks_loaded(scene);
     if (surfels.size() != scene.surfels.size() || surfels.primitive != scene.surfels.primitive)
         throw DataError(fmt::format(
             "with_surfels: found {} surfels, expected {} surfels of the same primitive as in the run",
@@ -243,8 +249,8 @@ std::string make_render_help_text() {
 /// Adds the methods of the Python class for runs.
 void bind_run_methods(py::class_<LoadedRun>& run_class) {
     run_class
-        .def_static("load", &open_run, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(),
-                    py::arg("device") = py::none(),
+        .def_static("load", &load_run_with_settings, py::arg("folder"), py::kw_only(),
+                    py::arg("settings") = py::dict(), py::arg("device") = py::none(),
                     "Reads a run folder.\n\n"
                     "settings: dict of settings that replace those of the run, such as {\"render.range\": "
                     "\"median\"}\n"
@@ -277,15 +283,15 @@ void bind_run_methods(py::class_<LoadedRun>& run_class) {
         .def(
             "rays",
             [](const LoadedRun& run, const py::object& sensor, const std::string& lidar) {
-                SimulatedSensor choice = make_sensor_from_python(
+                SimulatedSensor choice = find_or_make_sensor_for_run(
                     sensor, run.run, find_lidar_index_by_name(run.run.sequence, lidar));
-                if (!has_rolling_shutter(choice, run.run.config))
+                if (!fires_rays_at_different_times(choice, run.run.config))
                     std::ranges::fill(choice.rays.time_offset_s, 0.0f);
                 return convert_to_array_dict(choice.rays);
             },
             py::arg("sensor") = py::none(), py::arg("lidar") = "",
             "Returns the rays of a sensor, which has the same form as in render().")
-        .def("with_surfels", &copy_run_with_surfels, py::arg("surfels"),
+        .def("with_surfels", &copy_run_with_replaced_surfels, py::arg("surfels"),
              "Returns a copy of the run with other values of all surfels. Raises DataError if the "
              "number of surfels differs.");
 }
@@ -300,12 +306,14 @@ void bind_run_properties(py::class_<LoadedRun>& run_class) {
             "config", [](const LoadedRun& run) { return run.run.config; }, "A copy of the settings.")
         .def_property_readonly(
             "scene",
-            [](const LoadedRun& run) { return std::make_shared<Scene>(load_all_blocks(run.run.scene)); },
+            [](const LoadedRun& run) {
+                return std::make_shared<Scene>(copy_scene_with_all_blocks_loaded(run.run.scene));
+            },
             "A copy of the scene.")
         .def_property_readonly(
             "surfels",
             [](const LoadedRun& run) {
-                return convert_to_array_dict(load_all_blocks(run.run.scene).surfels);
+                return convert_to_array_dict(copy_scene_with_all_blocks_loaded(run.run.scene).surfels);
             },
             "A copy of the surfels as a dict of float32 arrays that relidar.Scene accepts.")
         .def_property_readonly(

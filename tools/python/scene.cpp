@@ -31,7 +31,7 @@ void for_each_parameter_array(Set& surfels, Callback&& callback) {
 }
 
 /// Returns true if surfels of this kind have a parameter array with this name.
-bool has_parameter_array(const Surfels& surfels, std::string_view array_name) {
+bool uses_parameter_array(const Surfels& surfels, std::string_view array_name) {
     if (array_name == kGait) return surfels.bends;
     return array_name != kThirdScale || get_primitive_kind(surfels.primitive).third_scale;
 }
@@ -47,7 +47,7 @@ py::dict make_surfel_array_views(const py::object& scene_object) {
     const Surfels& surfels = scene_object.cast<const Scene&>().surfels;
     py::dict dict;
     for_each_parameter_array(surfels, [&](const char* name, const auto& values, const NumpyShape& row) {
-        if (!has_parameter_array(surfels, name)) return;
+        if (!uses_parameter_array(surfels, name)) return;
         dict[name] = make_read_only_array_view<float>(
             values, make_array_shape(static_cast<py::ssize_t>(surfels.size()), row), scene_object);
     });
@@ -111,8 +111,8 @@ Surfels read_surfels_from_arrays(const py::dict& arrays) {
         surfels, [&]<class Element>(const char* name, std::vector<Element>& values, const NumpyShape& row) {
             names.emplace_back(name);
             if (arrays.contains(name))
-                values = copy_array_to_vector<float, Element>(arrays[name], fmt::format("surfels: {}", name),
-                                                              make_array_shape(kAny, row));
+                values = copy_checked_array_to_vector<float, Element>(
+                    arrays[name], fmt::format("surfels: {}", name), make_array_shape(kAny, row));
             else if (name != kThirdScale && name != kGait)
                 throw DataError(fmt::format(
                     "surfels: the array \"{}\" is missing, expected mean, rotation, log_scale, opacity_logit "
@@ -130,7 +130,7 @@ Surfels read_surfels_from_arrays(const py::dict& arrays) {
     const auto kind =
         std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveProperties::third_scale);
     surfels.primitive = kind->primitive, surfels.bends = arrays.contains(kGait);
-    surfels.check_array_lengths();
+    surfels.require_equal_array_lengths();
     return surfels;
 }
 
@@ -138,7 +138,7 @@ py::dict convert_to_array_dict(Surfels&& surfels) {
     const auto n = static_cast<py::ssize_t>(surfels.size());
     py::dict dict;
     for_each_parameter_array(surfels, [&](const char* name, auto& values, const NumpyShape& row) {
-        if (!has_parameter_array(surfels, name)) return;
+        if (!uses_parameter_array(surfels, name)) return;
         dict[name] = move_to_numpy_array<float>(std::move(values), make_array_shape(n, row));
     });
     return dict;

@@ -19,7 +19,7 @@ constexpr float kUnit = 1e-3f;  // Largest accepted difference between the lengt
 
 /// Checks the rays of a sensor that a Python user has defined.
 /// @throws DataError if a ray is not finite, or if its direction does not have length 1
-void check_ray_values(const RayTable& rays) {
+void require_finite_rays_of_unit_length(const RayTable& rays) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const float length = glm::length(rays.direction[i]);
         if (!(std::abs(length - 1.0f) <= kUnit))
@@ -36,14 +36,14 @@ RayTable read_ray_table_from_dict(const py::dict& dict) {
             "sensor: the dict has no entry \"directions\", expected rays with the names of an npz "
             "file");
     const py::object directions = dict["directions"];
-    check_numpy_array(directions, "sensor: directions", py::dtype::of<float>(), {kAny, kAny, 3});
+    require_numpy_dtype_and_shape(directions, "sensor: directions", py::dtype::of<float>(), {kAny, kAny, 3});
     const auto array = py::reinterpret_borrow<py::array>(directions);
     const NumpyShape image{array.shape(0), array.shape(1)}, vectors{image[0], image[1], 3};
     RayTable rays;
     rays.rows = static_cast<int>(image[0]);
     rays.columns = static_cast<int>(image[1]);
-    rays.direction =
-        to_scan_array(copy_array_to_vector<float, glm::vec3>(directions, "sensor: directions", vectors));
+    rays.direction = to_scan_array(
+        copy_checked_array_to_vector<float, glm::vec3>(directions, "sensor: directions", vectors));
     const auto get_optional_array = [&](const char* name) {
         return dict.contains(name) ? py::object(dict[name]) : py::object();
     };
@@ -55,28 +55,32 @@ RayTable read_ray_table_from_dict(const py::dict& dict) {
     rays.channel.resize(n);
     if (origin)
         rays.origin =
-            to_scan_array(copy_array_to_vector<float, glm::vec3>(origin, "sensor: origin", vectors));
+            to_scan_array(copy_checked_array_to_vector<float, glm::vec3>(origin, "sensor: origin", vectors));
     if (time)
-        rays.time_offset_s = to_scan_array(copy_array_to_vector<float, float>(time, "sensor: time", image));
+        rays.time_offset_s =
+            to_scan_array(copy_checked_array_to_vector<float, float>(time, "sensor: time", image));
     if (ring)
-        rays.channel =
-            to_scan_array(copy_array_to_vector<std::uint16_t, std::uint16_t>(ring, "sensor: ring", image));
-    check_ray_values(rays);
+        rays.channel = to_scan_array(
+            copy_checked_array_to_vector<std::uint16_t, std::uint16_t>(ring, "sensor: ring", image));
+    require_finite_rays_of_unit_length(rays);
     return rays;
 }
 
 }  // namespace
 
-SimulatedSensor make_sensor_from_python(const py::handle& sensor, const TrainedRun& run, int lidar_index) {
-    if (sensor.is_none()) return make_configured_sensor(run.config, run.sequence, lidar_index);
-    if (py::isinstance<py::str>(sensor))
-        return choose_sensor(sensor.cast<std::string>(), run.config, run.sequence, lidar_index);
-    if (!py::isinstance<py::dict>(sensor))
+SimulatedSensor find_or_make_sensor_for_run(const py::handle& sensor_name_or_ray_dict, const TrainedRun& run,
+                                            int lidar_index) {
+    if (sensor_name_or_ray_dict.is_none())
+        return make_sensor_from_config(run.config, run.sequence, lidar_index);
+    if (py::isinstance<py::str>(sensor_name_or_ray_dict))
+        return find_or_load_sensor(sensor_name_or_ray_dict.cast<std::string>(), run.config, run.sequence,
+                                   lidar_index);
+    if (!py::isinstance<py::dict>(sensor_name_or_ray_dict))
         throw UsageError(
             "sensor: found an unsupported type, expected a name from relidar.sensors(), the path of "
             "a sensor file, or a dict with \"directions\"");
     SimulatedSensor choice;
-    choice.rays = read_ray_table_from_dict(py::reinterpret_borrow<py::dict>(sensor));
+    choice.rays = read_ray_table_from_dict(py::reinterpret_borrow<py::dict>(sensor_name_or_ray_dict));
     choice.limits = {run.config.dataset.min_range_m, run.config.dataset.max_range_m};
     choice.name = "rays";
     choice.lidar = lidar_index;

@@ -26,20 +26,20 @@ namespace fs = std::filesystem;
 
 LoadedLog load_dataset_log(const std::string& dataset_path, const std::optional<Config>& config,
                            const PythonProgressCallback& progress) {
-    LoadedLog log{{}, config.value_or(make_preset("default"))};
+    LoadedLog log{{}, config.value_or(make_preset_config("default"))};
     log.config.dataset.path = make_dataset_path_absolute(dataset_path);
     const py::gil_scoped_release others_run;
-    log.sequence = load_log(log.config, make_progress_callback(progress));
-    log.config = resolve_max_range(std::move(log.config), log.sequence);
+    log.sequence = load_log(log.config, wrap_python_progress_callback(progress));
+    log.config = replace_automatic_max_range(std::move(log.config), log.sequence);
     return log;
 }
 
-py::dict make_scan_dict(const LoadedLog& log, int frame_position) {
+py::dict make_scan_dict(const LoadedLog& log, int index_of_frame_in_log) {
     const std::vector<LidarFrame>& frames = log.sequence.frames;
-    if (frame_position < 0 || frame_position >= static_cast<int>(frames.size()))
-        throw py::index_error(
-            fmt::format("cannot read scan {}: the log has only {} frames", frame_position, frames.size()));
-    const Scan& scan = frames[static_cast<std::size_t>(frame_position)].scan;
+    if (index_of_frame_in_log < 0 || index_of_frame_in_log >= static_cast<int>(frames.size()))
+        throw py::index_error(fmt::format("cannot read scan {}: the log has only {} frames",
+                                          index_of_frame_in_log, frames.size()));
+    const Scan& scan = frames[static_cast<std::size_t>(index_of_frame_in_log)].scan;
     const NumpyShape image{scan.rays.rows, scan.rays.columns};
     RayTable rays = scan.rays;
     // In a motion-compensated log, all points of a frame have the same time, so all time
@@ -54,7 +54,7 @@ py::dict make_scan_dict(const LoadedLog& log, int frame_position) {
     return dict;
 }
 
-std::vector<std::string> list_box_names(const LidarSequence& sequence) {
+std::vector<std::string> list_box_track_ids(const LidarSequence& sequence) {
     std::vector<std::string> names;
     for (const BoxTrack& box : sequence.boxes) names.push_back(box.id);
     return names;
@@ -88,7 +88,7 @@ py::object make_frame_number_array(const LidarSequence& sequence) {
 }
 
 py::object make_vehicle_trajectory(const LidarSequence& sequence) {
-    return convert_to_times_and_poses(sequence.world_from_vehicle, sequence.world_offset_m);
+    return convert_track_to_times_and_poses(sequence.world_from_vehicle, sequence.world_offset_m);
 }
 
 py::object list_lidar_name_per_frame(const LidarSequence& sequence) {
@@ -100,7 +100,7 @@ py::object list_lidar_name_per_frame(const LidarSequence& sequence) {
 py::object make_lidar_mounting_dict(const LidarSequence& sequence) {
     py::dict mountings;
     for (const Lidar& lidar : sequence.lidars)
-        mountings[py::str(lidar.name)] = convert_to_matrix_array(lidar.vehicle_from_sensor);
+        mountings[py::str(lidar.name)] = convert_pose_to_matrix_array(lidar.vehicle_from_sensor);
     return mountings;
 }
 
@@ -108,7 +108,8 @@ py::object make_actor_track_dict(const LidarSequence& sequence, const std::vecto
     py::dict actors;
     for (const BoxTrack& box : sequence.boxes)
         if (std::find(track_names.begin(), track_names.end(), box.id) != track_names.end())
-            actors[py::str(box.id)] = convert_to_times_and_poses(box.world_from_box, sequence.world_offset_m);
+            actors[py::str(box.id)] =
+                convert_track_to_times_and_poses(box.world_from_box, sequence.world_offset_m);
     return actors;
 }
 
@@ -148,7 +149,7 @@ void bind_sequence_class(py::module_& module) {
         .def_property_readonly(
             "boxes",
             [](const LoadedLog& log) {
-                return make_actor_track_dict(log.sequence, list_box_names(log.sequence));
+                return make_actor_track_dict(log.sequence, list_box_track_ids(log.sequence));
             },
             "Trajectories of the labelled boxes in the dataset's world: dict of track -> (times [n], poses "
             "[n,4,4]) of the centre of the box.")

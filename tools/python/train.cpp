@@ -30,7 +30,7 @@ struct TrainArguments {
 
 /// Returns the user's settings for a training, except settings that were fixed when the
 /// log was loaded.
-Config merge_training_config(const LoadedLog& log, const std::optional<Config>& requested_config) {
+Config merge_requested_and_log_settings(const LoadedLog& log, const std::optional<Config>& requested_config) {
     Config config = requested_config.value_or(log.config);
     config.dataset = log.config.dataset;
     if (requested_config) {
@@ -41,8 +41,8 @@ Config merge_training_config(const LoadedLog& log, const std::optional<Config>& 
     return config;
 }
 
-std::optional<Checkpoint> load_resume_checkpoint(const TrainArguments& arguments,
-                                                 const std::function<void(const std::string&)>& print_note) {
+std::optional<Checkpoint> load_newest_checkpoint_if_resuming(
+    const TrainArguments& arguments, const std::function<void(const std::string&)>& print_note) {
     if (!arguments.resume) return std::nullopt;
     if (!arguments.checkpoints)
         throw UsageError(
@@ -51,19 +51,20 @@ std::optional<Checkpoint> load_resume_checkpoint(const TrainArguments& arguments
     return load_newest_checkpoint(*arguments.checkpoints, print_note);
 }
 
-TrainResult run_training(LockableDevice& device, TrainedRun& run, const TrainArguments& arguments,
-                         PythonCallGuard& python_calls) {
+TrainResult train_scene_with_device_lock(LockableDevice& device, TrainedRun& run,
+                                         const TrainArguments& arguments, PythonCallGuard& python_calls) {
     const auto note = [&](const std::string& line) {
         python_calls([&] {
             if (arguments.note) (*arguments.note)(line);
         });
     };
-    const auto stop = [&] { return !python_calls.can_continue(); };
-    const std::optional<Checkpoint> start = load_resume_checkpoint(arguments, note);
+    const auto stop = [&] { return !python_calls.has_no_exception_or_interrupt(); };
+    const std::optional<Checkpoint> start = load_newest_checkpoint_if_resuming(arguments, note);
     const DeviceLock use(device);
-    prepare_log(run.sequence, run.split, run.config,
-                {note, stop, [&](std::string_view, double) { (void)python_calls.can_continue(); }});
-    if (start) check_training_resumable(*start, run.sequence, run.split, run.config);
+    prepare_log(run.sequence, run.split, run.config, {note, stop, [&](std::string_view, double) {
+                                                          (void)python_calls.has_no_exception_or_interrupt();
+                                                      }});
+    if (start) require_training_is_resumable(*start, run.sequence, run.split, run.config);
     const auto report = [&](const TrainProgress& line) {
         bool go_on = true;
         return python_calls([&] {
@@ -76,17 +77,18 @@ TrainResult run_training(LockableDevice& device, TrainedRun& run, const TrainArg
 }
 
 /// Aligns the held-out scans with the trained scene.
-void align_held_out_scans(LockableDevice& device, TrainedRun& run, PythonCallGuard& python_calls) {
+void align_held_out_scans_with_scene(LockableDevice& device, TrainedRun& run, PythonCallGuard& python_calls) {
     const DeviceLock use(device);
-    place_held_out(device.device, run, {{}, [&] { return !python_calls.can_continue(); }});
+    estimate_held_out_vehicle_poses(device.device, run,
+                                    {{}, [&] { return !python_calls.has_no_exception_or_interrupt(); }});
     python_calls.rethrow_stored_exception();
 }
 
 /// Measures the noise of the LiDAR intensities.
 void fit_intensity_noise(LockableDevice& device, TrainedRun& run, PythonCallGuard& python_calls) {
     const DeviceLock use(device);
-    run.intensity_scatter =
-        learn_scatter(device.device, run, {{}, [&] { return !python_calls.can_continue(); }});
+    run.intensity_scatter = fit_intensity_scatter_per_lidar(
+        device.device, run, {{}, [&] { return !python_calls.has_no_exception_or_interrupt(); }});
     python_calls.rethrow_stored_exception();
 }
 
@@ -101,18 +103,19 @@ void train_ray_drop_network(LockableDevice& device, TrainedRun& run, const Train
     std::optional<Checkpoint> start;
     try {
         if (arguments.resume) start = load_newest_checkpoint(folder, note);
-        if (start) check_network_training_resumable(*start, run);
+        if (start) require_network_training_is_resumable(*start, run);
     } catch (const Error& error) {
         note(error.what());
         start.reset();
     }
     try {
         const DeviceLock use(device);
-        run.drop_network = refine_drops(device.device, run,
-                                        {.stop = [&] { return !python_calls.can_continue(); },
-                                         .checkpoints = folder,
-                                         .start = start ? &*start : nullptr,
-                                         .note = note});
+        run.drop_network =
+            refine_drops(device.device, run,
+                         {.stop = [&] { return !python_calls.has_no_exception_or_interrupt(); },
+                          .checkpoints = folder,
+                          .start = start ? &*start : nullptr,
+                          .note = note});
     } catch (const DataError& error) {
         note(error.what());
     }
@@ -121,17 +124,18 @@ void train_ray_drop_network(LockableDevice& device, TrainedRun& run, const Train
 }
 
 std::unique_ptr<LoadedRun> train_run(const LoadedLog& log, const TrainArguments& arguments) {
-    const Config config = merge_training_config(log, arguments.config);
-    TrainedRun run{{},
-                   config,
-                   log.sequence,
-                   split_frames(log.sequence, config.dataset.test_every, config.dataset.test_frames),
-                   {}};
+    const Config config = merge_requested_and_log_settings(log, arguments.config);
+    TrainedRun run{
+        {},
+        config,
+        log.sequence,
+        split_frames_into_train_and_test(log.sequence, config.dataset.test_every, config.dataset.test_frames),
+        {}};
     const SharedDevice device = get_device_or_default(arguments.device);
     PythonCallGuard python;
     TrainResult result;
     try {
-        result = run_training(*device, run, arguments, python);
+        result = train_scene_with_device_lock(*device, run, arguments, python);
     } catch (const Error&) {
         // If a Python callback raised an exception, raises this exception instead of the
         // error of the library.
@@ -140,14 +144,14 @@ std::unique_ptr<LoadedRun> train_run(const LoadedLog& log, const TrainArguments&
     }
     python.rethrow_stored_exception();
     move_result_into_run(run, result);
-    if (!result.interrupted) align_held_out_scans(*device, run, python);
+    if (!result.interrupted) align_held_out_scans_with_scene(*device, run, python);
     if (!result.interrupted) fit_intensity_noise(*device, run, python);
     if (config.refine.enabled && !result.interrupted) train_ray_drop_network(*device, run, arguments, python);
     for (LidarFrame& frame : run.sequence.frames) frame.scan = {};
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
 
-py::dict make_loss_terms_dict(const TrainProgress& progress) {
+py::dict convert_loss_terms_to_dict(const TrainProgress& progress) {
     py::dict terms;
     for (std::size_t k = 0; k < progress.terms.size(); ++k) terms[kLossTermNames[k]] = progress.terms[k];
     return terms;
@@ -163,7 +167,8 @@ void bind_train_function(py::module_& module) {
         .def_readonly("iterations_per_second", &TrainProgress::iterations_per_second)
         .def_readonly("eta_s", &TrainProgress::eta_s)
         .def_readonly("loss", &TrainProgress::loss, "Mean loss over the iterations since the previous line.")
-        .def_property_readonly("terms", &make_loss_terms_dict, "Dict of name -> weighted term of the loss.")
+        .def_property_readonly("terms", &convert_loss_terms_to_dict,
+                               "Dict of name -> weighted term of the loss.")
         .def_readonly("n_surfels", &TrainProgress::n_surfels);
     module.def(
         "train",

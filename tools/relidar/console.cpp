@@ -141,7 +141,7 @@ void TerminalProgress::show_step_progress(const std::string& description, std::s
         n_done == n_total);
 }
 
-relidar::ProgressReporter make_progress_callback(TerminalProgress& terminal_progress) {
+relidar::ProgressReporter make_terminal_progress_callback(TerminalProgress& terminal_progress) {
     return [&terminal_progress](std::string_view description, double done) {
         terminal_progress.show_progress_text(fmt::format("{} {:.0f} %", description, 100.0 * done));
     };

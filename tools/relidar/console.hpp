@@ -60,6 +60,6 @@ private:
 };
 
 /// Returns a callback that library functions call to show their progress as "what 30 %".
-relidar::ProgressReporter make_progress_callback(TerminalProgress& terminal_progress);
+relidar::ProgressReporter make_terminal_progress_callback(TerminalProgress& terminal_progress);
 
 }  // namespace relidar::cli

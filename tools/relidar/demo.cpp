@@ -41,7 +41,7 @@ struct DemoOptions {
 };
 
 Config make_demo_config(const DemoOptions& options, const fs::path& street_folder) {
-    Config config = make_preset("quick");
+    Config config = make_preset_config("quick");
     set_config_value(config, "train.seed", options.seed);
     // The preset is made for 64 beams. This sensor has 32 beams, so the gaps between its
     // points are wider and need larger surfels.
@@ -49,17 +49,17 @@ Config make_demo_config(const DemoOptions& options, const fs::path& street_folde
     // fewer iterations than in preset `quick`, so that the demo takes one to two minutes
     // on two processor cores
     config.train.iterations = 250;
-    apply_setting_texts(config, options.sets);
+    parse_and_apply_setting_texts(config, options.sets);
     config.dataset.path = make_dataset_path_absolute("synthetic:" + street_folder.string());
     return config;
 }
 
-EvaluationResult evaluate_held_out_frames(Device& device, const TrainedRun& run, bool quiet) {
+EvaluationResult evaluate_on_held_out_frames(Device& device, const TrainedRun& run, bool quiet) {
     TerminalProgress progress(quiet);
     ScanRenderer renderer(device, run);
     std::vector<ScoredFrame> with_images;  // Frames whose scans are written to files.
     EvaluationResult evaluation = evaluate_frames(
-        renderer, run.config, run.sequence, run.split.test, make_interruptible_callback(progress),
+        renderer, run.config, run.sequence, run.split.test, make_interruptible_progress_callback(progress),
         [&](const ScoredFrame& frame) { with_images.push_back(frame); });
     evaluation.frames = std::move(with_images);
     return evaluation;
@@ -67,8 +67,8 @@ EvaluationResult evaluate_held_out_frames(Device& device, const TrainedRun& run,
 
 /// Renders the held-out frames from the shifted sensor. Compares the rendered scans with
 /// exact scans of the street from the same position.
-EvaluationResult evaluate_shifted_sensor(Device& device, const TrainedRun& run,
-                                         const SyntheticOptions& street_options, bool quiet) {
+EvaluationResult evaluate_with_shifted_sensor(Device& device, const TrainedRun& run,
+                                              const SyntheticOptions& exact_street_options, bool quiet) {
     TerminalProgress progress(quiet);
     ScanRenderer renderer(device, run);
     const PoseTrack track = compute_mounted_track(run.sequence.get_world_from_sensor(0), kShift);
@@ -78,28 +78,29 @@ EvaluationResult evaluate_shifted_sensor(Device& device, const TrainedRun& run,
         throw_if_interrupted();
         const LidarFrame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
         LidarFrame exact{frame.index, frame.time_s,
-                         cast_rays_into_synthetic_street(street_options, rays, track, frame.time_s)};
+                         cast_rays_into_synthetic_street(exact_street_options, rays, track, frame.time_s)};
         remove_returns_outside_limits(exact.scan, run.sequence.lidars[0].sensor.range_limits());
-        frames.push_back(score_frame(renderer, run.config, run.sequence, exact, kShift));
+        frames.push_back(render_and_score_frame(renderer, run.config, run.sequence, exact, kShift));
         progress.show_step_progress("scoring the shifted sensor: frame", frames.size(),
                                     run.split.test.size());
     }
     return summarise_evaluation(std::move(frames), renderer.times());
 }
 
-void write_evaluated_scans(const fs::path& folder, const EvaluationResult& evaluation, const TrainedRun& run,
-                           const Pose& sensor_offset) {
+void write_rendered_scans_of_evaluation(const fs::path& folder, const EvaluationResult& evaluation,
+                                        const TrainedRun& run, const Pose& sensor_offset) {
     const OutputFolder made(folder);
-    ScanOutputOptions format = make_scan_format(run, make_configured_sensor(run.config, run.sequence));
+    ScanOutputOptions format =
+        make_default_output_options(run, make_sensor_from_config(run.config, run.sequence));
     format.offset = sensor_offset;
     format.formats = {"npz", "png", "ply", "exr"};
     ScanFolderWriter scans(folder, format);
     for (const ScoredFrame& frame : evaluation.frames) {
         scans.write_scan(frame.frame, frame.rendered);
         write_png(folder / fmt::format("range_{:06}.png", frame.frame),
-                  draw_real_and_rendered_range(frame, run.config.dataset.max_range_m));
+                  draw_real_above_rendered_range(frame, run.config.dataset.max_range_m));
     }
-    scans.finish();
+    scans.finish_scan_folder();
 }
 
 std::string format_demo_metrics_table(const EvaluationResult& held_out_evaluation,
@@ -113,17 +114,17 @@ std::string format_demo_metrics_table(const EvaluationResult& held_out_evaluatio
     return format_table(rows);
 }
 
-void evaluate_and_write_demo_report(Device& device, const TrainedRun& run,
-                                    const SyntheticOptions& street_options, Report report,
-                                    const fs::path& output_folder, bool quiet) {
-    const EvaluationResult held_out = evaluate_held_out_frames(device, run, quiet);
-    const EvaluationResult shifted = evaluate_shifted_sensor(device, run, street_options, quiet);
+void evaluate_run_and_write_demo_report(Device& device, const TrainedRun& run,
+                                        const SyntheticOptions& exact_street_options, Report report,
+                                        const fs::path& output_folder, bool quiet) {
+    const EvaluationResult held_out = evaluate_on_held_out_frames(device, run, quiet);
+    const EvaluationResult shifted = evaluate_with_shifted_sensor(device, run, exact_street_options, quiet);
     write_text_file(run.folder / "metrics.json",
                     make_metrics_json(held_out, run.config,
                                       {make_absolute_path(run.folder.string()), device.info().name,
                                        device.peak_allocated_bytes(), 0.0}));
-    write_evaluated_scans(output_folder / "held_out", held_out, run, {});
-    write_evaluated_scans(output_folder / "shifted", shifted, run, kShift);
+    write_rendered_scans_of_evaluation(output_folder / "held_out", held_out, run, {});
+    write_rendered_scans_of_evaluation(output_folder / "shifted", shifted, run, kShift);
     report.title = "relidar demo: a synthetic street";
     report.same_scans = false;
     add_evaluation_to_report(report, held_out, run, {"held out", "real"});
@@ -142,16 +143,16 @@ void evaluate_and_write_demo_report(Device& device, const TrainedRun& run,
 void run_demo_command(const DemoOptions& options, const std::string& command_line) {
     const fs::path out = options.out;
     const Config config = make_demo_config(options, out / "street");
-    check_lpips_weights();
+    require_readable_lpips_weights();
     const LockedFolder folder(out);
     const RunOutputFolder run_folder(out / "run", ExistingRunPolicy::replace);
-    Device device(make_device_options(options.device));
+    Device device(convert_to_device_options(options.device));
     SyntheticOptions street;
     street.seed = config.train.seed;
     save_synthetic_options(street, out / "street");
     LidarSequence sequence = load_dataset(config, options.quiet);
     const TrainTestSplit split =
-        split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
+        split_frames_into_train_and_test(sequence, config.dataset.test_every, config.dataset.test_frames);
     if (!options.quiet) {
         print(fmt::format("{}: {} frames of {} x {} rays, {} held out; training {} iterations on {}\n",
                           sequence.name, sequence.frames.size(), street.rows, street.columns,
@@ -162,23 +163,23 @@ void run_demo_command(const DemoOptions& options, const std::string& command_lin
     install_interrupt_handlers();
     remove_run_result_files(run_folder.path());
     remove_block_folders(run_folder.path());
-    prepare_sequence_for_training(sequence, split, config, options.quiet);
+    prepare_log_with_progress(sequence, split, config, options.quiet);
     TrainResult result =
         train_scene_with_progress(device, sequence, split, config, run_folder.path(), options.quiet);
     end_progress_line();
     TrainedRun run{
-        run_folder.path(), resolve_max_range(config, sequence), std::move(sequence), split, {}, {}};
+        run_folder.path(), replace_automatic_max_range(config, sequence), std::move(sequence), split, {}, {}};
     move_result_into_run(run, result);
     save_run(run);
     throw_if_interrupted();
     StageTimes stages;
-    align_scans_and_learn_noise(device, run, options.quiet, stages);
+    align_held_out_and_learn_noise(device, run, options.quiet, stages);
     throw_if_interrupted();
     if (config.refine.enabled &&
         train_drop_network_with_progress(device, run, options.quiet) == TrainingEndReason::finished)
         save_run(run);
     throw_if_interrupted();
-    evaluate_and_write_demo_report(
+    evaluate_run_and_write_demo_report(
         device, run, street, make_training_report(run, result, device, command_line), out, options.quiet);
 }
 

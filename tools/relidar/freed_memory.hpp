@@ -16,7 +16,7 @@ namespace relidar::cli {
 
 /// Keeps up to 256 MiB of freed memory in the process, so that later allocations can use
 /// it. Must be called once at program start.
-inline void keep_freed_memory_in_process() {
+inline void make_malloc_keep_freed_memory() {
 #ifdef __GLIBC__
     constexpr int kMiB = 1 << 20;
     mallopt(M_MMAP_THRESHOLD, 128 * kMiB);

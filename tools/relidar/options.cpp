@@ -34,60 +34,63 @@ std::optional<T> parse_number_text(const std::string& text) {
 
 }  // namespace
 
-void add_device_options(CLI::App& command, DeviceCommandOptions& choice) {
+void add_device_options(CLI::App& command, DeviceCommandOptions& device_choice) {
     command
-        .add_option("--device", choice.index,
+        .add_option("--device", device_choice.index,
                     "number of the Vulkan device in `relidar list devices` (default: a GPU with ray query, "
                     "else any GPU, else a CPU device)")
         ->type_name("N");
     command
-        .add_option("--traversal", choice.traversal,
+        .add_option("--traversal", device_choice.traversal,
                     "method to trace rays: auto, ray_query or software; auto uses ray_query if the GPU "
                     "supports it, else software (default: auto)")
         ->type_name("HOW");
 }
 
-DeviceOptions make_device_options(const DeviceCommandOptions& choice) {
+DeviceOptions convert_to_device_options(const DeviceCommandOptions& device_choice) {
     DeviceOptions options;
-    if (choice.index < -1)
+    if (device_choice.index < -1)
         throw UsageError(fmt::format(
-            "--device: found {}; expected a device number from `relidar list devices`", choice.index));
-    options.index = choice.index;
-    options.traversal = parse_traversal_method(choice.traversal);
-    set_first_use_check({check_device_at_first_use, print_note});
+            "--device: found {}; expected a device number from `relidar list devices`", device_choice.index));
+    options.index = device_choice.index;
+    options.traversal = parse_ray_tracing_backend(device_choice.traversal);
+    set_device_open_callbacks({test_device_capabilities, print_note});
     return apply_environment_variables(options);
 }
 
-std::vector<std::string> make_device_arguments(const DeviceCommandOptions& choice) {
+std::vector<std::string> make_device_arguments(const DeviceCommandOptions& device_choice) {
     std::vector<std::string> words;
-    if (choice.index >= 0) words.insert(words.end(), {"--device", fmt::format("{}", choice.index)});
-    if (choice.traversal != "auto") words.insert(words.end(), {"--traversal", choice.traversal});
+    if (device_choice.index >= 0)
+        words.insert(words.end(), {"--device", fmt::format("{}", device_choice.index)});
+    if (device_choice.traversal != "auto")
+        words.insert(words.end(), {"--traversal", device_choice.traversal});
     return words;
 }
 
-void add_channels_option(CLI::App& command, std::optional<std::string>& channel_list) {
+void add_channels_option(CLI::App& command, std::optional<std::string>& parsed_channel_list) {
     command
         .add_option(
-            "--channels", channel_list,
+            "--channels", parsed_channel_list,
             fmt::format(
                 "additional channels of scans, separated by commas: {}; short for --set render.channels=LIST",
                 fmt::join(list_optional_channel_names(), ", ")))
         ->type_name("LIST");
 }
 
-void add_weather_option(CLI::App& command, std::string& weather, const std::string& scope_help_text) {
+void add_weather_option(CLI::App& command, std::string& parsed_weather_text,
+                        const std::string& scope_help_text) {
     command
         .add_option(
-            "--weather", weather,
+            "--weather", parsed_weather_text,
             fmt::format(
                 "{}; applies to {} (default: clear); the channel `source` says what caused each point",
                 make_weather_help(), scope_help_text))
         ->type_name("WEATHER");
 }
 
-void add_setting_override_option(CLI::App& command, std::vector<std::string>& setting_texts) {
+void add_setting_override_option(CLI::App& command, std::vector<std::string>& parsed_setting_texts) {
     command
-        .add_option("--set", setting_texts,
+        .add_option("--set", parsed_setting_texts,
                     "change one setting, for example loss.depth=0.2; repeatable; `relidar list settings` "
                     "lists all keys")
         ->type_name("KEY=VALUE")
@@ -95,7 +98,7 @@ void add_setting_override_option(CLI::App& command, std::vector<std::string>& se
         ->allow_extra_args(false);
 }
 
-void add_settings_options(CLI::App& command, SettingsCommandOptions& settings) {
+void add_preset_config_and_set_options(CLI::App& command, SettingsCommandOptions& settings) {
     command
         .add_option("--preset", settings.preset,
                     "settings to start from: default, quick (trains in minutes on a CPU), paper (as "
@@ -107,14 +110,14 @@ void add_settings_options(CLI::App& command, SettingsCommandOptions& settings) {
 }
 
 Config make_config_from_settings(const SettingsCommandOptions& settings) {
-    Config config = make_preset(settings.preset);
-    if (!settings.file.empty()) load_config(config, settings.file);
-    apply_setting_texts(config, settings.sets);
+    Config config = make_preset_config(settings.preset);
+    if (!settings.file.empty()) apply_config_file(config, settings.file);
+    parse_and_apply_setting_texts(config, settings.sets);
     return config;
 }
 
-void apply_setting_texts(Config& config, const std::vector<std::string>& setting_texts) {
-    for (const std::string& set : setting_texts) {
+void parse_and_apply_setting_texts(Config& config, const std::vector<std::string>& key_value_texts) {
+    for (const std::string& set : key_value_texts) {
         const std::size_t equals = set.find('=');
         if (equals == std::string::npos || equals == 0)
             throw UsageError(
@@ -139,40 +142,42 @@ std::vector<std::string> list_rendering_setting_names() {
             "trace."};
 }
 
-void check_settings_have_effect(const std::vector<std::string>& setting_texts,
-                                const std::vector<std::string>& effective_names,
-                                const std::string& command_name) {
+void require_settings_with_effect(const std::vector<std::string>& setting_texts,
+                                  const std::vector<std::string>& names_and_prefixes_with_effect,
+                                  const std::string& command_name) {
     Config scratch;
     for (const std::string& set : setting_texts) {
         // Throws an error if the key or the value is invalid. The result is not used.
-        apply_setting_texts(scratch, {set});
+        parse_and_apply_setting_texts(scratch, {set});
         const std::string key = set.substr(0, set.find('='));
-        const bool is_used = std::ranges::any_of(effective_names, [&](const std::string& name) {
-            return name.ends_with('.') ? key.starts_with(name) : key == name;
-        });
+        const bool is_used =
+            std::ranges::any_of(names_and_prefixes_with_effect, [&](const std::string& name) {
+                return name.ends_with('.') ? key.starts_with(name) : key == name;
+            });
         if (is_used) continue;
-        throw UsageError(fmt::format(
-            "--set: the setting {} has no effect in `relidar {}`; expected {}", key, command_name,
-            effective_names.empty() ? "no setting"
-                                    : fmt::format("one of {}", fmt::join(effective_names, ", "))));
+        throw UsageError(
+            fmt::format("--set: the setting {} has no effect in `relidar {}`; expected {}", key, command_name,
+                        names_and_prefixes_with_effect.empty()
+                            ? "no setting"
+                            : fmt::format("one of {}", fmt::join(names_and_prefixes_with_effect, ", "))));
     }
 }
 
-void add_log_selection_options(CLI::App& command, LogSelection& log_part) {
+void add_frames_and_sequence_options(CLI::App& command, LogSelection& log_selection) {
     command
-        .add_option("--frames", log_part.frames,
+        .add_option("--frames", log_selection.frames,
                     "frames of the log to read, first:end, by the dataset's frame numbers (default: all)")
         ->type_name("A:B");
     command
-        .add_option("--sequence", log_part.sequence,
+        .add_option("--sequence", log_selection.sequence,
                     "name of the drive if the dataset contains several (default: the first)")
         ->type_name("NAME");
 }
 
-void apply_log_part(Config& config, const LogSelection& log_part) {
-    if (!log_part.sequence.empty()) config.dataset.sequence = log_part.sequence;
-    if (log_part.frames.empty()) return;
-    const FrameRange range = parse_frame_range(log_part.frames);
+void set_log_frames_and_sequence(Config& config, const LogSelection& log_selection) {
+    if (!log_selection.sequence.empty()) config.dataset.sequence = log_selection.sequence;
+    if (log_selection.frames.empty()) return;
+    const FrameRange range = parse_frame_range(log_selection.frames);
     config.dataset.frames_begin = range.begin;
     config.dataset.frames_end = range.end;
 }
@@ -193,8 +198,8 @@ FrameRange parse_frame_range(const std::string& text) {
     return {first, last};
 }
 
-void print_missing_frames_note(const FrameRange& requested_frames, int last_frame_number,
-                               const std::string& run_or_log_path) {
+void print_note_if_frames_after_log_end(const FrameRange& requested_frames, int last_frame_number,
+                                        const std::string& run_or_log_path) {
     if (requested_frames.end > last_frame_number + 1)
         print_note(fmt::format("frames {}:{}: {} ends with frame {}; the missing frames are skipped",
                                requested_frames.begin, requested_frames.end, run_or_log_path,
@@ -204,7 +209,7 @@ void print_missing_frames_note(const FrameRange& requested_frames, int last_fram
 std::vector<double> parse_number_list(const std::string& option_name, const std::string& text) {
     std::vector<double> numbers;
     for (const std::string& typed : split_text(text, ',')) {
-        const std::string word = trim_blanks(typed);
+        const std::string word = trim_spaces_and_tabs(typed);
         const std::optional<double> value = parse_number_text<double>(word);
         if (!value || !std::isfinite(*value))
             throw UsageError(fmt::format("{}: found \"{}\" in \"{}\", expected numbers separated by commas",
@@ -223,7 +228,7 @@ std::vector<std::string> split_text(const std::string& text, char separator) {
     return words;
 }
 
-std::string trim_blanks(const std::string& text) {
+std::string trim_spaces_and_tabs(const std::string& text) {
     const std::size_t begin = text.find_first_not_of(" \t"), end = text.find_last_not_of(" \t");
     return begin == std::string::npos ? "" : text.substr(begin, end - begin + 1);
 }
@@ -236,10 +241,10 @@ std::string make_absolute_path(const std::string& path) {
 
 LidarSequence load_dataset(const Config& config, bool quiet, int max_scans_per_lidar) {
     TerminalProgress progress(quiet);
-    LidarSequence sequence = load_log(config, make_progress_callback(progress), max_scans_per_lidar);
+    LidarSequence sequence = load_log(config, make_terminal_progress_callback(progress), max_scans_per_lidar);
     if (!sequence.frames.empty())
-        print_missing_frames_note({config.dataset.frames_begin, config.dataset.frames_end},
-                                  sequence.frames.back().index, sequence.source);
+        print_note_if_frames_after_log_end({config.dataset.frames_begin, config.dataset.frames_end},
+                                           sequence.frames.back().index, sequence.source);
     if (const ScanMemoryUse use = get_scan_memory_use(); use.in_file > 0 && !quiet)
         print_note(
             fmt::format("{} of scan data are stored in memory and {} in a temporary file in {}; the setting "

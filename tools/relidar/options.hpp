@@ -24,11 +24,11 @@ struct DeviceCommandOptions {
     int index = -1;
     std::string traversal = "auto";
 };
-void add_device_options(CLI::App& command, DeviceCommandOptions& choice);
-DeviceOptions make_device_options(const DeviceCommandOptions& choice);
+void add_device_options(CLI::App& command, DeviceCommandOptions& device_choice);
+DeviceOptions convert_to_device_options(const DeviceCommandOptions& device_choice);
 /// Converts the device options back to command line words, for example to start another
 /// process. Options with default values are left out.
-std::vector<std::string> make_device_arguments(const DeviceCommandOptions& choice);
+std::vector<std::string> make_device_arguments(const DeviceCommandOptions& device_choice);
 
 /// Values of the options --preset, --config and --set. A later option in this order
 /// overwrites an earlier one.
@@ -37,29 +37,31 @@ struct SettingsCommandOptions {
     std::string file;
     std::vector<std::string> sets;  ///< Settings of the form "key=value".
 };
-void add_settings_options(CLI::App& command, SettingsCommandOptions& settings);
+void add_preset_config_and_set_options(CLI::App& command, SettingsCommandOptions& settings);
 /// Adds the option --channels, which is a short form of the setting render.channels.
-void add_channels_option(CLI::App& command, std::optional<std::string>& channel_list);
+void add_channels_option(CLI::App& command, std::optional<std::string>& parsed_channel_list);
 /// Adds the option --weather.
-/// @param weather output: text that the user typed; parse_weather() reads the text later
+/// @param parsed_weather_text output: text that the user typed; parse_weather() reads the
+/// text later
 /// @param scope_help_text part of the help text that says to which scans the weather
 /// applies
-void add_weather_option(CLI::App& command, std::string& weather, const std::string& scope_help_text);
+void add_weather_option(CLI::App& command, std::string& parsed_weather_text,
+                        const std::string& scope_help_text);
 /// Adds the option --set, for commands that read all other settings from a trained run.
-void add_setting_override_option(CLI::App& command, std::vector<std::string>& setting_texts);
+void add_setting_override_option(CLI::App& command, std::vector<std::string>& parsed_setting_texts);
 Config make_config_from_settings(const SettingsCommandOptions& settings);
-void apply_setting_texts(Config& config, const std::vector<std::string>& setting_texts);
+void parse_and_apply_setting_texts(Config& config, const std::vector<std::string>& key_value_texts);
 /// Returns the names of the settings that affect rendering. A name that ends in a dot
 /// means all settings of that group.
 std::vector<std::string> list_rendering_setting_names();
 /// Checks that each setting of --set has an effect in a command.
-/// @param effective_names names and groups of settings that the command uses, as in
-/// list_rendering_setting_names()
+/// @param names_and_prefixes_with_effect names and groups of settings that the command
+/// uses, as in list_rendering_setting_names()
 /// @param command_name name of the command
 /// @throws UsageError that names the first setting without effect
-void check_settings_have_effect(const std::vector<std::string>& setting_texts,
-                                const std::vector<std::string>& effective_names,
-                                const std::string& command_name);
+void require_settings_with_effect(const std::vector<std::string>& setting_texts,
+                                  const std::vector<std::string>& names_and_prefixes_with_effect,
+                                  const std::string& command_name);
 
 /// Values of the options --frames and --sequence. They select the part of a log that is
 /// loaded.
@@ -67,21 +69,22 @@ struct LogSelection {
     std::string frames;
     std::string sequence;
 };
-void add_log_selection_options(CLI::App& command, LogSelection& log_part);
-void apply_log_part(Config& config, const LogSelection& log_part);
+void add_frames_and_sequence_options(CLI::App& command, LogSelection& log_selection);
+void set_log_frames_and_sequence(Config& config, const LogSelection& log_selection);
 
 /// Parses a range of frames "a:b". Either number may be missing.
 /// @throws UsageError if the text has another form
 FrameRange parse_frame_range(const std::string& text);
 /// Prints a note if the user requested frames after the last frame of a log or run.
 /// @param last_frame_number number of the last frame of the log or run
-void print_missing_frames_note(const FrameRange& requested_frames, int last_frame_number,
-                               const std::string& run_or_log_path);
+void print_note_if_frames_after_log_end(const FrameRange& requested_frames, int last_frame_number,
+                                        const std::string& run_or_log_path);
 /// Parses a list of numbers that are separated by commas.
 /// @throws UsageError if a word is not a number; the message names the option
 std::vector<double> parse_number_list(const std::string& option_name, const std::string& text);
 std::vector<std::string> split_text(const std::string& text, char separator);
-std::string trim_blanks(const std::string& text);  ///< Removes spaces and tabs at both ends of a text.
+std::string trim_spaces_and_tabs(
+    const std::string& text);  ///< Removes spaces and tabs at both ends of a text.
 
 /// Returns the absolute path. An empty path stays empty.
 std::string make_absolute_path(const std::string& path);

@@ -39,7 +39,7 @@ constexpr const char* kLockFile = ".lock";
 
 /// Returns true if a killed process may have left this file behind. This is either an
 /// unlocked lock file or a half-written temporary file.
-bool is_leftover_temporary_file(const fs::path& path) {
+bool is_lock_or_temporary_file(const fs::path& path) {
     const std::string name = path.filename().string();
     return name == kLockFile || (name.starts_with('.') && name.find(".tmp-") != std::string::npos);
 }
@@ -47,17 +47,17 @@ bool is_leftover_temporary_file(const fs::path& path) {
 /// Returns true if a folder is empty or contains only leftover files of killed processes.
 /// Also returns true if the folder cannot be read, because a later write to the folder
 /// reports that error.
-bool is_empty_folder(const fs::path& folder) {
+bool is_folder_without_user_files(const fs::path& folder) {
     std::error_code failed;
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end;
          entry.increment(failed)) {
-        if (!is_leftover_temporary_file(entry->path())) return false;
+        if (!is_lock_or_temporary_file(entry->path())) return false;
     }
     return true;
 }
 
-void check_output_folder_content(const fs::path& folder, ExistingRunPolicy existing_run_policy) {
-    if (is_empty_folder(folder)) return;
+void require_free_folder_or_replaceable_run(const fs::path& folder, ExistingRunPolicy existing_run_policy) {
+    if (is_folder_without_user_files(folder)) return;
     if (is_dataset(folder))
         throw UsageError(fmt::format(
             "--out {}: this folder contains a log; choose a different folder for the run", folder.string()));
@@ -74,17 +74,17 @@ void check_output_folder_content(const fs::path& folder, ExistingRunPolicy exist
 
 /// Removes the half-written files of a killed process from a folder and from its
 /// checkpoint folders. The caller must hold the lock of the folder.
-void remove_half_written_files(const fs::path& folder) {
+void remove_temporary_files_of_run(const fs::path& folder) {
     for (const fs::path& in : {folder, get_checkpoint_folder(folder), get_network_checkpoint_folder(folder)})
         remove_temporary_files(in);
 }
 
 /// Returns true if the path still names the open file. Another process may have removed
 /// the lock file and created a new file with the same path.
-bool is_descriptor_of_file(int file_descriptor, const fs::path& file) {
+bool is_open_file_still_at_path(int file_descriptor, const fs::path& expected_path) {
     struct stat opened {
     }, named{};
-    return ::fstat(file_descriptor, &opened) == 0 && ::stat(file.c_str(), &named) == 0 &&
+    return ::fstat(file_descriptor, &opened) == 0 && ::stat(expected_path.c_str(), &named) == 0 &&
            opened.st_dev == named.st_dev && opened.st_ino == named.st_ino;
 }
 
@@ -104,7 +104,7 @@ std::optional<OpenLockFile> open_and_lock_file(const fs::path& file) {
                 fmt::format("cannot write {}: {}", file.string(), std::generic_category().message(errno)));
         const bool locked = ::flock(descriptor, LOCK_EX | LOCK_NB) == 0;
         const bool held = !locked && errno == EWOULDBLOCK;
-        if (!held && is_descriptor_of_file(descriptor, file)) return OpenLockFile{descriptor, locked};
+        if (!held && is_open_file_still_at_path(descriptor, file)) return OpenLockFile{descriptor, locked};
         ::close(descriptor);
         if (held) return std::nullopt;
     }
@@ -115,7 +115,7 @@ std::optional<OpenLockFile> open_and_lock_file(const fs::path& file) {
 OutputFolder::OutputFolder(const fs::path& path) : path_(path) {
     std::error_code failed;
     was_there_ = fs::exists(path, failed);
-    check_writable(path);
+    create_folder_and_require_writable(path);
 }
 
 OutputFolder::~OutputFolder() {
@@ -139,14 +139,14 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds max_wai
             "has finished",
             folder.string(), contains_run(folder) ? "run" : "folder"));
     descriptor_ = lock->descriptor;
-    if (lock->exclusive) remove_half_written_files(folder);
+    if (lock->exclusive) remove_temporary_files_of_run(folder);
 }
 
-std::unique_ptr<FolderLock> FolderLock::try_lock(const fs::path& folder) {
+std::unique_ptr<FolderLock> FolderLock::try_lock_folder(const fs::path& folder) {
     const fs::path file = folder / kLockFile;
     const std::optional<OpenLockFile> lock = open_and_lock_file(file);
     if (!lock) return nullptr;
-    if (lock->exclusive) remove_half_written_files(folder);
+    if (lock->exclusive) remove_temporary_files_of_run(folder);
     return std::unique_ptr<FolderLock>(new FolderLock(file, lock->descriptor));
 }
 
@@ -161,18 +161,18 @@ bool FolderLock::is_folder_locked(const fs::path& folder) {
 FolderLock::~FolderLock() {
     // Removes the lock file before the lock is released. Otherwise another process could
     // lock this file just before it is removed.
-    if (is_descriptor_of_file(descriptor_, file_)) ::unlink(file_.c_str());
+    if (is_open_file_still_at_path(descriptor_, file_)) ::unlink(file_.c_str());
     ::close(descriptor_);
 }
 
 RunOutputFolder::RunOutputFolder(const fs::path& path, ExistingRunPolicy existing_run_policy) {
     // Checks the content before the folder is locked, because the lock writes a file into
     // the folder.
-    if (!contains_run(path)) check_output_folder_content(path, existing_run_policy);
+    if (!contains_run(path)) require_free_folder_or_replaceable_run(path, existing_run_policy);
     folder_.emplace(path);
     lock_.emplace(
         path, existing_run_policy == ExistingRunPolicy::keep ? kEndOfOthers : std::chrono::milliseconds{});
-    check_output_folder_content(path, existing_run_policy);
+    require_free_folder_or_replaceable_run(path, existing_run_policy);
 }
 
 namespace {
@@ -195,7 +195,7 @@ bool contains_only_run_files(const fs::path& folder) {
                                               "asset.json",
                                               "intensity_scatter.safetensors"};
     for (const auto& entry : fs::directory_iterator(folder))
-        if (!is_leftover_temporary_file(entry.path()) && !kNames.contains(entry.path().filename().string()))
+        if (!is_lock_or_temporary_file(entry.path()) && !kNames.contains(entry.path().filename().string()))
             return false;
     return true;
 }
@@ -214,7 +214,7 @@ void RunFolderWriter::save_run_to_folder(TrainedRun& run) const {
     if (contains_only_run_files(path_)) {
         try {
             run.folder = fs::canonical(path_);
-            replace_run_folder(run);
+            replace_folder_by_run_atomically(run);
             run.folder = path_;
             return;
         } catch (const DataError&) {

@@ -50,7 +50,7 @@ public:
     /// Locks a folder without waiting.
     /// @return null if another process holds the lock
     /// @throws DataError if the folder cannot be written
-    static std::unique_ptr<FolderLock> try_lock(const std::filesystem::path& folder);
+    static std::unique_ptr<FolderLock> try_lock_folder(const std::filesystem::path& folder);
     /// Returns true if a process holds the lock of the folder. Does not change any file.
     static bool is_folder_locked(const std::filesystem::path& folder);
 

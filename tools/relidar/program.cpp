@@ -30,7 +30,7 @@ void flush_stdout_or_throw() {
 
 /// Returns the help text of the program. Each command has only one line, so that the text
 /// fits on one screen.
-std::string make_program_help(const CLI::App& app) {
+std::string format_help_with_command_list(const CLI::App& app) {
     std::string text = fmt::format("{}\nUsage: {} COMMAND [OPTIONS], COMMAND --help or --version\n\n",
                                    app.get_description(), app.get_name());
     for (const CLI::App* command : app.get_subcommands([](const CLI::App*) { return true; }))
@@ -45,8 +45,9 @@ void parse_and_run_command(const ProgramDescription& program, int argc, char** a
     app.require_subcommand(0, 1);
     app.footer(program.footer);
     program.add_commands(app, call);
-    app.formatter_fn(
-        [](const CLI::App* shown, std::string, CLI::AppFormatMode) { return make_program_help(*shown); });
+    app.formatter_fn([](const CLI::App* shown, std::string, CLI::AppFormatMode) {
+        return format_help_with_command_list(*shown);
+    });
     try {
         app.parse(argc, argv);
     } catch (const CLI::Success& help) {
@@ -71,7 +72,7 @@ int run_program(const ProgramDescription& program, int argc, char** argv) {
                    stderr);
         return static_cast<int>(code);
     };
-    keep_freed_memory_in_process();
+    make_malloc_keep_freed_memory();
     try {
         parse_and_run_command(program, argc, argv);
         return static_cast<int>(ExitCode::ok);

@@ -42,7 +42,7 @@ unsigned long long compute_program_file_hash() {
 /// store settings and arrays in a different order.
 /// @throws UsageError if the build of this process differs from the build of the first
 /// process
-void check_same_build_on_all_ranks(int rank) {
+void require_same_build_on_all_ranks(int rank) {
     const unsigned long long build = compute_program_file_hash();
     unsigned long long first_build = build;
     MPI_Bcast(&first_build, 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD);
@@ -54,7 +54,7 @@ void check_same_build_on_all_ranks(int rank) {
 }
 
 /// Concatenates the texts of all MPI processes. Every process receives the complete text.
-std::string concatenate_texts_of_all_ranks(const std::string& text, int n_ranks) {
+std::string gather_and_concatenate_rank_texts(const std::string& text, int n_ranks) {
     const auto n = static_cast<unsigned long long>(text.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(n_ranks));
     MPI_Request request;
@@ -84,7 +84,7 @@ MpiProcessGroup::MpiProcessGroup() {
     MPI_Comm_rank(MPI_COMM_WORLD, &group_.rank);
     MPI_Comm_size(MPI_COMM_WORLD, &group_.size);
     group_.all_gather = [size = group_.size](const std::string& text) {
-        return concatenate_texts_of_all_ranks(text, size);
+        return gather_and_concatenate_rank_texts(text, size);
     };
     MPI_Comm on_this_machine;
     MPI_Comm_split_type(MPI_COMM_WORLD, MPI_COMM_TYPE_SHARED, group_.rank, MPI_INFO_NULL, &on_this_machine);
@@ -93,7 +93,7 @@ MpiProcessGroup::MpiProcessGroup() {
     MPI_Comm_size(on_this_machine, &n_here);
     MPI_Comm_free(&on_this_machine);
     set_scan_process_count(n_here);
-    check_same_build_on_all_ranks(group_.rank);
+    require_same_build_on_all_ranks(group_.rank);
 }
 
 MpiProcessGroup::~MpiProcessGroup() {
@@ -113,7 +113,7 @@ std::vector<std::string> MpiProcessGroup::gather_texts_on_first_rank(const std::
     if (size() == 1) return {text};
     const std::vector<std::size_t> sizes = group_.gather_from_all_processes(std::vector{text.size()});
     const std::string all = group_.all_gather(text);
-    if (!is_first()) return {};
+    if (!is_first_mpi_process()) return {};
     std::vector<std::string> texts;
     std::size_t begin = 0;
     for (const std::size_t n : sizes) {
@@ -123,13 +123,14 @@ std::vector<std::string> MpiProcessGroup::gather_texts_on_first_rank(const std::
     return texts;
 }
 
-DeviceCommandOptions MpiProcessGroup::select_device_for_rank(DeviceCommandOptions device_choice) const {
-    if (size() == 1 || device_choice.index >= 0) return device_choice;
+DeviceCommandOptions MpiProcessGroup::select_device_unless_user_chose(
+    DeviceCommandOptions user_device_choice) const {
+    if (size() == 1 || user_device_choice.index >= 0) return user_device_choice;
     std::vector<int> gpus;
     for (const DeviceInfo& device : list_devices())
         if (device.type != "CPU" && device.why_not_usable.empty()) gpus.push_back(device.index);
-    if (!gpus.empty()) device_choice.index = gpus[std::size_t(local_rank_) % gpus.size()];
-    return device_choice;
+    if (!gpus.empty()) user_device_choice.index = gpus[std::size_t(local_rank_) % gpus.size()];
+    return user_device_choice;
 }
 
 }  // namespace relidar::cli

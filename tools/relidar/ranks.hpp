@@ -28,7 +28,7 @@ public:
     int size() const { return group_.size; }
     /// Returns true in the first process, which prints messages and writes the shared
     /// files.
-    bool is_first() const { return group_.is_first_process(); }
+    bool is_first_mpi_process() const { return group_.is_first_process(); }
     /// Returns the process group, which library functions use to divide work among the
     /// processes.
     const ProcessGroup& get_process_group() const { return group_; }
@@ -41,7 +41,7 @@ public:
     void wait_for_all_ranks() const;
     /// Selects a GPU for this process, so that the processes of one machine use different
     /// GPUs. If the user has chosen a device, returns the user's choice.
-    DeviceCommandOptions select_device_for_rank(DeviceCommandOptions device_choice) const;
+    DeviceCommandOptions select_device_unless_user_chose(DeviceCommandOptions user_device_choice) const;
 
 private:
     ProcessGroup group_;

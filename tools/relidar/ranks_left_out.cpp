@@ -20,8 +20,9 @@ std::vector<std::string> MpiProcessGroup::gather_texts_on_first_rank(const std::
     return {text};
 }
 void MpiProcessGroup::wait_for_all_ranks() const {}
-DeviceCommandOptions MpiProcessGroup::select_device_for_rank(DeviceCommandOptions device_choice) const {
-    return device_choice;
+DeviceCommandOptions MpiProcessGroup::select_device_unless_user_chose(
+    DeviceCommandOptions user_device_choice) const {
+    return user_device_choice;
 }
 
 }  // namespace relidar::cli

@@ -32,7 +32,7 @@ std::vector<std::string> list_option_names(const CLI::App& command) {
 
 /// Replaces the parser message "Could not convert: --device = x" by a message that also
 /// names the expected value. All other messages stay as they are.
-std::string rewrite_conversion_error(const std::string& parser_message) {
+std::string explain_conversion_error(const std::string& parser_message) {
     const std::string start = "Could not convert: ", middle = " = ";
     const std::size_t at = parser_message.find(middle);
     if (parser_message.rfind(start, 0) != 0 || at == std::string::npos) return parser_message;
@@ -41,7 +41,9 @@ std::string rewrite_conversion_error(const std::string& parser_message) {
                        parser_message.substr(at + middle.size()));
 }
 
-std::string remove_option_value(const std::string& option) { return option.substr(0, option.find('=')); }
+std::string remove_equal_sign_and_value(const std::string& option_with_value) {
+    return option_with_value.substr(0, option_with_value.find('='));
+}
 
 }  // namespace
 
@@ -59,8 +61,8 @@ std::string make_usage_error_message(const CLI::App& app, const std::string& par
         return fmt::format("found no subcommand; expected one of {} (see `{}`)",
                            fmt::join(list_command_names(command), ", "), help);
     if (unexpected.empty())
-        return fmt::format("{} (see `{}`)", rewrite_conversion_error(parser_message), help);
-    const std::string word = remove_option_value(unexpected.front());
+        return fmt::format("{} (see `{}`)", explain_conversion_error(parser_message), help);
+    const std::string word = remove_equal_sign_and_value(unexpected.front());
     if (word.size() > 1 && word.front() == '-') {
         return fmt::format("unknown option {}{} (see `{}`)", word,
                            format_name_suggestion(word, list_option_names(command)), help);

@@ -26,7 +26,7 @@ constexpr int kImageRows = 64, kImageColumns = 1024;
 
 /// Makes the surfels of an actor of about 4 m length by scaling down the benchmark
 /// street.
-Surfels make_actor_surfels() {
+Surfels make_benchmark_actor_surfels() {
     constexpr float kHalfLength_m = 2.0f;
     Surfels actor = make_benchmark_street_surfels(kActorSurfels);
     float longest = 0.0f;
@@ -38,21 +38,21 @@ Surfels make_actor_surfels() {
 Scene make_scene_of_actors(int n_actors, bool one_model_per_actor) {
     Scene scene = make_background_scene({});
     scene.models.push_back({"actor", 0, kActorSurfels});
-    scene.surfels = make_actor_surfels();
+    scene.surfels = make_benchmark_actor_surfels();
     for (int i = 0; i < n_actors; ++i) scene.instances.push_back({1, fmt::format("{}", i)});
     return one_model_per_actor ? relidar::duplicate_shared_models(std::move(scene)) : scene;
 }
 
 /// Returns the poses of all actors. The first actor is 8 m ahead of the sensor. The other
 /// actors are placed on a spiral, about 5 m apart. Each step moves all actors by 1 cm.
-std::vector<InstancePose> make_spiral_actor_poses(int n_actors, int motion_step) {
+std::vector<InstancePose> make_spiral_actor_poses(int n_actors, int n_centimetres_moved) {
     constexpr double kGoldenAngle_rad = 2.39996323;
     std::vector<InstancePose> placed{InstancePose{}};
     for (int i = 0; i < n_actors; ++i) {
         const double radius_m = 8.0 + 3.0 * std::sqrt(double(i)), azimuth_rad = kGoldenAngle_rad * i;
-        placed.push_back({Pose{
-            {1.0, 0.0, 0.0, 0.0},
-            {radius_m * std::cos(azimuth_rad) + 0.01 * motion_step, radius_m * std::sin(azimuth_rad), 0.0}}});
+        placed.push_back({Pose{{1.0, 0.0, 0.0, 0.0},
+                               {radius_m * std::cos(azimuth_rad) + 0.01 * n_centimetres_moved,
+                                radius_m * std::sin(azimuth_rad), 0.0}}});
     }
     return placed;
 }
@@ -65,40 +65,40 @@ DevCase make_actor_benchmark(int n_actors, bool one_model_per_actor) {
     bench.columns = table.columns;
     bench.rays = {to_vector(table.origin), to_vector(table.direction)};
     bench.scene = make_scene_of_actors(n_actors, one_model_per_actor);
-    bench.config = make_preset("paper");
+    bench.config = make_preset_config("paper");
     bench.config.image.sh_direction = one_model_per_actor ? ShDirection::surfel : ShDirection::ray;
     bench.placed = make_spiral_actor_poses(n_actors, 0);
     return bench;
 }
 
-void measure_actor_move_times(Device& device, const DevCase& bench_case, int n_repetitions,
-                              ActorBenchTimes& actor_times) {
+void measure_actor_pose_update_times(Device& device, const DevCase& bench_case, int n_repetitions,
+                                     ActorBenchTimes& actor_times) {
     constexpr int kWarmUp = 3;
     DeviceScene on_device(device, bench_case.scene);
-    AccelerationStructure accel(device, on_device, make_accel_options(bench_case));
+    AccelerationStructure accel(device, on_device, make_benchmark_accel_options(bench_case));
     Stream stream(device, false);
-    on_device.compute_surfel_records(stream, bench_case.config.image, glm::vec3(0.0f));
+    on_device.record_surfel_record_computation(stream, bench_case.config.image, glm::vec3(0.0f));
     stream.submit_and_wait();
     Clock::time_point start = Clock::now();
-    accel.update_bvh(stream, on_device);
+    accel.record_bvh_refit_or_build(stream, on_device);
     stream.submit_and_wait();
     actor_times.build_ms = measure_ms_since(start);
-    const std::uint64_t builds_before = accel.get_update_count();
+    const std::uint64_t builds_before = accel.get_build_and_refit_count();
     std::vector<double> samples;
     for (int step = 1; step <= kWarmUp + n_repetitions; ++step) {
         throw_if_interrupted();
         const std::vector<InstancePose> placed = make_spiral_actor_poses(actor_times.n_actors, step);
         start = Clock::now();
-        on_device.record_instance_poses(stream, placed);
-        accel.update_top_level_bvh(stream, on_device);
+        on_device.record_upload_of_instance_poses(stream, placed);
+        accel.record_top_level_bvh_update(stream, on_device);
         stream.submit_and_wait();
         if (step > kWarmUp) samples.push_back(measure_ms_since(start));
     }
     actor_times.move_ms = compute_p10_median_p90(samples);
-    actor_times.builds = accel.get_update_count() - builds_before;
+    actor_times.builds = accel.get_build_and_refit_count() - builds_before;
 }
 
-TimePercentiles get_iteration_wall_time(const BenchResult& result) {
+TimePercentiles get_iteration_wall_time_percentiles(const BenchResult& result) {
     const auto row = std::ranges::find(result.phases, "iteration_wall", &KernelBenchTime::name);
     if (row == result.phases.end())
         throw DeviceError(
@@ -120,13 +120,13 @@ ActorBenchTimes measure_actor_times(Device& device, int n_actors, bool one_model
                                     const BenchSettings& settings) {
     const DevCase bench = make_actor_benchmark(n_actors, one_model_per_actor);
     ActorBenchTimes times{.n_actors = n_actors, .copy_shared_models = one_model_per_actor};
-    measure_actor_move_times(device, bench, settings.repeat, times);
+    measure_actor_pose_update_times(device, bench, settings.repeat, times);
     BenchSettings scan = settings, step = settings;
     scan.backward = false;
     step.backward = true;
-    times.scan_ms = get_iteration_wall_time(run_benchmark(device, bench, scan));
+    times.scan_ms = get_iteration_wall_time_percentiles(run_benchmark(device, bench, scan));
     const BenchResult trained = run_benchmark(device, bench, step);
-    times.step_ms = get_iteration_wall_time(trained);
+    times.step_ms = get_iteration_wall_time_percentiles(trained);
     times.memory =
         trained.memory.scene + trained.memory.accel + trained.memory.training + trained.memory.rays;
     return times;

@@ -88,7 +88,7 @@ void run_training_step_benchmark(const BenchOptions& options, Device& device,
 
 void run_bench_command(const BenchOptions& options, const std::string& command_line) {
     if (!options.service.address.empty()) return run_service_benchmark(options.service);
-    check_bench_choice(options.choice);
+    require_valid_bench_options(options.choice);
     if (!options.choice.run.empty() && options.describes_street)
         throw UsageError(
             "--run: found --scene, --surfels or --rays in the same command; expected only --run, because the "
@@ -115,16 +115,16 @@ void run_bench_command(const BenchOptions& options, const std::string& command_l
                                      kMostTimedSteps));
     std::optional<OutputFolder> folder;
     if (!json.empty()) folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
-    Device device(make_device_options(options.device));
+    Device device(convert_to_device_options(options.device));
 
     install_interrupt_handlers();
     if (!options.actors.empty()) return run_actor_benchmark(options, device, command_line);
     if (options.scans.n_scans != 0) return run_scan_benchmark(options, device, command_line);
     if (options.n_steps != 0) return run_training_step_benchmark(options, device, command_line);
-    const DevCase bench = make_chosen_benchmark(options.choice);
+    const DevCase bench = make_benchmark_of_run_or_street(options.choice);
     BenchResult result = run_benchmark(device, bench, settings);
     // The copy bandwidth is measured last, when the memory of the scene is free again.
-    result.copy_bytes_per_s = measure_copy_bytes_per_s(device);
+    result.copy_bytes_per_s = measure_copy_bandwidth_bytes_per_s(device);
     end_progress_line();
     if (!json.empty())
         write_text_file(json, make_bench_result_json(bench, settings, result, device, command_line));
@@ -133,17 +133,17 @@ void run_bench_command(const BenchOptions& options, const std::string& command_l
 
 /// Adds options that affect only the losses, the backward pass and the optimizer of a
 /// training step.
-void add_training_benchmark_options(CLI::App& command, BenchCaseOptions& choice) {
+void add_training_benchmark_options(CLI::App& command, BenchCaseOptions& bench_choice) {
     command
-        .add_option("--keep-hits", choice.keep_hits,
+        .add_option("--keep-hits", bench_choice.keep_hits,
                     "number of hits per ray that the forward pass stores for the backward pass; 0: the "
                     "backward pass traces all rays again (default: at least 64, or the value of the run)")
         ->type_name("N");
     command
-        .add_option("--likelihood", choice.likelihood,
+        .add_option("--likelihood", bench_choice.likelihood,
                     "weight of loss.likelihood (default: 0, or the value of the run)")
         ->type_name("WEIGHT");
-    command.add_flag("--deterministic", choice.deterministic,
+    command.add_flag("--deterministic", bench_choice.deterministic,
                      "add gradients in a fixed order instead of with atomic operations");
 }
 
@@ -196,29 +196,29 @@ void add_scan_benchmark_options(CLI::App& command, BenchOptions& options) {
 }
 
 /// Adds the options for ray tracing to the command.
-void add_ray_tracing_options(CLI::App& command, BenchCaseOptions& choice) {
+void add_ray_tracing_options(CLI::App& command, BenchCaseOptions& bench_choice) {
     command
-        .add_option("--chunk", choice.chunk,
+        .add_option("--chunk", bench_choice.chunk,
                     "number of hits of a ray that are sorted together, 1 to 64 (default: 16, or the value of "
                     "the run)")
         ->type_name("N");
     command
-        .add_option("--proxy", choice.proxy,
+        .add_option("--proxy", bench_choice.proxy,
                     "shape that represents a surfel in ray queries: auto, triangles or boxes (default: auto, "
                     "or the value of the run)")
         ->type_name("WHAT");
     command
-        .add_option("--walk", choice.traversal_mode,
+        .add_option("--walk", bench_choice.traversal_mode,
                     "unit that searches the software tree for a ray: auto, lane or subgroup (default: auto, "
                     "or the value of the run)")
         ->type_name("HOW");
     command
-        .add_option("--order", choice.order,
+        .add_option("--order", bench_choice.order,
                     "how hits are sorted: chunks during the search, or complete lists after it (default: "
                     "auto, which uses lists on a GPU)")
         ->type_name("HOW");
     command
-        .add_option("--sh", choice.sh,
+        .add_option("--sh", bench_choice.sh,
                     "evaluate spherical harmonics for each ray or once per surfel (default: ray, or the "
                     "value of the run)")
         ->type_name("ray|surfel");

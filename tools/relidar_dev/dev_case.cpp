@@ -35,9 +35,9 @@ struct ImageSize {
     long long columns = 0;
 };
 
-bool try_parse_positive_integer(const std::string& text, long long& value) {
-    const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-    return error == std::errc() && stop == text.data() + text.size() && value >= 1;
+bool try_parse_positive_integer(const std::string& text, long long& parsed_value) {
+    const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), parsed_value);
+    return error == std::errc() && stop == text.data() + text.size() && parsed_value >= 1;
 }
 
 /// Parses an image size such as "64x1024". Returns nothing if the text is the name of a
@@ -59,18 +59,19 @@ std::optional<ImageSize> parse_ray_grid_size(const std::string& text) {
 }
 
 /// Applies the options of the command line to the settings.
-void apply_bench_options(const BenchCaseOptions& choice, Config& config) {
-    if (!choice.chunk.empty()) set_config_value(config, "trace.chunk", choice.chunk);
-    if (!choice.keep_hits.empty()) set_config_value(config, "trace.keep_hits", choice.keep_hits);
-    if (!choice.likelihood.empty()) set_config_value(config, "loss.likelihood", choice.likelihood);
-    if (choice.deterministic) config.train.deterministic = true;
-    if (!choice.sh.empty()) set_config_value(config, "image.sh_direction", choice.sh);
+void set_config_from_bench_options(const BenchCaseOptions& bench_choice, Config& config) {
+    if (!bench_choice.chunk.empty()) set_config_value(config, "trace.chunk", bench_choice.chunk);
+    if (!bench_choice.keep_hits.empty()) set_config_value(config, "trace.keep_hits", bench_choice.keep_hits);
+    if (!bench_choice.likelihood.empty())
+        set_config_value(config, "loss.likelihood", bench_choice.likelihood);
+    if (bench_choice.deterministic) config.train.deterministic = true;
+    if (!bench_choice.sh.empty()) set_config_value(config, "image.sh_direction", bench_choice.sh);
 }
 
 /// Returns the position of a word in the list of allowed values of an option.
 /// @throws UsageError if the word is not in the list
-std::size_t find_word_index(const char* option_name, const std::string& option_value,
-                            const std::vector<std::string>& allowed_values) {
+std::size_t find_index_of_option_value(const char* option_name, const std::string& option_value,
+                                       const std::vector<std::string>& allowed_values) {
     const auto match = std::find(allowed_values.begin(), allowed_values.end(), option_value);
     if (match == allowed_values.end())
         throw UsageError(fmt::format("{}: found \"{}\", expected one of {}", option_name, option_value,
@@ -81,64 +82,65 @@ std::size_t find_word_index(const char* option_name, const std::string& option_v
 /// These functions convert words of the command line to values of an enumeration. The
 /// words are listed in the order of the enumeration.
 /// @throws UsageError if a word is unknown
-ProxyShape parse_proxy_shape(const BenchCaseOptions& choice) {
-    return choice.proxy.empty()
-               ? ProxyShape::automatic
-               : ProxyShape(find_word_index("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));
+ProxyShape parse_proxy_shape(const BenchCaseOptions& bench_choice) {
+    return bench_choice.proxy.empty() ? ProxyShape::automatic
+                                      : ProxyShape(find_index_of_option_value(
+                                            "--proxy", bench_choice.proxy, {"auto", "triangles", "boxes"}));
 }
-BvhTraversalMode parse_traversal_mode(const BenchCaseOptions& choice) {
-    return choice.traversal_mode.empty() ? BvhTraversalMode::automatic
-                                         : BvhTraversalMode(find_word_index("--walk", choice.traversal_mode,
-                                                                            {"auto", "lane", "subgroup"}));
+BvhTraversalMode parse_traversal_mode(const BenchCaseOptions& bench_choice) {
+    return bench_choice.traversal_mode.empty()
+               ? BvhTraversalMode::automatic
+               : BvhTraversalMode(find_index_of_option_value("--walk", bench_choice.traversal_mode,
+                                                             {"auto", "lane", "subgroup"}));
 }
-HitSortMethod parse_hit_sort_method(const BenchCaseOptions& choice) {
-    return choice.order.empty()
-               ? HitSortMethod::automatic
-               : HitSortMethod(find_word_index("--order", choice.order, {"auto", "chunks", "lists"}));
+HitSortMethod parse_hit_sort_method(const BenchCaseOptions& bench_choice) {
+    return bench_choice.order.empty() ? HitSortMethod::automatic
+                                      : HitSortMethod(find_index_of_option_value(
+                                            "--order", bench_choice.order, {"auto", "chunks", "lists"}));
 }
 
-DevCase make_chosen_street_benchmark(const BenchCaseOptions& choice) {
-    const std::optional<ImageSize> size = parse_ray_grid_size(choice.rays);
+DevCase make_benchmark_of_synthetic_street(const BenchCaseOptions& bench_choice) {
+    const std::optional<ImageSize> size = parse_ray_grid_size(bench_choice.rays);
     const RayTable rays = size ? make_benchmark_rays(static_cast<int>(size->rows),
                                                      static_cast<int>(size->columns), kTop_deg, kBottom_deg)
-                               : make_benchmark_rays(choice.rays);
-    DevCase bench{
-        make_street_benchmark(static_cast<std::uint32_t>(choice.n_surfels), choice.street != "A", rays)};
-    bench.name = "street " + choice.street;
-    if (choice.street == "C")
+                               : make_benchmark_rays(bench_choice.rays);
+    DevCase bench{make_synthetic_street_benchmark(static_cast<std::uint32_t>(bench_choice.n_surfels),
+                                                  bench_choice.street != "A", rays)};
+    bench.name = "street " + bench_choice.street;
+    if (bench_choice.street == "C")
         bench.scene.surfels.opacity_logit.assign(bench.scene.surfels.size(), kFaintLogit);
     return bench;
 }
 
 }  // namespace
 
-void check_bench_choice(const BenchCaseOptions& choice) {
-    if (choice.street != "A" && choice.street != "B" && choice.street != "C")
-        throw UsageError(fmt::format("--scene: found \"{}\", expected A, B or C", choice.street));
-    if (choice.n_surfels < 1 || choice.n_surfels > kMaxSurfels)
-        throw UsageError(fmt::format("--surfels: found {}, expected a number from 1 to {}", choice.n_surfels,
-                                     kMaxSurfels));
-    parse_ray_grid_size(choice.rays);
+void require_valid_bench_options(const BenchCaseOptions& bench_choice) {
+    if (bench_choice.street != "A" && bench_choice.street != "B" && bench_choice.street != "C")
+        throw UsageError(fmt::format("--scene: found \"{}\", expected A, B or C", bench_choice.street));
+    if (bench_choice.n_surfels < 1 || bench_choice.n_surfels > kMaxSurfels)
+        throw UsageError(fmt::format("--surfels: found {}, expected a number from 1 to {}",
+                                     bench_choice.n_surfels, kMaxSurfels));
+    parse_ray_grid_size(bench_choice.rays);
     Config unused;
-    apply_bench_options(choice, unused);
-    parse_proxy_shape(choice), parse_traversal_mode(choice), parse_hit_sort_method(choice);
+    set_config_from_bench_options(bench_choice, unused);
+    parse_proxy_shape(bench_choice), parse_traversal_mode(bench_choice), parse_hit_sort_method(bench_choice);
 }
 
-DevCase make_chosen_benchmark(const BenchCaseOptions& choice) {
-    DevCase bench = choice.run.empty() ? make_chosen_street_benchmark(choice)
-                                       : DevCase{make_benchmark_from_run(load_run(choice.run))};
-    apply_bench_options(choice, bench.config);
-    bench.proxy = parse_proxy_shape(choice);
-    bench.traversal_mode = parse_traversal_mode(choice);
-    bench.order = parse_hit_sort_method(choice);
-    bench.keeps_more_hits = choice.keep_hits.empty();
+DevCase make_benchmark_of_run_or_street(const BenchCaseOptions& bench_choice) {
+    DevCase bench = bench_choice.run.empty() ? make_benchmark_of_synthetic_street(bench_choice)
+                                             : DevCase{make_benchmark_from_run(load_run(bench_choice.run))};
+    set_config_from_bench_options(bench_choice, bench.config);
+    bench.proxy = parse_proxy_shape(bench_choice);
+    bench.traversal_mode = parse_traversal_mode(bench_choice);
+    bench.order = parse_hit_sort_method(bench_choice);
+    bench.keeps_more_hits = bench_choice.keep_hits.empty();
     return bench;
 }
 
-AccelOptions make_accel_options(const DevCase& bench_case) { return {.proxy = bench_case.proxy}; }
+AccelOptions make_benchmark_accel_options(const DevCase& bench_case) { return {.proxy = bench_case.proxy}; }
 
 TraceOptions make_benchmark_trace_options(const DevCase& bench_case) {
-    TraceOptions options = make_base_trace_options(bench_case.config);
+    TraceOptions options = make_common_trace_options(bench_case.config);
     options.traversal_mode = bench_case.traversal_mode;
     options.order = bench_case.order;
     return options;

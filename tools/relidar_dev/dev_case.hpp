@@ -41,15 +41,15 @@ struct DevCase : BenchCase {
 
 /// These functions return the options to build the acceleration structure, and to trace
 /// rays through it.
-AccelOptions make_accel_options(const DevCase& bench_case);
+AccelOptions make_benchmark_accel_options(const DevCase& bench_case);
 TraceOptions make_benchmark_trace_options(const DevCase& bench_case);
 
 /// Checks all options before a scene is created.
 /// @throws UsageError that names the first invalid option
-void check_bench_choice(const BenchCaseOptions& choice);
+void require_valid_bench_options(const BenchCaseOptions& bench_choice);
 
 /// Creates the scene and the rays that the user has chosen.
 /// @throws DataError if the run cannot be read
-DevCase make_chosen_benchmark(const BenchCaseOptions& choice);
+DevCase make_benchmark_of_run_or_street(const BenchCaseOptions& bench_choice);
 
 }  // namespace relidar::cli

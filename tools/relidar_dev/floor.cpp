@@ -20,17 +20,17 @@ constexpr double kFewestNodes = 1.0 / 28.0;
 // tests. Counted in shaders/diff/traversal/software_bvh.glsl.
 constexpr double kNodeOperations = 150, kSurfelOperations = 40;
 
-double count_sh_coefficient_bytes(const MemoryTrafficSizes& sizes) { return 4 * 3 * sizes.n_sh; }
-double count_sh_bytes_if_per_ray(const MemoryTrafficSizes& sizes) {
-    return sizes.sh_per_surfel ? 0.0 : count_sh_coefficient_bytes(sizes);
+double compute_sh_bytes_per_surfel(const MemoryTrafficSizes& sizes) { return 4 * 3 * sizes.n_sh; }
+double get_sh_bytes_if_evaluated_per_ray(const MemoryTrafficSizes& sizes) {
+    return sizes.sh_per_surfel ? 0.0 : compute_sh_bytes_per_surfel(sizes);
 }
-double count_sh_bytes_if_per_surfel(const MemoryTrafficSizes& sizes) {
-    return sizes.sh_per_surfel ? count_sh_coefficient_bytes(sizes) : 0.0;
+double get_sh_bytes_if_evaluated_per_surfel(const MemoryTrafficSizes& sizes) {
+    return sizes.sh_per_surfel ? compute_sh_bytes_per_surfel(sizes) : 0.0;
 }
 
 /// Returns how many 8-bit digits the radix sort needs for n different keys.
-double count_radix_digits(double n_keys) {
-    return std::ceil(std::bit_width(static_cast<std::uint64_t>(n_keys)) / 8.0);
+double count_radix_sort_digits(double n_different_keys) {
+    return std::ceil(std::bit_width(static_cast<std::uint64_t>(n_different_keys)) / 8.0);
 }
 
 double count_bvh_refit_bytes(const MemoryTrafficSizes& sizes) {
@@ -51,10 +51,11 @@ double count_bvh_build_bytes(const MemoryTrafficSizes& sizes) {
 }
 
 double count_backward_trace_bytes(const MemoryTrafficSizes& sizes) {
-    const double sums = sizes.gather ? sizes.n_hits * (kHitRecord + kRow)
-                                     : sizes.n_touched * 2 * (kRecord + count_sh_bytes_if_per_ray(sizes));
+    const double sums = sizes.gather
+                            ? sizes.n_hits * (kHitRecord + kRow)
+                            : sizes.n_touched * 2 * (kRecord + get_sh_bytes_if_evaluated_per_ray(sizes));
     return sizes.n_rays * (kRay + kRendered + kUpstream) + sizes.n_stored_hits_read * kStoredHit +
-           sizes.n_touched * (kRecord + count_sh_bytes_if_per_ray(sizes)) + sums;
+           sizes.n_touched * (kRecord + get_sh_bytes_if_evaluated_per_ray(sizes)) + sums;
 }
 
 /// Returns the number of bytes that the derivative of the activation functions must read
@@ -62,7 +63,7 @@ double count_backward_trace_bytes(const MemoryTrafficSizes& sizes) {
 /// gradient, it reads the parameters and writes their gradients.
 double count_activation_gradient_bytes(const MemoryTrafficSizes& sizes) {
     return sizes.n_surfels * (kRecord + kMark) +
-           sizes.n_touched * 2 * (kGeometry + count_sh_bytes_if_per_surfel(sizes));
+           sizes.n_touched * 2 * (kGeometry + get_sh_bytes_if_evaluated_per_surfel(sizes));
 }
 
 /// Returns the number of bytes of one optimizer step (Adam). The kernel reads the
@@ -70,7 +71,7 @@ double count_activation_gradient_bytes(const MemoryTrafficSizes& sizes) {
 double count_adam_step_bytes(const MemoryTrafficSizes& sizes) {
     const double updated = sizes.only_touched ? sizes.n_touched : sizes.n_surfels;
     return sizes.n_surfels * kMark +
-           (sizes.n_touched + 6 * updated) * (kGeometry + count_sh_coefficient_bytes(sizes));
+           (sizes.n_touched + 6 * updated) * (kGeometry + compute_sh_bytes_per_surfel(sizes));
 }
 
 enum class KernelCondition { always, software, training, gather, chunks, lists };
@@ -86,7 +87,7 @@ struct KernelTraffic {
 constexpr KernelTraffic kFloorRows[] = {
     {"scene/activate", KernelCondition::always,
      [](const MemoryTrafficSizes& sizes) {
-         return sizes.n_surfels * (kGeometry + count_sh_coefficient_bytes(sizes) + kRecord);
+         return sizes.n_surfels * (kGeometry + compute_sh_bytes_per_surfel(sizes) + kRecord);
      }},
     {"diff/accel/proxies", KernelCondition::always,
      [](const MemoryTrafficSizes& sizes) {
@@ -103,12 +104,12 @@ constexpr KernelTraffic kFloorRows[] = {
     {"diff/forward/blend", KernelCondition::lists,
      [](const MemoryTrafficSizes& sizes) {
          return sizes.n_rays * kRendered + sizes.n_hits * kHit + sizes.n_hits_written * kStoredHit +
-                sizes.n_touched * (kRecord + count_sh_bytes_if_per_ray(sizes));
+                sizes.n_touched * (kRecord + get_sh_bytes_if_evaluated_per_ray(sizes));
      }},
     {"diff/forward/trace", KernelCondition::chunks,
      [](const MemoryTrafficSizes& sizes) {
          return sizes.n_rays * (kRay + kRendered) + sizes.n_hits_written * kStoredHit +
-                sizes.n_touched * (kRecord + count_sh_bytes_if_per_ray(sizes));
+                sizes.n_touched * (kRecord + get_sh_bytes_if_evaluated_per_ray(sizes));
      }},
     {"diff/loss/image_loss", KernelCondition::training,
      [](const MemoryTrafficSizes& sizes) { return sizes.n_rays * (kRendered + kTarget + kUpstream); }},
@@ -119,12 +120,12 @@ constexpr KernelTraffic kFloorRows[] = {
     {"diff/backward/trace", KernelCondition::training, count_backward_trace_bytes},
     {"backward/sort", KernelCondition::gather,
      [](const MemoryTrafficSizes& sizes) {
-         return sizes.n_hits * count_radix_digits(sizes.n_surfels) * (kRow + 2 * (kRow + kIndex));
+         return sizes.n_hits * count_radix_sort_digits(sizes.n_surfels) * (kRow + 2 * (kRow + kIndex));
      }},
     {"diff/backward/gather", KernelCondition::gather,
      [](const MemoryTrafficSizes& sizes) {
          return sizes.n_hits * (kHitRecord + kRow + kIndex) +
-                sizes.n_touched * 2 * (kRecord + count_sh_bytes_if_per_ray(sizes));
+                sizes.n_touched * 2 * (kRecord + get_sh_bytes_if_evaluated_per_ray(sizes));
      }},
     {"scene/activate_vjp", KernelCondition::training, count_activation_gradient_bytes},
     {"diff/optimizer/adam", KernelCondition::training, count_adam_step_bytes},
@@ -140,7 +141,7 @@ bool is_kernel_used(const KernelTraffic& row, const MemoryTrafficSizes& sizes) {
 
 }  // namespace
 
-std::map<std::string, double> compute_min_bytes_per_kernel(const MemoryTrafficSizes& sizes) {
+std::map<std::string, double> compute_min_traffic_bytes_per_kernel(const MemoryTrafficSizes& sizes) {
     std::map<std::string, double> bytes;
     for (const KernelTraffic& row : kFloorRows)
         if (is_kernel_used(row, sizes)) bytes[row.kernel] = row.bytes(sizes);
@@ -151,7 +152,7 @@ std::map<std::string, double> compute_cache_load_bytes_per_kernel(const MemoryTr
     std::map<std::string, double> bytes;
     if (sizes.nodes_opened <= 0.0) return bytes;
     const double search = sizes.nodes_opened * kNode + sizes.surfels_tested * kRecord;
-    const double shading = sizes.n_hits * (kRecord + count_sh_bytes_if_per_ray(sizes));
+    const double shading = sizes.n_hits * (kRecord + get_sh_bytes_if_evaluated_per_ray(sizes));
     if (sizes.lists) {
         bytes["diff/forward/append"] = search + sizes.n_hits * kHit;
         bytes["diff/forward/blend"] = shading + sizes.n_hits * kHit;
@@ -164,7 +165,7 @@ std::map<std::string, double> compute_cache_load_bytes_per_kernel(const MemoryTr
     const double searched_again = sizes.n_hits > 0.0 ? 1.0 - sizes.n_stored_hits_read / sizes.n_hits : 0.0;
     // Bytes that each hit adds to the gradient sums: a hit record, or atomic operations
     // on 16 floats.
-    const double sums = sizes.gather ? kHitRecord + kRow : kRecord + count_sh_bytes_if_per_ray(sizes);
+    const double sums = sizes.gather ? kHitRecord + kRow : kRecord + get_sh_bytes_if_evaluated_per_ray(sizes);
     bytes["diff/backward/trace"] = searched_again * search + shading + sizes.n_hits * (kRecord + sums);
     return bytes;
 }

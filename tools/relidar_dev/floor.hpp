@@ -45,7 +45,7 @@ struct MemoryTrafficSizes {
 /// Returns the minimum number of bytes that each kernel must exchange with other kernels.
 /// Counts a read only if another kernel has written the data, and a write only if another
 /// kernel reads them. Leaves out kernels of the driver and very short kernels.
-std::map<std::string, double> compute_min_bytes_per_kernel(const MemoryTrafficSizes& sizes);
+std::map<std::string, double> compute_min_traffic_bytes_per_kernel(const MemoryTrafficSizes& sizes);
 
 /// Returns how many bytes the tracing kernels load through the caches, for all visits of
 /// tree nodes and all hits. Returns an empty map if visits were not counted.

@@ -32,7 +32,7 @@ using TimesByKernel = std::map<std::string, std::vector<double>>;
 
 /// Returns the warm-up time of a device. It is needed because the first launches compile
 /// kernels, and because a GPU raises its clock rate only under load.
-double get_warm_up_duration_ms(const Device& device) { return device.info().type == "CPU" ? 200.0 : 2000.0; }
+double choose_warm_up_time_ms(const Device& device) { return device.info().type == "CPU" ? 200.0 : 2000.0; }
 
 constexpr const char* kOrder[] = {"scene/activate",
                                   "diff/accel/proxies",
@@ -54,7 +54,7 @@ constexpr const char* kOrder[] = {"scene/activate",
 
 /// Returns the row of the result table in which a kernel is counted. Groups the kernels
 /// that build the tree, prefix sums, and sorts.
-std::string get_result_row_of_kernel(const std::string& kernel_name, const std::string& phase_name) {
+std::string get_table_row_name_of_kernel(const std::string& kernel_name, const std::string& phase_name) {
     if (kernel_name == "diff/accel/bvh_top") return "accel/top_level";
     if (kernel_name.starts_with("diff/accel/bvh_"))
         return phase_name == "rebuild" ? "accel/build" : "accel/refit";
@@ -62,14 +62,14 @@ std::string get_result_row_of_kernel(const std::string& kernel_name, const std::
     return kernel_name;
 }
 
-RendererOptions make_renderer_options(const DevCase& bench_case) {
-    return {.accel = make_accel_options(bench_case),
+RendererOptions make_forward_renderer_options(const DevCase& bench_case) {
+    return {.accel = make_benchmark_accel_options(bench_case),
             .trace = make_benchmark_trace_options(bench_case),
             .n_rays = static_cast<std::uint32_t>(bench_case.rays.size())};
 }
 
 RendererOptions make_training_renderer_options(const DevCase& bench_case, std::uint32_t stored_hits_per_ray) {
-    RendererOptions options = make_renderer_options(bench_case);
+    RendererOptions options = make_forward_renderer_options(bench_case);
     options.trace = make_training_trace_options(bench_case.config);
     options.trace.traversal_mode = bench_case.traversal_mode;
     options.trace.order = bench_case.order;
@@ -79,11 +79,11 @@ RendererOptions make_training_renderer_options(const DevCase& bench_case, std::u
 
 /// Returns how many hits per ray would be stored at the end of a training. Training
 /// increases this number until only few rays have more hits.
-std::uint32_t choose_stored_hits_per_ray(const DevCase& bench_case,
-                                         const std::vector<std::uint32_t>& hits_per_ray) {
+std::uint32_t predict_stored_hits_per_ray(const DevCase& bench_case,
+                                          const std::vector<std::uint32_t>& measured_hits_per_ray) {
     auto keep = static_cast<std::uint32_t>(bench_case.config.trace.keep_hits);
     while (bench_case.keeps_more_hits) {
-        const auto n_overfull = std::count_if(hits_per_ray.begin(), hits_per_ray.end(),
+        const auto n_overfull = std::count_if(measured_hits_per_ray.begin(), measured_hits_per_ray.end(),
                                               [&](std::uint32_t count) { return count > keep; });
         const std::uint32_t more =
             recommend_stored_hits_per_ray(keep, static_cast<std::uint64_t>(n_overfull));
@@ -94,14 +94,15 @@ std::uint32_t choose_stored_hits_per_ray(const DevCase& bench_case,
 }
 
 /// Measures the memory of each part of a benchmark, by creating each part once.
-BenchMemory measure_memory_per_part(Device& device, const DevCase& bench_case, bool includes_training) {
+BenchMemory measure_gpu_memory_of_each_part(Device& device, const DevCase& bench_case,
+                                            bool includes_training) {
     auto since_last = [&device, last = device.allocated_bytes()]() mutable {
         return device.allocated_bytes() - std::exchange(last, device.allocated_bytes());
     };
     BenchMemory memory;
     const DeviceScene scene(device, bench_case.scene);
     memory.scene = since_last();
-    const AccelerationStructure accel(device, scene, make_accel_options(bench_case));
+    const AccelerationStructure accel(device, scene, make_benchmark_accel_options(bench_case));
     memory.accel = since_last();
     if (!includes_training) return memory;
     const DeviceGradients gradients(device, scene);
@@ -120,16 +121,16 @@ public:
 
     /// Renders an image to count its hits. To measure training, also creates the training
     /// step and its target values.
-    void prepare_renderers(bool includes_training) {
-        memory_ = measure_memory_per_part(device_, case_, includes_training);
+    void create_renderers_and_count_hits(bool includes_training) {
+        memory_ = measure_gpu_memory_of_each_part(device_, case_, includes_training);
         image_ = std::make_unique<Renderer>(device_, case_.scene, case_.config.image,
-                                            make_renderer_options(case_));
-        image_->prepare_view(case_.placed, case_.view_origin_m);
+                                            make_forward_renderer_options(case_));
+        image_->record_view_preparation(case_.placed, case_.view_origin_m);
         image_->record_forward_pass(make_ray_batch());
         image_->stream().submit_and_wait();
         const RenderedRayValues rendering =
-            to_rendering(image_->get_last_rendered_batch().rendered->download());
-        const std::uint32_t keep = includes_training ? choose_stored_hits_per_ray(case_, rendering.hits) : 0,
+            convert_rays_to_rendered_values(image_->get_last_rendered_batch().rendered->download());
+        const std::uint32_t keep = includes_training ? predict_stored_hits_per_ray(case_, rendering.hits) : 0,
                             chunk = static_cast<std::uint32_t>(case_.config.trace.chunk);
         for (const std::uint32_t hits : rendering.hits) {
             sizes_.n_hits += hits;
@@ -140,19 +141,19 @@ public:
         image_.reset();
         training_ = std::make_unique<TrainingStep>(
             device_, case_, make_training_renderer_options(case_, keep),
-            make_noisy_loss_targets(rendering, case_.config.loss.normalised_depth));
+            make_loss_targets_from_noisy_image(rendering, case_.config.loss.normalised_depth));
     }
 
     /// Runs one repetition: rebuilds the acceleration structure, runs a training
     /// iteration, and moves an instance away and back.
-    void run_repetition() {
+    void run_repetition_with_gpu_timestamps() {
         Renderer& r = get_renderer();
         Stream& stream = r.stream();
-        r.accel().update_bvh(stream, r.scene(), true);
+        r.accel().record_bvh_refit_or_build(stream, r.scene(), true);
         stream.submit_and_wait();
-        collect_kernel_times("rebuild", rebuild_kernels_);
+        append_kernel_times_since_last_call("rebuild", rebuild_kernels_);
         const Clock::time_point start = Clock::now();
-        r.prepare_view(case_.placed, case_.view_origin_m);
+        r.record_view_preparation(case_.placed, case_.view_origin_m);
         r.record_forward_pass(make_ray_batch());
         if (training_) {
             training_->record_loss_kernels(make_ray_batch());
@@ -161,21 +162,22 @@ public:
         }
         stream.submit_and_wait();
         phases_["iteration_wall"].push_back(measure_ms_since(start));
-        collect_kernel_times("iteration", kernels_);
+        append_kernel_times_since_last_call("iteration", kernels_);
         const std::vector<InstancePose> before = r.scene().get_instance_poses();
         std::vector<InstancePose> moved = before;
         moved.back().world_from_model.translation.x += 1.0;
-        r.scene().record_instance_poses(stream, moved);
-        r.accel().update_top_level_bvh(stream, r.scene());
+        r.scene().record_upload_of_instance_poses(stream, moved);
+        r.accel().record_top_level_bvh_update(stream, r.scene());
         stream.submit_and_wait();
-        collect_kernel_times("move", rebuild_kernels_);
-        r.scene().record_instance_poses(stream, before);  // The new pose takes effect in the next iteration.
+        append_kernel_times_since_last_call("move", rebuild_kernels_);
+        r.scene().record_upload_of_instance_poses(
+            stream, before);  // The new pose takes effect in the next iteration.
     }
 
     /// Measures only the forward pass by wall time. Used for devices without timestamps.
-    void run_repetition_by_wall_clock() {
+    void measure_forward_pass_by_wall_clock() {
         Renderer& r = get_renderer();
-        r.prepare_view(case_.placed, case_.view_origin_m);
+        r.record_view_preparation(case_.placed, case_.view_origin_m);
         r.stream().submit_and_wait();
         const Clock::time_point start = Clock::now();
         r.record_forward_pass(make_ray_batch());
@@ -189,7 +191,7 @@ public:
     }
 
     BenchResult make_bench_result();
-    MemoryTrafficSizes compute_floor_sizes(const BenchResult& result);
+    MemoryTrafficSizes compute_memory_traffic_sizes(const BenchResult& result);
 
 private:
     Device& device_;
@@ -215,12 +217,12 @@ private:
     }
 
     /// Adds the kernel times since the last call to the samples of a phase.
-    void collect_kernel_times(const std::string& phase_name, TimesByKernel& kernel_samples) {
+    void append_kernel_times_since_last_call(const std::string& phase_name, TimesByKernel& kernel_samples) {
         double total = 0.0;
         std::map<std::string, double> sums;
         Stream& stream = get_renderer().stream();
         for (const auto& [kernel, times] : stream.times().milliseconds)
-            sums[get_result_row_of_kernel(kernel, phase_name)] +=
+            sums[get_table_row_name_of_kernel(kernel, phase_name)] +=
                 std::accumulate(times.begin(), times.end(), 0.0);
         for (const auto& [row, ms] : sums) {
             kernel_samples[row].push_back(ms);
@@ -231,13 +233,15 @@ private:
     }
 };
 
-std::vector<KernelBenchTime> make_bench_rows(const TimesByKernel& samples,
-                                             std::vector<std::string> row_order) {
+std::vector<KernelBenchTime> compute_percentile_rows_of_kernels(
+    const TimesByKernel& samples, std::vector<std::string> preferred_row_order) {
     for (const auto& [name, unused] : samples) {
-        if (std::find(row_order.begin(), row_order.end(), name) == row_order.end()) row_order.push_back(name);
+        if (std::find(preferred_row_order.begin(), preferred_row_order.end(), name) ==
+            preferred_row_order.end())
+            preferred_row_order.push_back(name);
     }
     std::vector<KernelBenchTime> rows;
-    for (const std::string& name : row_order) {
+    for (const std::string& name : preferred_row_order) {
         if (const auto it = samples.find(name); it != samples.end())
             rows.push_back({name, compute_p10_median_p90(it->second)});
     }
@@ -246,7 +250,7 @@ std::vector<KernelBenchTime> make_bench_rows(const TimesByKernel& samples,
 
 BenchResult BenchRunner::make_bench_result() {
     Renderer& r = get_renderer();
-    if (const std::uint32_t capped = r.forward_pass().get_truncated_ray_count().download()[0])
+    if (const std::uint32_t capped = r.forward_pass().get_device_truncated_ray_count().download()[0])
         throw DeviceError(
             fmt::format("cannot trace {} rays: {} of them reached the maximum number of passes or filled the "
                         "traversal stack, expected none",
@@ -255,9 +259,10 @@ BenchResult BenchRunner::make_bench_result() {
     // acceleration structure.
     kernels_.merge(rebuild_kernels_);
     BenchResult result;
-    result.proxy = r.accel().get_bounding_shape() == ProxyShape::boxes ? "boxes" : "triangles";
-    result.kernels = make_bench_rows(kernels_, {std::begin(kOrder), std::end(kOrder)});
-    result.phases = make_bench_rows(phases_, {"rebuild", "iteration", "iteration_wall", "move"});
+    result.proxy = r.accel().get_proxy_shape_of_surfels() == ProxyShape::boxes ? "boxes" : "triangles";
+    result.kernels = compute_percentile_rows_of_kernels(kernels_, {std::begin(kOrder), std::end(kOrder)});
+    result.phases =
+        compute_percentile_rows_of_kernels(phases_, {"rebuild", "iteration", "iteration_wall", "move"});
     const double krays = static_cast<double>(rays_.size()) / 1000.0;
     double forward_ms = 0.0;
     for (const KernelBenchTime& row : result.kernels) {
@@ -274,13 +279,13 @@ BenchResult BenchRunner::make_bench_result() {
     if (const auto visits = count_bvh_visits(device_, r.scene(), r.accel(), make_ray_batch(),
                                              case_.config.image, make_benchmark_trace_options(case_)))
         result.visits = BenchVisits{visits->nodes, visits->surfels};
-    result.sizes = compute_floor_sizes(result);
+    result.sizes = compute_memory_traffic_sizes(result);
     return result;
 }
 
 /// Returns the sizes of this benchmark, from which lower bounds of the kernel times are
 /// computed.
-MemoryTrafficSizes BenchRunner::compute_floor_sizes(const BenchResult& result) {
+MemoryTrafficSizes BenchRunner::compute_memory_traffic_sizes(const BenchResult& result) {
     MemoryTrafficSizes s = sizes_;
     s.n_surfels = get_renderer().scene().size();
     s.n_models = static_cast<double>(case_.scene.models.size());
@@ -291,8 +296,8 @@ MemoryTrafficSizes BenchRunner::compute_floor_sizes(const BenchResult& result) {
     s.lists = kernels_.contains("diff/forward/append");
     s.gather = kernels_.contains("diff/backward/gather");
     s.only_touched = case_.config.train.only_touched;
-    s.boxes = get_renderer().accel().get_bounding_shape() == ProxyShape::boxes;
-    s.software = device_.traversal() == RayTracingBackend::software;
+    s.boxes = get_renderer().accel().get_proxy_shape_of_surfels() == ProxyShape::boxes;
+    s.software = device_.get_ray_tracing_backend() == RayTracingBackend::software;
     if (result.visits) {
         s.nodes_opened = result.visits->nodes * s.n_rays;
         s.surfels_tested = result.visits->surfels * s.n_rays;
@@ -325,13 +330,16 @@ BenchResult run_benchmark(Device& device, const DevCase& bench_case_case, const 
     const bool device_clock = device.info().timestamps;
     TerminalProgress(settings.quiet).show_progress_text("running repetitions that are not measured");
     BenchRunner bench(device, bench_case_case);
-    const auto repeat = [&] { device_clock ? bench.run_repetition() : bench.run_repetition_by_wall_clock(); };
-    bench.prepare_renderers(settings.backward && device_clock);
+    const auto repeat = [&] {
+        device_clock ? bench.run_repetition_with_gpu_timestamps()
+                     : bench.measure_forward_pass_by_wall_clock();
+    };
+    bench.create_renderers_and_count_hits(settings.backward && device_clock);
     const Clock::time_point start = Clock::now();
     do {
         throw_if_interrupted();
         repeat();
-    } while (measure_ms_since(start) < get_warm_up_duration_ms(device));
+    } while (measure_ms_since(start) < choose_warm_up_time_ms(device));
     bench.clear_time_samples();
     TerminalProgress progress(settings.quiet);
     for (int i = 0; i < settings.repeat; ++i) {

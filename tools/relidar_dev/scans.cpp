@@ -29,17 +29,18 @@ constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;
 class LogPathRequests {
 public:
     LogPathRequests(const TrainedRun& run, const ScanBenchOptions& bench) {
-        const PoseTrack log = shift_track(run.sequence.get_world_from_sensor(0), run.sequence.world_offset_m);
+        const PoseTrack log =
+            add_offset_to_track_positions(run.sequence.get_world_from_sensor(0), run.sequence.world_offset_m);
         first_s_ = log.time_s.front(), last_s_ = log.time_s.back();
         if (const auto rig = read_sensor_rig(bench.sensor)) {
             for (const MountedSensor& mounted : *rig) {
-                sensors_.push_back(make_sensor_choice(mounted));
+                sensors_.push_back(make_simulated_sensor(mounted));
                 tracks_.push_back(
                     compute_mounted_track(subdivide_turning_segments(log), mounted.rig_from_sensor));
             }
         } else {
-            sensors_.push_back(
-                choose_sensor(bench.sensor.empty() ? "native" : bench.sensor, run.config, run.sequence));
+            sensors_.push_back(find_or_load_sensor(bench.sensor.empty() ? "native" : bench.sensor, run.config,
+                                                   run.sequence));
             tracks_.push_back(log);
         }
         n_moments_ = (bench.n_scans - 1) / n_sensors() + 1;

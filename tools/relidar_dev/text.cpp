@@ -29,32 +29,33 @@ std::string format_phase_name(const std::string& phase_id, bool includes_trainin
     return "move of one instance";
 }
 
-std::string get_traversal_mode_name(const DevCase& bench_case) {
+std::string get_bvh_traversal_mode_name(const DevCase& bench_case) {
     return bench_case.traversal_mode == BvhTraversalMode::lane       ? "lane"
            : bench_case.traversal_mode == BvhTraversalMode::subgroup ? "subgroup"
                                                                      : "automatic";
 }
 
 std::string get_device_backend_name(const Device& device) {
-    return device.traversal() == RayTracingBackend::software ? "software" : "ray_query";
+    return device.get_ray_tracing_backend() == RayTracingBackend::software ? "software" : "ray_query";
 }
 /// Returns a text that names the selected ray traversal and its variant.
 std::string describe_traversal_variant(const Device& device, const DevCase& bench_case,
                                        const BenchResult& result) {
-    return device.traversal() == RayTracingBackend::software ? "walk " + get_traversal_mode_name(bench_case)
-                                                             : "proxy " + result.proxy;
+    return device.get_ray_tracing_backend() == RayTracingBackend::software
+               ? "walk " + get_bvh_traversal_mode_name(bench_case)
+               : "proxy " + result.proxy;
 }
-std::string get_sh_direction_name(const DevCase& bench_case) {
+std::string get_sh_evaluation_direction_name(const DevCase& bench_case) {
     return bench_case.config.image.sh_direction == ShDirection::ray ? "ray" : "surfel";
 }
-std::string get_gradient_reduction_name(const BenchResult& result) {
+std::string get_gradient_summation_method_name(const BenchResult& result) {
     return !result.sizes.training ? "none" : result.sizes.gather ? "gather" : "atomics";
 }
-std::uint64_t sum_surfel_memory_bytes(const BenchMemory& memory) {
+std::uint64_t sum_scene_bvh_and_training_bytes(const BenchMemory& memory) {
     return memory.scene + memory.accel + memory.training;
 }
 
-double compute_bytes_per_item(std::uint64_t n_bytes, std::size_t count) {
+double divide_bytes_by_item_count(std::uint64_t n_bytes, std::size_t count) {
     return static_cast<double>(n_bytes) / static_cast<double>(std::max<std::size_t>(count, 1));
 }
 
@@ -62,17 +63,20 @@ std::string format_memory_report(const BenchMemory& memory, std::size_t n_surfel
     return fmt::format(
         "memory    {} at peak; {:.0f} bytes per surfel (scene {:.0f}, acceleration structure {:.0f}, "
         "gradients and moments {:.0f}), {:.0f} bytes per ray\n",
-        format_byte_size(memory.peak), compute_bytes_per_item(sum_surfel_memory_bytes(memory), n_surfels),
-        compute_bytes_per_item(memory.scene, n_surfels), compute_bytes_per_item(memory.accel, n_surfels),
-        compute_bytes_per_item(memory.training, n_surfels), compute_bytes_per_item(memory.rays, n_rays));
+        format_byte_size(memory.peak),
+        divide_bytes_by_item_count(sum_scene_bvh_and_training_bytes(memory), n_surfels),
+        divide_bytes_by_item_count(memory.scene, n_surfels),
+        divide_bytes_by_item_count(memory.accel, n_surfels),
+        divide_bytes_by_item_count(memory.training, n_surfels),
+        divide_bytes_by_item_count(memory.rays, n_rays));
 }
 
 /// Returns a lower bound for the time of each kernel, in milliseconds. The bound of a
 /// phase (a group of kernels) is the sum of their bounds.
-std::map<std::string, double> compute_min_kernel_times_ms(const BenchResult& result) {
+std::map<std::string, double> compute_lower_bound_times_ms(const BenchResult& result) {
     std::map<std::string, double> floors;
     if (!result.copy_bytes_per_s) return floors;
-    for (const auto& [kernel, bytes] : compute_min_bytes_per_kernel(result.sizes))
+    for (const auto& [kernel, bytes] : compute_min_traffic_bytes_per_kernel(result.sizes))
         floors[kernel] = bytes / *result.copy_bytes_per_s * 1000.0;
     double iteration = 0.0;
     for (const auto& [kernel, ms] : floors) iteration += kernel == "accel/build" ? 0.0 : ms;
@@ -118,7 +122,7 @@ Json make_time_percentiles_json(const std::vector<KernelBenchTime>& rows,
 
 Json make_time_lower_bounds_json(const BenchResult& result) {
     Json json = {{"copy_bytes_per_s", nullptr},
-                 {"bytes", compute_min_bytes_per_kernel(result.sizes)},
+                 {"bytes", compute_min_traffic_bytes_per_kernel(result.sizes)},
                  {"cache_bytes", compute_cache_load_bytes_per_kernel(result.sizes)},
                  {"search_operations", count_traversal_operations(result.sizes)},
                  {"surfels_with_gradient", result.sizes.n_touched},
@@ -128,14 +132,15 @@ Json make_time_lower_bounds_json(const BenchResult& result) {
 }
 
 Json make_memory_json(const BenchMemory& memory, std::size_t n_surfels, std::size_t n_rays) {
-    return {{"peak_bytes", memory.peak},
-            {"scene_bytes", memory.scene},
-            {"accel_bytes", memory.accel},
-            {"training_bytes", memory.training},
-            {"ray_bytes", memory.rays},
-            {"bytes_per_surfel", compute_bytes_per_item(sum_surfel_memory_bytes(memory), n_surfels)},
-            {"accel_bytes_per_surfel", compute_bytes_per_item(memory.accel, n_surfels)},
-            {"bytes_per_ray", compute_bytes_per_item(memory.rays, n_rays)}};
+    return {
+        {"peak_bytes", memory.peak},
+        {"scene_bytes", memory.scene},
+        {"accel_bytes", memory.accel},
+        {"training_bytes", memory.training},
+        {"ray_bytes", memory.rays},
+        {"bytes_per_surfel", divide_bytes_by_item_count(sum_scene_bvh_and_training_bytes(memory), n_surfels)},
+        {"accel_bytes_per_surfel", divide_bytes_by_item_count(memory.accel, n_surfels)},
+        {"bytes_per_ray", divide_bytes_by_item_count(memory.rays, n_rays)}};
 }
 
 }  // namespace
@@ -147,10 +152,10 @@ std::string format_bench_result(const DevCase& bench_case, const BenchResult& re
     text += fmt::format("device    {}\nsettings  traversal {}, {}, chunk {}, harmonics along the {}",
                         device.info().name, get_device_backend_name(device),
                         describe_traversal_variant(device, bench_case, result), bench_case.config.trace.chunk,
-                        get_sh_direction_name(bench_case));
+                        get_sh_evaluation_direction_name(bench_case));
     text += result.sizes.training
                 ? fmt::format(", {} hits stored per ray, gradients by {}\n", result.stored_hits_per_ray,
-                              get_gradient_reduction_name(result))
+                              get_gradient_summation_method_name(result))
                 : "\n";
     if (!result.device_clock)
         text +=
@@ -158,7 +163,7 @@ std::string format_bench_result(const DevCase& bench_case, const BenchResult& re
             "waits\n";
     std::vector<std::vector<std::string>> rows{
         {"kernel", "p10 ms", "median ms", "p90 ms", "floor ms", "median / floor"}};
-    const std::map<std::string, double> floors = compute_min_kernel_times_ms(result);
+    const std::map<std::string, double> floors = compute_lower_bound_times_ms(result);
     const auto add = [&](const KernelBenchTime& row, const std::string& name) {
         const auto floor = floors.find(row.name);
         const bool has_floor = floor != floors.end();
@@ -205,16 +210,16 @@ std::string make_bench_result_json(const DevCase& bench_case, const BenchSetting
           {"columns", bench_case.columns},
           {"chunk", bench_case.config.trace.chunk},
           {"proxy", result.proxy},
-          {"walk", get_traversal_mode_name(bench_case)},
-          {"sh", get_sh_direction_name(bench_case)},
+          {"walk", get_bvh_traversal_mode_name(bench_case)},
+          {"sh", get_sh_evaluation_direction_name(bench_case)},
           {"sh_degree", bench_case.config.image.sh_degree},
           {"keep_hits", result.stored_hits_per_ray},
-          {"reduction", get_gradient_reduction_name(result)}}},
+          {"reduction", get_gradient_summation_method_name(result)}}},
         {"repetitions", settings.repeat},
         {"clock", result.device_clock ? "device timestamps, all launches of a kernel in a repetition"
                                       : "wall time of the forward pass, waits included"},
-        {"kernels_ms", make_time_percentiles_json(result.kernels, compute_min_kernel_times_ms(result))},
-        {"phases_ms", make_time_percentiles_json(result.phases, compute_min_kernel_times_ms(result))},
+        {"kernels_ms", make_time_percentiles_json(result.kernels, compute_lower_bound_times_ms(result))},
+        {"phases_ms", make_time_percentiles_json(result.phases, compute_lower_bound_times_ms(result))},
         {"floor", make_time_lower_bounds_json(result)},
         {"forward_mrays_per_s", result.forward_mrays_per_s},
         {"backward_mrays_per_s", nullptr},

@@ -69,18 +69,19 @@ int get_bound_port(int listening_socket) {
     return ntohs(reinterpret_cast<const sockaddr_in&>(storage).sin_port);
 }
 
-void set_socket_option(int socket, int level, int name, int value) {
-    (void)::setsockopt(socket, level, name, &value, sizeof(value));
+void set_integer_socket_option(int socket, int level, int option_name, int option_value) {
+    (void)::setsockopt(socket, level, option_name, &option_value, sizeof(option_value));
 }
 
 /// Opens a socket that listens at an address.
 /// @return the socket, or -1 if an error occurs; errno then holds the reason
-int listen_on_address(const addrinfo& address) {
+int open_listening_socket(const addrinfo& address) {
     const int listener = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     if (listener < 0) return -1;
-    set_socket_option(listener, SOL_SOCKET, SO_REUSEADDR, 1);
-    set_socket_option(listener, IPPROTO_TCP, TCP_NODELAY, 1);  // Accepted connections inherit this option.
-    if (address.ai_family == AF_INET6) set_socket_option(listener, IPPROTO_IPV6, IPV6_V6ONLY, 0);
+    set_integer_socket_option(listener, SOL_SOCKET, SO_REUSEADDR, 1);
+    set_integer_socket_option(listener, IPPROTO_TCP, TCP_NODELAY,
+                              1);  // Accepted connections inherit this option.
+    if (address.ai_family == AF_INET6) set_integer_socket_option(listener, IPPROTO_IPV6, IPV6_V6ONLY, 0);
     if (::bind(listener, address.ai_addr, address.ai_addrlen) == 0 && ::listen(listener, SOMAXCONN) == 0)
         return listener;
     const int error = errno;
@@ -92,7 +93,7 @@ int listen_on_address(const addrinfo& address) {
 /// Returns the lowest file descriptor number at which a new connection is closed. The
 /// system always assigns the lowest free number, so a high number means that many
 /// descriptors are open.
-int compute_max_connection_descriptor() {
+int compute_first_refused_file_descriptor() {
     rlimit limit{};
     const bool has_usable_limit =
         ::getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < rlim_t(kMostDescriptors);
@@ -109,7 +110,7 @@ Acceptor::Acceptor(const std::string& text) {
     port_ = host_port.port;
     for (const addrinfo* address = all.get(); address; address = address->ai_next) {
         set_port(*address->ai_addr, port_);
-        const int listener = listen_on_address(*address);
+        const int listener = open_listening_socket(*address);
         if (listener < 0) error = errno;
         if (listener < 0 && error == EADDRINUSE && host_port.port != 0) break;
         // Skips this address if the machine does not support its address family (IPv4 or
@@ -120,18 +121,18 @@ Acceptor::Acceptor(const std::string& text) {
     }
     const bool is_port_in_use = error == EADDRINUSE && host_port.port != 0;
     if (listeners_.empty() || is_port_in_use || ::pipe2(wake_, O_CLOEXEC) != 0) {
-        close_all_sockets();
+        close_all_listening_sockets();
         throw_listen_error(text,
                            is_port_in_use ? "another process already uses it" : get_errno_message(error));
     }
 }
 
 Acceptor::~Acceptor() {
-    stop_accepting();
-    close_all_sockets();
+    stop_accepting_and_close_sockets();
+    close_all_listening_sockets();
 }
 
-void Acceptor::close_all_sockets() {
+void Acceptor::close_all_listening_sockets() {
     for (const int listener : listeners_) ::close(listener);
     listeners_.clear();
     for (int& end : wake_)
@@ -143,7 +144,7 @@ void Acceptor::start_accepting(ConnectionCallback handle_connection) {
     thread_ = std::thread([this] { run_accept_loop(); });
 }
 
-void Acceptor::stop_accepting() {
+void Acceptor::stop_accepting_and_close_sockets() {
     if (!thread_.joinable()) return;
     const char any = 0;
     while (::write(wake_[1], &any, 1) < 0 && errno == EINTR) {}
@@ -171,7 +172,7 @@ void Acceptor::accept_connection(int listening_socket) {
     if (is_full) std::this_thread::sleep_for(kPause);
     // Does nothing if the client has already disconnected.
     if (connection < 0) return;
-    if (connection >= compute_max_connection_descriptor()) ::close(connection);
+    if (connection >= compute_first_refused_file_descriptor()) ::close(connection);
     else receive_(listening_socket, connection);
 }
 

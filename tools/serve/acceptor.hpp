@@ -30,17 +30,18 @@ public:
     /// connections immediately.
     void start_accepting(ConnectionCallback handle_connection);
     /// Stops accepting connections. Waits until a running callback has returned.
-    void stop_accepting();
+    void stop_accepting_and_close_sockets();
 
 private:
     std::vector<int> listeners_;
-    int wake_[2] = {-1,
-                    -1};  ///< Pipe that stop_accepting() uses to wake the thread that waits for connections.
+    int wake_[2] = {
+        -1,
+        -1};  ///< Pipe that stop_accepting_and_close_sockets() uses to wake the thread that waits for connections.
     int port_ = 0;
     ConnectionCallback receive_;
     std::thread thread_;
 
-    void close_all_sockets();
+    void close_all_listening_sockets();
     void run_accept_loop();
     void accept_connection(int listening_socket);
 };

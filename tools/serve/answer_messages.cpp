@@ -21,34 +21,34 @@ static_assert(std::endian::native == std::endian::little,
               "relidar sends arrays in the byte order of this machine, which must be little-endian");
 
 template <class T>
-void set_bytes_of_array(std::string& bytes, const std::vector<T>& values) {
-    bytes.assign(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
+void copy_array_to_bytes(std::string& output_bytes, const std::vector<T>& array) {
+    output_bytes.assign(reinterpret_cast<const char*>(array.data()), array.size() * sizeof(T));
 }
 
 template <class Messages>
-void write_channels(const std::vector<ScanChannel>& channels, Messages& messages) {
+void add_channels_to_message(const std::vector<ScanChannel>& channels, Messages& channel_messages) {
     for (const auto& [info, values, second] : channels) {
-        v1::Channel& message = *messages.Add();
+        v1::Channel& message = *channel_messages.Add();
         message.set_name(info.name);
         message.set_unit(info.unit);
         message.set_meaning(info.meaning);
         message.set_components(std::holds_alternative<std::vector<glm::vec3>>(values) ? 3 : 1);
         message.set_is_integer(std::holds_alternative<std::vector<std::int32_t>>(values));
-        std::visit([&](const auto& of_rays) { set_bytes_of_array(*message.mutable_values(), of_rays); },
+        std::visit([&](const auto& of_rays) { copy_array_to_bytes(*message.mutable_values(), of_rays); },
                    values);
     }
 }
 
 void write_points(const LidarPoints& points, v1::Points& message) {
     message.set_count(std::uint32_t(points.size()));
-    set_bytes_of_array(*message.mutable_xyz_m(), points.position_m);
-    set_bytes_of_array(*message.mutable_intensity(), points.intensity);
-    set_bytes_of_array(*message.mutable_ring(), points.ring);
-    set_bytes_of_array(*message.mutable_time_s(), points.time_offset_s);
-    set_bytes_of_array(*message.mutable_instance(), points.instance);
+    copy_array_to_bytes(*message.mutable_xyz_m(), points.position_m);
+    copy_array_to_bytes(*message.mutable_intensity(), points.intensity);
+    copy_array_to_bytes(*message.mutable_ring(), points.ring);
+    copy_array_to_bytes(*message.mutable_time_s(), points.time_offset_s);
+    copy_array_to_bytes(*message.mutable_instance(), points.instance);
     if (points.return_number.empty()) message.mutable_return_number()->assign(points.size(), 1);
-    else set_bytes_of_array(*message.mutable_return_number(), points.return_number);
-    write_channels(points.channels, *message.mutable_channels());
+    else copy_array_to_bytes(*message.mutable_return_number(), points.return_number);
+    add_channels_to_message(points.channels, *message.mutable_channels());
 }
 
 std::size_t count_first_returns(const LidarPoints& points) {
@@ -63,9 +63,9 @@ double compute_track_length_m(const PoseTrack& track) {
     return length;
 }
 
-void write_actor(const TrainedRun& run, const std::string& actor_name, v1::Actor& message) {
+void write_actor_into_message(const TrainedRun& run, const std::string& actor_name, v1::Actor& message) {
     message.set_name(actor_name);
-    const BoxTrack* box = find_box(run.sequence, actor_name);
+    const BoxTrack* box = find_box_track_by_id(run.sequence, actor_name);
     if (!box) return;
     const PoseTrack& track = box->world_from_box;
     message.set_category(box->category);
@@ -79,7 +79,8 @@ void write_actor(const TrainedRun& run, const std::string& actor_name, v1::Actor
 
 }  // namespace
 
-void write_scan(const RenderedPoints& scan, const RenderRequest& request, v1::LidarScan& message) {
+void write_scan_into_message(const RenderedPoints& scan, const RenderRequest& request,
+                             v1::LidarScan& message) {
     message.set_sensor(request.sensor->name);
     message.set_time_s(scan.points.time_s);
     message.set_points_at_s(request.points_at_s);
@@ -90,27 +91,28 @@ void write_scan(const RenderedPoints& scan, const RenderRequest& request, v1::Li
     if (request.points) write_points(scan.points, *message.mutable_points());
 }
 
-void write_scan(const RenderedScan& scan, const RenderRequest& request, const Config& config,
-                v1::LidarScan& message) {
+void write_scan_into_message(const RenderedScan& scan, const RenderRequest& request,
+                             const Config& config_with_range_limits, v1::LidarScan& message) {
     const Pose dataset_from_points =
         request.request.dataset_from_sensor.interpolate_pose(request.points_at_s);
-    write_scan({convert_scan_to_points(scan, config, dataset_from_points), scan.image.range_m.size(),
-                scan.unseen_share},
-               request, message);
+    write_scan_into_message({convert_scan_to_points(scan, config_with_range_limits, dataset_from_points),
+                             scan.image.range_m.size(), scan.unseen_share},
+                            request, message);
     if (!request.range_image && !request.drop_probability) return;
     v1::RangeImage& image = *message.mutable_image();
     image.set_rows(std::uint32_t(scan.image.rows));
     image.set_columns(std::uint32_t(scan.image.columns));
-    if (request.drop_probability) set_bytes_of_array(*image.mutable_drop_probability(), scan.image.drop_prob);
+    if (request.drop_probability)
+        copy_array_to_bytes(*image.mutable_drop_probability(), scan.image.drop_prob);
     if (!request.range_image) return;
-    set_bytes_of_array(*image.mutable_range_m(), scan.image.range_m);
-    set_bytes_of_array(*image.mutable_intensity(), scan.image.intensity);
-    write_channels(scan.channels, *image.mutable_channels());
+    copy_array_to_bytes(*image.mutable_range_m(), scan.image.range_m);
+    copy_array_to_bytes(*image.mutable_intensity(), scan.image.intensity);
+    add_channels_to_message(scan.channels, *image.mutable_channels());
 }
 
-void write_actor_boxes(const RenderedScan& scan, const RenderRequest& request, const TrainedRun& run,
-                       v1::LidarScan& message) {
-    ScanOutputOptions format = make_scan_format(run, *request.sensor);
+void write_actor_boxes_into_message(const RenderedScan& scan, const RenderRequest& request,
+                                    const TrainedRun& run_with_actors, v1::LidarScan& message) {
+    ScanOutputOptions format = make_default_output_options(run_with_actors, *request.sensor);
     std::map<std::string, std::string> names;  // of the actors by track
     if (request.request.dataset_from_actor) {
         format.actors.clear();
@@ -136,7 +138,7 @@ void write_actor_boxes(const RenderedScan& scan, const RenderRequest& request, c
     }
 }
 
-void write_scene(const std::string& scene_name, const TrainedRun& run, v1::Scene& message) {
+void write_scene_description(const std::string& scene_name, const TrainedRun& run, v1::Scene& message) {
     const LidarSequence& log = run.sequence;
     message.set_name(scene_name);
     message.set_begin_s(log.frames.front().time_s);
@@ -148,31 +150,34 @@ void write_scene(const std::string& scene_name, const TrainedRun& run, v1::Scene
         v1::Lidar& added = *message.add_lidars();
         added.set_name(lidar.name);
         added.set_sensor(lidar.sensor.name);
-        added.set_rays(count_rays_of_sensor(make_configured_sensor(run.config, log, int(i))));
-        added.set_period_s(lidar.period_s());
+        added.set_rays(count_rays_of_sensor(make_sensor_from_config(run.config, log, int(i))));
+        added.set_period_s(lidar.get_sweep_period_s());
     }
     for (const std::string& actor : list_actor_names_of_run(run))
-        write_actor(run, actor, *message.add_actors());
+        write_actor_into_message(run, actor, *message.add_actors());
 }
 
-void write_tracks(const TrainedRun& run, int lidar_index,
-                  const google::protobuf::RepeatedPtrField<std::string>& actor_names,
-                  v1::GetTracksResponse& message) {
+void write_recorded_tracks(const TrainedRun& run, int lidar_index,
+                           const google::protobuf::RepeatedPtrField<std::string>& actor_names_or_all,
+                           v1::GetTracksResponse& message) {
     const LidarSequence& log = run.sequence;
-    const auto in_dataset = [&](const PoseTrack& track) { return shift_track(track, log.world_offset_m); };
+    const auto in_dataset = [&](const PoseTrack& track) {
+        return add_offset_to_track_positions(track, log.world_offset_m);
+    };
     write_track(in_dataset(log.get_world_from_sensor(lidar_index)), *message.mutable_dataset_from_sensor());
-    if (std::size_t(actor_names.size()) > run.scene.instances.size())
-        throw_invalid_field("actors", fmt::format("{} names", actor_names.size()), "each actor at most once");
-    std::vector<std::string> names(actor_names.begin(), actor_names.end());
+    if (std::size_t(actor_names_or_all.size()) > run.scene.instances.size())
+        throw_invalid_field("actors", fmt::format("{} names", actor_names_or_all.size()),
+                            "each actor at most once");
+    std::vector<std::string> names(actor_names_or_all.begin(), actor_names_or_all.end());
     if (names.empty()) names = list_actor_names_of_run(run);
     for (const std::string& name : names) {
-        const BoxTrack* box = find_box(run.sequence, name);
+        const BoxTrack* box = find_box_track_by_id(run.sequence, name);
         if (!box)
             throw RejectedRequest(
                 grpc::StatusCode::NOT_FOUND,
                 fmt::format(
                     "cannot read actors: found {}, expected an actor of the log that ListScenes returns",
-                    quote_for_error_message(name)));
+                    shorten_and_quote_client_text(name)));
         v1::ActorTrack& track = *message.add_actors();
         track.set_name(name);
         write_track(in_dataset(box->world_from_box), *track.mutable_poses());

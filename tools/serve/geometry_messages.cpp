@@ -18,7 +18,7 @@ constexpr double kFarthest = 1e10;
 constexpr double kDoublePrecision = 1e-12;
 constexpr int kMostPoses = 100'000;
 
-double require_limited_number(double value, const std::string& field_name) {
+double require_number_of_limited_size(double value, const std::string& field_name) {
     if (!(std::abs(value) <= kFarthest))
         throw_invalid_field(field_name, fmt::format("{}", value), "a finite number of at most 1e10");
     return value;
@@ -26,16 +26,16 @@ double require_limited_number(double value, const std::string& field_name) {
 
 }  // namespace
 
-double require_limited_time(double time_s, const std::string& field_name) {
-    return require_limited_number(time_s, field_name);
+double require_time_within_limit(double time_s, const std::string& field_name) {
+    return require_number_of_limited_size(time_s, field_name);
 }
 
 Pose read_pose(const v1::Pose& message, const std::string& field_name) {
     const v1::Vector& t = message.translation();
     Pose pose;
-    pose.translation = {require_limited_number(t.x(), field_name + ".translation.x"),
-                        require_limited_number(t.y(), field_name + ".translation.y"),
-                        require_limited_number(t.z(), field_name + ".translation.z")};
+    pose.translation = {require_number_of_limited_size(t.x(), field_name + ".translation.x"),
+                        require_number_of_limited_size(t.y(), field_name + ".translation.y"),
+                        require_number_of_limited_size(t.z(), field_name + ".translation.z")};
     if (!message.has_rotation()) return pose;
     const v1::Quaternion& q = message.rotation();
     pose.rotation = glm::dquat(q.w(), q.x(), q.y(), q.z());
@@ -55,7 +55,7 @@ PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& me
     PoseTrack track;
     for (int i = 0; i < messages.size(); ++i) {
         const std::string entry = fmt::format("{}[{}]", field_name, i);
-        const double time_s = require_limited_time(messages[i].time_s(), entry + ".time_s");
+        const double time_s = require_time_within_limit(messages[i].time_s(), entry + ".time_s");
         if (i > 0 && !(time_s > track.time_s.back()))
             throw_invalid_field(entry + ".time_s", fmt::format("{} after {}", time_s, track.time_s.back()),
                                 "increasing times");

@@ -29,7 +29,7 @@ PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& me
                      const std::string& field_name);
 /// Checks a time and returns it.
 /// @throws RejectedRequest if the time is not finite or exceeds 1e10 s
-double require_limited_time(double time_s, const std::string& field_name);
+double require_time_within_limit(double time_s, const std::string& field_name);
 
 void write_vector(const glm::dvec3& vector, v1::Vector& message);
 void write_pose(const Pose& pose, v1::Pose& message);

@@ -26,36 +26,36 @@ struct LatencySample {
     std::size_t rays, points;
 };
 
-/// Returns a percentile of the values, for example the median if `fraction` is 0.5. The
-/// result is the smallest value for which at least this share of the values is less or
-/// equal.
-double compute_percentile(std::vector<double> values, double fraction) {
+/// Returns a percentile of the values, for example the median if `percentile_as_fraction`
+/// is 0.5. The result is the smallest value for which at least this share of the values
+/// is less or equal.
+double compute_percentile(std::vector<double> values, double percentile_as_fraction) {
     std::sort(values.begin(), values.end());
-    const auto rank = std::size_t(std::ceil(fraction * double(values.size())));
+    const auto rank = std::size_t(std::ceil(percentile_as_fraction * double(values.size())));
     return values[std::max<std::size_t>(rank, 1) - 1];
 }
 
 Percentiles compute_percentiles(const std::vector<LatencySample>& samples,
-                                double LatencySample::*sample_member) {
+                                double LatencySample::*time_member) {
     std::vector<double> values;
-    for (const LatencySample& sample : samples) values.push_back(sample.*sample_member);
+    for (const LatencySample& sample : samples) values.push_back(sample.*time_member);
     return {compute_percentile(values, 0.5), compute_percentile(values, 0.99)};
 }
 
 /// Returns a request for a sweep between two successive poses of the log. After the last
 /// pose, the requests start again at the first pose.
 v1::RenderLidarRequest make_sweep_request(const LatencyOptions& options, const std::string& scene_name,
-                                          const v1::GetTracksResponse& tracks, int request_number) {
+                                          const v1::GetTracksResponse& tracks, int number_of_request) {
     v1::RenderLidarRequest request;
     request.set_scene(scene_name);
     if (!options.sensor.empty()) request.mutable_sensor()->set_name(options.sensor);
-    const int n = tracks.dataset_from_sensor_size(), first = n > 1 ? request_number % (n - 1) : 0;
+    const int n = tracks.dataset_from_sensor_size(), first = n > 1 ? number_of_request % (n - 1) : 0;
     for (int i = first; i < std::min(first + 2, n); ++i) *request.add_path() = tracks.dataset_from_sensor(i);
     request.mutable_wanted()->set_points(true);
     return request;
 }
 
-LatencySample measure_render_call(ScanClient& client, const v1::RenderLidarRequest& request) {
+LatencySample call_render_and_measure_latency(ScanClient& client, const v1::RenderLidarRequest& request) {
     const Clock::time_point begin = Clock::now();
     const v1::LidarScan scan = client.render_lidar_scan(request);
     const double latency_ms = std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
@@ -78,7 +78,7 @@ LatencyResult measure_latency(const LatencyOptions& options) {
     const v1::GetTracksResponse tracks = first.get_tracks(which);
     // The first call is not measured. It takes longer than later calls, because it
     // computes the rays of the sensor and allocates memory.
-    measure_render_call(first, make_sweep_request(options, result.scene, tracks, 0));
+    call_render_and_measure_latency(first, make_sweep_request(options, result.scene, tracks, 0));
 
     std::vector<LatencySample> samples;
     std::exception_ptr failure;
@@ -92,7 +92,7 @@ LatencyResult measure_latency(const LatencyOptions& options) {
                 try {
                     ScanClient client(options.address);
                     for (int number = next++; number < options.calls; number = next++) {
-                        const LatencySample sample = measure_render_call(
+                        const LatencySample sample = call_render_and_measure_latency(
                             client, make_sweep_request(options, result.scene, tracks, number));
                         const std::lock_guard lock(mutex);
                         samples.push_back(sample);

@@ -10,24 +10,24 @@
 
 namespace relidar::serve {
 
-void throw_invalid_field(const std::string& field_name, const std::string& found_value,
-                         const std::string& expected_value) {
-    throw RejectedRequest(
-        grpc::StatusCode::INVALID_ARGUMENT,
-        fmt::format("cannot read {}: found {}, expected {}", field_name, found_value, expected_value));
+void throw_invalid_field(const std::string& field_name, const std::string& found_value_text,
+                         const std::string& expected_value_text) {
+    throw RejectedRequest(grpc::StatusCode::INVALID_ARGUMENT,
+                          fmt::format("cannot read {}: found {}, expected {}", field_name, found_value_text,
+                                      expected_value_text));
 }
 
 void throw_unknown_name(const std::string& field_name, const std::string& name,
-                        const std::vector<std::string>& known_names) {
-    const std::string nearest = find_most_similar_name(name.substr(0, 80), known_names);
+                        const std::vector<std::string>& valid_names) {
+    const std::string nearest = find_most_similar_name(name.substr(0, 80), valid_names);
     const std::string expected = nearest.empty() ? "an empty field, because no names are available"
                                                  : fmt::format("an existing name such as \"{}\"", nearest);
     throw RejectedRequest(grpc::StatusCode::NOT_FOUND,
                           fmt::format("cannot read {}: found {}, expected {}", field_name,
-                                      quote_for_error_message(name), expected));
+                                      shorten_and_quote_client_text(name), expected));
 }
 
-std::string quote_for_error_message(const std::string& client_text) {
+std::string shorten_and_quote_client_text(const std::string& client_text) {
     constexpr std::size_t kMost = 80;
     std::size_t n = std::min(client_text.size(), kMost);
     // Cuts the text before a UTF-8 character, not in the middle of it.
@@ -41,9 +41,9 @@ std::string quote_for_error_message(const std::string& client_text) {
                                    : fmt::format("\"{}...\" of {} bytes", shown, client_text.size());
 }
 
-grpc::Status call_and_get_grpc_status(const std::function<void()>& function) {
+grpc::Status call_and_convert_errors_to_status(const std::function<void()>& handle_request) {
     try {
-        function();
+        handle_request();
         return grpc::Status::OK;
     } catch (const RejectedRequest& refusal) {
         return {refusal.code(), refusal.what()};

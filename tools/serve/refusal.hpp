@@ -24,21 +24,21 @@ private:
 
 /// Rejects a request because one of its fields has an invalid value.
 /// @throws RejectedRequest always
-[[noreturn]] void throw_invalid_field(const std::string& field_name, const std::string& found_value,
-                                      const std::string& expected_value);
+[[noreturn]] void throw_invalid_field(const std::string& field_name, const std::string& found_value_text,
+                                      const std::string& expected_value_text);
 
 /// Rejects a request because it contains an unknown name.
-/// @param known_names valid names; the error message may suggest a similar one
+/// @param valid_names valid names; the error message may suggest a similar one
 /// @throws RejectedRequest always
 [[noreturn]] void throw_unknown_name(const std::string& field_name, const std::string& name,
-                                     const std::vector<std::string>& known_names);
+                                     const std::vector<std::string>& valid_names);
 
 /// Puts a client's text into quotes for an error message. Removes line breaks and
 /// shortens long texts.
-std::string quote_for_error_message(const std::string& client_text);
+std::string shorten_and_quote_client_text(const std::string& client_text);
 
 /// Calls the function that handles a request. If the function throws an exception,
 /// returns an error status with a one-line message.
-grpc::Status call_and_get_grpc_status(const std::function<void()>& function);
+grpc::Status call_and_convert_errors_to_status(const std::function<void()>& handle_request);
 
 }  // namespace relidar::serve

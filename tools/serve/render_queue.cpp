@@ -48,7 +48,7 @@ std::optional<std::string> RenderQueue::get_device_loss_message() {
     return device_loss_;
 }
 
-void RenderQueue::set_batch_size(std::size_t max_requests) {
+void RenderQueue::set_max_requests_per_batch(std::size_t max_requests) {
     const std::lock_guard lock(mutex_);
     batch_size_ = max_requests;
 }
@@ -103,19 +103,21 @@ QueuedRequest* RenderQueue::take_next_request(const std::optional<std::size_t>& 
     return nullptr;
 }
 
-/// Runs submit_to_device() or wait_and_store_response() of a request. A request is done
-/// after wait_and_store_response(), or when one of them throws an exception.
-/// @param is_last_submission argument of submit_to_device(); without a value, runs
-/// wait_and_store_response() instead
-void RenderQueue::submit_or_finish_request(QueuedRequest& request, std::optional<bool> is_last_submission,
-                                           std::unique_lock<std::mutex>& lock) {
+/// Runs submit_to_device() or wait_for_device_and_store_response() of a request. A
+/// request is done after wait_for_device_and_store_response(), or when one of them throws
+/// an exception.
+/// @param is_last_of_batch argument of submit_to_device(); without a value, runs
+/// wait_for_device_and_store_response() instead
+void RenderQueue::submit_request_or_store_response(QueuedRequest& request,
+                                                   std::optional<bool> is_last_of_batch,
+                                                   std::unique_lock<std::mutex>& lock) {
     lock.unlock();
     std::exception_ptr failure;
     std::optional<std::string> loss;
-    if (is_last_submission) request.submitted_at_ = QueuedRequest::Clock::now();
+    if (is_last_of_batch) request.submitted_at_ = QueuedRequest::Clock::now();
     try {
-        if (is_last_submission) request.submit_to_device(*is_last_submission);
-        else request.wait_and_store_response();
+        if (is_last_of_batch) request.submit_to_device(*is_last_of_batch);
+        else request.wait_for_device_and_store_response();
     } catch (const DeviceLost& error) {
         failure = std::current_exception();
         loss = error.what();
@@ -125,7 +127,7 @@ void RenderQueue::submit_or_finish_request(QueuedRequest& request, std::optional
     request.finished_at_ = QueuedRequest::Clock::now();
     lock.lock();
     if (loss && !device_loss_) device_loss_ = loss;
-    if (is_last_submission && request.scene && !failure) return;
+    if (is_last_of_batch && request.scene && !failure) return;
     request.failure_ = failure;
     request.state_ = QueuedRequest::RequestState::done;
     request.changed_.notify_one();
@@ -133,21 +135,22 @@ void RenderQueue::submit_or_finish_request(QueuedRequest& request, std::optional
 
 /// Submits a batch: a request, and the requests after it for the same scene.
 /// @return the submitted requests that are not finished yet
-RenderQueue::RequestBatch RenderQueue::submit_batch(QueuedRequest* first_request,
-                                                    std::unique_lock<std::mutex>& lock) {
+RenderQueue::RequestBatch RenderQueue::collect_and_submit_batch(QueuedRequest* first_request,
+                                                                std::unique_lock<std::mutex>& lock) {
     RequestBatch batch;
     for (std::size_t n = 1; first_request; ++n) {
         QueuedRequest* following =
             first_request->scene && n < batch_size_ ? take_next_request(first_request->scene) : nullptr;
-        submit_or_finish_request(*first_request, !following, lock);
+        submit_request_or_store_response(*first_request, !following, lock);
         if (first_request->state_ == QueuedRequest::RequestState::in_flight) batch.push_back(first_request);
         first_request = following;
     }
     return batch;
 }
 
-void RenderQueue::finish_batch(const RequestBatch& batch, std::unique_lock<std::mutex>& lock) {
-    for (QueuedRequest* request : batch) submit_or_finish_request(*request, {}, lock);
+void RenderQueue::wait_for_batch_and_notify_clients(const RequestBatch& batch,
+                                                    std::unique_lock<std::mutex>& lock) {
+    for (QueuedRequest* request : batch) submit_request_or_store_response(*request, {}, lock);
 }
 
 void RenderQueue::run_render_loop() {
@@ -162,10 +165,10 @@ void RenderQueue::run_render_loop() {
         }
         const bool overlaps =
             request && !in_flight.empty() && request->scene && request->scene == in_flight.front()->scene;
-        if (!overlaps) finish_batch(std::exchange(in_flight, {}), lock);
+        if (!overlaps) wait_for_batch_and_notify_clients(std::exchange(in_flight, {}), lock);
         if (!request) continue;
-        const RequestBatch submitted = submit_batch(request, lock);
-        finish_batch(std::exchange(in_flight, submitted), lock);
+        const RequestBatch submitted = collect_and_submit_batch(request, lock);
+        wait_for_batch_and_notify_clients(std::exchange(in_flight, submitted), lock);
     }
 }
 

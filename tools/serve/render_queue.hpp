@@ -28,7 +28,7 @@ public:
     virtual void submit_to_device(bool is_last_of_batch) = 0;
     /// Waits for the device and stores the response. It is called only for requests that
     /// have a scene.
-    virtual void wait_and_store_response() {}
+    virtual void wait_for_device_and_store_response() {}
     /// Returns true if the client no longer waits for the response, because it has
     /// disconnected or its deadline has passed. One thread calls this function from time
     /// to time.
@@ -91,13 +91,13 @@ public:
     };
     /// Reserves a slot in the queue. Returns no value if the queue is full.
     std::optional<QueueSlot> reserve_slot();
-    std::size_t get_slot_count() const { return slots_; }
+    std::size_t get_total_slot_count() const { return slots_; }
     /// Returns the driver's error message if the device was lost. Returns no value as
     /// long as the device works.
     std::optional<std::string> get_device_loss_message();
     /// Sets the maximum number of requests in a batch. The default is 1, which means that
     /// each request is submitted alone.
-    void set_batch_size(std::size_t max_requests);
+    void set_max_requests_per_batch(std::size_t max_requests);
 
 private:
     using RequestBatch = std::vector<QueuedRequest*>;
@@ -115,10 +115,10 @@ private:
 
     void run_render_loop();
     QueuedRequest* take_next_request(const std::optional<std::size_t>& scene_index = {});
-    RequestBatch submit_batch(QueuedRequest* first_request, std::unique_lock<std::mutex>& lock);
-    void finish_batch(const RequestBatch& batch, std::unique_lock<std::mutex>& lock);
-    void submit_or_finish_request(QueuedRequest& request, std::optional<bool> is_last_submission,
-                                  std::unique_lock<std::mutex>& lock);
+    RequestBatch collect_and_submit_batch(QueuedRequest* first_request, std::unique_lock<std::mutex>& lock);
+    void wait_for_batch_and_notify_clients(const RequestBatch& batch, std::unique_lock<std::mutex>& lock);
+    void submit_request_or_store_response(QueuedRequest& request, std::optional<bool> is_last_of_batch,
+                                          std::unique_lock<std::mutex>& lock);
     void wait_until_request_ended(QueuedRequest& request, std::unique_lock<std::mutex>& lock);
 };
 

@@ -21,13 +21,14 @@ std::vector<std::string> list_spawned_actor_names(const std::vector<SpawnedActor
 /// Calls a function with the renderer of the requested scene. If the scene cannot be
 /// loaded, the error message names the folder of its run.
 template <class Function>
-SceneSet::SceneLoadNumber call_with_requested_scene(SceneSet& scenes, const RenderRequest& request,
-                                                    const Function& function) {
+SceneSet::SceneLoadNumber call_with_renderer_of_request(SceneSet& scenes, const RenderRequest& request,
+                                                        const Function& use_renderer) {
     try {
-        return scenes.call_with_scene(request.scene, request.weather, [&](ScanRenderer& renderer) {
-            renderer.enable_actor_visibility(request.boxes);
-            function(renderer);
-        });
+        return scenes.load_scene_and_call_with_renderer(request.scene, request.weather,
+                                                        [&](ScanRenderer& renderer) {
+                                                            renderer.enable_actor_visibility(request.boxes);
+                                                            use_renderer(renderer);
+                                                        });
     } catch (const DataError& error) {
         throw RejectedRequest(grpc::StatusCode::INTERNAL, error.what());
     }
@@ -45,20 +46,20 @@ RenderQueue::QueueSlot reserve_slot_or_throw(RenderQueue& queue) {
         throw RejectedRequest(
             grpc::StatusCode::RESOURCE_EXHAUSTED,
             fmt::format("cannot queue the request: all {} slots of the queue are occupied; try again later",
-                        queue.get_slot_count()));
+                        queue.get_total_slot_count()));
     return std::move(*slot);
 }
 
 bool ClientRequest::is_cancelled() const { return context_.IsCancelled() || has_deadline_passed(context_); }
 
-void ClientRequest::run_or_throw_cancellation(RenderQueue::QueueSlot& slot) {
+void ClientRequest::run_or_throw_if_client_gave_up(RenderQueue::QueueSlot& slot) {
     const bool is_done = slot.run_request_and_wait(*this) == RenderQueue::RequestOutcome::done;
     if (is_done && !is_cancelled()) return;
-    if (is_done) revert_effects();
-    throw_cancellation(context_);
+    if (is_done) revert_effects_of_cancelled_request();
+    throw_deadline_or_cancelled_error(context_);
 }
 
-void throw_cancellation(const grpc::ServerContext& context) {
+void throw_deadline_or_cancelled_error(const grpc::ServerContext& context) {
     if (has_deadline_passed(context))
         throw RejectedRequest(grpc::StatusCode::DEADLINE_EXCEEDED,
                               "cannot answer the request: its deadline has passed; set a later deadline");
@@ -67,7 +68,7 @@ void throw_cancellation(const grpc::ServerContext& context) {
 }
 
 void ScanImageRequest::submit_to_device(bool) {
-    call_with_requested_scene(scenes_, render_request_, [&](ScanRenderer& renderer) {
+    call_with_renderer_of_request(scenes_, render_request_, [&](ScanRenderer& renderer) {
         scan = renderer.render(*render_request_.sensor, render_request_.request, render_request_.sample);
     });
 }
@@ -83,7 +84,7 @@ void PointsRequest::submit_to_device(bool is_last) {
     try {
         for (const RenderRequest& scan : render_requests_) {
             const Send when = is_last && &scan == &render_requests_.back() ? Send::now : Send::with_next;
-            load_ = call_with_requested_scene(scenes_, scan, [&](ScanRenderer& renderer) {
+            load_ = call_with_renderer_of_request(scenes_, scan, [&](ScanRenderer& renderer) {
                 renderer.submit_points(*scan.sensor, scan.request, scan.points_at_s, scan.sample, when);
             });
             ++n_submitted_;
@@ -94,8 +95,8 @@ void PointsRequest::submit_to_device(bool is_last) {
     }
 }
 
-void PointsRequest::wait_and_store_response() {
-    scenes_.call_with_loaded_scene(*scene, load_, [&](ScanRenderer& renderer) {
+void PointsRequest::wait_for_device_and_store_response() {
+    scenes_.call_if_scene_was_not_reloaded(*scene, load_, [&](ScanRenderer& renderer) {
         while (points.size() < n_submitted_) points.push_back(renderer.wait_for_points());
     });
     if (submit_failure_) std::rethrow_exception(submit_failure_);
@@ -105,8 +106,9 @@ void SpawnRequest::submit_to_device(bool) { occupied_slots = scenes_.spawn_actor
 
 /// Removes the spawned actors, because a client that did not receive the response would
 /// never remove them.
-void SpawnRequest::revert_effects() {
-    scenes_.get_spawned_actors().release_slots(spawn_scene_, list_spawned_actor_names(occupied_slots));
+void SpawnRequest::revert_effects_of_cancelled_request() {
+    scenes_.get_spawned_actors().remove_actors_and_free_slots(spawn_scene_,
+                                                              list_spawned_actor_names(occupied_slots));
 }
 
 }  // namespace relidar::serve

@@ -21,7 +21,7 @@ RenderQueue::QueueSlot reserve_slot_or_throw(RenderQueue& queue);
 
 /// Ends a call whose client has disconnected or whose deadline has passed.
 /// @throws RejectedRequest always
-[[noreturn]] void throw_cancellation(const grpc::ServerContext& context);
+[[noreturn]] void throw_deadline_or_cancelled_error(const grpc::ServerContext& context);
 
 /// A request that a gRPC client has sent.
 class ClientRequest : public QueuedRequest {
@@ -32,13 +32,13 @@ public:
     /// Runs the request on the render thread and waits for the response.
     /// @throws RejectedRequest if the client has disconnected, if the deadline has
     /// passed, or if the run cannot be read
-    void run_or_throw_cancellation(RenderQueue::QueueSlot& slot);
+    void run_or_throw_if_client_gave_up(RenderQueue::QueueSlot& slot);
 
 protected:
     SceneSet& scenes_;
     /// Called if the client no longer waits for the response. Reverts the effects of the
     /// request.
-    virtual void revert_effects() {}
+    virtual void revert_effects_of_cancelled_request() {}
 
 private:
     const grpc::ServerContext& context_;
@@ -73,7 +73,7 @@ public:
     PointsRequest(SceneSet& scenes, const grpc::ServerContext& context,
                   std::span<const RenderRequest> requests);
     void submit_to_device(bool is_last) override;
-    void wait_and_store_response() override;
+    void wait_for_device_and_store_response() override;
 
     std::vector<RenderedPoints> points;  ///< the response
 
@@ -97,7 +97,7 @@ public:
     std::vector<SpawnedActorRegistry::SpawnSlot> occupied_slots;  ///< the response
 
 private:
-    void revert_effects() override;
+    void revert_effects_of_cancelled_request() override;
     const std::size_t spawn_scene_;
     const std::vector<ActorToSpawn>& wishes_;
 };

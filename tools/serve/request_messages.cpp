@@ -27,7 +27,7 @@ constexpr std::size_t kLongestSpawnName = 200;  // Maximum length in bytes of th
 // sweep may begin before the path or end after it, but a larger difference is an error.
 constexpr double kBeyondPath_s = 1.0;
 
-bool is_time_far_outside_path(double time_s, const PoseTrack& sensor_path) {
+bool is_time_far_before_or_after_path(double time_s, const PoseTrack& sensor_path) {
     const bool moves = sensor_path.pose.size() > 1;
     return moves && (time_s < sensor_path.time_s.front() - kBeyondPath_s ||
                      time_s > sensor_path.time_s.back() + kBeyondPath_s);
@@ -36,8 +36,8 @@ bool is_time_far_outside_path(double time_s, const PoseTrack& sensor_path) {
 /// Reads a time in seconds. Rejects a time that is more than one second outside the
 /// sensor's path.
 double require_time_near_path(double time_s, const PoseTrack& sensor_path, const std::string& field_name) {
-    require_limited_time(time_s, field_name);
-    if (is_time_far_outside_path(time_s, sensor_path))
+    require_time_within_limit(time_s, field_name);
+    if (is_time_far_before_or_after_path(time_s, sensor_path))
         throw_invalid_field(
             field_name,
             fmt::format("the time {} s for a path from {} to {} s", time_s, sensor_path.time_s.front(),
@@ -55,14 +55,14 @@ std::vector<std::string> list_actor_names(const std::vector<VisibleActor>& actor
 /// Reads the names and poses of the actors in a request.
 /// @throws RejectedRequest if the poses of an actor end long before the scan or begin
 /// long after it
-std::vector<RequestedActor> read_actor_requests(const v1::ActorTracks& message, double scan_time_s) {
+std::vector<RequestedActor> read_requested_actor_poses(const v1::ActorTracks& message, double scan_time_s) {
     std::vector<RequestedActor> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
         const std::string field = fmt::format("actors.actors[{}]", i);
         wishes.push_back({field + ".name", message.actors(i).name(),
                           read_track(message.actors(i).poses(), field + ".poses")});
         const PoseTrack& track = wishes.back().dataset_from_actor;
-        if (is_time_far_outside_path(scan_time_s, track))
+        if (is_time_far_before_or_after_path(scan_time_s, track))
             throw_invalid_field(
                 field + ".poses",
                 fmt::format("poses from {} to {} s, which do not cover the scan at {} s",
@@ -106,32 +106,32 @@ RequestReader::RequestReader(const std::vector<TrainedRun>& outlines, const std:
                              const AssetCatalogue& assets, const SpawnedActorRegistry& spawned)
     : outlines_(outlines), sources_(sources), assets_(assets), spawned_(spawned) {}
 
-std::size_t RequestReader::find_scene_index(const std::string& scene_name,
-                                            const std::string& field_name) const {
+std::size_t RequestReader::find_scene_index_or_throw(const std::string& scene_name,
+                                                     const std::string& field_name_for_errors) const {
     if (scene_name.empty() && sources_.size() == 1) return 0;
     std::vector<std::string> names;
     for (const SceneSource& source : sources_) {
         if (source.name == scene_name) return names.size();
         names.push_back(source.name);
     }
-    throw_unknown_name(field_name, scene_name, names);
+    throw_unknown_name(field_name_for_errors, scene_name, names);
 }
 
-int RequestReader::find_lidar_index(std::size_t scene_index, const std::string& lidar_name,
-                                    const std::string& field_name) const {
+int RequestReader::find_lidar_index_or_throw(std::size_t scene_index, const std::string& lidar_name_or_empty,
+                                             const std::string& field_name_for_errors) const {
     const std::vector<Lidar>& lidars = outlines_[scene_index].sequence.lidars;
-    if (lidar_name.empty()) return 0;
+    if (lidar_name_or_empty.empty()) return 0;
     std::vector<std::string> names;
     for (const Lidar& lidar : lidars) {
-        if (lidar.name == lidar_name) return int(names.size());
+        if (lidar.name == lidar_name_or_empty) return int(names.size());
         names.push_back(lidar.name);
     }
-    throw_unknown_name(field_name, lidar_name, names);
+    throw_unknown_name(field_name_for_errors, lidar_name_or_empty, names);
 }
 
 std::pair<std::string, std::shared_ptr<const SimulatedSensor>> RequestReader::cache_uploaded_sensor(
     const v1::SensorSpec& spec) {
-    const std::string handle = uploaded_.add_uploaded_sensor(read_sensor(spec, "sensor"));
+    const std::string handle = uploaded_.add_sensor_and_make_handle(read_sensor(spec, "sensor"));
     const std::shared_ptr<const SimulatedSensor> sensor = uploaded_.find_cached_sensor(handle);
     if (!sensor)
         throw RejectedRequest(
@@ -147,7 +147,8 @@ std::shared_ptr<const SimulatedSensor> RequestReader::find_built_in_sensor(const
                                                                            int lidar_index) {
     const std::string key = fmt::format("{} {} {}", scene_index, lidar_index, sensor_name);
     if (auto sensor = named_.find_cached_sensor(key)) return sensor;
-    return named_.store_sensor(key, find_named_sensor(sensor_name, outlines_[scene_index], lidar_index));
+    return named_.add_sensor_under_key(
+        key, find_built_in_or_log_sensor(sensor_name, outlines_[scene_index], lidar_index));
 }
 
 std::shared_ptr<const SimulatedSensor> RequestReader::find_requested_sensor(const SensorRequest& request,
@@ -167,7 +168,7 @@ std::shared_ptr<const SimulatedSensor> RequestReader::find_requested_sensor(cons
                 fmt::format(
                     "cannot read {}.handle: found {}, which is unknown or expired, expected a handle from "
                     "UploadSensor; upload the sensor again",
-                    request.field, quote_for_error_message(request.sensor.handle())));
+                    request.field, shorten_and_quote_client_text(request.sensor.handle())));
     } else {
         sensor = find_built_in_sensor(request.sensor.name(), scene_index, lidar_index);
     }
@@ -187,7 +188,7 @@ std::shared_ptr<const SimulatedSensor> RequestReader::find_requested_sensor(cons
 std::vector<VisibleActor> RequestReader::list_actors_of_scene(std::size_t scene_index) const {
     const TrainedRun& run = outlines_[scene_index];
     const auto find_actor_box = [&](const std::string& track) {
-        const BoxTrack* box = find_box(run.sequence, track);
+        const BoxTrack* box = find_box_track_by_id(run.sequence, track);
         return box ? *box : BoxTrack{};
     };
     std::vector<VisibleActor> actors;
@@ -201,26 +202,26 @@ std::vector<VisibleActor> RequestReader::list_actors_of_scene(std::size_t scene_
     for (const SpawnedActorRegistry::SpawnSlot& slot : spawned_.list_occupied_slots(scene_index)) {
         const auto& [is_asset, source] = slot.actor.source;
         actors.push_back(
-            {slot.actor.name, make_track_name_of_slot(slot.position),
+            {slot.actor.name, make_unique_track_name_of_slot(slot.position),
              is_asset ? assets_.find_asset(source)->facts.category : find_actor_box(source).category,
              run.scene.instances.size() + slot.position, slot.actor.size_m, slot.actor.surfels});
     }
     return actors;
 }
 
-void RequestReader::add_actors_to_request(const std::vector<RequestedActor>& actor_requests,
-                                          RenderRequest& render_request) const {
+void RequestReader::set_visible_actors_of_request(const std::vector<RequestedActor>& requested_visible_actors,
+                                                  RenderRequest& render_request) const {
     const std::vector<VisibleActor> visible_actors = list_actors_of_scene(render_request.scene);
     // A map makes the search by name fast, because a scene may have thousands of actors.
     std::map<std::string_view, const VisibleActor*> by_name;
     for (const VisibleActor& actor : visible_actors) by_name.emplace(actor.name, &actor);
     ActorTracksByName& poses = render_request.request.dataset_from_actor.emplace();
-    for (const RequestedActor& wish : actor_requests) {
+    for (const RequestedActor& wish : requested_visible_actors) {
         const auto match = by_name.find(wish.name);
         if (match == by_name.end())
             throw_unknown_name(wish.field, wish.name, list_actor_names(visible_actors));
         if (!poses.emplace(match->second->track, wish.dataset_from_actor).second)
-            throw_invalid_field(wish.field, quote_for_error_message(wish.name) + " a second time",
+            throw_invalid_field(wish.field, shorten_and_quote_client_text(wish.name) + " a second time",
                                 "each actor at most once");
         render_request.placed.push_back(*match->second);
     }
@@ -236,14 +237,14 @@ std::vector<ActorToSpawn> RequestReader::read_actors_to_spawn(const v1::SpawnAct
         const v1::Spawn& spawn = message.actors(i);
         const std::string field = fmt::format("actors[{}]", i);
         if (spawn.name().empty() || spawn.name().size() > kLongestSpawnName)
-            throw_invalid_field(field + ".name", quote_for_error_message(spawn.name()),
+            throw_invalid_field(field + ".name", shorten_and_quote_client_text(spawn.name()),
                                 fmt::format("a name of 1 to {} bytes", kLongestSpawnName));
         if (std::ranges::find(run_actors, spawn.name()) != run_actors.end())
             throw RejectedRequest(
                 grpc::StatusCode::ALREADY_EXISTS,
                 fmt::format(
                     "cannot read {}.name: found {}, which is an actor of the run, expected another name",
-                    field, quote_for_error_message(spawn.name())));
+                    field, shorten_and_quote_client_text(spawn.name())));
         if (spawn.has_asset()) {
             const AssetCatalogue::CatalogueEntry* asset = assets_.find_asset(spawn.asset());
             if (!asset) throw_unknown_name(field + ".asset", spawn.asset(), list_asset_names(assets_));
@@ -264,11 +265,12 @@ std::vector<ActorToSpawn> RequestReader::read_actors_to_spawn(const v1::SpawnAct
 
 RenderRequest RequestReader::read_request_of_one_sensor(const v1::RenderLidarRequest& message,
                                                         const SensorRequest& sensor_request,
-                                                        const std::optional<Pose>& path_from_sensor) {
+                                                        const std::optional<Pose>& rig_from_sensor) {
     RenderRequest render_request;
-    render_request.scene = find_scene_index(message.scene());
-    render_request.sensor = find_requested_sensor(sensor_request, render_request.scene,
-                                                  find_lidar_index(render_request.scene, message.lidar()));
+    render_request.scene = find_scene_index_or_throw(message.scene());
+    render_request.sensor =
+        find_requested_sensor(sensor_request, render_request.scene,
+                              find_lidar_index_or_throw(render_request.scene, message.lidar()));
     PoseTrack path = read_track(message.path(), "path");
     render_request.request.time_s =
         message.has_time_s() ? require_time_near_path(message.time_s(), path, "time_s")
@@ -277,10 +279,10 @@ RenderRequest RequestReader::read_request_of_one_sensor(const v1::RenderLidarReq
                                      ? require_time_near_path(message.points_at_s(), path, "points_at_s")
                                      : path.time_s.back();
     render_request.request.dataset_from_sensor =
-        path_from_sensor ? compute_mounted_track(std::move(path), *path_from_sensor) : std::move(path);
+        rig_from_sensor ? compute_mounted_track(std::move(path), *rig_from_sensor) : std::move(path);
     if (message.has_actors())
-        add_actors_to_request(read_actor_requests(message.actors(), render_request.request.time_s),
-                              render_request);
+        set_visible_actors_of_request(
+            read_requested_actor_poses(message.actors(), render_request.request.time_s), render_request);
     if (message.has_sample_seed()) render_request.sample = message.sample_seed();
     if (!message.weather().empty()) render_request.weather = parse_requested_weather(message.weather());
     if (message.has_wanted()) {
@@ -292,11 +294,12 @@ RenderRequest RequestReader::read_request_of_one_sensor(const v1::RenderLidarReq
     return render_request;
 }
 
-RenderRequest RequestReader::read_lidar_request(const v1::RenderLidarRequest& message) {
+RenderRequest RequestReader::convert_to_checked_render_request(const v1::RenderLidarRequest& message) {
     return read_request_of_one_sensor(message, {message.sensor(), "sensor", message.returns()}, {});
 }
 
-std::vector<RenderRequest> RequestReader::read_rig_request(const v1::RenderRigRequest& message) {
+std::vector<RenderRequest> RequestReader::convert_to_request_per_rig_sensor(
+    const v1::RenderRigRequest& message) {
     if (message.sensors().empty() || message.sensors_size() > kMostSensors)
         throw_invalid_field("sensors", fmt::format("a rig with {} sensors", message.sensors_size()),
                             fmt::format("1 to {} sensors", kMostSensors));
@@ -307,7 +310,8 @@ std::vector<RenderRequest> RequestReader::read_rig_request(const v1::RenderRigRe
         const v1::RigSensor& sensor = message.sensors(i);
         const std::string field = fmt::format("sensors[{}]", i);
         if (!sensor.name().empty() && !names.insert(sensor.name()).second)
-            throw_invalid_field(field + ".name", quote_for_error_message(sensor.name()) + " a second time",
+            throw_invalid_field(field + ".name",
+                                shorten_and_quote_client_text(sensor.name()) + " a second time",
                                 "a different name for each sensor");
         const Pose rig_from_sensor = read_pose(sensor.rig_from_sensor(), field + ".rig_from_sensor");
         scans.push_back(read_request_of_one_sensor(

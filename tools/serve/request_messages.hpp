@@ -72,15 +72,15 @@ public:
                   const AssetCatalogue& assets, const SpawnedActorRegistry& spawned);
 
     /// Returns the index of the scene with this name.
-    /// @param field_name name of the field in the request, for error messages
+    /// @param field_name_for_errors name of the field in the request, for error messages
     /// @throws RejectedRequest if the scene is unknown
-    std::size_t find_scene_index(const std::string& scene_name,
-                                 const std::string& field_name = "scene") const;
+    std::size_t find_scene_index_or_throw(const std::string& scene_name,
+                                          const std::string& field_name_for_errors = "scene") const;
     /// Returns the index of the LiDAR with this name. For an empty name, returns 0.
-    /// @param field_name name of the field in the request, for error messages
+    /// @param field_name_for_errors name of the field in the request, for error messages
     /// @throws RejectedRequest if the LiDAR is unknown
-    int find_lidar_index(std::size_t scene_index, const std::string& lidar_name,
-                         const std::string& field_name = "lidar") const;
+    int find_lidar_index_or_throw(std::size_t scene_index, const std::string& lidar_name_or_empty,
+                                  const std::string& field_name_for_errors = "lidar") const;
     /// Caches a sensor that a client has described.
     /// @return a handle, with which later requests select this sensor, and the sensor
     /// @throws RejectedRequest if the description is invalid
@@ -92,15 +92,15 @@ public:
                                                    std::size_t scene_index) const;
     /// Reads a request for a scan and checks all fields.
     /// @throws RejectedRequest that names the first invalid field
-    RenderRequest read_lidar_request(const v1::RenderLidarRequest& message);
+    RenderRequest convert_to_checked_render_request(const v1::RenderLidarRequest& message);
     /// Reads a request for several sensors on one vehicle. Returns one scan request per
     /// sensor.
-    std::vector<RenderRequest> read_rig_request(const v1::RenderRigRequest& message);
+    std::vector<RenderRequest> convert_to_request_per_rig_sensor(const v1::RenderRigRequest& message);
     /// Sets the actors that are visible in a scan. All other actors of the scene are
     /// hidden.
     /// @throws RejectedRequest if an actor is unknown or appears twice
-    void add_actors_to_request(const std::vector<RequestedActor>& actor_requests,
-                               RenderRequest& render_request) const;
+    void set_visible_actors_of_request(const std::vector<RequestedActor>& requested_visible_actors,
+                                       RenderRequest& render_request) const;
 
 private:
     const std::vector<TrainedRun>& outlines_;
@@ -120,11 +120,11 @@ private:
                                                                 std::size_t scene_index, int lidar_index);
     std::vector<VisibleActor> list_actors_of_scene(std::size_t scene_index) const;
     /// Reads a scan request for one sensor.
-    /// @param path_from_sensor pose of the sensor on its rig; without a value, the path
+    /// @param rig_from_sensor pose of the sensor on its rig; without a value, the path
     /// in the request is the path of the sensor itself
     RenderRequest read_request_of_one_sensor(const v1::RenderLidarRequest& message,
                                              const SensorRequest& sensor_request,
-                                             const std::optional<Pose>& path_from_sensor);
+                                             const std::optional<Pose>& rig_from_sensor);
 };
 
 }  // namespace relidar::serve

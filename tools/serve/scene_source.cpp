@@ -20,17 +20,17 @@ std::string get_last_path_component(const std::string& folder_path) {
 
 }  // namespace
 
-TrainedRun SceneSource::load_run_with_channels() const {
+TrainedRun SceneSource::load_run_and_select_output_channels() const {
     TrainedRun run = load_run(folder);
     if (channels) set_config_value(run.config, "render.channels", *channels);
     return run;
 }
 
-std::vector<SceneSource> parse_scene_sources(const std::vector<std::string>& run_arguments,
-                                             const std::optional<std::string>& channels,
-                                             const Weather& weather) {
+std::vector<SceneSource> parse_named_run_folders(const std::vector<std::string>& name_and_folder_arguments,
+                                                 const std::optional<std::string>& channels,
+                                                 const Weather& weather) {
     std::vector<SceneSource> sources;
-    for (const std::string& word : run_arguments) {
+    for (const std::string& word : name_and_folder_arguments) {
         const std::size_t equals = word.find('=');
         const bool named = equals != std::string::npos && !fs::exists(word);
         const std::string folder = named ? word.substr(equals + 1) : word;

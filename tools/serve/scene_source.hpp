@@ -27,14 +27,14 @@ struct SceneSource {
     /// Loads the run and sets its channels.
     /// @throws the exceptions of load_run()
     /// @throws UsageError if a channel is unknown
-    TrainedRun load_run_with_channels() const;
+    TrainedRun load_run_and_select_output_channels() const;
 };
 
 /// Parses words of the form "RUN" or "NAME=RUN". Without NAME, the scene gets the name of
 /// the run's folder.
 /// @throws UsageError if two scenes have the same name
-std::vector<SceneSource> parse_scene_sources(const std::vector<std::string>& run_arguments,
-                                             const std::optional<std::string>& channels = {},
-                                             const Weather& weather = {});
+std::vector<SceneSource> parse_named_run_folders(const std::vector<std::string>& name_and_folder_arguments,
+                                                 const std::optional<std::string>& channels = {},
+                                                 const Weather& weather = {});
 
 }  // namespace relidar::serve

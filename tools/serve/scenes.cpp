@@ -29,7 +29,7 @@ SimulatedSensor make_one_ray_sensor() {
     return {.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}}, .name = "one ray"};
 }
 
-ScanRequest make_request_at_first_pose(const TrainedRun& run) {
+ScanRequest make_scan_request_at_first_log_pose(const TrainedRun& run) {
     const PoseTrack track = run.sequence.get_world_from_sensor(0);
     Pose pose = track.pose.front();
     pose.translation += run.sequence.world_offset_m;
@@ -47,7 +47,7 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
       assets_(assets),
       spawned_(sources_.size()) {
     for (std::size_t i = 0; i < sources_.size(); ++i) {
-        TrainedRun run = sources_[i].load_run_with_channels();
+        TrainedRun run = sources_[i].load_run_and_select_output_channels();
         load_scene_to_device(i, run);
         outlines_.push_back(copy_run_without_model_data(std::move(run)));
         if (loaded_[i].bytes > memory_bytes_)
@@ -55,41 +55,42 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
                 "cannot serve {}: it needs {:.1f} MiB of device memory, expected at most {:.1f} MiB "
                 "(--memory-mib)",
                 sources_[i].folder.string(), double(loaded_[i].bytes) / kMiB, double(memory_bytes_) / kMiB));
-        unload_other_scenes(i, 0);
+        unload_scenes_until_memory_suffices(i, 0);
     }
 }
 
-SceneSet::SceneLoadNumber SceneSet::call_with_scene(std::size_t scene_index,
-                                                    const std::optional<Weather>& weather,
-                                                    const std::function<void(ScanRenderer&)>& function) {
+SceneSet::SceneLoadNumber SceneSet::load_scene_and_call_with_renderer(
+    std::size_t scene_index, const std::optional<Weather>& weather_or_default,
+    const std::function<void(ScanRenderer&)>& use_renderer) {
     loaded_[scene_index].used = ++clock_;
     if (!loaded_[scene_index].renderer) {
-        unload_other_scenes(scene_index, loaded_[scene_index].bytes);
+        unload_scenes_until_memory_suffices(scene_index, loaded_[scene_index].bytes);
         load_scene_with_spawned_actors(scene_index);
     }
     call_with_renderer(scene_index, [&](ScanRenderer& renderer) {
-        renderer.set_weather(weather.value_or(sources_[scene_index].weather));
-        function(renderer);
+        renderer.set_weather(weather_or_default.value_or(sources_[scene_index].weather));
+        use_renderer(renderer);
     });
     // Unloads other scenes if memory is exceeded, because rendering may have allocated
     // larger arrays for a sensor with more rays.
-    unload_other_scenes(scene_index, 0);
+    unload_scenes_until_memory_suffices(scene_index, 0);
     return loaded_[scene_index].load;
 }
 
-void SceneSet::call_with_loaded_scene(std::size_t scene_index, SceneLoadNumber load_number,
-                                      const std::function<void(ScanRenderer&)>& function) {
-    if (!loaded_[scene_index].renderer || loaded_[scene_index].load != load_number)
+void SceneSet::call_if_scene_was_not_reloaded(std::size_t scene_index, SceneLoadNumber expected_load_number,
+                                              const std::function<void(ScanRenderer&)>& use_renderer) {
+    if (!loaded_[scene_index].renderer || loaded_[scene_index].load != expected_load_number)
         throw DeviceError(fmt::format(
             "cannot render a scan of {}: the scene was unloaded for a later request; send your request again",
             sources_[scene_index].name));
-    call_with_renderer(scene_index, function);
+    call_with_renderer(scene_index, use_renderer);
 }
 
 void SceneSet::call_with_renderer(std::size_t scene_index,
-                                  const std::function<void(ScanRenderer&)>& function) {
+                                  const std::function<void(ScanRenderer&)>& use_renderer) {
     try {
-        call_and_record_memory_growth(scene_index, [&] { function(*loaded_[scene_index].renderer); });
+        call_and_add_allocated_scene_bytes(scene_index,
+                                           [&] { use_renderer(*loaded_[scene_index].renderer); });
     } catch (const DeviceError&) {
         // The state of the renderer is unknown after an error. The next request loads the
         // scene again.
@@ -103,9 +104,9 @@ void SceneSet::load_scene_to_device(std::size_t scene_index, const TrainedRun& r
     loaded.bytes = 0;
     loaded.used = ++clock_;
     loaded.load = SceneLoadNumber(std::uint64_t(loaded.load) + 1);
-    call_and_record_memory_growth(scene_index, [&] {
+    call_and_add_allocated_scene_bytes(scene_index, [&] {
         loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
-        loaded.renderer->render(make_one_ray_sensor(), make_request_at_first_pose(run));
+        loaded.renderer->render(make_one_ray_sensor(), make_scan_request_at_first_log_pose(run));
     });
     const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
     // Number of copies of the scene that fit into the free memory. Copies allow parallel
@@ -119,7 +120,7 @@ void SceneSet::load_scene_to_device(std::size_t scene_index, const TrainedRun& r
 /// Loads the run together with the actors that clients have added.
 void SceneSet::load_scene_with_spawned_actors(std::size_t scene_index) {
     const std::vector<SpawnedActorRegistry::SpawnSlot> slots = spawned_.list_all_slots(scene_index);
-    TrainedRun run = sources_[scene_index].load_run_with_channels();
+    TrainedRun run = sources_[scene_index].load_run_and_select_output_channels();
     add_spawned_actors_to_run(run, slots, assets_);
     load_scene_to_device(scene_index, run);
     loaded_[scene_index].n_slots = slots.size();
@@ -128,20 +129,22 @@ void SceneSet::load_scene_with_spawned_actors(std::size_t scene_index) {
 std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t scene_index,
                                                                     const std::vector<ActorToSpawn>& actors) {
     SceneInMemory& loaded = loaded_[scene_index];
-    const std::size_t n_before = spawned_.count_slots(scene_index);
-    std::vector<SpawnedActorRegistry::SpawnSlot> occupied_slots = spawned_.occupy_slots(scene_index, actors);
-    if (loaded.renderer && loaded.n_slots == spawned_.count_slots(scene_index)) return occupied_slots;
+    const std::size_t n_before = spawned_.count_slots_of_scene(scene_index);
+    std::vector<SpawnedActorRegistry::SpawnSlot> occupied_slots =
+        spawned_.assign_actors_to_slots(scene_index, actors);
+    if (loaded.renderer && loaded.n_slots == spawned_.count_slots_of_scene(scene_index))
+        return occupied_slots;
     const auto undo = [&] {
         // Without the renderer, the next request loads the scene again, without the new
         // actors.
         loaded.renderer.reset();
-        spawned_.revert_occupied_slots(scene_index, occupied_slots, n_before);
+        spawned_.free_and_remove_new_slots(scene_index, occupied_slots, n_before);
     };
     try {
         loaded.renderer.reset();
-        unload_other_scenes(scene_index, loaded.bytes);
+        unload_scenes_until_memory_suffices(scene_index, loaded.bytes);
         load_scene_with_spawned_actors(scene_index);
-        unload_other_scenes(scene_index, 0);
+        unload_scenes_until_memory_suffices(scene_index, 0);
     } catch (const DataError& error) {
         undo();
         throw RejectedRequest(grpc::StatusCode::FAILED_PRECONDITION,
@@ -166,7 +169,8 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t 
 
 /// Unloads other scenes, the least recently used first, until `n_bytes_needed` more bytes
 /// fit into the memory.
-void SceneSet::unload_other_scenes(std::size_t kept_scene_index, std::uint64_t n_bytes_needed) {
+void SceneSet::unload_scenes_until_memory_suffices(std::size_t kept_scene_index,
+                                                   std::uint64_t n_bytes_needed) {
     while (device_.allocated_bytes() + n_bytes_needed > memory_bytes_) {
         SceneInMemory* oldest = nullptr;
         for (std::size_t i = 0; i < loaded_.size(); ++i)
@@ -179,7 +183,8 @@ void SceneSet::unload_other_scenes(std::size_t kept_scene_index, std::uint64_t n
 
 /// Calls a function, and adds the device memory that it allocates to the recorded size of
 /// the scene.
-void SceneSet::call_and_record_memory_growth(std::size_t scene_index, const std::function<void()>& function) {
+void SceneSet::call_and_add_allocated_scene_bytes(std::size_t scene_index,
+                                                  const std::function<void()>& function) {
     const std::uint64_t before = device_.allocated_bytes();
     function();
     loaded_[scene_index].bytes += device_.allocated_bytes() - before;

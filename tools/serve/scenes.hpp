@@ -50,20 +50,22 @@ public:
     /// Calls a function with the renderer of a scene. First loads the scene if it is not
     /// on the device.
     /// @param scene_index index into get_runs_without_surfels()
-    /// @param weather weather to simulate; without a value, the weather of the scene's
-    /// source
-    /// @return number of the current load, for call_with_loaded_scene()
-    SceneLoadNumber call_with_scene(std::size_t scene_index, const std::optional<Weather>& weather,
-                                    const std::function<void(ScanRenderer&)>& function);
-    /// Calls a function that reads the results of an earlier call_with_scene(). Must be
-    /// called before another scene is used.
-    /// @param load_number the number that call_with_scene() returned
+    /// @param weather_or_default weather to simulate; without a value, the weather of the
+    /// scene's source
+    /// @return number of the current load, for call_if_scene_was_not_reloaded()
+    SceneLoadNumber load_scene_and_call_with_renderer(std::size_t scene_index,
+                                                      const std::optional<Weather>& weather_or_default,
+                                                      const std::function<void(ScanRenderer&)>& use_renderer);
+    /// Calls a function that reads the results of an earlier
+    /// load_scene_and_call_with_renderer(). Must be called before another scene is used.
+    /// @param expected_load_number the number that load_scene_and_call_with_renderer()
+    /// returned
     /// @throws DeviceError if the device was lost or the scene was loaded again
-    void call_with_loaded_scene(std::size_t scene_index, SceneLoadNumber load_number,
-                                const std::function<void(ScanRenderer&)>& function);
+    void call_if_scene_was_not_reloaded(std::size_t scene_index, SceneLoadNumber expected_load_number,
+                                        const std::function<void(ScanRenderer&)>& use_renderer);
 
     /// Returns true if the surfels of the scene are on the device.
-    bool is_scene_loaded(std::size_t scene_index) const { return loaded_[scene_index].renderer != nullptr; }
+    bool is_scene_on_gpu(std::size_t scene_index) const { return loaded_[scene_index].renderer != nullptr; }
 
 private:
     struct SceneInMemory {
@@ -90,9 +92,9 @@ private:
 
     void load_scene_to_device(std::size_t scene_index, const TrainedRun& run);
     void load_scene_with_spawned_actors(std::size_t scene_index);
-    void unload_other_scenes(std::size_t kept_scene_index, std::uint64_t n_bytes_needed);
-    void call_and_record_memory_growth(std::size_t scene_index, const std::function<void()>& function);
-    void call_with_renderer(std::size_t scene_index, const std::function<void(ScanRenderer&)>& function);
+    void unload_scenes_until_memory_suffices(std::size_t kept_scene_index, std::uint64_t n_bytes_needed);
+    void call_and_add_allocated_scene_bytes(std::size_t scene_index, const std::function<void()>& function);
+    void call_with_renderer(std::size_t scene_index, const std::function<void(ScanRenderer&)>& use_renderer);
 };
 
 }  // namespace relidar::serve

@@ -9,30 +9,30 @@
 
 namespace relidar::serve {
 
-std::string SensorCache::add_uploaded_sensor(SimulatedSensor sensor) {
+std::string SensorCache::add_sensor_and_make_handle(SimulatedSensor sensor) {
     std::string key;
     {
         const std::lock_guard lock(mutex_);
         key = fmt::format("sensor-{}", ++added_);
     }
-    store_sensor(key, std::move(sensor));
+    add_sensor_under_key(key, std::move(sensor));
     return key;
 }
 
-std::shared_ptr<const SimulatedSensor> SensorCache::store_sensor(const std::string& key,
-                                                                 SimulatedSensor sensor) {
+std::shared_ptr<const SimulatedSensor> SensorCache::add_sensor_under_key(const std::string& name_or_handle,
+                                                                         SimulatedSensor sensor) {
     const auto shared_sensor = std::make_shared<const SimulatedSensor>(std::move(sensor));
     const std::lock_guard lock(mutex_);
     while (!entries_.empty() &&
            (entries_.size() >= kMostSensors || count_cached_rays() + shared_sensor->rays.size() > kMostRays))
         remove_least_recently_used();
-    entries_[key] = {shared_sensor, ++clock_};
+    entries_[name_or_handle] = {shared_sensor, ++clock_};
     return shared_sensor;
 }
 
-std::shared_ptr<const SimulatedSensor> SensorCache::find_cached_sensor(const std::string& key) {
+std::shared_ptr<const SimulatedSensor> SensorCache::find_cached_sensor(const std::string& name_or_handle) {
     const std::lock_guard lock(mutex_);
-    const auto entry = entries_.find(key);
+    const auto entry = entries_.find(name_or_handle);
     if (entry == entries_.end()) return nullptr;
     entry->second.used = ++clock_;
     return entry->second.sensor;

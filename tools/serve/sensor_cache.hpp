@@ -25,11 +25,12 @@ public:
 
     /// Adds a sensor that a client has uploaded.
     /// @return a new handle for this sensor
-    std::string add_uploaded_sensor(SimulatedSensor sensor);
-    std::shared_ptr<const SimulatedSensor> store_sensor(const std::string& key, SimulatedSensor sensor);
+    std::string add_sensor_and_make_handle(SimulatedSensor sensor);
+    std::shared_ptr<const SimulatedSensor> add_sensor_under_key(const std::string& name_or_handle,
+                                                                SimulatedSensor sensor);
     /// Returns the sensor for a name or handle. Returns null if the key is unknown or if
     /// the cache has removed the sensor.
-    std::shared_ptr<const SimulatedSensor> find_cached_sensor(const std::string& key);
+    std::shared_ptr<const SimulatedSensor> find_cached_sensor(const std::string& name_or_handle);
 
 private:
     struct CachedSensor {

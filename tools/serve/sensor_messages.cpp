@@ -23,13 +23,13 @@ constexpr double kFarthestOrigin_m = 1000.0, kLongestScan_s = 60.0, kFarthestRan
                  kDefaultRange_m = 80.0, kWidestBeam_rad = 1.0, kFarthestBeam_m = 10.0,
                  kFastestMirror_hz = 1e6;
 
-void check_scan_ray_count(const std::string& field_name, std::uint64_t n_rays) {
+void require_allowed_rays_per_scan(const std::string& field_name, std::uint64_t n_rays) {
     if (n_rays < 1 || n_rays > kMostRaysOfScan)
         throw_invalid_field(field_name, fmt::format("{} rays per scan", n_rays),
                             fmt::format("1 to {} rays", kMostRaysOfScan));
 }
 
-void check_row_count(const std::string& field_name, std::uint64_t n_rows) {
+void require_allowed_row_count(const std::string& field_name, std::uint64_t n_rows) {
     if (n_rows > kMostRows)
         throw_invalid_field(field_name, fmt::format("{} rows per scan", n_rows),
                             fmt::format("at most {} rows, because ring numbers have 16 bits", kMostRows));
@@ -57,7 +57,7 @@ std::vector<T> read_array_from_bytes(const std::string& bytes, std::size_t n_exp
     return values;
 }
 
-void check_rays_in_limits(const RayTable& rays, const std::string& field_name) {
+void require_valid_rays(const RayTable& rays, const std::string& field_name) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const auto fail = [&](const char* name, float found, const std::string& expected) {
             throw_invalid_field(fmt::format("{}.{} of ray {}", field_name, name, i), fmt::format("{}", found),
@@ -82,14 +82,14 @@ RayTable read_ray_table_message(const v1::RayTable& message, const std::string& 
         throw_invalid_field(field_name + ".direction", fmt::format("{} bytes", message.direction().size()),
                             "a multiple of 12 bytes (three floats for each ray)");
     const std::size_t n = message.direction().size() / sizeof(glm::vec3);
-    check_scan_ray_count(field_name + ".direction", n);
+    require_allowed_rays_per_scan(field_name + ".direction", n);
     const bool has_order = message.rows() != 0 || message.columns() != 0;
     if (has_order && std::uint64_t(message.rows()) * message.columns() != n)
         throw_invalid_field(
             field_name,
             fmt::format("{} rows, {} columns and {} directions", message.rows(), message.columns(), n),
             "one direction for each combination of row and column");
-    check_row_count(field_name, message.rows());
+    require_allowed_row_count(field_name, message.rows());
     RayTable rays;
     rays.rows = has_order ? int(message.rows()) : 1;
     rays.columns = has_order ? int(message.columns()) : int(n);
@@ -107,13 +107,13 @@ RayTable read_ray_table_message(const v1::RayTable& message, const std::string& 
     rays.time_offset_s.resize(n, 0.0f);
     for (std::size_t i = rays.channel.size(); i < n; ++i)
         rays.channel.push_back(std::uint16_t(i / std::size_t(rays.columns)));
-    check_rays_in_limits(rays, field_name);
+    require_valid_rays(rays, field_name);
     for (glm::vec3& direction : rays.direction) direction = glm::normalize(direction);
     return rays;
 }
 
 /// Checks a beam like a beam in a sensor file, and adds it to the sensor.
-void read_beam_into_sensor(const v1::Beam& message, const std::string& field_name, SpinningSensor& sensor) {
+void add_beam_from_message(const v1::Beam& message, const std::string& field_name, SpinningSensor& sensor) {
     const Beam beam{
         require_number_in_range(field_name + ".elevation_rad", message.elevation_rad(), -kPi / 2, kPi / 2),
         require_number_in_range(field_name + ".azimuth_offset_rad", message.azimuth_offset_rad(), -kPi, kPi),
@@ -123,11 +123,11 @@ void read_beam_into_sensor(const v1::Beam& message, const std::string& field_nam
 }
 
 SpinningSensor read_spinning_sensor(const v1::SpinningSensor& message, const std::string& field_name) {
-    check_scan_ray_count(field_name, std::uint64_t(message.beams_size()) * message.columns());
-    check_row_count(field_name, std::uint64_t(message.beams_size()));
+    require_allowed_rays_per_scan(field_name, std::uint64_t(message.beams_size()) * message.columns());
+    require_allowed_row_count(field_name, std::uint64_t(message.beams_size()));
     SpinningSensor sensor;
     for (const v1::Beam& beam : message.beams())
-        read_beam_into_sensor(beam, fmt::format("{}.beams[{}]", field_name, sensor.beams.size()), sensor);
+        add_beam_from_message(beam, fmt::format("{}.beams[{}]", field_name, sensor.beams.size()), sensor);
     // Checks only that the first beam is above the last beam, because neighbouring beams
     // of real sensors can be slightly out of order.
     if (const auto& beams = sensor.beams;
@@ -147,8 +147,8 @@ SpinningSensor read_spinning_sensor(const v1::SpinningSensor& message, const std
 }
 
 WindowScanSensor read_scanning_window(const v1::ScanningWindow& message, const std::string& field_name) {
-    check_scan_ray_count(field_name, std::uint64_t(message.rows()) * message.columns());
-    check_row_count(field_name, message.rows());
+    require_allowed_rays_per_scan(field_name, std::uint64_t(message.rows()) * message.columns());
+    require_allowed_row_count(field_name, message.rows());
     const double top_rad =
         require_number_in_range(field_name + ".top_rad", message.top_rad(), -kPi / 2, kPi / 2);
     return {
@@ -167,7 +167,7 @@ WindowScanSensor read_scanning_window(const v1::ScanningWindow& message, const s
 }
 
 RosetteSensor read_rosette(const v1::Rosette& message, const std::string& field_name) {
-    check_scan_ray_count(field_name, message.rays());
+    require_allowed_rays_per_scan(field_name, message.rays());
     return {.name = "",
             .deflection_rad = require_number_in_range(field_name + ".deflection_rad",
                                                       message.deflection_rad(), 0.0, kPi / 2),
@@ -182,7 +182,7 @@ RosetteSensor read_rosette(const v1::Rosette& message, const std::string& field_
 
 /// Returns the name of a sensor without its resolution and rate, for example "VLP-16" for
 /// "VLP-16:900x20". Returns the full name if the part after the colon has another form.
-std::string remove_resolution_suffix(const std::string& sensor_name) {
+std::string remove_resolution_from_sensor_name(const std::string& sensor_name) {
     const std::size_t colon = sensor_name.rfind(':');
     const bool sized = colon != std::string::npos &&
                        sensor_name.find_first_not_of("0123456789x.", colon + 1) == std::string::npos;
@@ -194,7 +194,7 @@ std::string remove_resolution_suffix(const std::string& sensor_name) {
 SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& field_name) {
     SensorModel sensor;
     if (message.name().size() > kLongestName)
-        throw_invalid_field(field_name + ".name", quote_for_error_message(message.name()),
+        throw_invalid_field(field_name + ".name", shorten_and_quote_client_text(message.name()),
                             fmt::format("at most {} bytes", kLongestName));
     sensor.name = message.name().empty() ? "a client's sensor" : message.name();
     sensor.limits.max_m = require_number_in_range(
@@ -229,24 +229,26 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
     // Computes the rays to check that they are finite. Otherwise the error would occur
     // only when a scan is rendered.
     if (summarise_scan_pattern(sensor.pattern).has_rays_by_time) make_rays(sensor);
-    return make_sensor_choice(sensor);
+    return make_simulated_sensor(sensor);
 }
 
-SimulatedSensor find_named_sensor(const std::string& sensor_name, const TrainedRun& run, int lidar_index) {
-    if (sensor_name.empty()) return make_configured_sensor(run.config, run.sequence, lidar_index);
-    if (find_name_ignoring_case(sensor_name, {"native", make_kitti360_grid().name}))
-        return choose_sensor(sensor_name, run.config, run.sequence, lidar_index);
+SimulatedSensor find_built_in_or_log_sensor(const std::string& sensor_name_or_native, const TrainedRun& run,
+                                            int lidar_index) {
+    if (sensor_name_or_native.empty()) return make_sensor_from_config(run.config, run.sequence, lidar_index);
+    if (find_name_ignoring_case(sensor_name_or_native, {"native", make_kitti360_grid().name}))
+        return find_or_load_sensor(sensor_name_or_native, run.config, run.sequence, lidar_index);
     std::vector<std::string> sensor_names = list_sensor_names();
-    if (!find_name_ignoring_case(remove_resolution_suffix(sensor_name), sensor_names)) {
+    if (!find_name_ignoring_case(remove_resolution_from_sensor_name(sensor_name_or_native), sensor_names)) {
         sensor_names.push_back("native");
-        throw_invalid_field("sensor.name", quote_for_error_message(sensor_name),
-                            fmt::format("a name that ListScenes returns, such as {}",
-                                        find_most_similar_name(sensor_name.substr(0, 80), sensor_names)));
+        throw_invalid_field(
+            "sensor.name", shorten_and_quote_client_text(sensor_name_or_native),
+            fmt::format("a name that ListScenes returns, such as {}",
+                        find_most_similar_name(sensor_name_or_native.substr(0, 80), sensor_names)));
     }
-    const SensorModel sensor = find_sensor(sensor_name);
-    check_scan_ray_count("sensor.name " + quote_for_error_message(sensor_name),
-                         summarise_scan_pattern(sensor.pattern).n_rays);
-    return make_sensor_choice(sensor, lidar_index);
+    const SensorModel sensor = find_sensor(sensor_name_or_native);
+    require_allowed_rays_per_scan("sensor.name " + shorten_and_quote_client_text(sensor_name_or_native),
+                                  summarise_scan_pattern(sensor.pattern).n_rays);
+    return make_simulated_sensor(sensor, lidar_index);
 }
 
 FiringTimeSpan compute_firing_span(const SimulatedSensor& sensor) {

@@ -25,7 +25,8 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
 /// server.
 /// @param run run without surfels
 /// @throws RejectedRequest if the name is unknown or the sensor has too many rays
-SimulatedSensor find_named_sensor(const std::string& sensor_name, const TrainedRun& run, int lidar_index);
+SimulatedSensor find_built_in_or_log_sensor(const std::string& sensor_name_or_native, const TrainedRun& run,
+                                            int lidar_index);
 
 /// Firing times of the first and the last ray, in seconds relative to the time of the
 /// scan.

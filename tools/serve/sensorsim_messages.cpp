@@ -28,7 +28,7 @@ struct LidarTypeSensor {
 constexpr LidarTypeSensor kLidars[] = {{sensorsim::PANDAR128, "Pandar128", 0.1},
                                        {sensorsim::AT128, "AT128", 0.1}};
 
-const LidarTypeSensor& find_sensor_of_lidar_type(sensorsim::LidarType lidar_type) {
+const LidarTypeSensor& get_sensor_of_supported_lidar_type(sensorsim::LidarType lidar_type) {
     const auto match = std::ranges::find(kLidars, lidar_type, &LidarTypeSensor::type);
     if (match == std::end(kLidars))
         throw_invalid_field("lidar.lidar_type", fmt::format("{}", int(lidar_type)),
@@ -70,7 +70,7 @@ void write_track(const PoseTrack& track, PoseTransformOrder pose_order, sensorsi
 
 }  // namespace
 
-std::shared_ptr<const SimulatedSensor> SensorsimReader::find_or_make_sensor(
+std::shared_ptr<const SimulatedSensor> SensorsimReader::find_or_make_sensor_of_request(
     const sensorsim::LidarRenderRequest& message, std::size_t scene_index) {
     const sensorsim::LidarType type = message.lidar().lidar_type();
     const std::string& id = message.lidar().logical_id();
@@ -79,21 +79,21 @@ std::shared_ptr<const SimulatedSensor> SensorsimReader::find_or_make_sensor(
     if (is_of_log && id.empty() && lidars.size() > 1)
         throw_invalid_field("lidar.logical_id", "no name, although lidar_type is OTHER",
                             fmt::format("the name of one of the log's {} LiDARs", lidars.size()));
-    const int lidar = reader_.find_lidar_index(scene_index, id, "lidar.logical_id");
-    const std::string name = is_of_log ? "native" : find_sensor_of_lidar_type(type).name;
+    const int lidar = reader_.find_lidar_index_or_throw(scene_index, id, "lidar.logical_id");
+    const std::string name = is_of_log ? "native" : get_sensor_of_supported_lidar_type(type).name;
     const std::uint64_t frame_us = message.frame_end_us() - message.frame_start_us();
     const std::string key = fmt::format("{} {} {} {}", is_of_log ? scene_index : 0, lidar, name, frame_us);
     if (auto sensor = sensors_.find_cached_sensor(key)) return sensor;
-    SimulatedSensor sensor = find_named_sensor(name, outlines_[scene_index], lidar);
+    SimulatedSensor sensor = find_built_in_or_log_sensor(name, outlines_[scene_index], lidar);
     if (count_rays_of_sensor(sensor) == 0)
         throw_invalid_field("lidar.logical_id",
-                            quote_for_error_message(id) + ", a LiDAR whose beams are unknown",
+                            shorten_and_quote_client_text(id) + ", a LiDAR whose beams are unknown",
                             "another LiDAR, or the lidar_type PANDAR128 or AT128");
-    const double period_s =
-        is_of_log ? lidars[std::size_t(lidar)].period_s() : find_sensor_of_lidar_type(type).period_s;
+    const double period_s = is_of_log ? lidars[std::size_t(lidar)].get_sweep_period_s()
+                                      : get_sensor_of_supported_lidar_type(type).period_s;
     const float stretch = period_s > 0.0 ? float(double(frame_us) * kMicrosecond / period_s) : 1.0f;
     for (float& time_s : sensor.rays.time_offset_s) time_s *= stretch;
-    return sensors_.store_sensor(key, std::move(sensor));
+    return sensors_.add_sensor_under_key(key, std::move(sensor));
 }
 
 Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::string& field_name) const {
@@ -130,17 +130,19 @@ PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const 
     return {{frame.start_s}, {start}};
 }
 
-RenderRequest SensorsimReader::read_lidar_request(const sensorsim::LidarRenderRequest& message) {
+RenderRequest SensorsimReader::convert_to_checked_render_request(
+    const sensorsim::LidarRenderRequest& message) {
     const std::uint64_t start_us = message.frame_start_us(), end_us = message.frame_end_us();
     if (end_us < start_us || end_us - start_us > kLongestFrame_us)
         throw_invalid_field("frame_end_us", fmt::format("{} with frame_start_us {}", end_us, start_us),
                             fmt::format("a time in microseconds that is at most {} later", kLongestFrame_us));
     RenderRequest render_request;
-    render_request.scene = find_scene_index(message.scene_id());
-    const SensorsimTimeFrame frame{require_limited_time(double(start_us) * kMicrosecond, "frame_start_us"),
-                                   require_limited_time(double(end_us) * kMicrosecond, "frame_end_us"),
-                                   outlines_[render_request.scene].sequence.world_offset_m};
-    render_request.sensor = find_or_make_sensor(message, render_request.scene);
+    render_request.scene = find_scene_index_or_throw(message.scene_id());
+    const SensorsimTimeFrame frame{
+        require_time_within_limit(double(start_us) * kMicrosecond, "frame_start_us"),
+        require_time_within_limit(double(end_us) * kMicrosecond, "frame_end_us"),
+        outlines_[render_request.scene].sequence.world_offset_m};
+    render_request.sensor = find_or_make_sensor_of_request(message, render_request.scene);
     // The reference time is the middle of the interval, because firing times are relative
     // to the middle of a sweep.
     render_request.request.time_s = 0.5 * (frame.start_s + frame.end_s);
@@ -153,7 +155,7 @@ RenderRequest SensorsimReader::read_lidar_request(const sensorsim::LidarRenderRe
         actors.push_back(
             {field + ".track_id", object.track_id(), read_track(object.pose(), frame, field + ".pose")});
     }
-    reader_.add_actors_to_request(actors, render_request);
+    reader_.set_visible_actors_of_request(actors, render_request);
     return render_request;
 }
 

@@ -33,13 +33,13 @@ public:
 
     /// Returns the index of the scene with this name.
     /// @throws RejectedRequest if the scene is unknown
-    std::size_t find_scene_index(const std::string& scene_id) const {
-        return reader_.find_scene_index(scene_id, "scene_id");
+    std::size_t find_scene_index_or_throw(const std::string& scene_id) const {
+        return reader_.find_scene_index_or_throw(scene_id, "scene_id");
     }
     /// Reads a request for a scan. The sensor fires its first ray at the start of the
     /// requested time interval and its last ray at the end.
     /// @throws RejectedRequest that names the first invalid field
-    RenderRequest read_lidar_request(const sensorsim::LidarRenderRequest& message);
+    RenderRequest convert_to_checked_render_request(const sensorsim::LidarRenderRequest& message);
 
 private:
     const std::vector<TrainedRun>& outlines_;
@@ -51,8 +51,8 @@ private:
         double start_s = 0.0, end_s = 0.0;
         glm::dvec3 world_offset_m{0.0};
     };
-    std::shared_ptr<const SimulatedSensor> find_or_make_sensor(const sensorsim::LidarRenderRequest& message,
-                                                               std::size_t scene_index);
+    std::shared_ptr<const SimulatedSensor> find_or_make_sensor_of_request(
+        const sensorsim::LidarRenderRequest& message, std::size_t scene_index);
     Pose read_pose(const sensorsim::Pose& message, const std::string& field_name) const;
     PoseTrack read_track(const sensorsim::PosePair& message, const SensorsimTimeFrame& frame,
                          const std::string& field_name) const;

@@ -56,7 +56,7 @@ public:
             });
         register_method<sensorsim::SceneRequest, sensorsim::AvailableCameras>(
             "get_available_cameras", [&](Context, const auto& request, auto&) {
-                calls.reader_->find_scene_index(request.scene_id());
+                calls.reader_->find_scene_index_or_throw(request.scene_id());
             });
         register_method<sensorsim::Empty, sensorsim::AvailableEgoMasks>("get_available_ego_masks",
                                                                         [](Context, const auto&, auto&) {});
@@ -87,7 +87,7 @@ private:
         using grpc::internal::RpcMethodHandler, grpc::internal::RpcServiceMethod;
         const auto call = [handle_call](NamedService*, grpc::ServerContext* context,
                                         const RequestMessage* request, Answer* answer) {
-            return call_and_get_grpc_status([&] { handle_call(*context, *request, *answer); });
+            return call_and_convert_errors_to_status([&] { handle_call(*context, *request, *answer); });
         };
         AddMethod(new RpcServiceMethod(
             methods_.emplace_back(path_ + method_name).c_str(), grpc::internal::RpcMethod::NORMAL_RPC,
@@ -131,7 +131,7 @@ void SensorsimService::get_available_scenes(sensorsim::AvailableScenes& answer) 
 void SensorsimService::get_loaded_scenes(sensorsim::LoadedScenes& answer) {
     reserve_slot_or_throw(queue_).run_on_render_thread([&] {
         for (std::size_t i = 0; i < scenes_.get_scene_sources().size(); ++i) {
-            if (!scenes_.is_scene_loaded(i)) continue;
+            if (!scenes_.is_scene_on_gpu(i)) continue;
             sensorsim::LoadedScene& scene = *answer.add_scenes();
             scene.set_scene_id(scenes_.get_scene_sources()[i].name);
             scene.set_loaded_instance_count(1);
@@ -143,22 +143,24 @@ void SensorsimService::get_loaded_scenes(sensorsim::LoadedScenes& answer) {
 
 void SensorsimService::get_dynamic_objects(const sensorsim::SceneRequest& request,
                                            sensorsim::DynamicObjectTracks& answer) {
-    write_actor_tracks(scenes_.get_runs_without_surfels()[reader_->find_scene_index(request.scene_id())],
-                       order_, answer);
+    write_actor_tracks(
+        scenes_.get_runs_without_surfels()[reader_->find_scene_index_or_throw(request.scene_id())], order_,
+        answer);
 }
 
 void SensorsimService::get_available_trajectories(const sensorsim::SceneRequest& request,
                                                   sensorsim::AvailableTrajectories& answer) {
     write_recorded_trajectories(
-        scenes_.get_runs_without_surfels()[reader_->find_scene_index(request.scene_id())], order_, answer);
+        scenes_.get_runs_without_surfels()[reader_->find_scene_index_or_throw(request.scene_id())], order_,
+        answer);
 }
 
-void SensorsimService::render_points_into_message(RenderQueue::QueueSlot& slot,
+void SensorsimService::render_points_into_message(RenderQueue::QueueSlot& queue_slot,
                                                   const RenderRequest& render_request,
                                                   const grpc::ServerContext& context,
                                                   sensorsim::LidarRenderReturn& answer) {
     PointsRequest request(scenes_, context, {&render_request, 1});
-    request.run_or_throw_cancellation(slot);
+    request.run_or_throw_if_client_gave_up(queue_slot);
     write_points(request.points.front().points, answer);
 }
 
@@ -166,7 +168,7 @@ void SensorsimService::render_lidar(const grpc::ServerContext& context,
                                     const sensorsim::LidarRenderRequest& request,
                                     sensorsim::LidarRenderReturn& answer) {
     RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
-    render_points_into_message(slot, reader_->read_lidar_request(request), context, answer);
+    render_points_into_message(slot, reader_->convert_to_checked_render_request(request), context, answer);
 }
 
 void SensorsimService::render_aggregated(const grpc::ServerContext& context,
@@ -182,7 +184,7 @@ void SensorsimService::render_aggregated(const grpc::ServerContext& context,
     RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
     std::vector<RenderRequest> render_requests;
     for (const sensorsim::LidarRenderRequest& lidar : request.lidar())
-        render_requests.push_back(reader_->read_lidar_request(lidar));
+        render_requests.push_back(reader_->convert_to_checked_render_request(lidar));
     for (const RenderRequest& scan : render_requests)
         render_points_into_message(slot, scan, context, *answer.add_lidar());
 }

@@ -56,7 +56,7 @@ private:
     void render_aggregated(const grpc::ServerContext& context,
                            const sensorsim::AggregatedRenderRequest& request,
                            sensorsim::AggregatedRenderReturn& answer);
-    void render_points_into_message(RenderQueue::QueueSlot& slot, const RenderRequest& request,
+    void render_points_into_message(RenderQueue::QueueSlot& queue_slot, const RenderRequest& request,
                                     const grpc::ServerContext& context, sensorsim::LidarRenderReturn& answer);
 };
 

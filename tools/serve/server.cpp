@@ -68,7 +68,7 @@ void disable_grpc_log() {
 #endif
 }
 
-std::uint64_t compute_scene_memory_limit_bytes(const ServerOptions& options, const Device& device) {
+std::uint64_t choose_memory_limit_of_scenes_bytes(const ServerOptions& options, const Device& device) {
     return options.memory_mib > 0 ? options.memory_mib << 20 : device.info().memory_bytes / 2;
 }
 
@@ -89,7 +89,7 @@ struct ScanServer::Impl {
 
     explicit Impl(std::size_t waiting) : queue(waiting) {}
     ~Impl() {
-        if (acceptor) acceptor->stop_accepting();
+        if (acceptor) acceptor->stop_accepting_and_close_sockets();
         if (server) server->Shutdown(std::chrono::system_clock::now());
         server.reset();
         run_on_render_thread([&] { scenes.reset(), device.reset(); });
@@ -108,7 +108,7 @@ void ScanServer::Impl::start_listening(const ServerOptions& options) {
     grpc::EnableDefaultHealthCheckService(true);
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
     grpc::ResourceQuota quota("relidar");
-    quota.SetMaxThreads(int(queue.get_slot_count() + kOtherThreads));
+    quota.SetMaxThreads(int(queue.get_total_slot_count() + kOtherThreads));
     grpc::ServerBuilder builder;
     builder.SetResourceQuota(quota);
     builder.SetMaxReceiveMessageSize(kLargestRequest);
@@ -145,14 +145,16 @@ void ScanServer::Impl::set_health_status(bool is_serving) {
 }
 
 ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Impl>(options.waiting)) {
-    std::vector<SceneSource> sources = parse_scene_sources(options.runs, options.channels, options.weather);
+    std::vector<SceneSource> sources =
+        parse_named_run_folders(options.runs, options.channels, options.weather);
     impl_->assets.emplace(options.assets);
     impl_->run_on_render_thread([&] {
         impl_->device.emplace(options.device);
         impl_->scenes.emplace(*impl_->device, std::move(sources),
-                              compute_scene_memory_limit_bytes(options, *impl_->device), *impl_->assets);
+                              choose_memory_limit_of_scenes_bytes(options, *impl_->device), *impl_->assets);
     });
-    if (ScanRenderer::choose_max_parallel_scans(*impl_->device) > 1) impl_->queue.set_batch_size(kBatchSize);
+    if (ScanRenderer::choose_max_parallel_scans(*impl_->device) > 1)
+        impl_->queue.set_max_requests_per_batch(kBatchSize);
     impl_->service.emplace(impl_->queue, *impl_->scenes, options.on_scan);
     if (options.sensorsim) impl_->sensorsim.emplace(impl_->queue, *impl_->scenes, *options.sensorsim);
     impl_->start_listening(options);
@@ -176,7 +178,7 @@ std::optional<std::string> ScanServer::get_device_loss_message() {
 }
 
 void ScanServer::stop_and_wait(std::chrono::milliseconds max_wait) {
-    impl_->acceptor->stop_accepting();
+    impl_->acceptor->stop_accepting_and_close_sockets();
     impl_->server->GetHealthCheckService()->SetServingStatus(false);
     impl_->server->Shutdown(std::chrono::system_clock::now() + max_wait);
 }

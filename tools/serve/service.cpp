@@ -12,75 +12,77 @@
 namespace relidar::serve {
 namespace {
 
-bool needs_range_image(const RenderRequest& request) {
+bool is_range_image_requested(const RenderRequest& request) {
     return request.range_image || request.drop_probability || request.boxes || !request.points;
 }
 
-void write_request_times(const QueuedRequest& request, v1::LidarScan& answer) {
+void write_queue_and_render_time(const QueuedRequest& request, v1::LidarScan& answer) {
     answer.set_queued_ms(request.get_queued_time_ms());
     answer.set_rendered_ms(request.get_render_time_ms());
 }
 
 }  // namespace
 
-RenderedScan RenderService::render_image(RenderQueue::QueueSlot& slot, const RenderRequest& render_request,
+RenderedScan RenderService::render_image(RenderQueue::QueueSlot& queue_slot,
+                                         const RenderRequest& render_request,
                                          const grpc::ServerContext& context, v1::LidarScan& answer) {
     ScanImageRequest request(scenes_, context, render_request);
-    request.run_or_throw_cancellation(slot);
+    request.run_or_throw_if_client_gave_up(queue_slot);
     const TrainedRun& run = scenes_.get_runs_without_surfels()[render_request.scene];
-    write_scan(request.scan, render_request, run.config, answer);
-    if (render_request.boxes) write_actor_boxes(request.scan, render_request, run, answer);
-    write_names_of_sparse_actors(render_request, answer);
-    write_request_times(request, answer);
+    write_scan_into_message(request.scan, render_request, run.config, answer);
+    if (render_request.boxes) write_actor_boxes_into_message(request.scan, render_request, run, answer);
+    write_actors_with_too_few_surfels(render_request, answer);
+    write_queue_and_render_time(request, answer);
     return std::move(request.scan);
 }
 
-void RenderService::render_points(RenderQueue::QueueSlot& slot, std::span<const RenderRequest> requests,
-                                  const grpc::ServerContext& context,
-                                  std::span<v1::LidarScan* const> answers) {
+void RenderService::render_points_into_answers(RenderQueue::QueueSlot& queue_slot,
+                                               std::span<const RenderRequest> requests,
+                                               const grpc::ServerContext& context,
+                                               std::span<v1::LidarScan* const> answers) {
     PointsRequest request(scenes_, context, requests);
-    request.run_or_throw_cancellation(slot);
+    request.run_or_throw_if_client_gave_up(queue_slot);
     for (std::size_t i = 0; i < requests.size(); ++i) {
-        write_scan(request.points[i], requests[i], *answers[i]);
-        write_names_of_sparse_actors(requests[i], *answers[i]);
-        write_request_times(request, *answers[i]);
+        write_scan_into_message(request.points[i], requests[i], *answers[i]);
+        write_actors_with_too_few_surfels(requests[i], *answers[i]);
+        write_queue_and_render_time(request, *answers[i]);
     }
 }
 
 grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScenesRequest*,
                                        v1::ListScenesResponse* answer) {
-    return call_and_get_grpc_status([&] {
+    return call_and_convert_errors_to_status([&] {
         for (std::size_t i = 0; i < scenes_.get_runs_without_surfels().size(); ++i)
-            write_scene(scenes_.get_scene_sources()[i].name, scenes_.get_runs_without_surfels()[i],
-                        *answer->add_scenes());
+            write_scene_description(scenes_.get_scene_sources()[i].name,
+                                    scenes_.get_runs_without_surfels()[i], *answer->add_scenes());
         for (std::size_t i = 0; i < scenes_.get_runs_without_surfels().size(); ++i)
             for (const SpawnedActorRegistry::SpawnSlot& spawn_slot :
                  scenes_.get_spawned_actors().list_occupied_slots(i))
                 write_spawned_actor(spawn_slot, scenes_.get_runs_without_surfels()[i],
                                     *answer->mutable_scenes(int(i))->add_spawned());
         for (const AssetCatalogue::CatalogueEntry& entry : scenes_.get_asset_catalogue().get_entries())
-            write_asset(entry.facts, *answer->add_assets());
+            write_asset_into_message(entry.facts, *answer->add_assets());
         for (const std::string& name : list_sensor_names()) answer->add_sensors(name);
     });
 }
 
 grpc::Status RenderService::GetTracks(grpc::ServerContext*, const v1::GetTracksRequest* request,
                                       v1::GetTracksResponse* answer) {
-    return call_and_get_grpc_status([&] {
-        const std::size_t scene = reader_.find_scene_index(request->scene());
-        const int lidar = reader_.find_lidar_index(scene, request->lidar());
-        write_tracks(scenes_.get_runs_without_surfels()[scene], lidar, request->actors(), *answer);
+    return call_and_convert_errors_to_status([&] {
+        const std::size_t scene = reader_.find_scene_index_or_throw(request->scene());
+        const int lidar = reader_.find_lidar_index_or_throw(scene, request->lidar());
+        write_recorded_tracks(scenes_.get_runs_without_surfels()[scene], lidar, request->actors(), *answer);
     });
 }
 
 grpc::Status RenderService::SpawnActors(grpc::ServerContext* context, const v1::SpawnActorsRequest* request,
                                         v1::SpawnActorsResponse* answer) {
-    return call_and_get_grpc_status([&] {
+    return call_and_convert_errors_to_status([&] {
         RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
-        const std::size_t scene = reader_.find_scene_index(request->scene());
+        const std::size_t scene = reader_.find_scene_index_or_throw(request->scene());
         const std::vector<ActorToSpawn> wishes = reader_.read_actors_to_spawn(*request, scene);
         SpawnRequest spawn(scenes_, *context, scene, wishes);
-        spawn.run_or_throw_cancellation(slot);
+        spawn.run_or_throw_if_client_gave_up(slot);
         for (const SpawnedActorRegistry::SpawnSlot& spawn_slot : spawn.occupied_slots)
             write_spawned_actor(spawn_slot, scenes_.get_runs_without_surfels()[scene], *answer->add_actors());
     });
@@ -88,16 +90,17 @@ grpc::Status RenderService::SpawnActors(grpc::ServerContext* context, const v1::
 
 grpc::Status RenderService::DespawnActors(grpc::ServerContext*, const v1::DespawnActorsRequest* request,
                                           v1::DespawnActorsResponse* answer) {
-    return call_and_get_grpc_status([&] {
-        const std::size_t scene = reader_.find_scene_index(request->scene());
-        scenes_.get_spawned_actors().release_slots(scene, {request->names().begin(), request->names().end()});
+    return call_and_convert_errors_to_status([&] {
+        const std::size_t scene = reader_.find_scene_index_or_throw(request->scene());
+        scenes_.get_spawned_actors().remove_actors_and_free_slots(
+            scene, {request->names().begin(), request->names().end()});
         answer->set_left(std::uint32_t(scenes_.get_spawned_actors().list_occupied_slots(scene).size()));
     });
 }
 
 grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadSensorRequest* request,
                                          v1::UploadSensorResponse* answer) {
-    return call_and_get_grpc_status([&] {
+    return call_and_convert_errors_to_status([&] {
         const auto [handle, sensor] = reader_.cache_uploaded_sensor(request->sensor());
         const FiringTimeSpan span = compute_firing_span(*sensor);
         answer->set_handle(handle);
@@ -110,11 +113,11 @@ grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadS
 
 grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::RenderLidarRequest* request,
                                         v1::LidarScan* answer) {
-    return call_and_get_grpc_status([&] {
+    return call_and_convert_errors_to_status([&] {
         RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
-        const RenderRequest render_request = reader_.read_lidar_request(*request);
-        if (!on_scan_ && !needs_range_image(render_request))
-            return render_points(slot, {&render_request, 1}, *context, {&answer, 1});
+        const RenderRequest render_request = reader_.convert_to_checked_render_request(*request);
+        if (!on_scan_ && !is_range_image_requested(render_request))
+            return render_points_into_answers(slot, {&render_request, 1}, *context, {&answer, 1});
         const RenderedScan scan = render_image(slot, render_request, *context, *answer);
         if (on_scan_)
             on_scan_(scenes_.get_runs_without_surfels()[render_request.scene], *render_request.sensor,
@@ -124,7 +127,7 @@ grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::
 
 grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::RenderRigRequest* request,
                                       grpc::ServerWriter<v1::RigScan>* writer) {
-    return call_and_get_grpc_status([&] {
+    return call_and_convert_errors_to_status([&] {
         if (on_scan_)
             throw RejectedRequest(grpc::StatusCode::FAILED_PRECONDITION,
                                   "cannot answer RenderRig, because the server sends packets (--udp); "
@@ -133,10 +136,11 @@ grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::Re
         // Reserves one slot for all scans of the rig, so that the call is not rejected
         // after some scans.
         RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
-        const std::vector<RenderRequest> render_requests = reader_.read_rig_request(*request);
+        const std::vector<RenderRequest> render_requests =
+            reader_.convert_to_request_per_rig_sensor(*request);
         for (std::size_t first = 0, n = 1; first < render_requests.size(); first += n) {
             for (n = 0; n < kMostAtOnce && first + n < render_requests.size() &&
-                        !needs_range_image(render_requests[first + n]);)
+                        !is_range_image_requested(render_requests[first + n]);)
                 ++n;
             const bool of_points = n > 0;
             n = std::max<std::size_t>(n, 1);
@@ -144,11 +148,12 @@ grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::Re
             std::vector<v1::LidarScan*> answers;
             for (v1::RigScan& scan : scans) answers.push_back(scan.mutable_scan());
             if (of_points)
-                render_points(slot, std::span(render_requests).subspan(first, n), *context, answers);
+                render_points_into_answers(slot, std::span(render_requests).subspan(first, n), *context,
+                                           answers);
             else render_image(slot, render_requests[first], *context, *answers.front());
             for (std::size_t i = 0; i < n; ++i) {
                 scans[i].set_name(request->sensors(int(first + i)).name());
-                if (!writer->Write(scans[i])) throw_cancellation(*context);
+                if (!writer->Write(scans[i])) throw_deadline_or_cancelled_error(*context);
             }
         }
     });

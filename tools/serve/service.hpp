@@ -44,10 +44,12 @@ private:
     RequestReader reader_;
     RenderedScanCallback on_scan_;
 
-    RenderedScan render_image(RenderQueue::QueueSlot& slot, const RenderRequest& request,
+    RenderedScan render_image(RenderQueue::QueueSlot& queue_slot, const RenderRequest& request,
                               const grpc::ServerContext& context, v1::LidarScan& answer);
-    void render_points(RenderQueue::QueueSlot& slot, std::span<const RenderRequest> requests,
-                       const grpc::ServerContext& context, std::span<v1::LidarScan* const> answers);
+    void render_points_into_answers(RenderQueue::QueueSlot& queue_slot,
+                                    std::span<const RenderRequest> requests,
+                                    const grpc::ServerContext& context,
+                                    std::span<v1::LidarScan* const> answers);
 };
 
 }  // namespace relidar::serve

@@ -7,16 +7,16 @@
 
 namespace relidar::serve {
 
-void write_asset(const AssetDescription& facts, v1::Asset& message) {
-    message.set_name(facts.name);
-    message.set_category(facts.category);
-    message.set_kind(get_name(facts.kind));
-    write_vector(facts.size_m, *message.mutable_size_m());
-    message.set_score(facts.compute_covered_fraction());
-    message.set_seen(facts.seen);
-    message.set_nearest_m(facts.nearest_m);
-    message.set_surfels(facts.surfels);
-    message.set_sensor(facts.sensor);
+void write_asset_into_message(const AssetDescription& asset_description, v1::Asset& message) {
+    message.set_name(asset_description.name);
+    message.set_category(asset_description.category);
+    message.set_kind(get_name(asset_description.kind));
+    write_vector(asset_description.size_m, *message.mutable_size_m());
+    message.set_score(asset_description.get_observed_or_mirrored_fraction());
+    message.set_seen(asset_description.seen);
+    message.set_nearest_m(asset_description.nearest_m);
+    message.set_surfels(asset_description.surfels);
+    message.set_sensor(asset_description.sensor);
 }
 
 void write_spawned_actor(const SpawnedActorRegistry::SpawnSlot& slot, const TrainedRun& run,
@@ -29,7 +29,7 @@ void write_spawned_actor(const SpawnedActorRegistry::SpawnSlot& slot, const Trai
     message.set_surfels(slot.actor.surfels);
 }
 
-void write_names_of_sparse_actors(const RenderRequest& request, v1::LidarScan& message) {
+void write_actors_with_too_few_surfels(const RenderRequest& request, v1::LidarScan& message) {
     if (request.placed.empty()) return;
     const SimulatedSensor& sensor = *request.sensor;
     const double time_s = request.request.time_s;
@@ -42,7 +42,7 @@ void write_names_of_sparse_actors(const RenderRequest& request, v1::LidarScan& m
         const Pose dataset_from_actor =
             request.request.dataset_from_actor->at(actor.track).interpolate_pose(time_s);
         const Pose box_from_sensor = inverse(dataset_from_actor) * dataset_from_sensor;
-        const ActorModelResolution detail = measure_actor_resolution(
+        const ActorModelResolution detail = compare_ray_and_surfel_count_of_actor(
             rays.origin, rays.direction, box_from_sensor, actor.size_m, actor.surfels);
         if (!detail.has_too_few_surfels()) continue;
         v1::SparseActor& sparse = *message.add_sparse_actors();

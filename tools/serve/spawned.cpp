@@ -20,7 +20,7 @@ constexpr std::size_t kMaxAddedSlots = 8;
 
 using SpawnedActorSlots = std::vector<ActorToSpawn>;
 
-auto find_spawned_actor(SpawnedActorSlots& slots, const std::string& actor_name) {
+auto find_slot_of_actor(SpawnedActorSlots& slots, const std::string& actor_name) {
     return std::ranges::find(slots, actor_name, &ActorToSpawn::name);
 }
 
@@ -35,7 +35,7 @@ std::size_t find_or_add_free_slot(SpawnedActorSlots& slots, const ActorToSpawn& 
         throw RejectedRequest(
             grpc::StatusCode::RESOURCE_EXHAUSTED,
             fmt::format("cannot spawn {}: this scene already has {} spawned actors, which is the maximum",
-                        quote_for_error_message(actor.name), slots.size()));
+                        shorten_and_quote_client_text(actor.name), slots.size()));
     const std::size_t first = slots.size();
     ActorToSpawn empty = actor;
     empty.name.clear();
@@ -45,7 +45,7 @@ std::size_t find_or_add_free_slot(SpawnedActorSlots& slots, const ActorToSpawn& 
     return first;
 }
 
-std::uint32_t find_model_index_of_actor(const Scene& scene, const std::string& track_name) {
+std::uint32_t get_model_index_of_actor(const Scene& scene, const std::string& track_name) {
     const auto instance = std::ranges::find(scene.instances, track_name, &ModelInstance::track);
     if (instance == scene.instances.end())
         throw DataError(fmt::format("cannot spawn {}: the run no longer has this actor", track_name));
@@ -56,7 +56,7 @@ std::uint32_t find_model_index_of_actor(const Scene& scene, const std::string& t
 std::uint32_t add_asset_model(Scene& scene, const std::filesystem::path& asset_folder) {
     const TrainedRun asset = load_run(asset_folder);
     return append_model(scene, asset.scene,
-                        find_model_index_of_actor(asset.scene, get_only_actor_track(asset)));
+                        get_model_index_of_actor(asset.scene, get_only_actor_track(asset)));
 }
 
 }  // namespace
@@ -76,23 +76,23 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::list_occupied
     return all;
 }
 
-std::size_t SpawnedActorRegistry::count_slots(std::size_t scene_index) const {
+std::size_t SpawnedActorRegistry::count_slots_of_scene(std::size_t scene_index) const {
     const std::lock_guard lock(mutex_);
     return scenes_[scene_index].size();
 }
 
-std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::occupy_slots(
+std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::assign_actors_to_slots(
     std::size_t scene_index, const std::vector<ActorToSpawn>& actors) {
     const std::lock_guard lock(mutex_);
     // Changes only this copy, so that a rejected request has no effect.
     SpawnedActorSlots slots = scenes_[scene_index];
     std::vector<SpawnSlot> occupied_slots;
     for (const ActorToSpawn& wish : actors) {
-        if (find_spawned_actor(slots, wish.name) != slots.end())
+        if (find_slot_of_actor(slots, wish.name) != slots.end())
             throw RejectedRequest(
                 grpc::StatusCode::ALREADY_EXISTS,
                 fmt::format("cannot spawn {}: an actor with this name exists; use another name",
-                            quote_for_error_message(wish.name)));
+                            shorten_and_quote_client_text(wish.name)));
         const std::size_t position = find_or_add_free_slot(slots, wish);
         slots[position] = wish;
         occupied_slots.push_back({position, wish});
@@ -101,32 +101,32 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::occupy_slots(
     return occupied_slots;
 }
 
-void SpawnedActorRegistry::release_slots(std::size_t scene_index,
-                                         const std::vector<std::string>& actor_names) {
+void SpawnedActorRegistry::remove_actors_and_free_slots(std::size_t scene_index,
+                                                        const std::vector<std::string>& actor_names) {
     const std::lock_guard lock(mutex_);
     SpawnedActorSlots slots = scenes_[scene_index];
     for (const std::string& name : actor_names) {
-        const auto slot = find_spawned_actor(slots, name);
+        const auto slot = find_slot_of_actor(slots, name);
         if (name.empty() || slot == slots.end())
             throw RejectedRequest(
                 grpc::StatusCode::NOT_FOUND,
                 fmt::format(
                     "cannot despawn {}: no spawned actor has this name, or the request names it twice",
-                    quote_for_error_message(name)));
+                    shorten_and_quote_client_text(name)));
         slot->name.clear();
     }
     scenes_[scene_index] = std::move(slots);
 }
 
-void SpawnedActorRegistry::revert_occupied_slots(std::size_t scene_index,
-                                                 const std::vector<SpawnSlot>& occupied_slots,
-                                                 std::size_t n_slots_before) {
+void SpawnedActorRegistry::free_and_remove_new_slots(std::size_t scene_index,
+                                                     const std::vector<SpawnSlot>& slots_to_free,
+                                                     std::size_t n_slots_before) {
     const std::lock_guard lock(mutex_);
-    for (const SpawnSlot& slot : occupied_slots) scenes_[scene_index][slot.position].name.clear();
+    for (const SpawnSlot& slot : slots_to_free) scenes_[scene_index][slot.position].name.clear();
     scenes_[scene_index].resize(n_slots_before);
 }
 
-std::string make_track_name_of_slot(std::size_t slot_index) {
+std::string make_unique_track_name_of_slot(std::size_t slot_index) {
     return fmt::format("\x01spawned {}", slot_index);
 }
 
@@ -136,7 +136,7 @@ void add_spawned_actors_to_run(TrainedRun& run, const std::vector<SpawnedActorRe
     for (const SpawnedActorRegistry::SpawnSlot& slot : slots) {
         const SpawnedModelSource& source = slot.actor.source;
         std::uint32_t model = 0;
-        if (!source.is_asset) model = find_model_index_of_actor(run.scene, source.name);
+        if (!source.is_asset) model = get_model_index_of_actor(run.scene, source.name);
         else if (const auto model_entry = models.find(source.name); model_entry != models.end())
             model = model_entry->second;
         else {
@@ -148,7 +148,7 @@ void add_spawned_actors_to_run(TrainedRun& run, const std::vector<SpawnedActorRe
                                           .size_m = asset.facts.size_m,
                                           .world_from_box = {}});
         }
-        run.scene.instances.push_back({model, make_track_name_of_slot(slot.position)});
+        run.scene.instances.push_back({model, make_unique_track_name_of_slot(slot.position)});
     }
 }
 

@@ -58,15 +58,16 @@ public:
     /// @return the slots in the order of the requests
     /// @throws RejectedRequest if a name is in use or the maximum number of slots is
     /// reached; then nothing changes
-    std::vector<SpawnSlot> occupy_slots(std::size_t scene_index, const std::vector<ActorToSpawn>& actors);
+    std::vector<SpawnSlot> assign_actors_to_slots(std::size_t scene_index,
+                                                  const std::vector<ActorToSpawn>& actors);
     /// Removes the named actors and makes their slots free again.
     /// @throws RejectedRequest if a name is unknown; then nothing changes
-    void release_slots(std::size_t scene_index, const std::vector<std::string>& actor_names);
-    /// Reverts occupy_slots(). Removes the actors and the slots that occupy_slots() has
-    /// added.
-    void revert_occupied_slots(std::size_t scene_index, const std::vector<SpawnSlot>& occupied_slots,
-                               std::size_t n_slots_before);
-    std::size_t count_slots(std::size_t scene_index) const;
+    void remove_actors_and_free_slots(std::size_t scene_index, const std::vector<std::string>& actor_names);
+    /// Reverts assign_actors_to_slots(). Removes the actors and the slots that
+    /// assign_actors_to_slots() has added.
+    void free_and_remove_new_slots(std::size_t scene_index, const std::vector<SpawnSlot>& slots_to_free,
+                                   std::size_t n_slots_before);
+    std::size_t count_slots_of_scene(std::size_t scene_index) const;
 
 private:
     mutable std::mutex mutex_;
@@ -76,7 +77,7 @@ private:
 
 /// Returns the track name of a slot in the rendered scene. No track of a run has this
 /// name.
-std::string make_track_name_of_slot(std::size_t slot_index);
+std::string make_unique_track_name_of_slot(std::size_t slot_index);
 
 /// Adds an instance for each slot to the run. Adds the model of each asset only once.
 /// Must be called before the run is rendered.

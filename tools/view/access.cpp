@@ -15,7 +15,7 @@ bool are_equal_ignoring_case(std::string_view first, std::string_view second) {
     });
 }
 
-bool is_port_number(std::string_view text) {
+bool is_valid_port_number_text(std::string_view text) {
     return !text.empty() && text.size() <= 5 && std::all_of(text.begin(), text.end(), [](char character) {
         return character >= '0' && character <= '9';
     });
@@ -30,16 +30,17 @@ std::string_view extract_host_name(std::string_view host_and_port) {
         if (bracket == std::string_view::npos) return {};
         end = bracket + 1;
         if (end == host_and_port.size()) return host_and_port.substr(1, bracket - 1);
-        if (host_and_port[end] != ':' || !is_port_number(host_and_port.substr(end + 1))) return {};
+        if (host_and_port[end] != ':' || !is_valid_port_number_text(host_and_port.substr(end + 1))) return {};
         return host_and_port.substr(1, bracket - 1);
     }
     if (end == std::string_view::npos) return host_and_port;
-    return is_port_number(host_and_port.substr(end + 1)) ? host_and_port.substr(0, end) : std::string_view{};
+    return is_valid_port_number_text(host_and_port.substr(end + 1)) ? host_and_port.substr(0, end)
+                                                                    : std::string_view{};
 }
 
 }  // namespace
 
-bool is_local_host_header(std::string_view host_header, std::string_view machine_name) {
+bool is_host_header_of_this_machine(std::string_view host_header, std::string_view machine_name) {
     const std::string_view name = extract_host_name(host_header);
     if (name.empty()) return false;
     if (are_equal_ignoring_case(name, "localhost") ||
@@ -50,14 +51,14 @@ bool is_local_host_header(std::string_view host_header, std::string_view machine
     return !failed;
 }
 
-bool is_same_origin(std::string_view origin_header, std::string_view host_header) {
+bool is_origin_missing_or_same_host(std::string_view origin_header, std::string_view host_header) {
     constexpr std::string_view kScheme = "http://";
     return origin_header.empty() ||
            (origin_header.starts_with(kScheme) &&
             are_equal_ignoring_case(origin_header.substr(kScheme.size()), host_header));
 }
 
-bool is_foxglove_origin(std::string_view origin_header) {
+bool is_origin_allowed_for_foxglove(std::string_view origin_header) {
     if (origin_header == "https://app.foxglove.dev" ||
         origin_header == "https://lichtblick-suite.github.io" || origin_header == "file://")
         return true;
@@ -78,7 +79,8 @@ bool are_secrets_equal(std::string_view given_secret, std::string_view true_secr
     return differs == 0u;
 }
 
-std::string_view find_value_by_name(std::string_view name_value_list, std::string_view name, char separator) {
+std::string_view find_value_in_name_value_list(std::string_view name_value_list, std::string_view name,
+                                               char separator) {
     while (!name_value_list.empty()) {
         const std::size_t end = std::min(name_value_list.find(separator), name_value_list.size());
         std::string_view entry = name_value_list.substr(0, end);
@@ -90,13 +92,14 @@ std::string_view find_value_by_name(std::string_view name_value_list, std::strin
     return {};
 }
 
-bool has_token_in_url(const Credentials& credentials, std::string_view token) {
-    return are_secrets_equal(find_value_by_name(credentials.query, "token", '&'), token);
+bool is_token_in_url_query(const Credentials& credentials, std::string_view access_token) {
+    return are_secrets_equal(find_value_in_name_value_list(credentials.query, "token", '&'), access_token);
 }
 
-bool has_token_in_cookie(const Credentials& credentials, std::string_view token,
-                         std::string_view cookie_name) {
-    return are_secrets_equal(find_value_by_name(credentials.cookie, cookie_name, ';'), token);
+bool is_token_in_cookie_header(const Credentials& credentials, std::string_view access_token,
+                               std::string_view cookie_name) {
+    return are_secrets_equal(find_value_in_name_value_list(credentials.cookie, cookie_name, ';'),
+                             access_token);
 }
 
 }  // namespace relidar::view

@@ -24,13 +24,13 @@ void append_number_bytes(std::string& bytes, T value) {
     bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
 }
 
-std::string encode_time_message(std::uint64_t time_ns) {
+std::string encode_server_time_message(std::uint64_t time_ns) {
     std::string bytes(1, kTime);
     append_number_bytes(bytes, time_ns);
     return bytes;
 }
 
-std::string encode_message(std::uint32_t subscription_id, const ScanMessage& message) {
+std::string encode_message_for_subscription(std::uint32_t subscription_id, const ScanMessage& message) {
     std::string bytes(1, kMessageData);
     append_number_bytes(bytes, subscription_id);
     append_number_bytes(bytes, message.time_ns);
@@ -77,7 +77,7 @@ std::uint32_t get_required_uint32_member(const Json& object, const char* member_
     return require_uint32(*member, member_name);
 }
 
-std::vector<double> list_sweep_times(const LidarSequence& log, int lidar_index) {
+std::vector<double> list_sweep_times_of_lidar_s(const LidarSequence& log, int lidar_index) {
     std::vector<double> times_s;
     for (const LidarFrame& frame : log.frames)
         if (frame.lidar == lidar_index) times_s.push_back(frame.time_s);
@@ -90,12 +90,12 @@ FoxglovePlayer::FoxglovePlayer(const TrainedRun& run, Device& device, FoxgloveSe
     : run_(run),
       device_(device),
       answers_(std::move(answers)),
-      sensor_(make_configured_sensor(run.config, run.sequence)),
-      format_(make_scan_format(run, sensor_)),
+      sensor_(make_sensor_from_config(run.config, run.sequence)),
+      format_(make_default_output_options(run, sensor_)),
       topics_(ScanMessageEncoder({format_}).list_topics()),
-      times_s_(list_sweep_times(run.sequence, sensor_.lidar)) {}
+      times_s_(list_sweep_times_of_lidar_s(run.sequence, sensor_.lidar)) {}
 
-void FoxglovePlayer::add_client(ClientId id) {
+void FoxglovePlayer::add_client_and_send_topics(ClientId id) {
     const Json info{{"op", "serverInfo"}, {"name", "relidar"}, {"capabilities", Json::array({"time"})}};
     const std::lock_guard lock(mutex_);
     clients_[id].texts = {info.dump(), make_topic_advertisement_json(topics_)};
@@ -106,12 +106,12 @@ void FoxglovePlayer::remove_client(ClientId id) {
     clients_.erase(id);
 }
 
-bool FoxglovePlayer::handle_client_message(ClientId id, const std::string& message) {
+bool FoxglovePlayer::handle_message_if_client_is_known(ClientId id, const std::string& message) {
     const std::lock_guard lock(mutex_);
     const auto client = clients_.find(id);
     if (client == clients_.end()) return false;
     try {
-        update_subscriptions(client->second, message);
+        subscribe_or_unsubscribe_by_message(client->second, message);
     } catch (const UsageError& error) {
         if (client->second.texts.size() < kMaxTexts)
             client->second.texts.push_back(make_error_status_json(error.what()));
@@ -119,7 +119,8 @@ bool FoxglovePlayer::handle_client_message(ClientId id, const std::string& messa
     return true;
 }
 
-void FoxglovePlayer::update_subscriptions(Client& client, const std::string& message_text) const {
+void FoxglovePlayer::subscribe_or_unsubscribe_by_message(Client& client,
+                                                         const std::string& message_text) const {
     const Json message = Json::parse(message_text, nullptr, false);
     if (!message.is_object()) throw UsageError("cannot read the message: expected a JSON object");
     const auto operation = message.find("op");
@@ -150,7 +151,7 @@ void FoxglovePlayer::update_subscriptions(Client& client, const std::string& mes
 
 /// Sends the queued texts of all clients.
 /// @return true if a client subscribes to a topic
-bool FoxglovePlayer::send_queued_texts() {
+bool FoxglovePlayer::send_queued_texts_and_check_subscribed() {
     const std::lock_guard lock(mutex_);
     bool has_subscriptions = false;
     for (auto& [id, client] : clients_) {
@@ -160,8 +161,9 @@ bool FoxglovePlayer::send_queued_texts() {
     return has_subscriptions;
 }
 
-std::chrono::milliseconds FoxglovePlayer::send_next_scan_if_due(std::chrono::milliseconds max_wait) {
-    if (!send_queued_texts() || times_s_.empty()) {
+std::chrono::milliseconds FoxglovePlayer::send_scan_if_due_and_get_wait_time(
+    std::chrono::milliseconds max_wait) {
+    if (!send_queued_texts_and_check_subscribed() || times_s_.empty()) {
         playback_.reset();
         return max_wait;
     }
@@ -174,7 +176,7 @@ std::chrono::milliseconds FoxglovePlayer::send_next_scan_if_due(std::chrono::mil
         throw;
     } catch (const Error& error) {
         playback_.reset();
-        end_all_subscriptions(error.what());
+        clear_subscriptions_and_send_reason(error.what());
         return max_wait;
     }
     const auto pause = std::chrono::ceil<std::chrono::milliseconds>(playback_->due - Clock::now());
@@ -191,27 +193,29 @@ void FoxglovePlayer::render_and_send_next_scan() {
     // because the times of a ScanMessageEncoder must not decrease.
     if (frame == 0) playback_->messages = ScanMessageEncoder({format_});
     const std::chrono::duration<double> interval(
-        frame > 0 ? times_s_[frame] - time_s : run_.sequence.lidars[std::size_t(sensor_.lidar)].period_s());
+        frame > 0 ? times_s_[frame] - time_s
+                  : run_.sequence.lidars[std::size_t(sensor_.lidar)].get_sweep_period_s());
     playback_->due =
         std::max(Clock::now(), playback_->due + std::chrono::duration_cast<Clock::duration>(interval));
 }
 
-void FoxglovePlayer::send_to_subscribers(const std::vector<ScanMessage>& messages) {
+void FoxglovePlayer::send_to_subscribers(const std::vector<ScanMessage>& messages_per_topic) {
     const std::lock_guard lock(mutex_);
     for (const auto& [id, client] : clients_) {
         if (client.subscriptions.empty()) continue;
         // The time is sent first, because a client removes the messages of the previous
         // loop when the time decreases.
-        std::vector<std::string> packets{encode_time_message(messages.back().time_ns)};
-        for (const ScanMessage& message : messages)
+        std::vector<std::string> packets{encode_server_time_message(messages_per_topic.back().time_ns)};
+        for (const ScanMessage& message : messages_per_topic)
             for (const auto& [subscription, topic] : client.subscriptions)
-                if (topic == message.topic) packets.push_back(encode_message(subscription, message));
+                if (topic == message.topic)
+                    packets.push_back(encode_message_for_subscription(subscription, message));
         answers_.scan(id, std::move(packets));
     }
 }
 
 /// Ends all subscriptions because no scan can be rendered.
-void FoxglovePlayer::end_all_subscriptions(const std::string& reason) {
+void FoxglovePlayer::clear_subscriptions_and_send_reason(const std::string& reason) {
     const std::lock_guard lock(mutex_);
     for (auto& [id, client] : clients_) {
         client.subscriptions.clear();

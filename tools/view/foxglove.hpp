@@ -25,7 +25,8 @@
 
 namespace relidar::view {
 
-/// Callbacks that send messages to clients. Only send_next_scan_if_due() calls them.
+/// Callbacks that send messages to clients. Only send_scan_if_due_and_get_wait_time()
+/// calls them.
 struct FoxgloveSendCallbacks {
     std::function<void(ClientId, std::string)> text;
     /// Sends the binary messages of one scan.
@@ -33,8 +34,8 @@ struct FoxgloveSendCallbacks {
 };
 
 /// Renders the recorded sweeps of the log's first LiDAR in a loop while a client
-/// subscribes to a topic. Only the thread that calls send_next_scan_if_due() uses the
-/// device. The server's thread calls the other functions.
+/// subscribes to a topic. Only the thread that calls send_scan_if_due_and_get_wait_time()
+/// uses the device. The server's thread calls the other functions.
 class FoxglovePlayer {
 public:
     /// Creates a player that renders nothing yet.
@@ -42,17 +43,17 @@ public:
     FoxglovePlayer(const TrainedRun& run, Device& device, FoxgloveSendCallbacks answers);
 
     /// Describes the topics to a new client.
-    void add_client(ClientId client_id);
+    void add_client_and_send_topics(ClientId client_id);
     /// Handles a message of a client.
     /// @return false if the client was not opened here
-    bool handle_client_message(ClientId client_id, const std::string& message);
+    bool handle_message_if_client_is_known(ClientId client_id, const std::string& message);
     void remove_client(ClientId client_id);
 
     /// Renders and sends the next scan if its time has come. Scans follow each other in
     /// the intervals of the log, or more slowly if the device is slow.
     /// @return the time until the next scan, but at most `max_wait`
     /// @throws DeviceError if the device has failed
-    std::chrono::milliseconds send_next_scan_if_due(std::chrono::milliseconds max_wait);
+    std::chrono::milliseconds send_scan_if_due_and_get_wait_time(std::chrono::milliseconds max_wait);
 
 private:
     using Clock = std::chrono::steady_clock;
@@ -71,11 +72,11 @@ private:
             : renderer(device, run), messages({format}) {}
     };
 
-    void update_subscriptions(Client& client, const std::string& message_text) const;
-    bool send_queued_texts();
+    void subscribe_or_unsubscribe_by_message(Client& client, const std::string& message_text) const;
+    bool send_queued_texts_and_check_subscribed();
     void render_and_send_next_scan();
-    void send_to_subscribers(const std::vector<ScanMessage>& messages);
-    void end_all_subscriptions(const std::string& reason);
+    void send_to_subscribers(const std::vector<ScanMessage>& messages_per_topic);
+    void clear_subscriptions_and_send_reason(const std::string& reason);
 
     const TrainedRun& run_;
     Device& device_;

@@ -30,36 +30,36 @@ std::uint8_t convert_fraction_to_byte(float fraction) {
 class BinaryArrayPacker {
 public:
     template <class T>
-    void add_array(const std::string& name, const char* type, int n_components,
+    void add_array(const std::string& name, const char* element_type_name, int n_components,
                    const std::vector<T>& values) {
         if (values.empty()) return;
         const std::size_t n_bytes = values.size() * sizeof(T);
         table_.push_back({{"name", name},
-                          {"type", type},
+                          {"type", element_type_name},
                           {"components", n_components},
                           {"count", values.size()},
                           {"offset", bytes_.size()}});
         bytes_.append(reinterpret_cast<const char*>(values.data()), n_bytes);
         bytes_.append((4 - bytes_.size() % 4) % 4, '\0');
     }
-    void add_scan_arrays(const std::string& name_prefix, const ScanColumns& scan) {
-        add_array(name_prefix + "position", "f32", 3, scan.position_m);
-        add_array(name_prefix + "range", "f32", 1, scan.range_m);
-        add_array(name_prefix + "intensity", "u8", 1, scan.intensity);
-        add_array(name_prefix + "drop", "u8", 1, scan.drop);
-        add_array(name_prefix + "instance", "u16", 1, scan.instance);
-        add_array(name_prefix + "ring", "u16", 1, scan.ring);
+    void add_all_arrays_of_scan(const std::string& array_name_prefix, const ScanColumns& scan) {
+        add_array(array_name_prefix + "position", "f32", 3, scan.position_m);
+        add_array(array_name_prefix + "range", "f32", 1, scan.range_m);
+        add_array(array_name_prefix + "intensity", "u8", 1, scan.intensity);
+        add_array(array_name_prefix + "drop", "u8", 1, scan.drop);
+        add_array(array_name_prefix + "instance", "u16", 1, scan.instance);
+        add_array(array_name_prefix + "ring", "u16", 1, scan.ring);
         for (const auto& [info, values, second] : scan.channels) {
             const auto add_one = [&, &name = info.name]<class T>(const std::vector<T>& of_rays) {
                 constexpr bool is_vector = std::is_same_v<T, glm::vec3>;
-                add_array(name_prefix + "channel_" + name, std::is_same_v<T, std::int32_t> ? "i32" : "f32",
-                          is_vector ? 3 : 1, of_rays);
+                add_array(array_name_prefix + "channel_" + name,
+                          std::is_same_v<T, std::int32_t> ? "i32" : "f32", is_vector ? 3 : 1, of_rays);
             };
             std::visit(add_one, values);
         }
     }
-    const Json& get_array_table() const { return table_; }
-    const std::string& get_array_bytes() const { return bytes_; }
+    const Json& get_array_table_json() const { return table_; }
+    const std::string& get_concatenated_array_bytes() const { return bytes_; }
 
 private:
     Json table_ = Json::array();
@@ -68,10 +68,10 @@ private:
 
 }  // namespace
 
-ScanColumns convert_simulated_scan(const RenderedScan& scan, const Config& config,
-                                   const glm::dvec3& world_offset_m) {
-    LidarPoints points = convert_scan_to_points(scan, config, Pose{{1.0, 0.0, 0.0, 0.0}, world_offset_m},
-                                                PointSelection::rays);
+ScanColumns convert_simulated_scan_to_columns(const RenderedScan& scan, const Config& config,
+                                              const glm::dvec3& dataset_from_world_offset_m) {
+    LidarPoints points = convert_scan_to_points(
+        scan, config, Pose{{1.0, 0.0, 0.0, 0.0}, dataset_from_world_offset_m}, PointSelection::rays);
     ScanColumns result{.rows = scan.image.rows,
                        .columns = scan.image.columns,
                        .position_m = std::move(points.position_m),
@@ -87,7 +87,7 @@ ScanColumns convert_simulated_scan(const RenderedScan& scan, const Config& confi
     return result;
 }
 
-ScanColumns convert_measured_scan(const LidarSequence& sequence, const LidarFrame& frame) {
+ScanColumns convert_measured_scan_to_columns(const LidarSequence& sequence, const LidarFrame& frame) {
     const Scan& scan = frame.scan;
     const PoseTrack world_from_sensor = sequence.get_world_from_sensor(frame.lidar);
     ScanColumns result{.rows = scan.rays.rows,
@@ -104,7 +104,7 @@ ScanColumns convert_measured_scan(const LidarSequence& sequence, const LidarFram
     return result;
 }
 
-Json convert_pose_to_matrix_json(const Pose& pose) {
+Json convert_pose_to_column_major_json(const Pose& pose) {
     const glm::dmat4 m = to_matrix(pose);
     Json result = Json::array();
     for (int column = 0; column < 4; ++column)
@@ -112,24 +112,24 @@ Json convert_pose_to_matrix_json(const Pose& pose) {
     return result;
 }
 
-std::string encode_scan_message(Json header, const ScanColumns* simulated_scan,
-                                const ScanColumns* measured_scan) {
+std::string encode_scans_as_binary_message(Json json_header, const ScanColumns* simulated_scan_or_null,
+                                           const ScanColumns* measured_scan_or_null) {
     BinaryArrayPacker arrays;
-    if (simulated_scan) {
-        header["image"] = {simulated_scan->rows, simulated_scan->columns};
-        arrays.add_scan_arrays("", *simulated_scan);
+    if (simulated_scan_or_null) {
+        json_header["image"] = {simulated_scan_or_null->rows, simulated_scan_or_null->columns};
+        arrays.add_all_arrays_of_scan("", *simulated_scan_or_null);
     }
-    if (measured_scan) {
-        header["real_image"] = {measured_scan->rows, measured_scan->columns};
-        arrays.add_scan_arrays("real_", *measured_scan);
+    if (measured_scan_or_null) {
+        json_header["real_image"] = {measured_scan_or_null->rows, measured_scan_or_null->columns};
+        arrays.add_all_arrays_of_scan("real_", *measured_scan_or_null);
     }
-    header["arrays"] = arrays.get_array_table();
-    std::string text = header.dump(-1, ' ', false, Json::error_handler_t::replace);
+    json_header["arrays"] = arrays.get_array_table_json();
+    std::string text = json_header.dump(-1, ' ', false, Json::error_handler_t::replace);
     text.append((4 - text.size() % 4) % 4, ' ');
     const auto length = static_cast<std::uint32_t>(text.size());
     std::string frame = "RLV1";
     frame.append(reinterpret_cast<const char*>(&length), sizeof length);
-    return frame + text + arrays.get_array_bytes();
+    return frame + text + arrays.get_concatenated_array_bytes();
 }
 
 }  // namespace relidar::view

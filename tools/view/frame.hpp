@@ -52,22 +52,24 @@ struct ScanColumns {
 };
 
 /// Converts a simulated scan to the arrays of a message.
-/// @param world_offset_m offset from relidar's world frame to the dataset's world frame
-ScanColumns convert_simulated_scan(const RenderedScan& scan, const Config& config,
-                                   const glm::dvec3& world_offset_m);
+/// @param dataset_from_world_offset_m offset from relidar's world frame to the dataset's
+/// world frame
+ScanColumns convert_simulated_scan_to_columns(const RenderedScan& scan, const Config& config,
+                                              const glm::dvec3& dataset_from_world_offset_m);
 /// Converts a measured scan to the arrays of a message.
 /// @param frame frame of the sequence that contains the scan
-ScanColumns convert_measured_scan(const LidarSequence& sequence, const LidarFrame& frame);
+ScanColumns convert_measured_scan_to_columns(const LidarSequence& sequence, const LidarFrame& frame);
 
 /// Returns a pose as a 4x4 matrix. The 16 numbers are in column-major order, as WebGL
 /// expects.
-nlohmann::json convert_pose_to_matrix_json(const Pose& pose);
+nlohmann::json convert_pose_to_column_major_json(const Pose& pose);
 
 /// Encodes a simulated scan, a measured scan, or both as one binary message.
-/// @param header JSON header of the message, without the key "arrays"
-/// @param simulated_scan, measured_scan arrays of each scan, or null; the names of
-/// measured arrays begin with "real_"
-std::string encode_scan_message(nlohmann::json header, const ScanColumns* simulated_scan,
-                                const ScanColumns* measured_scan);
+/// @param json_header JSON header of the message, without the key "arrays"
+/// @param simulated_scan_or_null, measured_scan_or_null arrays of each scan, or null; the
+/// names of measured arrays begin with "real_"
+std::string encode_scans_as_binary_message(nlohmann::json json_header,
+                                           const ScanColumns* simulated_scan_or_null,
+                                           const ScanColumns* measured_scan_or_null);
 
 }  // namespace relidar::view

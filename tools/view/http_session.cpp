@@ -83,7 +83,7 @@ void HttpSession::handle_read_result(Error error) {
 
 /// Returns the first of Foxglove's subprotocols that a WebSocket handshake requests.
 /// Returns an empty text for other requests, and if the server does not offer them.
-std::string_view HttpSession::find_foxglove_protocol(const Request& request) const {
+std::string_view HttpSession::find_offered_foxglove_protocol(const Request& request) const {
     if (!hub_.events.foxglove_opened || !boost::beast::websocket::is_upgrade(request)) return {};
     for (const auto& requested : http::token_list{request[http::field::sec_websocket_protocol]})
         for (const std::string_view supported_protocol : kFoxgloveProtocols)
@@ -94,23 +94,24 @@ std::string_view HttpSession::find_foxglove_protocol(const Request& request) con
 /// Returns the HTTP status if a request is rejected. Returns no value if the request is
 /// allowed. The order of the checks reveals as little as possible to a client without
 /// access.
-std::optional<HttpSession::Status> HttpSession::find_rejection_status(const Request& request,
-                                                                      bool is_foxglove) const {
+std::optional<HttpSession::Status> HttpSession::find_error_status_if_not_allowed(
+    const Request& request, bool is_foxglove_client) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
     const Credentials credentials{to_std_string_view(request[http::field::host]),
                                   to_std_string_view(request[http::field::origin]),
                                   to_std_string_view(request[http::field::cookie]),
                                   get_url_query(to_std_string_view(request.target()))};
-    if (!is_local_host_header(credentials.host, hub_.host_name)) return Status::forbidden;
+    if (!is_host_header_of_this_machine(credentials.host, hub_.host_name)) return Status::forbidden;
     const std::string& token = hub_.options.token;
-    const bool knows_token = !token.empty() && has_token_in_url(credentials, token);
-    const bool is_foreign = !is_same_origin(credentials.origin, credentials.host);
-    const bool may_be_foreign = is_foxglove && (is_foxglove_origin(credentials.origin) || knows_token);
+    const bool knows_token = !token.empty() && is_token_in_url_query(credentials, token);
+    const bool is_foreign = !is_origin_missing_or_same_host(credentials.origin, credentials.host);
+    const bool may_be_foreign =
+        is_foxglove_client && (is_origin_allowed_for_foxglove(credentials.origin) || knows_token);
     if (request.count(http::field::origin) > 1 || (is_foreign && !may_be_foreign)) return Status::forbidden;
     // The browser also sends the cookie for pages of other local servers, so a foreign
     // page needs the token in the address.
     if (!token.empty() && !knows_token &&
-        (is_foreign || !has_token_in_cookie(credentials, token, hub_.cookie_name)))
+        (is_foreign || !is_token_in_cookie_header(credentials, token, hub_.cookie_name)))
         return Status::unauthorized;
     if (request.method() != http::verb::get && request.method() != http::verb::head)
         return Status::method_not_allowed;
@@ -118,8 +119,8 @@ std::optional<HttpSession::Status> HttpSession::find_rejection_status(const Requ
 }
 
 void HttpSession::answer_request(const Request& request) {
-    const std::string_view foxglove = find_foxglove_protocol(request);
-    if (const std::optional<Status> status = find_rejection_status(request, !foxglove.empty()))
+    const std::string_view foxglove = find_offered_foxglove_protocol(request);
+    if (const std::optional<Status> status = find_error_status_if_not_allowed(request, !foxglove.empty()))
         return send_error_response(*status);
     const std::string_view target = to_std_string_view(request.target()), path = get_url_path(target);
     if (path == kSocketPath || (path == "/" && !foxglove.empty())) {
@@ -134,10 +135,12 @@ void HttpSession::answer_request(const Request& request) {
     const auto asset = std::find_if(hub_.options.assets.begin(), hub_.options.assets.end(),
                                     [&](const WebPageFile& a) { return a.path == path; });
     if (asset == hub_.options.assets.end()) return send_error_response(Status::not_found);
-    response_ = make_response(Status::ok, std::string(to_std_string_view(request[http::field::host])));
+    response_ = make_response_with_common_headers(
+        Status::ok, std::string(to_std_string_view(request[http::field::host])));
     response_->set(http::field::content_type,
                    boost::beast::string_view(asset->type.data(), asset->type.size()));
-    if (!find_value_by_name(get_url_query(target), "token", '&').empty() && !hub_.options.token.empty())
+    if (!find_value_in_name_value_list(get_url_query(target), "token", '&').empty() &&
+        !hub_.options.token.empty())
         response_->set(http::field::set_cookie,
                        hub_.cookie_name + "=" + hub_.options.token + "; Path=/; HttpOnly; SameSite=Strict");
     response_->body() = std::string(asset->body);
@@ -152,7 +155,8 @@ void HttpSession::answer_request(const Request& request) {
 /// Creates an HTTP response with the security headers.
 /// @param host checked value of the Host header, or empty. The security policy contains
 /// it, because some browsers do not accept WebSockets for 'self'.
-HttpSession::Response HttpSession::make_response(Status status, const std::string& host) const {
+HttpSession::Response HttpSession::make_response_with_common_headers(Status status,
+                                                                     const std::string& host) const {
     Response response{status, 11};
     response.set(http::field::server, "relidar");
     response.set(http::field::content_type, "text/plain; charset=utf-8");
@@ -171,7 +175,7 @@ HttpSession::Response HttpSession::make_response(Status status, const std::strin
 }
 
 void HttpSession::send_error_response(Status status) {
-    response_ = make_response(status, "");
+    response_ = make_response_with_common_headers(status, "");
     response_->body() = std::string(to_std_string_view(http::obsolete_reason(status))) + "\n";
     if (status == Status::unauthorized)
         response_->body() =
@@ -184,7 +188,7 @@ void HttpSession::send_error_response(Status status) {
     start_writing_response();
 }
 
-void HttpSession::refuse_connection() { send_error_response(Status::service_unavailable); }
+void HttpSession::send_overload_error_and_close() { send_error_response(Status::service_unavailable); }
 
 void HttpSession::start_writing_response() {
     start_timeout(hub_.options.idle_time);
@@ -195,18 +199,18 @@ void HttpSession::start_writing_response() {
         Error ignored;
         self->stream_.socket().shutdown(boost::asio::ip::tcp::socket::shutdown_send, ignored);
         self->start_timeout(kDrainTime);
-        self->discard_input_and_close();
+        self->discard_remaining_input_and_close();
     });
 }
 
 /// Reads the remaining data of a rejected client for a short time and discards it. If a
 /// connection is closed with unread data, the client does not receive the response.
-void HttpSession::discard_input_and_close() {
+void HttpSession::discard_remaining_input_and_close() {
     buffer_.consume(buffer_.size());
     stream_.async_read_some(buffer_.prepare(kDrainedAtOnce),
                             [self = shared_from_this()](Error failed, std::size_t) {
                                 if (!failed && ++self->n_drains_ < kMaxDrains)
-                                    self->discard_input_and_close();
+                                    self->discard_remaining_input_and_close();
                             });
 }
 

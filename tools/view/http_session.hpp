@@ -27,7 +27,7 @@ public:
     void start_reading_request();
     /// Sends an error message, because the server has too many connections, and closes
     /// this connection.
-    void refuse_connection();
+    void send_overload_error_and_close();
 
 private:
     using Request = boost::beast::http::request<boost::beast::http::empty_body>;
@@ -38,12 +38,13 @@ private:
     void start_timeout(std::chrono::milliseconds max_duration);
     void handle_read_result(Error error);
     void answer_request(const Request& request);
-    std::string_view find_foxglove_protocol(const Request& request) const;
-    std::optional<Status> find_rejection_status(const Request& request, bool is_foxglove) const;
-    Response make_response(Status status, const std::string& host) const;
+    std::string_view find_offered_foxglove_protocol(const Request& request) const;
+    std::optional<Status> find_error_status_if_not_allowed(const Request& request,
+                                                           bool is_foxglove_client) const;
+    Response make_response_with_common_headers(Status status, const std::string& host) const;
     void send_error_response(Status status);
     void start_writing_response();
-    void discard_input_and_close();
+    void discard_remaining_input_and_close();
 
     WebServerState& hub_;
     CountedConnection counted_;

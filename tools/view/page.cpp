@@ -9,7 +9,7 @@ namespace relidar {
 
 // Returns the names and texts of the web page's files. cmake/Assets.cmake generates the
 // definition of this function.
-std::span<const std::pair<std::string_view, std::string_view>> view_page_texts();
+std::span<const std::pair<std::string_view, std::string_view>> get_web_page_file_contents();
 
 namespace view {
 namespace {
@@ -22,11 +22,11 @@ std::string_view get_content_type(std::string_view file_name) {
 
 }  // namespace
 
-const std::vector<WebPageFile>& list_page_assets() {
+const std::vector<WebPageFile>& get_web_page_files() {
     static std::deque<std::string> paths;
     static const std::vector<WebPageFile> assets = [] {
         std::vector<WebPageFile> all;
-        for (const auto& [name, text] : view_page_texts()) {
+        for (const auto& [name, text] : get_web_page_file_contents()) {
             paths.push_back(name == "index.html" ? "/" : "/" + std::string(name));
             all.push_back({paths.back(), get_content_type(name), text});
         }

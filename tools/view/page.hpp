@@ -10,6 +10,6 @@
 namespace relidar::view {
 
 /// Returns all files of the web page. Their texts stay valid until the program ends.
-const std::vector<WebPageFile>& list_page_assets();
+const std::vector<WebPageFile>& get_web_page_files();
 
 }  // namespace relidar::view

@@ -12,7 +12,7 @@ namespace relidar::view {
 namespace {
 
 /// Returns a copy of a run without its surfels.
-std::unique_ptr<TrainedRun> copy_run_without_scene(const TrainedRun& run) {
+std::unique_ptr<TrainedRun> copy_run_without_surfel_scene(const TrainedRun& run) {
     auto result = std::make_unique<TrainedRun>();
     result->folder = run.folder;
     result->config = run.config;
@@ -23,18 +23,18 @@ std::unique_ptr<TrainedRun> copy_run_without_scene(const TrainedRun& run) {
 }  // namespace
 
 RecordedScans::RecordedScans(const TrainedRun& run)
-    : frames_(copy_run_without_scene(run)), reader_([this] { load_measured_scans(); }) {}
+    : frames_(copy_run_without_surfel_scene(run)), reader_([this] { load_measured_scans(); }) {}
 
 RecordedScans::~RecordedScans() {
     stop_ = true;
     reader_.join();
 }
 
-const LidarSequence* RecordedScans::get_sequence_if_loaded() const {
+const LidarSequence* RecordedScans::get_log_with_scans_or_null() const {
     return state_ == RecordedScansState::ready ? &frames_->sequence : nullptr;
 }
 
-std::string RecordedScans::get_missing_reason() const {
+std::string RecordedScans::get_reason_for_missing_scans() const {
     return state_ == RecordedScansState::missing ? why_ : "";
 }
 

@@ -28,10 +28,10 @@ public:
 
     RecordedScansState get_loading_state() const { return state_; }
     /// Returns a one-line text that says why the scans are missing.
-    std::string get_missing_reason() const;
+    std::string get_reason_for_missing_scans() const;
     /// Returns the frames of the run with their measured scans. Returns null until all
     /// scans are loaded.
-    const LidarSequence* get_sequence_if_loaded() const;
+    const LidarSequence* get_log_with_scans_or_null() const;
 
 private:
     void load_measured_scans();

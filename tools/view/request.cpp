@@ -51,8 +51,8 @@ bool read_boolean(const Json& value, const char* name_for_errors) {
     return value.get<bool>();
 }
 
-std::string read_request_text(const Json& value, const char* name_for_errors,
-                              std::size_t max_bytes = kMaxName) {
+std::string read_nonempty_text(const Json& value, const char* name_for_errors,
+                               std::size_t max_bytes = kMaxName) {
     if (!value.is_string()) throw_request_error(name_for_errors, "a text");
     std::string result = value.get<std::string>();
     if (result.empty() || result.size() > max_bytes)
@@ -62,8 +62,8 @@ std::string read_request_text(const Json& value, const char* name_for_errors,
 
 /// Returns the name of the run that contains an actor. An empty name means the run that
 /// the viewer shows.
-std::string read_run_name(const Json& value) {
-    return value == "" ? "" : read_request_text(value, "from", kMaxRunName);
+std::string read_run_name_or_empty(const Json& run_name_json) {
+    return run_name_json == "" ? "" : read_nonempty_text(run_name_json, "from", kMaxRunName);
 }
 
 /// Reads an array of N numbers. Number i must not exceed limits[i] in absolute value.
@@ -83,59 +83,59 @@ std::set<std::string> read_track_names(const Json& value, const char* name_for_e
     if (!value.is_array() || value.size() > kMaxActors)
         throw_request_error(name_for_errors, fmt::format("a list of at most {} tracks", kMaxActors));
     std::set<std::string> result;
-    for (const Json& track : value) result.insert(read_request_text(track, name_for_errors));
+    for (const Json& track : value) result.insert(read_nonempty_text(track, name_for_errors));
     return result;
 }
 
-ActorEdits parse_actor_edits(const Json& json) {
-    if (!json.is_object()) throw_request_error("edits", "a JSON object");
+ActorEdits parse_actor_edits(const Json& edits_json) {
+    if (!edits_json.is_object()) throw_request_error("edits", "a JSON object");
     ActorEdits edits;
-    const Json& copies = get_required_member(json, "copies");
+    const Json& copies = get_required_member(edits_json, "copies");
     if (!copies.is_array() || copies.size() > kMaxActors)
         throw_request_error("copies", fmt::format("a list of at most {} copies", kMaxActors));
     for (const Json& copy : copies) {
         if (!copy.is_object()) throw_request_error("copies", "a list of JSON objects");
         edits.copies.push_back(
-            {read_request_text(get_required_member(copy, "of"), "of"),
-             read_run_name(get_required_member(copy, "from")),
+            {read_nonempty_text(get_required_member(copy, "of"), "of"),
+             read_run_name_or_empty(get_required_member(copy, "from")),
              read_number_array<7>(get_required_member(copy, "at"), "at",
                                   {kFarAway_m, kFarAway_m, kFarAway_m, 360.0, 360.0, 360.0, kFast_mps})});
     }
-    const Json& moves = get_required_member(json, "moves");
+    const Json& moves = get_required_member(edits_json, "moves");
     if (!moves.is_object() || moves.size() > kMaxActors)
         throw_request_error("moves", fmt::format("a JSON object with at most {} tracks", kMaxActors));
     for (const auto& [track, by] : moves.items())
         edits.moves[track] = read_number_array<4>(by, "moves", {kFar_m, kFar_m, kFar_m, 360.0});
-    edits.removed = read_track_names(get_required_member(json, "removed"), "removed");
-    edits.hidden = read_track_names(get_required_member(json, "hidden"), "hidden");
+    edits.removed = read_track_names(get_required_member(edits_json, "removed"), "removed");
+    edits.hidden = read_track_names(get_required_member(edits_json, "hidden"), "hidden");
     return edits;
 }
 
-LiveScanRequest parse_scan_request(const Json& json) {
-    const auto xyz_yaw_pitch_roll = read_number_array<6>(get_required_member(json, "place"), "place",
+LiveScanRequest parse_live_scan_request(const Json& request_json) {
+    const auto xyz_yaw_pitch_roll = read_number_array<6>(get_required_member(request_json, "place"), "place",
                                                          {kFar_m, kFar_m, kFar_m, 360.0, 360.0, 360.0});
     const double radians = kPi / 180.0;
     LiveScanRequest wish;
-    wish.id =
-        static_cast<std::int64_t>(require_number_within_limit(get_required_member(json, "id"), "id", 1e15));
-    wish.time_s = require_number_within_limit(get_required_member(json, "time_s"), "time_s", kLate_s);
+    wish.id = static_cast<std::int64_t>(
+        require_number_within_limit(get_required_member(request_json, "id"), "id", 1e15));
+    wish.time_s = require_number_within_limit(get_required_member(request_json, "time_s"), "time_s", kLate_s);
     wish.sensor_offset = {make_rotation(xyz_yaw_pitch_roll[3] * radians, xyz_yaw_pitch_roll[4] * radians,
                                         xyz_yaw_pitch_roll[5] * radians),
                           {xyz_yaw_pitch_roll[0], xyz_yaw_pitch_roll[1], xyz_yaw_pitch_roll[2]}};
-    wish.sensor = read_request_text(get_required_member(json, "sensor"), "sensor");
-    wish.lidar =
-        static_cast<int>(require_number_within_limit(get_required_member(json, "lidar"), "lidar", 1000.0));
-    wish.weather = parse_weather(read_request_text(get_required_member(json, "weather"), "weather"));
-    wish.simulate = read_boolean(get_required_member(json, "simulate"), "simulate");
-    wish.real = read_boolean(get_required_member(json, "real"), "real");
-    wish.edits = parse_actor_edits(get_required_member(json, "edits"));
+    wish.sensor = read_nonempty_text(get_required_member(request_json, "sensor"), "sensor");
+    wish.lidar = static_cast<int>(
+        require_number_within_limit(get_required_member(request_json, "lidar"), "lidar", 1000.0));
+    wish.weather = parse_weather(read_nonempty_text(get_required_member(request_json, "weather"), "weather"));
+    wish.simulate = read_boolean(get_required_member(request_json, "simulate"), "simulate");
+    wish.real = read_boolean(get_required_member(request_json, "real"), "real");
+    wish.edits = parse_actor_edits(get_required_member(request_json, "edits"));
     return wish;
 }
 
 /// Reads the name of a new folder. Rejects a name that contains a path, so that the
 /// folder cannot be created elsewhere.
 std::string read_new_folder_name(const Json& value) {
-    std::string name = read_request_text(value, "name");
+    std::string name = read_nonempty_text(value, "name");
     const auto plain = [](char character) {
         return (character >= 'a' && character <= 'z') || (character >= 'A' && character <= 'Z') ||
                (character >= '0' && character <= '9') || character == '-' || character == '_' ||
@@ -150,21 +150,22 @@ std::string read_new_folder_name(const Json& value) {
 
 }  // namespace
 
-BrowserRequest parse_page_request(const std::string& json_text) {
-    const Json json = Json::parse(json_text, nullptr, false);
+BrowserRequest parse_browser_request(const std::string& request_json_text) {
+    const Json json = Json::parse(request_json_text, nullptr, false);
     if (!json.is_object()) throw UsageError("cannot read the request: expected a JSON object");
-    const std::string kind = read_request_text(get_required_member(json, "do"), "do");
-    if (kind == "scan") return parse_scan_request(json);
+    const std::string kind = read_nonempty_text(get_required_member(json, "do"), "do");
+    if (kind == "scan") return parse_live_scan_request(json);
     if (kind == "sensor")
-        return SensorFile{read_request_text(get_required_member(json, "file"), "file", 200),
-                          read_request_text(get_required_member(json, "text"), "text", json_text.size())};
+        return SensorFile{
+            read_nonempty_text(get_required_member(json, "file"), "file", 200),
+            read_nonempty_text(get_required_member(json, "text"), "text", request_json_text.size())};
     if (kind == "save")
         return SaveRequest{read_new_folder_name(get_required_member(json, "name")),
                            parse_actor_edits(get_required_member(json, "edits"))};
     if (kind == "ground")
         return GroundPoseRequest{
-            read_request_text(get_required_member(json, "of"), "of"),
-            read_run_name(get_required_member(json, "from")),
+            read_nonempty_text(get_required_member(json, "of"), "of"),
+            read_run_name_or_empty(get_required_member(json, "from")),
             read_number_array<2>(get_required_member(json, "at"), "at", {kFarAway_m, kFarAway_m})};
     throw UsageError(fmt::format(
         "cannot read the field \"do\" of the request: found \"{}\", expected scan, sensor, ground or save",

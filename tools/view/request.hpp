@@ -86,6 +86,6 @@ using BrowserRequest = std::variant<LiveScanRequest, SensorFile, SaveRequest, Gr
 /// Parses a request that the web page has sent as JSON.
 /// @throws UsageError that names the first value that is missing, has a wrong type, or is
 /// out of range
-BrowserRequest parse_page_request(const std::string& json_text);
+BrowserRequest parse_browser_request(const std::string& request_json_text);
 
 }  // namespace relidar::view

@@ -27,8 +27,8 @@ constexpr std::size_t kMaxRays = std::size_t(1) << 20;
 constexpr double kSameTime_s = 1e-6;
 constexpr const char* kFileSensor = "file";
 
-/// Returns the sensor names that choose_sensor() accepts.
-std::vector<std::string> list_built_in_sensor_names() {
+/// Returns the sensor names that find_or_load_sensor() accepts.
+std::vector<std::string> list_native_and_built_in_sensor_names() {
     std::vector<std::string> names = list_sensor_names();
     names.insert(names.begin(), "native");
     return names;
@@ -36,7 +36,7 @@ std::vector<std::string> list_built_in_sensor_names() {
 
 /// Lists the edits that change the surfels of the scene: run and track of each copied
 /// actor, and track of each moved actor. Edits with the same list can share a renderer.
-std::vector<std::pair<std::string, std::string>> list_edits_changing_surfels(const ActorEdits& edits) {
+std::vector<std::pair<std::string, std::string>> list_copied_and_moved_actors(const ActorEdits& edits) {
     std::vector<std::pair<std::string, std::string>> models;
     for (const ActorEdits::ActorCopy& copy : edits.copies) models.emplace_back(copy.from, copy.of);
     for (const auto& [track, by] : edits.moves) models.emplace_back(track, "");
@@ -45,7 +45,7 @@ std::vector<std::pair<std::string, std::string>> list_edits_changing_surfels(con
 
 /// Returns a hash (FNV-1a) of the run's path, so that clients do not learn the path.
 /// After a restart, the web page compares the hash to detect another run.
-std::string hash_run_path(const TrainedRun& run) {
+std::string compute_hash_text_of_run_path(const TrainedRun& run) {
     std::uint32_t hash = 2166136261u;
     for (const char c : std::filesystem::absolute(run.folder).lexically_normal().string())
         hash = (hash ^ static_cast<unsigned char>(c)) * 16777619u;
@@ -53,23 +53,23 @@ std::string hash_run_path(const TrainedRun& run) {
 }
 
 /// Returns a JSON list of the actors that the user can copy.
-Json make_actors_json(const TrainedRun& run) {
+Json make_copyable_actors_json(const TrainedRun& run) {
     Json actors = Json::array();
     for (const ModelInstance& instance : run.scene.instances) {
-        if (const BoxTrack* box = find_box(run.sequence, instance.track))
+        if (const BoxTrack* box = find_box_track_by_id(run.sequence, instance.track))
             actors.push_back({{"track", box->id}, {"category", box->category}});
     }
     return actors;
 }
 
-Json make_other_runs_json(const OtherRunsByName& other_runs) {
+Json make_runs_with_copyable_actors_json(const OtherRunsByName& other_runs) {
     Json result = Json::array();
     for (const auto& [name, run] : other_runs)
-        result.push_back({{"name", name}, {"actors", make_actors_json(run)}});
+        result.push_back({{"name", name}, {"actors", make_copyable_actors_json(run)}});
     return result;
 }
 
-bool is_identity(const Pose& pose) {
+bool is_identity_pose(const Pose& pose) {
     return pose.translation == glm::dvec3(0.0) && std::abs(pose.rotation.w) == 1.0;
 }
 
@@ -103,13 +103,13 @@ private:
     std::filesystem::path folder_;
 };
 
-Json make_sensor_json(const SimulatedSensor& sensor, double time_s) {
+Json make_sensor_size_json(const SimulatedSensor& sensor, double time_s) {
     const RayTable rays =
         sensor.rays.size() == 0 && sensor.pattern ? make_rays(*sensor.pattern, time_s) : sensor.rays;
     return {{"name", sensor.name}, {"rows", rays.rows}, {"columns", rays.columns}, {"rays", rays.size()}};
 }
 
-void check_ray_limit(const SimulatedSensor& sensor) {
+void require_ray_count_within_viewer_limit(const SimulatedSensor& sensor) {
     if (sensor.rays.size() > kMaxRays)
         throw UsageError(
             fmt::format("cannot show the sensor {}: found {} rays per scan, expected at most {}; use "
@@ -139,7 +139,7 @@ Json make_weather_help_json() {
 BrowserScanRenderer::BrowserScanRenderer(TrainedRun run, OtherRunsByName other_runs, Device& device)
     : run_(std::move(run)), others_(std::move(other_runs)), device_(device), real_(run_) {}
 
-Json BrowserScanRenderer::describe_run_as_json() const {
+Json BrowserScanRenderer::make_initial_page_data_json() const {
     const LidarSequence& log = run_.sequence;
     Json frames = Json::array(), lidars = Json::array();
     for (std::size_t i = 0; i < log.frames.size(); ++i) {
@@ -159,15 +159,15 @@ Json BrowserScanRenderer::describe_run_as_json() const {
     return {{"kind", "hello"},
             {"run", run_.folder.filename().empty() ? run_.folder.parent_path().filename().string()
                                                    : run_.folder.filename().string()},
-            {"identity", hash_run_path(run_)},
+            {"identity", compute_hash_text_of_run_path(run_)},
             {"log", log.name},
-            {"actors", make_actors_json(run_)},
-            {"others", make_other_runs_json(others_)},
+            {"actors", make_copyable_actors_json(run_)},
+            {"others", make_runs_with_copyable_actors_json(others_)},
             {"surfels", count_surfels(run_.scene)},
             {"device", device_.info().name},
             {"frames", frames},
             {"lidars", lidars},
-            {"sensors", list_built_in_sensor_names()},
+            {"sensors", list_native_and_built_in_sensor_names()},
             {"max_range_m", run_.config.dataset.max_range_m},
             {"channels", make_channels_json(run_.config)},
             {"weather", make_weather_help_json()}};
@@ -189,18 +189,19 @@ SimulatedSensor BrowserScanRenderer::make_sensor_for_tab(TabCache& tab_cache,
     if (!tab_cache.sensor || tab_cache.sensor->first != key) {
         // Accepts only the names of built-in sensors, so that clients cannot read files
         // of the server.
-        const std::vector<std::string> names = list_built_in_sensor_names();
+        const std::vector<std::string> names = list_native_and_built_in_sensor_names();
         if (std::find(names.begin(), names.end(), request.sensor) == names.end())
             throw UsageError(fmt::format("unknown sensor \"{}\"; expected a name from the list of sensors",
                                          request.sensor));
-        tab_cache.sensor.emplace(key,
-                                 choose_sensor(request.sensor, run_.config, run_.sequence, request.lidar));
-        check_ray_limit(tab_cache.sensor->second);
+        tab_cache.sensor.emplace(
+            key, find_or_load_sensor(request.sensor, run_.config, run_.sequence, request.lidar));
+        require_ray_count_within_viewer_limit(tab_cache.sensor->second);
     }
     return tab_cache.sensor->second;
 }
 
-Json BrowserScanRenderer::load_uploaded_sensor(TabCache& tab_cache, const SensorFile& file) const {
+Json BrowserScanRenderer::store_uploaded_sensor_and_describe_it(TabCache& tab_cache,
+                                                                const SensorFile& file) const {
     const std::string ending = std::filesystem::path(file.name).extension().string();
     if (ending != ".csv" && ending != ".json")
         throw UsageError(
@@ -208,7 +209,7 @@ Json BrowserScanRenderer::load_uploaded_sensor(TabCache& tab_cache, const Sensor
     const UploadedFile upload(file.text, ending);
     SimulatedSensor sensor;
     try {
-        sensor = make_sensor_choice(find_sensor(upload.get_file_path(ending).string()));
+        sensor = make_simulated_sensor(find_sensor(upload.get_file_path(ending).string()));
         // Replaces the path of the temporary file in the error message by the name of the
         // user's file.
     } catch (const Error& error) {
@@ -218,25 +219,25 @@ Json BrowserScanRenderer::load_uploaded_sensor(TabCache& tab_cache, const Sensor
             message.replace(at, path.size(), file.name);
         throw DataError(message);
     }
-    check_ray_limit(sensor);
+    require_ray_count_within_viewer_limit(sensor);
     sensor.name = file.name;
     tab_cache.file_sensor = std::move(sensor);
-    return make_sensor_json(*tab_cache.file_sensor, 0.0);
+    return make_sensor_size_json(*tab_cache.file_sensor, 0.0);
 }
 
 /// Returns a renderer whose scene contains the copied actors. Creates a new renderer also
 /// when an actor is moved for the first time, because its unseen sides are then
 /// completed. Other moves and removals reuse the renderer.
-ScanRenderer& BrowserScanRenderer::find_or_make_renderer(const EditedTraffic& traffic) {
-    const auto models = list_edits_changing_surfels(traffic.get_edits());
+ScanRenderer& BrowserScanRenderer::get_renderer_for_edited_scene(const EditedTraffic& traffic) {
+    const auto models = list_copied_and_moved_actors(traffic.get_edits());
     if (!renderer_ || rendered_ != models) {
         renderer_.reset();  // Frees the memory of the old renderer before a new one is created.
         if (models.empty()) {
             renderer_.emplace(device_, run_);
         } else {
             TrainedRun run = run_;
-            SceneWithLog driving = add_actor_copies({std::move(run.scene), std::move(run.sequence)}, others_,
-                                                    traffic.get_edits().copies);
+            SceneWithLog driving = add_copied_actors_with_surfels(
+                {std::move(run.scene), std::move(run.sequence)}, others_, traffic.get_edits().copies);
             for (const auto& [track, by] : traffic.get_edits().moves)
                 driving = move_track(std::move(driving), track, {});
             run.replace_driving_scene(std::move(driving));
@@ -250,8 +251,9 @@ ScanRenderer& BrowserScanRenderer::find_or_make_renderer(const EditedTraffic& tr
 
 /// Returns the measured frame of the requested LiDAR that is nearest in time. Returns
 /// null if measured scans are missing or not requested.
-const LidarFrame* BrowserScanRenderer::find_nearest_measured_frame(const LiveScanRequest& request) const {
-    const LidarSequence* log = real_.get_sequence_if_loaded();
+const LidarFrame* BrowserScanRenderer::find_measured_frame_to_compare_with(
+    const LiveScanRequest& request) const {
+    const LidarSequence* log = real_.get_log_with_scans_or_null();
     if (!log || !request.real) return nullptr;
     const LidarFrame* nearest = nullptr;
     for (const LidarFrame& frame : log->frames)
@@ -261,16 +263,16 @@ const LidarFrame* BrowserScanRenderer::find_nearest_measured_frame(const LiveSca
     return nearest;
 }
 
-RenderedScan BrowserScanRenderer::render_simulated_scan(const EditedTraffic& traffic,
+RenderedScan BrowserScanRenderer::render_simulated_scan(const EditedTraffic& edited_traffic,
                                                         const LiveScanRequest& wish,
                                                         const SimulatedSensor& sensor) {
     const LidarSequence& log = run_.sequence;
     ScanRequest request;
     request.time_s = wish.time_s;
-    request.dataset_from_sensor = shift_track(
+    request.dataset_from_sensor = add_offset_to_track_positions(
         compute_mounted_track(log.get_world_from_sensor(wish.lidar), wish.sensor_offset), log.world_offset_m);
-    request.dataset_from_actor = traffic.get_visible_actor_poses(wish.time_s);
-    ScanRenderer& renderer = find_or_make_renderer(traffic);
+    request.dataset_from_actor = edited_traffic.get_poses_of_visible_actors(wish.time_s);
+    ScanRenderer& renderer = get_renderer_for_edited_scene(edited_traffic);
     renderer.set_weather(wish.weather);
     return renderer.render(sensor, request);
 }
@@ -291,7 +293,8 @@ Json BrowserScanRenderer::make_kernel_times_json() {
     return times;
 }
 
-std::string BrowserScanRenderer::render_encoded_scan(TabCache& tab_cache, const LiveScanRequest& request) {
+std::string BrowserScanRenderer::render_scan_as_binary_message(TabCache& tab_cache,
+                                                               const LiveScanRequest& request) {
     const auto start = Clock::now();
     // Finds the sensor first, so that an invalid sensor causes an error before anything
     // is rendered.
@@ -299,10 +302,10 @@ std::string BrowserScanRenderer::render_encoded_scan(TabCache& tab_cache, const 
     if (!tab_cache.traffic || tab_cache.traffic->get_edits() != request.edits)
         tab_cache.traffic.emplace(run_, others_, request.edits);
     const LidarSequence& log = run_.sequence;
-    const LidarFrame* real = find_nearest_measured_frame(request);
+    const LidarFrame* real = find_measured_frame_to_compare_with(request);
     const bool on_frame = real && std::abs(real->time_s - request.time_s) < kSameTime_s;
     const bool is_matched = on_frame && sensor.is_log_lidar && !sensor.grid &&
-                            is_identity(request.sensor_offset) && request.simulate;
+                            is_identity_pose(request.sensor_offset) && request.simulate;
     const Pose log_pose = log.get_world_from_sensor(request.lidar).interpolate_pose(request.time_s);
     Json names = Json::array();
     for (const ModelInstance& instance : tab_cache.traffic->get_instances())
@@ -310,15 +313,15 @@ std::string BrowserScanRenderer::render_encoded_scan(TabCache& tab_cache, const 
     Json header{{"id", request.id},
                 {"time_s", request.time_s},
                 {"sensor", sensor.name},
-                {"log_pose", convert_pose_to_matrix_json(log_pose)},
-                {"pose", convert_pose_to_matrix_json(log_pose * request.sensor_offset)},
-                {"actors", tab_cache.traffic->describe_actors_as_json(request.time_s)},
+                {"log_pose", convert_pose_to_column_major_json(log_pose)},
+                {"pose", convert_pose_to_column_major_json(log_pose * request.sensor_offset)},
+                {"actors", tab_cache.traffic->list_actors_as_json(request.time_s)},
                 {"instances", names},
                 {"matched", is_matched}};
     std::optional<ScanColumns> simulated, measured;
     if (real) {
         header["real_frame"] = real->index;
-        measured = convert_measured_scan(*real_.get_sequence_if_loaded(), *real);
+        measured = convert_measured_scan_to_columns(*real_.get_log_with_scans_or_null(), *real);
     }
     if (request.simulate) {
         if (is_matched) sensor.rays = real->scan.rays, sensor.follows_sweeps = false;
@@ -327,11 +330,11 @@ std::string BrowserScanRenderer::render_encoded_scan(TabCache& tab_cache, const 
         if (scan.unseen_share)
             header["unseen"] = *scan.unseen_share, header["much_unseen"] = *scan.unseen_share > kMuchUnseen;
         header["kernels"] = make_kernel_times_json();
-        simulated = convert_simulated_scan(scan, run_.config, log.world_offset_m);
+        simulated = convert_simulated_scan_to_columns(scan, run_.config, log.world_offset_m);
     }
     header["total_ms"] = std::chrono::duration<double, std::milli>(Clock::now() - start).count();
-    return encode_scan_message(std::move(header), simulated ? &*simulated : nullptr,
-                               measured ? &*measured : nullptr);
+    return encode_scans_as_binary_message(std::move(header), simulated ? &*simulated : nullptr,
+                                          measured ? &*measured : nullptr);
 }
 
 }  // namespace relidar::view

@@ -43,21 +43,21 @@ public:
     const RecordedScans& get_measured_scans() const { return real_; }
     /// Returns the data that the web page needs only once: the run, its frames and path,
     /// built-in sensors, actors of other runs, and the device.
-    nlohmann::json describe_run_as_json() const;
+    nlohmann::json make_initial_page_data_json() const;
     /// Renders a scan and encodes it in the binary format of frame.hpp.
     /// @throws UsageError or DataError if the scan cannot be rendered
-    std::string render_encoded_scan(TabCache& tab_cache, const LiveScanRequest& request);
+    std::string render_scan_as_binary_message(TabCache& tab_cache, const LiveScanRequest& request);
     /// Reads a sensor file that a browser tab has uploaded.
     /// @return a description of the sensor
     /// @throws UsageError or DataError if the file is invalid
-    nlohmann::json load_uploaded_sensor(TabCache& tab_cache, const SensorFile& file) const;
+    nlohmann::json store_uploaded_sensor_and_describe_it(TabCache& tab_cache, const SensorFile& file) const;
 
 private:
     SimulatedSensor make_sensor_for_tab(TabCache& tab_cache, const LiveScanRequest& request) const;
-    RenderedScan render_simulated_scan(const EditedTraffic& traffic, const LiveScanRequest& request,
+    RenderedScan render_simulated_scan(const EditedTraffic& edited_traffic, const LiveScanRequest& request,
                                        const SimulatedSensor& sensor);
-    ScanRenderer& find_or_make_renderer(const EditedTraffic& traffic);
-    const LidarFrame* find_nearest_measured_frame(const LiveScanRequest& request) const;
+    ScanRenderer& get_renderer_for_edited_scene(const EditedTraffic& traffic);
+    const LidarFrame* find_measured_frame_to_compare_with(const LiveScanRequest& request) const;
     nlohmann::json make_kernel_times_json();
 
     const TrainedRun run_;
@@ -66,7 +66,7 @@ private:
     RecordedScans real_;
     std::optional<ScanRenderer> renderer_;
     /// Copied and moved actors in the scene of the current renderer, as listed by
-    /// list_edits_changing_surfels().
+    /// list_copied_and_moved_actors().
     std::vector<std::pair<std::string, std::string>> rendered_;
     /// Number of recorded times of each kernel at the previous call of
     /// make_kernel_times_json().

@@ -25,7 +25,8 @@ using ErrorCode = boost::system::error_code;
 
 // Pause before the next attempt if the system has no free file descriptor.
 constexpr std::chrono::milliseconds kAcceptPause{50};
-// Interval at which close_gracefully() checks whether all connections are closed.
+// Interval at which reject_new_and_close_after_sending() checks whether all connections
+// are closed.
 constexpr std::chrono::milliseconds kCloseLook{5};
 
 boost::asio::ip::address parse_ip_address(const std::string& address_text) {
@@ -80,7 +81,8 @@ struct WebServer::Impl {
 
     void start_accepting() {
         acceptor.async_accept([this](ErrorCode failed, tcp::socket socket) {
-            if (!acceptor.is_open()) return;  // The acceptor is closed because close_gracefully() was called.
+            if (!acceptor.is_open())
+                return;  // The acceptor is closed because reject_new_and_close_after_sending() was called.
             if (failed) {
                 pause.expires_after(kAcceptPause);
                 pause.async_wait([this](ErrorCode) {
@@ -91,7 +93,8 @@ struct WebServer::Impl {
             const bool is_below_connection_limit = hub.n_connections < hub.options.max_connections;
             const auto session = std::make_shared<HttpSession>(std::move(socket), hub);
             if (is_below_connection_limit) session->start_reading_request();
-            else if (hub.n_connections < 2 * hub.options.max_connections) session->refuse_connection();
+            else if (hub.n_connections < 2 * hub.options.max_connections)
+                session->send_overload_error_and_close();
             start_accepting();
         });
     }
@@ -99,7 +102,7 @@ struct WebServer::Impl {
     /// Calls a function with the session of a client in the thread of the server. Does
     /// nothing if the client has disconnected.
     template <class Work>
-    void post_to_session(ClientId client_id, Work call_session) {
+    void call_session_on_server_thread(ClientId client_id, Work call_session) {
         boost::asio::post(hub.io, [this, client_id, work = std::move(call_session)]() mutable {
             const auto match = hub.clients.find(client_id);
             if (match == hub.clients.end()) return;
@@ -107,10 +110,11 @@ struct WebServer::Impl {
         });
     }
 
-    void post_message_to_client(ClientId client_id, std::string bytes, bool is_text) {
-        post_to_session(client_id, [is_text, bytes = std::move(bytes)](SocketSession& session) mutable {
-            session.send_or_queue_message(std::move(bytes), is_text, !is_text);
-        });
+    void send_message_on_server_thread(ClientId client_id, std::string bytes, bool is_text) {
+        call_session_on_server_thread(client_id,
+                                      [is_text, bytes = std::move(bytes)](SocketSession& session) mutable {
+                                          session.send_or_queue_message(std::move(bytes), is_text, !is_text);
+                                      });
     }
 };
 
@@ -120,7 +124,7 @@ WebServer::WebServer(const WebServerOptions& options, WebSocketEvents events)
     impl_->thread = std::thread([&impl = *impl_] { impl.hub.io.run(); });
 }
 
-void WebServer::close_gracefully(std::chrono::milliseconds max_wait) {
+void WebServer::reject_new_and_close_after_sending(std::chrono::milliseconds max_wait) {
     const auto end = std::chrono::steady_clock::now() + max_wait;
     boost::asio::post(impl_->hub.io, [&impl = *impl_] {
         ErrorCode ignored;
@@ -129,7 +133,7 @@ void WebServer::close_gracefully(std::chrono::milliseconds max_wait) {
         // from the original list.
         const auto clients = impl.hub.clients;
         for (const auto& [id, client] : clients)
-            if (const auto session = client.lock()) session->close_after_sending();
+            if (const auto session = client.lock()) session->close_after_sending_queued_messages();
     });
     for (bool all_gone = false; !all_gone && std::chrono::steady_clock::now() < end;
          std::this_thread::sleep_for(kCloseLook)) {
@@ -155,20 +159,21 @@ std::string WebServer::get_page_url() const {
 }
 
 void WebServer::send_text(ClientId client_id, std::string text) {
-    impl_->post_message_to_client(client_id, std::move(text), true);
+    impl_->send_message_on_server_thread(client_id, std::move(text), true);
 }
-void WebServer::send_newest_scan(ClientId client_id, std::string bytes) {
-    impl_->post_message_to_client(client_id, std::move(bytes), false);
+void WebServer::send_scan_and_drop_queued_older_scan(ClientId client_id, std::string scan_message) {
+    impl_->send_message_on_server_thread(client_id, std::move(scan_message), false);
 }
-void WebServer::send_if_idle(ClientId client_id, std::vector<std::string> messages) {
-    impl_->post_to_session(client_id, [messages = std::move(messages)](SocketSession& session) mutable {
-        session.send_if_idle(std::move(messages));
-    });
+void WebServer::send_messages_unless_client_is_slow(ClientId client_id, std::vector<std::string> messages) {
+    impl_->call_session_on_server_thread(client_id,
+                                         [messages = std::move(messages)](SocketSession& session) mutable {
+                                             session.send_messages_if_queue_is_empty(std::move(messages));
+                                         });
 }
 
-void check_ip_address(const std::string& address) { (void)parse_ip_address(address); }
+void require_valid_ip_address(const std::string& address) { (void)parse_ip_address(address); }
 
-std::string make_random_token() {
+std::string make_random_access_token() {
     std::random_device source;  // Random source of the operating system.
     std::string token;
     for (int i = 0; i < 4; ++i) token += fmt::format("{:08x}", static_cast<std::uint32_t>(source()));

@@ -7,7 +7,7 @@
 // - The Host header must be an IP address, "localhost" or the name of this machine,
 //   because other names allow DNS rebinding.
 // - Requests whose Origin header names another server are rejected. Foxglove may connect
-//   from the origins of is_foxglove_origin(), and from any origin with the token in the URL.
+//   from the origins of is_origin_allowed_for_foxglove(), and from any origin with the token in the URL.
 //
 // All resources are limited: connections, bytes of headers and messages, time for a
 // request, and messages queued for a slow client.
@@ -77,8 +77,8 @@ public:
     /// Starts to listen and to answer requests.
     /// @throws UsageError if the address or the port is not available
     WebServer(const WebServerOptions& options, WebSocketEvents events);
-    /// Closes all connections immediately. Call close_gracefully() first, if queued
-    /// messages should still be sent.
+    /// Closes all connections immediately. Call reject_new_and_close_after_sending()
+    /// first, if queued messages should still be sent.
     ~WebServer();
     WebServer(const WebServer&) = delete;
     WebServer& operator=(const WebServer&) = delete;
@@ -93,13 +93,13 @@ public:
     void send_text(ClientId client_id, std::string text);
     /// Sends a binary message to a client. The message replaces an older binary message
     /// that is still queued, because only the newest scan matters.
-    void send_newest_scan(ClientId client_id, std::string bytes);
+    void send_scan_and_drop_queued_older_scan(ClientId client_id, std::string scan_message);
     /// Sends several binary messages to a client. Skips all of them if earlier messages
     /// are still queued, because the client is slow.
-    void send_if_idle(ClientId client_id, std::vector<std::string> messages);
+    void send_messages_unless_client_is_slow(ClientId client_id, std::vector<std::string> messages);
     /// Rejects new connections. Closes each WebSocket after its queued messages are sent.
     /// @param max_wait longest time to wait until the messages are sent
-    void close_gracefully(std::chrono::milliseconds max_wait);
+    void reject_new_and_close_after_sending(std::chrono::milliseconds max_wait);
 
 private:
     struct Impl;
@@ -108,9 +108,9 @@ private:
 
 /// Checks the network address on which the server will listen.
 /// @throws UsageError if the text is not an IP address
-void check_ip_address(const std::string& address);
+void require_valid_ip_address(const std::string& address);
 
 /// Returns a random secret of 32 hexadecimal digits.
-std::string make_random_token();
+std::string make_random_access_token();
 
 }  // namespace relidar::view

@@ -20,7 +20,7 @@ const char* get_request_name(const BrowserRequest& request) {
     return kNames[request.index()];
 }
 
-std::string dump_json_text(const Json& json) {
+std::string dump_json_as_valid_utf8(const Json& json) {
     return json.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
@@ -52,7 +52,8 @@ void ViewerSession::close_tab(TabId tab_id) {
 
 void ViewerSession::send_error_message(TabId tab_id, const char* request_name,
                                        const std::string& reason) const {
-    answers_.text(tab_id, dump_json_text({{"kind", "error"}, {"about", request_name}, {"text", reason}}));
+    answers_.text(tab_id,
+                  dump_json_as_valid_utf8({{"kind", "error"}, {"about", request_name}, {"text", reason}}));
 }
 
 void ViewerSession::handle_tab_message(TabId id, const std::string& message) {
@@ -61,7 +62,7 @@ void ViewerSession::handle_tab_message(TabId id, const std::string& message) {
         "cannot accept the request: too many requests are pending; wait for the answer before you send the "
         "next one";
     try {
-        request = parse_page_request(message);
+        request = parse_browser_request(message);
     } catch (const UsageError& error) {
         why = error.what();
     }
@@ -83,9 +84,9 @@ std::optional<ViewerSession::ViewerJob> ViewerSession::take_next_job_of_tab(
     if (!tab->greeted) {
         tab->greeted = true;
         return ViewerJob{tab_id, "hello", [this, tab_id] {
-                             Json hello = scanner_.describe_run_as_json();
+                             Json hello = scanner_.make_initial_page_data_json();
                              hello["save_folder"] = save_folder_.string();
-                             answers_.text(tab_id, dump_json_text(hello));
+                             answers_.text(tab_id, dump_json_as_valid_utf8(hello));
                          }};
     }
     if (const RecordedScans::RecordedScansState state = scanner_.get_measured_scans().get_loading_state();
@@ -94,9 +95,10 @@ std::optional<ViewerSession::ViewerJob> ViewerSession::take_next_job_of_tab(
         return ViewerJob{
             tab_id, "log", [this, tab_id, state] {
                 answers_.text(tab_id,
-                              dump_json_text({{"kind", "log"},
-                                              {"state", get_loading_state_name(state)},
-                                              {"why", scanner_.get_measured_scans().get_missing_reason()}}));
+                              dump_json_as_valid_utf8(
+                                  {{"kind", "log"},
+                                   {"state", get_loading_state_name(state)},
+                                   {"why", scanner_.get_measured_scans().get_reason_for_missing_scans()}}));
             }};
     }
     if (tab->refused) {
@@ -108,17 +110,17 @@ std::optional<ViewerSession::ViewerJob> ViewerSession::take_next_job_of_tab(
         const BrowserRequest request = std::move(tab->others.front());
         tab->others.pop_front();
         return ViewerJob{tab_id, get_request_name(request), [this, tab_id, tab, request] {
-                             Json response = answer_request(tab->cache, request);
+                             Json response = execute_request_and_make_answer(tab->cache, request);
                              response["kind"] = std::holds_alternative<SaveRequest>(request)
                                                     ? "saved"
                                                     : get_request_name(request);
-                             answers_.text(tab_id, dump_json_text(response));
+                             answers_.text(tab_id, dump_json_as_valid_utf8(response));
                          }};
     }
     if (tab->scan) {
         const LiveScanRequest wish = *std::exchange(tab->scan, std::nullopt);
         return ViewerJob{tab_id, get_request_name(wish), [this, tab_id, tab, wish] {
-                             answers_.frame(tab_id, scanner_.render_encoded_scan(tab->cache, wish));
+                             answers_.frame(tab_id, scanner_.render_scan_as_binary_message(tab->cache, wish));
                          }};
     }
     return {};
@@ -126,7 +128,8 @@ std::optional<ViewerSession::ViewerJob> ViewerSession::take_next_job_of_tab(
 
 /// Returns the next job of any browser tab. Starts with the tab after the previous one,
 /// so that all tabs are served in turn.
-std::optional<ViewerSession::ViewerJob> ViewerSession::wait_for_next_job(std::chrono::milliseconds max_wait) {
+std::optional<ViewerSession::ViewerJob> ViewerSession::wait_for_next_viewer_job(
+    std::chrono::milliseconds max_wait) {
     std::optional<ViewerJob> job;
     const auto look = [&] {
         auto tab = tabs_.upper_bound(last_served_);
@@ -143,16 +146,16 @@ std::optional<ViewerSession::ViewerJob> ViewerSession::wait_for_next_job(std::ch
     return job;
 }
 
-void ViewerSession::finish_pending_jobs() {
+void ViewerSession::run_pending_requests_and_stop() {
     {
         const std::lock_guard lock(mutex_);
         deaf_ = true;
     }
-    while (run_next_job(std::chrono::milliseconds(0))) {}
+    while (wait_for_and_run_next_request(std::chrono::milliseconds(0))) {}
 }
 
-bool ViewerSession::run_next_job(std::chrono::milliseconds max_wait) {
-    const std::optional<ViewerJob> job = wait_for_next_job(max_wait);
+bool ViewerSession::wait_for_and_run_next_request(std::chrono::milliseconds max_wait) {
+    const std::optional<ViewerJob> job = wait_for_next_viewer_job(max_wait);
     if (!job) return false;
     try {
         job->run();
@@ -166,19 +169,19 @@ bool ViewerSession::run_next_job(std::chrono::milliseconds max_wait) {
     return true;
 }
 
-Json ViewerSession::answer_request(TabCache& cache, const BrowserRequest& request) const {
-    if (const auto* wish = std::get_if<SaveRequest>(&request)) return save_edited_run(*wish);
+Json ViewerSession::execute_request_and_make_answer(TabCache& cache, const BrowserRequest& request) const {
+    if (const auto* wish = std::get_if<SaveRequest>(&request)) return save_edited_run_and_describe_it(*wish);
     if (const auto* file = std::get_if<SensorFile>(&request))
-        return scanner_.load_uploaded_sensor(cache, *file);
-    const ActorEdits::ActorCopy copy = place_copy_on_ground(scanner_.get_run(), scanner_.get_other_runs(),
-                                                            std::get<GroundPoseRequest>(request));
+        return scanner_.store_uploaded_sensor_and_describe_it(cache, *file);
+    const ActorEdits::ActorCopy copy = make_actor_copy_on_ground(
+        scanner_.get_run(), scanner_.get_other_runs(), std::get<GroundPoseRequest>(request));
     return {{"of", copy.of}, {"from", copy.from}, {"at", copy.at}};
 }
 
-Json ViewerSession::save_edited_run(const SaveRequest& request) const {
+Json ViewerSession::save_edited_run_and_describe_it(const SaveRequest& request) const {
     // Applies the edits before the folder is created, so that invalid edits leave no
     // folder behind.
-    TrainedRun run = make_edited_run(scanner_.get_run(), scanner_.get_other_runs(), request.edits);
+    TrainedRun run = apply_edits_to_copy_of_run(scanner_.get_run(), scanner_.get_other_runs(), request.edits);
     const std::filesystem::path folder = save_folder_ / request.name;
     std::error_code failed;
     if (std::filesystem::exists(std::filesystem::symlink_status(folder, failed)))

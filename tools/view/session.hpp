@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Connects many browser tabs to one renderer. Messages arrive on the server's thread.
-// Only the thread that calls run_next_job() uses the device. Each tab receives only the
-// newest scan that it has requested. Tabs are served in turn.
+// Only the thread that calls wait_for_and_run_next_request() uses the device. Each tab
+// receives only the newest scan that it has requested. Tabs are served in turn.
 #pragma once
 
 #include <chrono>
@@ -24,9 +24,10 @@ namespace relidar::view {
 using TabId = std::uint64_t;
 
 /// Callbacks that send responses to browser tabs. Only the thread that calls
-/// run_next_job() calls them. Texts are JSON objects with a "kind": hello
-/// (BrowserScanRenderer::describe_run_as_json), log {state, why}, sensor {name, rows,
-/// columns, rays}, ground {of, from, at}, saved {folder}, error {about, text}
+/// wait_for_and_run_next_request() calls them. Texts are JSON objects with a "kind":
+/// hello (BrowserScanRenderer::make_initial_page_data_json), log {state, why}, sensor
+/// {name, rows, columns, rays}, ground {of, from, at}, saved {folder}, error {about,
+/// text}
 struct TabSendCallbacks {
     std::function<void(TabId, std::string)> text;
     /// Sends a binary message in the format of frame.hpp to a browser tab.
@@ -50,10 +51,10 @@ public:
     /// Executes one request of a browser tab. Waits at most `max_wait` for a request.
     /// @return true if a request was executed
     /// @throws DeviceError if the device has failed
-    bool run_next_job(std::chrono::milliseconds max_wait);
+    bool wait_for_and_run_next_request(std::chrono::milliseconds max_wait);
     /// Executes all pending requests and ignores new messages.
     /// @throws DeviceError if the device has failed
-    void finish_pending_jobs();
+    void run_pending_requests_and_stop();
 
 private:
     struct BrowserTabState {
@@ -74,11 +75,11 @@ private:
         std::function<void()> run;
     };
 
-    std::optional<ViewerJob> wait_for_next_job(std::chrono::milliseconds max_wait);
+    std::optional<ViewerJob> wait_for_next_viewer_job(std::chrono::milliseconds max_wait);
     std::optional<ViewerJob> take_next_job_of_tab(TabId tab_id, const std::shared_ptr<BrowserTabState>& tab);
-    nlohmann::json answer_request(TabCache& cache, const BrowserRequest& request) const;
+    nlohmann::json execute_request_and_make_answer(TabCache& cache, const BrowserRequest& request) const;
     void send_error_message(TabId tab_id, const char* request_name, const std::string& reason) const;
-    nlohmann::json save_edited_run(const SaveRequest& request) const;
+    nlohmann::json save_edited_run_and_describe_it(const SaveRequest& request) const;
 
     BrowserScanRenderer scanner_;
     const std::filesystem::path save_folder_;
@@ -87,7 +88,8 @@ private:
     std::condition_variable arrived_;
     std::map<TabId, std::shared_ptr<BrowserTabState>> tabs_;
     TabId last_served_ = 0;
-    bool deaf_ = false;  ///< True after finish_pending_jobs() was called, so that new messages are ignored.
+    bool deaf_ =
+        false;  ///< True after run_pending_requests_and_stop() was called, so that new messages are ignored.
 };
 
 }  // namespace relidar::view

@@ -57,18 +57,18 @@ void SocketSession::handle_read_result(Error error) {
     // The client has disconnected, or its message is invalid or too large. For an invalid
     // message, the stream has already sent the error code.
     if (error) return remove_client_from_hub();
-    if (!stream_.got_text()) return reject_client();
+    if (!stream_.got_text()) return close_because_of_invalid_message();
     std::string text = boost::beast::buffers_to_string(incoming_.data());
     incoming_.consume(incoming_.size());
     hub_.events.message(id_, std::move(text));
     start_reading_message();
 }
 
-void SocketSession::send_or_queue_message(std::string bytes, bool is_text, bool replace_older) {
+void SocketSession::send_or_queue_message(std::string bytes, bool is_text, bool drop_queued_older_message) {
     if (id_ == 0 || refused_) return;
     // Removes older scans from the queue, except the first message, which is already
     // being written.
-    if (replace_older) {
+    if (drop_queued_older_message) {
         const auto stale = [](const OutgoingMessage& m) { return m.newest_only; };
         if (outgoing_.size() > 1)
             outgoing_.erase(std::remove_if(outgoing_.begin() + 1, outgoing_.end(), stale), outgoing_.end());
@@ -78,11 +78,11 @@ void SocketSession::send_or_queue_message(std::string bytes, bool is_text, bool 
         boost::beast::get_lowest_layer(stream_).close();
         return;
     }
-    outgoing_.push_back({std::move(bytes), is_text, replace_older});
+    outgoing_.push_back({std::move(bytes), is_text, drop_queued_older_message});
     if (outgoing_.size() == 1) start_writing_message();
 }
 
-void SocketSession::send_if_idle(std::vector<std::string> messages) {
+void SocketSession::send_messages_if_queue_is_empty(std::vector<std::string> messages) {
     if (id_ == 0 || refused_ || messages.empty() || !outgoing_.empty()) return;
     for (std::string& bytes : messages) outgoing_.push_back({std::move(bytes), false, false});
     start_writing_message();
@@ -98,12 +98,12 @@ void SocketSession::start_writing_message() {
 void SocketSession::handle_write_result(Error error) {
     if (error) return remove_client_from_hub();
     outgoing_.pop_front();
-    if (refused_) return reject_client();
+    if (refused_) return close_because_of_invalid_message();
     if (!outgoing_.empty()) start_writing_message();
     else if (leaving_) close_with_reason(websocket::close_code::going_away, "the program is shutting down");
 }
 
-void SocketSession::close_after_sending() {
+void SocketSession::close_after_sending_queued_messages() {
     leaving_ = true;
     if (id_ != 0 && outgoing_.empty())
         close_with_reason(websocket::close_code::going_away, "the program is shutting down");
@@ -117,7 +117,7 @@ void SocketSession::close_with_reason(std::uint16_t code, const char* reason) {
 
 /// Closes the connection to a client that has sent an invalid message. Waits until the
 /// current write is finished.
-void SocketSession::reject_client() {
+void SocketSession::close_because_of_invalid_message() {
     refused_ = true;
     if (!outgoing_.empty()) {
         outgoing_.erase(outgoing_.begin() + 1, outgoing_.end());

@@ -27,11 +27,11 @@ public:
     /// @param foxglove_protocol selected subprotocol of Foxglove; empty for the web page
     void accept_handshake(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade_request,
                           std::string_view foxglove_protocol);
-    void send_or_queue_message(std::string bytes, bool is_text, bool replace_older);
+    void send_or_queue_message(std::string bytes, bool is_text, bool drop_queued_older_message);
     /// Sends binary messages. Skips all of them if earlier messages are still queued.
-    void send_if_idle(std::vector<std::string> messages);
+    void send_messages_if_queue_is_empty(std::vector<std::string> messages);
     /// Closes the connection after all queued messages are sent.
-    void close_after_sending();
+    void close_after_sending_queued_messages();
 
 private:
     struct OutgoingMessage {
@@ -45,7 +45,7 @@ private:
     void handle_read_result(Error error);
     void start_writing_message();
     void handle_write_result(Error error);
-    void reject_client();
+    void close_because_of_invalid_message();
     void close_with_reason(std::uint16_t code, const char* reason);
     void remove_client_from_hub();
 

@@ -21,7 +21,7 @@ constexpr double kRadians = kPi / 180.0;
 
 /// Returns the yaw, pitch and roll of a rotation in radians. The function make_rotation()
 /// is its inverse.
-glm::dvec3 to_yaw_pitch_roll(const glm::dquat& rotation) {
+glm::dvec3 convert_to_yaw_pitch_roll_rad(const glm::dquat& rotation) {
     const glm::dmat3 m = glm::mat3_cast(rotation);
     return {std::atan2(m[0][1], m[0][0]), std::asin(std::clamp(-m[0][2], -1.0, 1.0)),
             std::atan2(m[1][2], m[2][2])};
@@ -32,7 +32,8 @@ Pose make_upright_pose(const double* position_xyz_m, double yaw_deg) {
             {position_xyz_m[0], position_xyz_m[1], position_xyz_m[2]}};
 }
 
-NewActorMotion make_start_of_copy(const ActorEdits::ActorCopy& copy, const glm::dvec3& world_offset_m) {
+NewActorMotion make_motion_of_copied_actor(const ActorEdits::ActorCopy& copy,
+                                           const glm::dvec3& world_offset_m) {
     const auto& at = copy.at;
     NewActorMotion start{
         {make_rotation(at[3] * kRadians, at[4] * kRadians, at[5] * kRadians), {at[0], at[1], at[2]}}, at[6]};
@@ -40,10 +41,10 @@ NewActorMotion make_start_of_copy(const ActorEdits::ActorCopy& copy, const glm::
     return start;
 }
 
-SceneWithLog apply_actor_moves(SceneWithLog driving, const ActorEdits& edits) {
+SceneWithLog apply_actor_moves_to_tracks(SceneWithLog scene_with_log, const ActorEdits& edits) {
     for (const auto& [track, by] : edits.moves)
-        driving = move_track(std::move(driving), track, make_upright_pose(by.data(), by[3]));
-    return driving;
+        scene_with_log = move_track(std::move(scene_with_log), track, make_upright_pose(by.data(), by[3]));
+    return scene_with_log;
 }
 
 /// Returns only the tracks and object instances of a run, without scans and surfels.
@@ -53,7 +54,7 @@ SceneWithLog copy_tracks_and_instances(const TrainedRun& run) {
     return driving;
 }
 
-const TrainedRun& find_run_by_name(const std::string& run_name, const OtherRunsByName& other_runs) {
+const TrainedRun& get_other_run_by_name(const std::string& run_name, const OtherRunsByName& other_runs) {
     const auto match = other_runs.find(run_name);
     if (match == other_runs.end())
         throw UsageError(fmt::format(
@@ -64,44 +65,47 @@ const TrainedRun& find_run_by_name(const std::string& run_name, const OtherRunsB
 }
 
 /// Adds the copied actors to a scene.
-/// @param get_driving_scene returns the tracks and instances of another run, with or
-/// without surfels
-SceneWithLog add_copied_actors(SceneWithLog driving, const OtherRunsByName& other_runs,
-                               const std::vector<ActorEdits::ActorCopy>& copies,
-                               SceneWithLog (*get_driving_scene)(const TrainedRun&)) {
+/// @param get_scene_with_log_of_run returns the tracks and instances of another run, with
+/// or without surfels
+SceneWithLog copy_actors_from_this_or_other_run(
+    SceneWithLog scene_with_log, const OtherRunsByName& other_runs,
+    const std::vector<ActorEdits::ActorCopy>& copies,
+    SceneWithLog (*get_scene_with_log_of_run)(const TrainedRun&)) {
     for (const ActorEdits::ActorCopy& copy : copies) {
-        const NewActorMotion start = make_start_of_copy(copy, driving.sequence.world_offset_m);
-        if (copy.from.empty()) driving = copy_track(std::move(driving), copy.of, start);
+        const NewActorMotion start =
+            make_motion_of_copied_actor(copy, scene_with_log.sequence.world_offset_m);
+        if (copy.from.empty()) scene_with_log = copy_track(std::move(scene_with_log), copy.of, start);
         else
-            driving =
-                insert_track(std::move(driving), get_driving_scene(find_run_by_name(copy.from, other_runs)),
-                             copy.of, start);
+            scene_with_log = insert_track(
+                std::move(scene_with_log),
+                get_scene_with_log_of_run(get_other_run_by_name(copy.from, other_runs)), copy.of, start);
     }
-    return driving;
+    return scene_with_log;
 }
 
-void check_tracks_exist(const SceneWithLog& driving, const std::set<std::string>& track_names) {
+void require_tracks_exist(const SceneWithLog& scene_with_log, const std::set<std::string>& track_names) {
     const std::vector<std::string> names(track_names.begin(), track_names.end());
     // throws an error that suggests a similar name if a name is unknown
-    (void)select_instances(driving.scene, names);
+    (void)mark_instances_with_names(scene_with_log.scene, names);
 }
 
 /// Converts the edits to the history of a saved run, in the form that `relidar edit`
 /// writes.
-std::vector<EditHistoryEntry> make_edit_history(const TrainedRun& run, const OtherRunsByName& other_runs,
-                                                const ActorEdits& edits) {
+std::vector<EditHistoryEntry> convert_edits_to_history_entries(const TrainedRun& run,
+                                                               const OtherRunsByName& other_runs,
+                                                               const ActorEdits& edits) {
     const auto folder_of = [](const TrainedRun& r) {
         return std::filesystem::absolute(r.folder).lexically_normal().string();
     };
     const std::string origin = folder_of(run);
     std::vector<EditHistoryEntry> result;
     for (const ActorEdits::ActorCopy& copy : edits.copies) {
-        const NewActorMotion start = make_start_of_copy(copy, run.sequence.world_offset_m);
+        const NewActorMotion start = make_motion_of_copied_actor(copy, run.sequence.world_offset_m);
         const glm::dvec3& p = start.dataset_from_box.translation;
         const std::string what =
             copy.from.empty()
                 ? "--copy "
-                : fmt::format("--insert {}#", folder_of(find_run_by_name(copy.from, other_runs)));
+                : fmt::format("--insert {}#", folder_of(get_other_run_by_name(copy.from, other_runs)));
         result.push_back({origin, fmt::format("{}{}@{},{},{},{},{},{}:{}", what, copy.of, p.x, p.y, p.z,
                                               copy.at[3], copy.at[4], copy.at[5], copy.at[6])});
     }
@@ -113,15 +117,15 @@ std::vector<EditHistoryEntry> make_edit_history(const TrainedRun& run, const Oth
 
 }  // namespace
 
-SceneWithLog add_actor_copies(SceneWithLog driving, const OtherRunsByName& other_runs,
-                              const std::vector<ActorEdits::ActorCopy>& copies) {
-    return add_copied_actors(std::move(driving), other_runs, copies,
-                             [](const TrainedRun& run) { return run.copy_driving_scene(); });
+SceneWithLog add_copied_actors_with_surfels(SceneWithLog scene_with_log, const OtherRunsByName& other_runs,
+                                            const std::vector<ActorEdits::ActorCopy>& copies) {
+    return copy_actors_from_this_or_other_run(std::move(scene_with_log), other_runs, copies,
+                                              [](const TrainedRun& run) { return run.copy_driving_scene(); });
 }
 
-ActorEdits::ActorCopy place_copy_on_ground(const TrainedRun& run, const OtherRunsByName& other_runs,
-                                           const GroundPoseRequest& request) {
-    const TrainedRun& owner = request.from.empty() ? run : find_run_by_name(request.from, other_runs);
+ActorEdits::ActorCopy make_actor_copy_on_ground(const TrainedRun& run, const OtherRunsByName& other_runs,
+                                                const GroundPoseRequest& request) {
+    const TrainedRun& owner = request.from.empty() ? run : get_other_run_by_name(request.from, other_runs);
     const glm::dvec3& offset_m = run.sequence.world_offset_m;
     GroundPlacement placement{{request.at[0] + offset_m.x, request.at[1] + offset_m.y}};
     placement.clearance_m = read_asset_ground_clearance(owner);
@@ -129,57 +133,58 @@ ActorEdits::ActorCopy place_copy_on_ground(const TrainedRun& run, const OtherRun
                                                     {owner.scene, owner.sequence}, request.of)
                           .dataset_from_box;
     const glm::dvec3 p = pose.translation - offset_m,
-                     angles_deg = to_yaw_pitch_roll(pose.rotation) / kRadians;
+                     angles_deg = convert_to_yaw_pitch_roll_rad(pose.rotation) / kRadians;
     return {request.of, request.from, {p.x, p.y, p.z, angles_deg.x, angles_deg.y, angles_deg.z, 0.0}};
 }
 
 EditedTraffic::EditedTraffic(const TrainedRun& run, const OtherRunsByName& other_runs,
                              const ActorEdits& edits)
-    : driving_(apply_actor_moves(add_copied_actors(copy_tracks_and_instances(run), other_runs, edits.copies,
-                                                   copy_tracks_and_instances),
-                                 edits)),
+    : driving_(apply_actor_moves_to_tracks(
+          copy_actors_from_this_or_other_run(copy_tracks_and_instances(run), other_runs, edits.copies,
+                                             copy_tracks_and_instances),
+          edits)),
       edits_(edits) {
-    check_tracks_exist(driving_, edits.removed);
-    check_tracks_exist(driving_, edits.hidden);
+    require_tracks_exist(driving_, edits.removed);
+    require_tracks_exist(driving_, edits.hidden);
 }
 
-ActorTracksByName EditedTraffic::get_visible_actor_poses(double time_s) const {
+ActorTracksByName EditedTraffic::get_poses_of_visible_actors(double time_s) const {
     ActorTracksByName poses;
     for (const BoxTrack& box : driving_.sequence.boxes) {
         const auto has_surfels = [&](const ModelInstance& i) {
             return !i.track.empty() && i.track == box.id;
         };
-        if (!is_box_visible(box) || !box.is_present(time_s) ||
+        if (!is_actor_neither_removed_nor_hidden(box) || !box.is_observed_at_time(time_s) ||
             std::none_of(get_instances().begin(), get_instances().end(), has_surfels))
             continue;
-        poses[box.id] = shift_track(box.world_from_box, driving_.sequence.world_offset_m);
+        poses[box.id] = add_offset_to_track_positions(box.world_from_box, driving_.sequence.world_offset_m);
     }
     return poses;
 }
 
-nlohmann::json EditedTraffic::describe_actors_as_json(double time_s) const {
+nlohmann::json EditedTraffic::list_actors_as_json(double time_s) const {
     nlohmann::json actors = nlohmann::json::array();
     for (const ModelInstance& instance : get_instances()) {
-        const BoxTrack* box = find_box(driving_.sequence, instance.track);
+        const BoxTrack* box = find_box_track_by_id(driving_.sequence, instance.track);
         if (!box) continue;
         actors.push_back(
             {{"track", box->id},
              {"category", box->category},
              {"size", {box->size_m.x, box->size_m.y, box->size_m.z}},
-             {"present", box->is_present(time_s)},
-             {"pose", convert_pose_to_matrix_json(box->world_from_box.interpolate_pose(time_s))}});
+             {"present", box->is_observed_at_time(time_s)},
+             {"pose", convert_pose_to_column_major_json(box->world_from_box.interpolate_pose(time_s))}});
     }
     return actors;
 }
 
-TrainedRun make_edited_run(const TrainedRun& run, const OtherRunsByName& other_runs,
-                           const ActorEdits& edits) {
+TrainedRun apply_edits_to_copy_of_run(const TrainedRun& run, const OtherRunsByName& other_runs,
+                                      const ActorEdits& edits) {
     TrainedRun result = run;
-    SceneWithLog driving =
-        apply_actor_moves(add_actor_copies({result.scene, result.sequence}, other_runs, edits.copies), edits);
+    SceneWithLog driving = apply_actor_moves_to_tracks(
+        add_copied_actors_with_surfels({result.scene, result.sequence}, other_runs, edits.copies), edits);
     for (const std::string& track : edits.removed) driving = remove_track(std::move(driving), track);
     result.replace_driving_scene(std::move(driving));
-    const std::vector<EditHistoryEntry> done = make_edit_history(run, other_runs, edits);
+    const std::vector<EditHistoryEntry> done = convert_edits_to_history_entries(run, other_runs, edits);
     result.edits.insert(result.edits.end(), done.begin(), done.end());
     return result;
 }

@@ -25,14 +25,14 @@ using OtherRunsByName = std::map<std::string, TrainedRun>;
 /// Adds copies of actors to a scene. The original actors belong to this run or to other
 /// runs. Does not apply moves and removals.
 /// @throws UsageError if a run or track is unknown
-SceneWithLog add_actor_copies(SceneWithLog driving, const OtherRunsByName& other_runs,
-                              const std::vector<ActorEdits::ActorCopy>& copies);
+SceneWithLog add_copied_actors_with_surfels(SceneWithLog scene_with_log, const OtherRunsByName& other_runs,
+                                            const std::vector<ActorEdits::ActorCopy>& copies);
 
 /// Returns a copy of an actor that stands on the ground at the position where the user
 /// has clicked.
 /// @throws UsageError if there is no ground at this position
-ActorEdits::ActorCopy place_copy_on_ground(const TrainedRun& run, const OtherRunsByName& other_runs,
-                                           const GroundPoseRequest& request);
+ActorEdits::ActorCopy make_actor_copy_on_ground(const TrainedRun& run, const OtherRunsByName& other_runs,
+                                                const GroundPoseRequest& request);
 
 /// Tracks and instances of a run's actors after all edits, without surfels.
 class EditedTraffic {
@@ -45,13 +45,13 @@ public:
     const std::vector<ModelInstance>& get_instances() const { return driving_.scene.instances; }
     /// Returns the poses of all visible actors at time `time_s`, in the world frame of
     /// the dataset. The result can be assigned to ScanRequest::dataset_from_actor.
-    ActorTracksByName get_visible_actor_poses(double time_s) const;
+    ActorTracksByName get_poses_of_visible_actors(double time_s) const;
     /// Returns a JSON list of all actors, including hidden actors: [{track, category,
     /// size, present, pose}].
-    nlohmann::json describe_actors_as_json(double time_s) const;
+    nlohmann::json list_actors_as_json(double time_s) const;
 
 private:
-    bool is_box_visible(const BoxTrack& box) const {
+    bool is_actor_neither_removed_nor_hidden(const BoxTrack& box) const {
         return !edits_.removed.contains(box.id) && !edits_.hidden.contains(box.id);
     }
 
@@ -61,6 +61,7 @@ private:
 
 /// Returns the run after all edits. Hidden actors stay in the run. The history of the new
 /// run contains the edits.
-TrainedRun make_edited_run(const TrainedRun& run, const OtherRunsByName& other_runs, const ActorEdits& edits);
+TrainedRun apply_edits_to_copy_of_run(const TrainedRun& run, const OtherRunsByName& other_runs,
+                                      const ActorEdits& edits);
 
 }  // namespace relidar::view

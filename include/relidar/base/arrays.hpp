@@ -23,7 +23,7 @@ struct NamedArray {
     std::vector<std::size_t> shape;
     std::vector<std::byte> bytes;
 
-    std::size_t count_elements() const;
+    std::size_t count_array_elements() const;
     /// Returns the values converted to float. Booleans (b1) become 0 or 1.
     /// @throws DataError if the array holds text, or if the number of bytes does not
     /// match the shape

@@ -24,7 +24,7 @@ void write_file_atomically(const std::filesystem::path& path,
 /// Returns a unique temporary path in the same folder as `final_path`. The caller writes
 /// the file there and then renames it to `final_path`. remove_temporary_files() removes
 /// temporary files that were never renamed.
-std::filesystem::path make_temporary_path(const std::filesystem::path& final_path);
+std::filesystem::path make_unique_temporary_path(const std::filesystem::path& final_path);
 /// Removes temporary files and folders that a killed process has left in a folder. These
 /// files have names of the form .NAME.tmp-PID-COUNT. Call this function only for a folder
 /// to which no other process writes.
@@ -34,10 +34,10 @@ void remove_temporary_files(const std::filesystem::path& folder);
 void write_text_file(const std::filesystem::path& path, const std::string& text);
 
 /// Temporary folder that gets its final name when it is complete.
-/// move_folder_to_final_path() renames the temporary folder and replaces an existing
-/// folder with the final name. If move_folder_to_final_path() is not called, the
-/// destructor removes the temporary folder. The constructor also removes temporary
-/// folders that a killed process has left for the same final name.
+/// move_folder_and_replace_existing() renames the temporary folder and replaces an
+/// existing folder with the final name. If move_folder_and_replace_existing() is not
+/// called, the destructor removes the temporary folder. The constructor also removes
+/// temporary folders that a killed process has left for the same final name.
 class StagedFolder {
 public:
     /// Creates the temporary folder.
@@ -48,18 +48,18 @@ public:
     StagedFolder& operator=(const StagedFolder&) = delete;
 
     /// Path of the temporary folder. Write files to this path before
-    /// move_folder_to_final_path().
+    /// move_folder_and_replace_existing().
     const std::filesystem::path& path() const { return path_; }
     /// Absolute path that the folder gets when it is complete.
     const std::filesystem::path& get_final_path() const { return final_path_; }
     /// Renames the temporary folder to its final name and replaces an existing folder.
     /// @throws DataError if the folder cannot be renamed. An existing folder is then
     /// kept.
-    void move_folder_to_final_path() const;
+    void move_folder_and_replace_existing() const;
     /// Renames the temporary folder to its final name. If a folder with this name exists,
     /// it is replaced only if it is empty.
     /// @throws DataError if the name is in use, or the folder cannot be renamed
-    void move_folder_without_replacing() const;
+    void move_folder_unless_name_is_used() const;
 
 private:
     std::filesystem::path final_path_, path_;

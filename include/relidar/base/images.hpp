@@ -14,9 +14,9 @@ namespace relidar {
 
 /// Writes the float channels of an image to a ZIP-compressed OpenEXR file.
 /// @param channels map from channel name to values [rows*columns]
-/// @param notes string attributes of the file
+/// @param metadata string attributes of the file
 void write_exr(const std::filesystem::path& path, int rows, int columns,
-               const std::map<std::string, std::vector<float>>& channels, const FileMetadata& notes = {});
+               const std::map<std::string, std::vector<float>>& channels, const FileMetadata& metadata = {});
 /// Channels and attributes of an OpenEXR image.
 struct ExrImage {
     int rows = 0;
@@ -41,11 +41,12 @@ struct Image {
 /// Converts an image of scalar values to colours. The colour map is "turbo" (range),
 /// "gray" (intensity, drop) or "heat" (error). Values outside [low, high] are clamped.
 /// NaN values and pixels with mask 0 become dark gray.
-/// @param mask [rows*columns] or empty
+/// @param valid_pixel_mask [rows*columns] or empty
 /// @throws UsageError for an unknown colour map
 /// @throws DataError for wrong counts or limits that are not finite
-Image apply_colour_map(const std::vector<float>& values, int rows, int columns, float low, float high,
-                       const std::string& map, const std::vector<float>& mask = {});
+Image apply_colour_map(const std::vector<float>& values, int rows, int columns, float min_value,
+                       float max_value, const std::string& colour_map_name,
+                       const std::vector<float>& valid_pixel_mask = {});
 /// Stacks images of equal width vertically, separated by a thin line.
 /// @param vertical_scale vertical magnification of each image, because a LiDAR row covers
 /// a larger angle than a column
@@ -54,9 +55,9 @@ Image apply_colour_map(const std::vector<float>& values, int rows, int columns, 
 Image stack_images_vertically(const std::vector<Image>& images, int vertical_scale = 1);
 /// Writes an image as a PNG file. encode_png() does not write a file, but returns the
 /// bytes.
-/// @param notes stored as international text (iTXt). A name has 1 to 79 Latin letters.
+/// @param metadata stored as international text (iTXt). A name has 1 to 79 Latin letters.
 /// @throws DataError if rgb is empty or is not rows*columns*3 bytes
-void write_png(const std::filesystem::path& path, const Image& image, const FileMetadata& notes = {});
-std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& notes = {});
+void write_png(const std::filesystem::path& path, const Image& image, const FileMetadata& metadata = {});
+std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& metadata = {});
 
 }  // namespace relidar

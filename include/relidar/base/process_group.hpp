@@ -26,12 +26,12 @@ struct ProcessGroup {
     struct PartRange {
         std::size_t begin, end;
     };
-    /// Returns the contiguous range of parts, out of `n_parts`, that this process
-    /// computes. The numbers of parts of any two processes differ by at most one. The
-    /// first process has at least one part if n_parts > 0.
-    PartRange compute_assigned_range(std::size_t n_parts) const {
+    /// Returns the contiguous range of parts, out of `n_parts_of_all_processes`, that
+    /// this process computes. The numbers of parts of any two processes differ by at most
+    /// one. The first process has at least one part if n_parts_of_all_processes > 0.
+    PartRange get_range_of_process(std::size_t n_parts_of_all_processes) const {
         const auto first_of = [&](int of) {
-            return (n_parts * std::size_t(of) + std::size_t(size - 1)) / std::size_t(size);
+            return (n_parts_of_all_processes * std::size_t(of) + std::size_t(size - 1)) / std::size_t(size);
         };
         return {first_of(rank), first_of(rank + 1)};
     }

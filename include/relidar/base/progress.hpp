@@ -51,9 +51,9 @@ private:
     std::chrono::steady_clock::time_point since_{};
 };
 
-/// Starts the named stage if `times` is not null.
-inline void begin_stage(StageTimes* times, std::string_view name) {
-    if (times) times->start_stage(name);
+/// Starts the named stage if `times_or_null` is not null.
+inline void begin_timed_stage_if_enabled(StageTimes* times_or_null, std::string_view name) {
+    if (times_or_null) times_or_null->start_stage(name);
 }
 
 }  // namespace relidar

@@ -60,7 +60,7 @@ struct AccelAddresses {
 
 /// Returns the shape that encloses surfels on a device. Replaces `automatic` by the shape
 /// that is faster on this device.
-ProxyShape choose_bounding_shape(ProxyShape requested_shape, const Device& device);
+ProxyShape resolve_automatic_proxy_shape(ProxyShape requested_shape, const Device& device);
 
 class AccelerationStructure {
 public:
@@ -71,29 +71,29 @@ public:
     /// at the first call, if `force_rebuild` is true, or if the options require a
     /// rebuild. Otherwise only their boxes are refitted. The top-level tree over the
     /// instances is always updated.
-    void update_bvh(Stream& stream, const DeviceScene& scene, bool force_rebuild = false);
+    void record_bvh_refit_or_build(Stream& stream, const DeviceScene& scene, bool force_rebuild = false);
     /// Records GPU commands that refit the trees of actors with changing shape, for
     /// example walking persons, and update the top-level tree. Use this function if the
     /// surfels of all other models are unchanged.
-    void refit_animated_actor_bvhs(Stream& stream, const DeviceScene& scene);
+    void record_refit_of_animated_actor_bvhs(Stream& stream, const DeviceScene& scene);
     /// Records GPU commands that update only the top-level tree. Use this function if
     /// instances have moved but no surfel has changed.
-    void update_top_level_bvh(Stream& stream, const DeviceScene& scene);
+    void record_top_level_bvh_update(Stream& stream, const DeviceScene& scene);
 
     /// Starts a measurement of the traversal cost of the software tree and evaluates the
     /// previous measurement. If the cost has grown too much since the last build, the
-    /// next update_bvh() rebuilds the tree. The function waits until the GPU has finished
-    /// the previous measurement. Therefore call it only every few iterations. The
-    /// commands of the previous measurement must have been submitted.
-    void measure_bvh_traversal_cost(Stream& stream);
+    /// next record_bvh_refit_or_build() rebuilds the tree. The function waits until the
+    /// GPU has finished the previous measurement. Therefore call it only every few
+    /// iterations. The commands of the previous measurement must have been submitted.
+    void record_bvh_cost_measurement(Stream& stream);
 
     AccelAddresses get_device_addresses() const;
-    ProxyShape get_bounding_shape() const;
+    ProxyShape get_proxy_shape_of_surfels() const;
     /// Device memory of the trees, of the shapes around surfels and of scratch buffers,
     /// bytes.
     std::uint64_t get_device_memory_bytes() const;
-    std::uint64_t get_update_count() const;  ///< Number of builds and refits recorded so far.
-    int count_refits_since_build() const;    ///< Number of refits recorded since the last build.
+    std::uint64_t get_build_and_refit_count() const;  ///< Number of builds and refits recorded so far.
+    int count_refits_since_build() const;             ///< Number of refits recorded since the last build.
 
     struct Impl;
     /// Returns the internal implementation. Only the library uses this function.

@@ -70,10 +70,10 @@ public:
     bool is_densification_enabled() const;
     /// Records GPU commands that add the gradients of a batch to the statistics of the
     /// surfels.
-    void accumulate_gradient_statistics(Stream& stream, const DeviceScene& scene,
-                                        const BackpropagatedBatch& batch);
+    void record_gradient_statistics_update(Stream& stream, const DeviceScene& scene,
+                                           const BackpropagatedBatch& batch);
     /// Returns true if densify_surfels() should add and remove surfels after this step.
-    bool should_densify(int step) const;
+    bool should_densify_after_step(int step) const;
     /// Adds and removes surfels. Each model stays a contiguous range in which surfels
     /// keep their order. A copied surfel is stored next to its original. Surviving
     /// surfels keep their Adam moments. New surfels, and surfels with a changed opacity
@@ -90,7 +90,7 @@ public:
                                   double reserved_bytes_per_surfel = 0.0);
     /// Records GPU commands that reset the opacities of all surfels, if a reset is
     /// scheduled after this step.
-    void reset_opacities_if_scheduled(Stream& stream, DeviceScene& scene, Adam& adam, int step);
+    void record_opacity_reset_if_scheduled(Stream& stream, DeviceScene& scene, Adam& adam, int step);
     SurfelStatistics& statistics();
     std::vector<double>& get_model_extents_m();              ///< Extent of each model, metres.
     const std::vector<double>& get_model_extents_m() const;  ///< Extent of each model, metres.

@@ -2,10 +2,10 @@
 // Differentiable renderer. It renders rays from the parameters of a scene, and it
 // computes gradients of the parameters from gradients of the rendered rays. There are two
 // ways to write a training step. On the device, no call waits for the GPU:
-//   prepare_view() and record_forward_pass() of renderer(), losses that write
+//   record_view_preparation() and record_forward_pass() of renderer(), losses that write
 //   get_last_rendered_batch().upstream, record_backward_pass(), Adam::record_adam_step().
 // On the host, with arrays, for custom losses in any language:
-//   prepare_view() and render_rays() of renderer(), then compute_gradients().
+//   record_view_preparation() and render_rays() of renderer(), then compute_gradients().
 #pragma once
 
 #include <functional>
@@ -91,10 +91,11 @@ public:
     /// Calls `change_surfels`, which adds or removes surfels. Frees all memory that
     /// depends on the number of surfels before the call, and allocates it again after the
     /// call. Waits until the stream is idle. The caller must call
-    /// Renderer::prepare_view() next.
+    /// Renderer::record_view_preparation() next.
     /// @param change_surfels its argument is the number of bytes per surfel that will be
     /// allocated again
-    void apply_surfel_change(const std::function<void(double reserved_bytes_per_surfel)>& change_surfels);
+    void change_surfels_and_reallocate_memory(
+        const std::function<void(double reserved_bytes_per_surfel)>& change_surfels);
 
 private:
     struct Impl;

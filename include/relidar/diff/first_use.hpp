@@ -8,11 +8,11 @@
 namespace relidar {
 
 /// Checks float atomics, compare-and-swap sums and subgroups. Also checks ray queries if
-/// the options select them. Pass this function to set_first_use_check(). The check takes
-/// about a second.
+/// the options select them. Pass this function to set_device_open_callbacks(). The check
+/// takes about a second.
 /// @return results of the check
 /// @throws DeviceError if no subgroup size gives right results
-DeviceTestResults check_device_at_first_use(const DeviceOptions& options);
+DeviceTestResults test_device_capabilities(const DeviceOptions& options);
 
 /// State of the trees of an acceleration structure.
 enum class AccelTreeState { built, refitted };

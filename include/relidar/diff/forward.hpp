@@ -49,27 +49,27 @@ public:
                 const TraceOptions& options);
     ~ForwardPass();
     /// Records GPU commands that trace and render a batch. Before this call, the same
-    /// stream must contain two steps: DeviceScene::compute_surfel_records(), and an
-    /// update of the acceleration structure.
+    /// stream must contain two steps: DeviceScene::record_surfel_record_computation(),
+    /// and an update of the acceleration structure.
     /// @param rendered_rays  output, [>= n_rays]
     /// @param stored_hits  output: hits for the backward pass of the same batch. Null =
     /// the backward pass traces the rays again
     /// @param surfaces  output, [>= n_rays], required if
-    /// TraceOptions::has_surface_outputs()
+    /// TraceOptions::writes_normals_or_surface_ranges()
     void record_forward_pass(Stream& stream, const DeviceScene& scene, const AccelerationStructure& accel,
                              const RayBatch& batch, Array<shared::RenderedRay>& rendered_rays,
                              StoredRayHits* stored_hits = nullptr,
                              const Array<shared::RenderedSurface>* surfaces = nullptr);
     /// Returns the number of rays since the last call that had too many hits to be traced
     /// completely. Such rays end too early, so the image is wrong. Waits for the GPU.
-    std::uint32_t reset_truncated_ray_count();
+    std::uint32_t read_and_reset_truncated_ray_count();
     /// Number of rays that had too many hits to be traced completely, [1] on the device.
     /// The count grows until the caller sets it to 0. The host can copy it without
     /// waiting.
-    const Array<std::uint32_t>& get_truncated_ray_count() const;
+    const Array<std::uint32_t>& get_device_truncated_ray_count() const;
     /// Number of rays with more hits than are stored for the backward pass, [1] on the
     /// device. The count grows until the caller sets it to 0.
-    const Array<std::uint32_t>& get_hit_overflow_ray_count() const;
+    const Array<std::uint32_t>& get_device_hit_overflow_ray_count() const;
     void set_sh_degree(int degree);
 
 private:
@@ -79,8 +79,8 @@ private:
 
 /// Converts rendered rays to host arrays, one per value.
 /// @param surfaces one entry per ray, or empty
-RenderedRayValues to_rendering(const std::vector<shared::RenderedRay>& rays,
-                               const std::vector<shared::RenderedSurface>& surfaces = {});
+RenderedRayValues convert_rays_to_rendered_values(const std::vector<shared::RenderedRay>& rays,
+                                                  const std::vector<shared::RenderedSurface>& surfaces = {});
 
 /// Options of a renderer for its acceleration structure, ray tracing, memory and stream.
 struct RendererOptions {
@@ -99,7 +99,7 @@ struct RendererOptions {
 };
 
 /// Renders one scene on one device. Contains the parameters, the acceleration structure
-/// and the rendered rays. Call prepare_view() first, then render_rays() or
+/// and the rendered rays. Call record_view_preparation() first, then render_rays() or
 /// record_forward_pass() any number of times. The device must outlive the renderer. Only
 /// one thread at a time may use a renderer. Several renderers on one device are
 /// independent.
@@ -122,22 +122,24 @@ public:
     /// directions with ShDirection::surfel
     /// @throws DataError if the number of poses is wrong
     /// @throws UsageError if the image model and the scene have different primitives
-    void prepare_view(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m);
+    void record_view_preparation(const std::vector<InstancePose>& instance_poses,
+                                 const glm::vec3& view_origin_m);
     /// Records GPU commands that prepare rendering with the current parameters from a new
     /// sensor position. All instances keep their poses. If no poses were set before, all
     /// instances are at the origin.
-    void prepare_view(const glm::vec3& view_origin_m) {
-        prepare_view(scene().get_instance_poses(), view_origin_m);
+    void record_view_preparation(const glm::vec3& view_origin_m) {
+        record_view_preparation(scene().get_instance_poses(), view_origin_m);
     }
     /// Records GPU commands that set the poses of all instances. The trees of rigid
     /// models are not refitted. Use this function if no parameter has changed since the
-    /// last prepare_view() or move_instances(). The first call does the same as
-    /// prepare_view().
-    void move_instances(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m);
+    /// last record_view_preparation() or record_instance_poses_and_view(). The first call
+    /// does the same as record_view_preparation().
+    void record_instance_poses_and_view(const std::vector<InstancePose>& instance_poses,
+                                        const glm::vec3& view_origin_m);
 
     /// Renders rays and waits for the result.
     /// @param rays [n] world frame, directions of length 1
-    /// @throws UsageError if prepare_view() was not called before
+    /// @throws UsageError if record_view_preparation() was not called before
     /// @throws DeviceError if a ray has too many hits to be traced completely
     RenderedRayValues render_rays(const WorldRays& rays);
     /// Records GPU commands that render rays on the device. The ray array must stay valid
@@ -154,7 +156,7 @@ public:
     /// Waits for the GPU and checks that all rays since the last call were traced
     /// completely.
     /// @throws DeviceError if a ray had too many hits and therefore ended too early
-    void check_rays_fully_traced();
+    void require_rays_fully_traced();
 
     /// Returns the number of hits per ray that are kept for the backward pass.
     std::uint32_t get_stored_hits_per_ray() const;
@@ -165,7 +167,7 @@ public:
     void set_stored_hits_per_ray(std::uint32_t hits_per_ray);
 
     /// Sets the degree of the spherical harmonics (SH). The degree cannot exceed the
-    /// degree of the image model. The caller must call prepare_view() next.
+    /// degree of the image model. The caller must call record_view_preparation() next.
     void set_sh_degree(int degree);
     const ImageFormationModel& model() const;  ///< Image model with the active SH degree.
     /// Replaces all surfel parameters on the device. Waits until the copy is complete.
@@ -184,7 +186,8 @@ public:
     const DeviceScene& scene() const;
     AccelerationStructure& accel();
     const ForwardPass& forward_pass() const;
-    const glm::vec3& view_origin_m() const;  ///< View origin of the last prepare_view() or move_instances().
+    const glm::vec3& view_origin_m()
+        const;  ///< View origin of the last record_view_preparation() or record_instance_poses_and_view().
 
     /// Releases the acceleration structure. Must be called before surfels are added or
     /// removed. create_acceleration_structure() creates a new acceleration structure

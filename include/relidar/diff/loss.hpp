@@ -30,7 +30,7 @@ struct ImageShape {
     std::uint32_t columns = 0;
     bool circular = false;  ///< True for a full sweep: the first and the last column are neighbours.
 
-    bool has_image_layout() const { return rows > 0; }
+    bool has_image_rows_and_columns() const { return rows > 0; }
 };
 
 /// Measured targets of a batch of rays. The target of ray k is targets[first + k *
@@ -62,7 +62,7 @@ struct LossTermRow {
     std::uint32_t row = 0;
 
     LossTermRow(const Array<float>& array, std::uint32_t at = 0) : terms(array), row(at) {}
-    Address<float, shared::LossTerms> get_row_address() const {
+    Address<float, shared::LossTerms> get_loss_term_row_address() const {
         return terms.address_as<float, shared::LossTerms>(std::size_t(row) * kLossTerms);
     }
 };

@@ -82,7 +82,7 @@ struct RayDropNetwork {
 
     bool empty() const { return parameters.empty(); }
     /// Returns the minimum number of rows and of columns that an image must have.
-    int compute_min_image_side() const { return 1 << (widths.empty() ? 0 : widths.size() - 1); }
+    int compute_min_image_rows_and_columns() const { return 1 << (widths.empty() ? 0 : widths.size() - 1); }
 };
 
 /// Returns the number of trainable parameters of the network that the options describe.
@@ -170,7 +170,7 @@ public:
     const KernelTimes& times() const;
     /// Returns an object that applies the network to images on the device, without copies
     /// to the host.
-    RayDropInference& get_drop_pass();
+    RayDropInference& get_ray_drop_inference();
 
 private:
     struct Impl;

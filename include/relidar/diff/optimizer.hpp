@@ -47,7 +47,7 @@ public:
     /// Sets an upper bound on the standard deviations of each surfel for all later steps.
     /// After this call, the number of surfels must not change.
     /// @param max_log_scales [n] natural logarithm of the bound in metres
-    void set_max_log_scales(Device& device, const std::vector<float>& max_log_scales);
+    void set_max_log_scale_of_each_surfel(Device& device, const std::vector<float>& max_log_scales);
     /// Upper bounds on the standard deviations, [n], natural logarithm of metres. Empty
     /// without bounds.
     Array<float>& get_max_log_scales();

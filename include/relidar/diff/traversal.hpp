@@ -83,7 +83,7 @@ struct TraceOptions {
 
     /// Returns true if the forward pass writes a normal and a surface distance for each
     /// ray.
-    bool has_surface_outputs() const { return normals || mode_gap_m; }
+    bool writes_normals_or_surface_ranges() const { return normals || mode_gap_m; }
 };
 
 /// Returns the number of threads that trace a batch. An image is traced in tiles of 16 x
@@ -104,15 +104,16 @@ struct StoredRayHits {
     /// Allocates memory for the hits.
     /// @param n_threads number of threads that trace the largest batch
     StoredRayHits(Device& device, std::size_t n_threads, std::uint32_t hits_per_ray)
-        : hits(device, round_up_thread_count(n_threads) * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
+        : hits(device, round_up_to_interleaved_threads(n_threads) * hits_per_ray, "kept hits"),
+          per_ray(hits_per_ray) {}
     /// Rounds a number of threads up to a multiple of RELIDAR_SIDE_BY_SIDE, the number of
     /// threads whose hits alternate in memory.
-    static std::size_t round_up_thread_count(std::size_t n_threads) {
+    static std::size_t round_up_to_interleaved_threads(std::size_t n_threads) {
         return (n_threads + RELIDAR_SIDE_BY_SIDE - 1) / RELIDAR_SIDE_BY_SIDE * RELIDAR_SIDE_BY_SIDE;
     }
     /// Returns true if the buffer is large enough for the hits of a batch.
     bool can_store_hits(const RayBatch& batch) const {
-        return round_up_thread_count(count_trace_threads(batch)) * per_ray <= hits.size();
+        return round_up_to_interleaved_threads(count_trace_threads(batch)) * per_ray <= hits.size();
     }
 };
 
@@ -133,7 +134,7 @@ struct RenderedBatch {
     const StoredRayHits* stored_hits =
         nullptr;  ///< Hits that the forward pass has stored for this batch, or null.
     /// Surface normals and distances of this batch, [n_rays]. Null without
-    /// TraceOptions::has_surface_outputs().
+    /// TraceOptions::writes_normals_or_surface_ranges().
     const Array<shared::RenderedSurface>* surfaces = nullptr;
 };
 

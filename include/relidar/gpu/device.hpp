@@ -22,7 +22,7 @@ enum class RayTracingBackend { automatic, ray_query, software };
 /// Returns the traversal method named "auto", "ray_query" or "software". Upper and lower
 /// case are equal.
 /// @throws UsageError for any other name
-RayTracingBackend parse_traversal_method(const std::string& name);
+RayTracingBackend parse_ray_tracing_backend(const std::string& name);
 
 /// Properties of a Vulkan device, and the relidar features that the device supports.
 struct DeviceInfo {
@@ -56,7 +56,7 @@ struct DeviceInfo {
 
 /// Returns the method that RayTracingBackend::automatic selects on a device. Returns
 /// `automatic` if no method works.
-RayTracingBackend choose_best_traversal(const DeviceInfo& info);
+RayTracingBackend choose_best_ray_tracing_backend(const DeviceInfo& info);
 
 /// Lists every Vulkan device, in the order of the Vulkan loader.
 /// @throws DeviceError if no Vulkan loader or driver is installed
@@ -121,7 +121,7 @@ public:
     const DeviceInfo& info() const;
     /// Returns the traversal method of this device: ray_query or software, never
     /// automatic.
-    RayTracingBackend traversal() const;
+    RayTracingBackend get_ray_tracing_backend() const;
     /// Returns the device memory that arrays currently use, bytes. peak_allocated_bytes()
     /// returns the maximum since the device was opened.
     std::uint64_t allocated_bytes() const;

@@ -120,8 +120,8 @@ public:
 
 /// Returns the device address of an array, or a null address if the pointer is null.
 template <class T, class Meaning>
-Address<T, Meaning> get_address(const Array<T, Meaning>* array) {
-    return array ? array->address() : Address<T, Meaning>();
+Address<T, Meaning> get_device_address_or_null(const Array<T, Meaning>* array_or_null) {
+    return array_or_null ? array_or_null->address() : Address<T, Meaning>();
 }
 
 /// Records GPU commands and submits them to the device. A kernel launch sees the results
@@ -187,13 +187,13 @@ private:
 /// recorded or submitted after the scope see the results of all lanes.
 class ConcurrentSequenceScope {
 public:
-    ConcurrentSequenceScope(Stream& stream, std::size_t n);
+    ConcurrentSequenceScope(Stream& stream, std::size_t n_sequences);
     ~ConcurrentSequenceScope();
     ConcurrentSequenceScope(const ConcurrentSequenceScope&) = delete;
     ConcurrentSequenceScope& operator=(const ConcurrentSequenceScope&) = delete;
     /// Selects the lane (sequence of launches) in which the next launches are recorded.
     /// The scope starts with lane 0.
-    void select_command_lane(std::size_t lane_index);
+    void select_sequence_to_record(std::size_t sequence_index);
 
 private:
     Stream& stream_;

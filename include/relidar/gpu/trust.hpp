@@ -38,14 +38,14 @@ struct DeviceOpenCallbacks {
 
 /// Sets the test for all devices that this process opens later. A program calls this
 /// function once, before it opens a device. The standard test is
-/// check_device_at_first_use() in relidar/diff/first_use.hpp.
-void set_first_use_check(DeviceOpenCallbacks first_use_functions);
+/// test_device_capabilities() in relidar/diff/first_use.hpp.
+void set_device_open_callbacks(DeviceOpenCallbacks callbacks);
 
 /// While this scope object exists, the current thread opens devices with the given test
 /// results instead of running the test.
 class ScopedDeviceTestResults {
 public:
-    explicit ScopedDeviceTestResults(const DeviceTestResults& trust);
+    explicit ScopedDeviceTestResults(const DeviceTestResults& test_results);
     ~ScopedDeviceTestResults();
     ScopedDeviceTestResults(const ScopedDeviceTestResults&) = delete;
     ScopedDeviceTestResults& operator=(const ScopedDeviceTestResults&) = delete;

@@ -119,16 +119,16 @@ struct ChannelColumn {
 /// example "_" in "normal_x"
 std::vector<ChannelColumn> list_channel_columns(const std::vector<ScanChannel>& channels,
                                                 const std::string& axis_separator = "_");
-/// Appends the values of all channels for one ray or point to `bytes`. Each number takes
-/// 4 bytes in the byte order of the machine.
+/// Appends the values of all channels for one ray or point to `output_bytes`. Each number
+/// takes 4 bytes in the byte order of the machine.
 /// @param element_index  index of the ray or point in the arrays of the channels
-void append_channel_values(std::string& bytes, const std::vector<ScanChannel>& channels,
+void append_channel_values(std::string& output_bytes, const std::vector<ScanChannel>& channels,
                            std::size_t element_index);
 
 /// Returns the value of a channel for rays that hit nothing, or whose true value is
 /// unknown.
 template <class T>
-T get_missing_value(const ChannelInfo& channel) {
+T get_value_of_rays_without_hit(const ChannelInfo& channel) {
     return T(static_cast<float>(channel.none));
 }
 
@@ -136,17 +136,18 @@ T get_missing_value(const ChannelInfo& channel) {
 /// the value of its ray. For a second return, it is the value in `ScanChannel::second`.
 /// If that array is empty, it is the value of the first return for a channel with
 /// `ChannelInfo::of_ray`, otherwise the default value `ChannelInfo::none`.
-/// @param return_number  number of the return, starting at 1
-void append_return_value(ScanChannel& point_channel, const ScanChannel& ray_channel, std::size_t ray,
-                         int return_number);
+/// @param return_number_from_1  number of the return, starting at 1
+void append_value_of_one_return(ScanChannel& point_channel, const ScanChannel& ray_channel,
+                                std::size_t index_of_ray, int return_number_from_1);
 
 /// Checks names and sizes of channels before the channels are written to a file.
 /// @param expected_size  expected number of values
-/// @param element_name  name of the elements in error messages, for example rays or
-/// points
+/// @param element_name_for_errors  name of the elements in error messages, for example
+/// rays or points
 /// @throws DataError if a name is invalid or used twice, or if a channel does not have
 /// `expected_size` values
-void check_channel_names_and_sizes(const std::vector<ScanChannel>& channels, std::size_t expected_size,
-                                   const std::string& element_name);
+void require_valid_channel_names_and_sizes(const std::vector<ScanChannel>& channels,
+                                           std::size_t expected_size,
+                                           const std::string& element_name_for_errors);
 
 }  // namespace relidar

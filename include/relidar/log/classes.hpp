@@ -13,6 +13,7 @@
 namespace relidar {
 
 struct PoseTrack;
+struct BoxTrack;
 struct LidarSequence;
 
 /// Class of a surface. The numbers are the values of the channel `class`.
@@ -52,14 +53,17 @@ using SurfaceClassMap = std::vector<SurfaceClassCell>;
 /// of scans with classes. Ignores returns in moving boxes. In a tie between classes, uses
 /// the class with the higher number.
 /// @param world_from_vehicle  poses of the vehicle at the times of the frames
+/// @param boxes  boxes of the objects of the log; returns in moving boxes are ignored
 /// @param frame_indices  indices into LidarSequence::frames of the frames to use
 /// @return an empty map if no scan has classes
-SurfaceClassMap compute_class_map(const LidarSequence& sequence, const PoseTrack& world_from_vehicle,
-                                  const std::vector<int>& frame_indices);
+SurfaceClassMap compute_map_of_surface_classes(const LidarSequence& sequence,
+                                               const PoseTrack& world_from_vehicle,
+                                               const std::vector<BoxTrack>& boxes,
+                                               const std::vector<int>& frame_indices);
 
 /// Adds the cells of another map. If both maps have a cell at the same position, keeps
 /// the cell of `target_map`.
-void merge_class_map(SurfaceClassMap& target_map, const SurfaceClassMap& source_map);
+void add_missing_cells_of_class_map(SurfaceClassMap& target_map, const SurfaceClassMap& source_map);
 
 /// Finds the class of a point. Several threads can use the same object.
 class SurfaceClassLookup {
@@ -71,7 +75,7 @@ public:
     /// Returns the class of the nearest cell. Returns `unknown` if the centre of this
     /// cell is more than 2 m away, or if a coordinate is not finite.
     /// @param point_m [3] metres, in relidar's world frame
-    SurfaceClass find_nearest_class(const glm::dvec3& point_m) const;
+    SurfaceClass find_class_of_nearest_cell(const glm::dvec3& point_m) const;
 
 private:
     struct Impl;

@@ -19,12 +19,12 @@ struct EncoderTickGrid {
     int n_ticks = 0;        ///< number of ticks in a sweep
     double zero_rad = 0.0;  ///< azimuth of tick 0
 
-    double compute_tick_step_rad() const;
+    double compute_azimuth_per_tick_rad() const;
     /// Returns the encoder tick nearest to an azimuth of the rotating head, in [0,
     /// n_ticks).
-    int find_nearest_tick(double head_azimuth_rad) const;
+    int find_nearest_encoder_tick(double head_azimuth_rad) const;
     /// Returns the azimuth of the rotating head at an encoder tick, in (-pi, pi].
-    double compute_tick_azimuth_rad(int tick) const;
+    double compute_azimuth_of_encoder_tick_rad(int tick) const;
 };
 
 /// One sweep of a spinning LiDAR: the azimuths at which the LiDAR can fire, and the ticks
@@ -37,7 +37,7 @@ struct SweepFirings {
 /// Returns a sweep with `sensor.columns` equal azimuth steps. The azimuth of the first
 /// step is fitted to the azimuths of the head at which the points were measured.
 /// @param points  points with beam numbers (`LidarPoints::ring`)
-SweepFirings fit_uniform_sweep(const LidarPoints& points, const SpinningSensor& sensor);
+SweepFirings fit_equal_azimuth_steps_to_points(const LidarPoints& points, const SpinningSensor& sensor);
 
 /// Builds the scan of a spinning LiDAR, with one ray for each beam and firing. The rays
 /// are in the order of a range image. Each point is assigned to the ray that measured it.
@@ -58,14 +58,15 @@ SweepFirings fit_uniform_sweep(const LidarPoints& points, const SpinningSensor& 
 /// @param points  points with rings
 /// @throws UsageError if the points have no rings, if a ring has no beam, or if the
 /// arrays have different lengths
-Scan make_spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& sweep);
+Scan assign_points_to_rays_of_spinning_scan(const LidarPoints& points, const SpinningSensor& sensor,
+                                            const SweepFirings& sweep_firings);
 
 /// Builds the scan of a LiDAR whose rays do not form an image (rows = 1). The scan has
 /// one ray from the sensor origin to each point, in the order of the points. Rays without
 /// a return are unknown and are not in the scan. The other returns of a ray must follow
 /// its first return in `points`. Beam numbers are not needed.
-/// @throws UsageError in the same cases as make_spinning_scan()
-Scan make_unordered_scan(const LidarPoints& points);
+/// @throws UsageError in the same cases as assign_points_to_rays_of_spinning_scan()
+Scan make_scan_with_one_ray_per_point(const LidarPoints& points);
 
 /// Estimates the beams of a spinning LiDAR from points without beam numbers. The
 /// elevations of distant points form clusters, and each cluster is a beam. The highest
@@ -98,20 +99,21 @@ inline constexpr std::uint16_t kNoBeam = 0xFFFF;
 /// @param period_s  duration of a sweep, for points without times
 /// @throws UsageError if the points have no rings
 /// @throws DataError if the azimuths are not in steps
-FittedSensor fit_sensor(const std::vector<LidarPoints>& scans, double period_s);
+FittedSensor estimate_spinning_sensor(const std::vector<LidarPoints>& scans, double period_s);
 
 /// Reverts the motion compensation of a scan, in which all points are in the sensor frame
-/// at time `time_s`. Converts each point to the sensor frame at the firing time of the
-/// point.
+/// at time `compensated_time_s`. Converts each point to the sensor frame at the firing
+/// time of the point.
 /// @param points  points with firing times
 /// @param world_from_sensor  poses of the LiDAR that measured the points
-void undo_motion_compensation(LidarPoints& points, const PoseTrack& world_from_sensor, double time_s);
+void undo_motion_compensation(LidarPoints& points, const PoseTrack& world_from_sensor,
+                              double compensated_time_s);
 
 /// Returns the pose with this rotation and translation.
 /// @param error_location  file and field, for the error message
 /// @throws DataError if the matrix is not a rotation within 1e-3
-Pose make_rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation,
-                     const std::string& error_location);
+Pose make_pose_from_checked_rotation(const glm::dmat3& rotation, const glm::dvec3& translation,
+                                     const std::string& error_location);
 
 /// Appends a frame with an empty scan to the sequence. Also appends the vehicle's pose at
 /// this time, if no frame of another LiDAR with the same time has added it before.
@@ -121,11 +123,11 @@ LidarFrame& add_frame(LidarSequence& sequence, int frame_number, double time_s,
 /// Moves the world origin to the position of the vehicle at the middle pose of the log.
 /// Adjusts all poses, boxes and world_offset_m of the sequence. Coordinates are then
 /// small enough for single precision (float).
-void recentre_sequence(LidarSequence& sequence);
+void move_world_origin_of_log(LidarSequence& sequence);
 /// Moves the world origin to a given point. Adjusts all poses, boxes and world_offset_m
 /// of the sequence.
 /// @param new_origin_m  new origin, in the world frame before the move
-void recentre_sequence(LidarSequence& sequence, glm::dvec3 new_origin_m);
+void move_world_origin_of_log(LidarSequence& sequence, glm::dvec3 new_origin_m);
 
 /// Box of an object at one time, as the labels of a dataset store it.
 struct BoxLabel {
@@ -147,12 +149,12 @@ std::vector<BoxTrack> build_tracks(const std::vector<BoxLabel>& labels);
 /// - All arrays of a scan have the length of its ray table.
 /// - Boxes are within reach of the vehicle.
 /// @throws DataError naming the frame or box, the field and the value
-void check_sequence(const LidarSequence& sequence);
+void require_valid_sequence(const LidarSequence& sequence);
 
 /// Adds a note to the log for each gap in time between frames. A gap is a time step
 /// longer than 1 s and longer than ten times the median step.
 /// @throws DataError if the clock jumps: a time step is longer than 60 s and longer than
 /// ten times the median step
-void check_time_gaps(LidarSequence& sequence);
+void add_notes_about_time_gaps(LidarSequence& sequence);
 
 }  // namespace relidar

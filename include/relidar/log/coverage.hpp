@@ -34,16 +34,16 @@ public:
     /// finite.
     /// @param start_m [3] start of the segment; metres, world frame
     /// @param end_m [3] end of the segment; metres, world frame
-    void add_segment(const glm::dvec3& start_m, const glm::dvec3& end_m);
-    void add_block(const VoxelBlock& block);
-    void add_coverage(const ObservedVoxelSet& other);
+    void add_voxels_on_line_segment(const glm::dvec3& start_m, const glm::dvec3& end_m);
+    void add_voxels_of_block(const VoxelBlock& block);
+    void add_all_voxels_of_set(const ObservedVoxelSet& other_set);
     /// Returns the fraction of a line segment's length that is in cells of the set, 0..1.
     /// @param start_m [3] start of the segment; metres, world frame
     /// @param end_m [3] end of the segment; metres, world frame
     /// @return 0 if a coordinate is not finite
-    double compute_observed_fraction(const glm::dvec3& start_m, const glm::dvec3& end_m) const;
+    double compute_observed_fraction_of_segment(const glm::dvec3& start_m, const glm::dvec3& end_m) const;
     /// Returns all blocks, sorted by their positions in ascending order.
-    std::vector<VoxelBlock> list_cell_blocks() const;
+    std::vector<VoxelBlock> list_voxel_blocks() const;
 
 private:
     std::unordered_map<std::uint64_t, VoxelBlock> blocks_;  ///< blocks by position

@@ -86,8 +86,8 @@ IntensityScatterModel fit_intensity_scatter(std::span<const PairedIntensities> i
 /// neighbouring rays that were drawn before.
 /// @param return_flags [rows*columns] 0 for rays without a return
 /// @return [rows*columns] kNoIntensity for rays without a return
-std::vector<float> draw_random_intensities(const IntensityScatterModel& scatter,
-                                           const RenderedIntensityImage& rendered,
-                                           std::span<const std::uint8_t> return_flags, std::uint64_t seed);
+std::vector<float> sample_random_intensities(const IntensityScatterModel& scatter,
+                                             const RenderedIntensityImage& rendered,
+                                             std::span<const std::uint8_t> return_flags, std::uint64_t seed);
 
 }  // namespace relidar

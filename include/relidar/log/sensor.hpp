@@ -29,7 +29,7 @@ namespace relidar {
 /// divided by the number of processes (set_scan_process_count())
 /// @param overflow_folder  folder of the file; the file is created when the first array
 /// needs it
-void limit_scan_memory(std::uint64_t max_bytes, const std::filesystem::path& overflow_folder);
+void store_scans_above_limit_in_file(std::uint64_t max_bytes, const std::filesystem::path& overflow_folder);
 
 /// Sets the number of processes on this machine that load scans. These processes share
 /// the memory limit. The default is one process.
@@ -103,7 +103,7 @@ struct RayTable {
     double find_max_divergence_rad() const;
     /// Appends a ray of another table. If this function is called repeatedly, all rays
     /// must come from the same table. Does not change `rows` and `columns`.
-    void append_ray(const RayTable& source_table, std::size_t ray);
+    void append_ray(const RayTable& source_table, std::size_t ray_index);
 };
 /// Returns the offsets of the sub-rays that sample the footprint of a beam: [count], in
 /// units of half the beam divergence. The first sub-ray is the beam axis. All sub-rays
@@ -133,21 +133,23 @@ struct Beam {
     /// Range that the beam measures for a surface. The next four functions convert
     /// between the values of a surface and the measured values:
     ///   measured range = range of the surface + range_offset_m,
-    ///   measured intensity = intensity_gain * range_factor * intensity of the surface
+    ///   measured intensity = intensity_gain * intensity_factor_at_range * intensity of the surface
     ///                        + intensity_offset, clamped to 0..1
     /// A range of 0 (no return) stays 0. Each conversion can be inverted if no value is
     /// clamped.
-    /// @param range_factor  factor of the log's IntensityResponse at the range of the
-    /// surface
-    double to_measured_range(double surface_range_m) const;
-    double to_surface_range(double measured_range_m) const;  ///< at least 1 mm
-    double to_measured_intensity(double surface_intensity, double range_factor) const;
-    double to_surface_intensity(double measured_intensity, double range_factor) const;
+    /// @param intensity_factor_at_range  factor of the log's IntensityResponse at the
+    /// range of the surface
+    double convert_surface_to_measured_range_m(double surface_range_m) const;
+    double convert_measured_to_surface_range_m(double measured_range_m) const;  ///< at least 1 mm
+    double convert_surface_to_measured_intensity(double surface_intensity,
+                                                 double intensity_factor_at_range) const;
+    double convert_measured_to_surface_intensity(double measured_intensity,
+                                                 double intensity_factor_at_range) const;
 };
 
 /// Returns the calibration of the beam with this number. If no such beam exists, returns
 /// the calibration of an ideal beam, which changes neither range nor intensity.
-const Beam& find_beam(const std::vector<Beam>& beams, std::size_t channel);
+const Beam& find_beam_of_channel(const std::vector<Beam>& beams, std::size_t channel);
 
 /// Range limits of a sensor. A ray whose range is outside the limits is dropped.
 struct RangeLimits {
@@ -193,13 +195,13 @@ BeamRay compute_beam_ray(const Beam& beam, double head_azimuth_rad);
 /// compute_beam_ray().
 /// @param point_m [3] metres, sensor frame
 /// @return radians, not wrapped to a range
-double compute_head_azimuth(const Beam& beam, const glm::dvec3& point_m);
+double compute_head_azimuth_facing_point_rad(const Beam& beam, const glm::dvec3& point_m);
 
 /// Returns the shift between the firings of a beam and the image columns. The shift
 /// compensates for the beam's azimuth offset, so that all pixels of a column have the
 /// same azimuth. Image column j holds firing (j + shift) mod columns, where shift is the
 /// azimuth offset in columns, rounded.
-int compute_column_shift(const Beam& beam, int n_columns);
+int compute_beam_azimuth_offset_columns(const Beam& beam, int n_columns);
 
 /// Returns the rays of a sweep. At time 0 the head faces forward (azimuth 0). A head that
 /// rotates clockwise reaches azimuth a at time -a / (2 pi) * period.
@@ -222,7 +224,7 @@ struct RayDropTable {
     bool empty() const { return probability.empty(); }
     /// Returns the index of a ray's entry in `probability`.
     /// @param direction [3] sensor frame
-    std::size_t compute_entry_index(std::uint16_t channel, const glm::vec3& direction) const;
+    std::size_t compute_drop_table_index_of_ray(std::uint16_t channel, const glm::vec3& direction) const;
     /// Returns the drop probability of a ray.
     /// @param direction [3] sensor frame
     /// @return 0 if the table is empty or does not have the channel
@@ -377,8 +379,10 @@ std::vector<std::string> list_sensor_names();
 /// @param name  for example "VLP-16" or "kitti360", in upper or lower case
 /// @param columns  azimuth steps in a sweep of a spinning sensor; 0: the default of the
 /// sensor
-/// @param rate_hz  rotation rate of a spinning sensor; 0: the default of the sensor
-/// @throws UsageError if `columns` or `rate_hz` is set for a sensor that does not spin
+/// @param rotation_rate_hz  rotation rate of a spinning sensor; 0: the default of the
+/// sensor
+/// @throws UsageError if `columns` or `rotation_rate_hz` is set for a sensor that does
+/// not spin
 std::optional<SensorModel> find_built_in_sensor(const std::string& name, int columns = 0,
                                                 double rate_hz = 0.0);
 
@@ -393,13 +397,13 @@ std::optional<SensorModel> find_built_in_sensor(const std::string& name, int col
 /// - channel: the manufacturer's channel number, which is ignored.
 /// @param error_location  name of the table in error messages
 /// @param n_columns  azimuth steps in a sweep
-/// @param rate_hz  rotation rate
+/// @param rotation_rate_hz  rotation rate
 /// @throws DataError naming the line and the value that is wrong
 SpinningSensor parse_beam_table(const std::string& text, const std::string& error_location, int n_columns,
-                                double rate_hz);
+                                double rotation_rate_hz);
 
 /// Returns a range grid by name, for example "kitti360", in upper or lower case.
 /// @throws UsageError for an unknown name
-RangeImageGrid find_range_grid(const std::string& name);
+RangeImageGrid get_range_image_grid_by_name(const std::string& name);
 
 }  // namespace relidar

@@ -38,7 +38,7 @@ struct PoseTrack {
     Pose interpolate_mounted_pose(double t_s, const Pose& carrier_from_mounted) const;
     /// Returns the two track entries between which interpolate_pose() interpolates.
     /// @throws DataError if the track is empty
-    TrackInterpolation find_pose_segment(double t_s) const;
+    TrackInterpolation find_poses_before_and_after_time(double t_s) const;
     bool contains_time(double t_s) const {
         return !time_s.empty() && t_s >= time_s.front() && t_s <= time_s.back();
     }
@@ -63,8 +63,8 @@ struct Scan {
     ScanArray<SurfaceClass> classes = {};  ///< [n] class of the strongest return; empty without labels
 
     /// Returns the end point of a ray: [3] metres, sensor frame at its firing time.
-    glm::vec3 compute_end_point(std::size_t ray) const {
-        return rays.origin[ray] + range_m[ray] * rays.direction[ray];
+    glm::vec3 compute_return_point_in_sensor_frame(std::size_t index_of_ray) const {
+        return rays.origin[index_of_ray] + range_m[index_of_ray] * rays.direction[index_of_ray];
     }
     std::size_t count_returns() const;
 };
@@ -114,7 +114,7 @@ struct SweepTiming {
     std::optional<SweepStart> start = {};
 };
 /// Returns the time, the LiDAR and the start of the sweep that a frame recorded.
-inline SweepTiming get_sweep_moment(const LidarFrame& frame) {
+inline SweepTiming get_sweep_timing_of_frame(const LidarFrame& frame) {
     return {frame.time_s, frame.lidar, frame.start};
 }
 
@@ -135,7 +135,7 @@ struct RangeNoiseTable {
     /// Returns the standard deviation of the range noise for a range and a cosine of
     /// incidence. Uses the bin that contains both values, or the nearest bin. Returns 0
     /// if the noise is unknown.
-    double get_noise_sigma_m(double measured_range_m, double incidence_cosine) const;
+    double get_range_noise_sigma_m(double measured_range_m, double incidence_cosine) const;
 };
 
 /// A LiDAR of a log.
@@ -153,7 +153,7 @@ struct Lidar {
     RangeNoiseTable range_noise = {};  ///< range noise; empty unless it was measured
 
     /// Returns the duration of a sweep, or 0 if it is unknown.
-    double period_s() const { return pattern ? get_scan_period_s(*pattern) : sensor.period_s; }
+    double get_sweep_period_s() const { return pattern ? get_scan_period_s(*pattern) : sensor.period_s; }
 };
 
 /// Sets the nominal sensor of a LiDAR.
@@ -171,13 +171,15 @@ RayTable make_nominal_rays(const Lidar& lidar, double time_s);
 /// rays were dropped. Firings with less than three returns are interpolated from their
 /// neighbours.
 /// @param nominal_rays  make_nominal_rays() of the LiDAR
-/// @return [columns] radians, by firing (compute_column_shift()). Empty if the rays are
-/// not in nominal order, if the beams do not rotate together, or without any deviation.
+/// @return [columns] radians, by firing (compute_beam_azimuth_offset_columns()). Empty if
+/// the rays are not in nominal order, if the beams do not rotate together, or without any
+/// deviation.
 std::vector<float> measure_azimuth_shifts_rad(const Scan& scan, const SpinningSensor& sensor,
                                               const RayTable& nominal_rays);
 /// Rotates the nominal rays of each firing about the z axis to the measured azimuth.
-/// @param shift_rad  result of measure_azimuth_shifts_rad(). Empty: no rotation
-RayTable shift_azimuths(RayTable rays, const SpinningSensor& sensor, const std::vector<float>& shift_rad);
+/// @param azimuth_shifts_rad  result of measure_azimuth_shifts_rad(). Empty: no rotation
+RayTable rotate_firings_by_azimuth_shifts(RayTable nominal_rays, const SpinningSensor& sensor,
+                                          const std::vector<float>& azimuth_shifts_rad);
 
 /// Category of moving objects that the dataset did not label and that discover_tracks()
 /// found in the scans (relidar/scene/scene.hpp).
@@ -212,10 +214,10 @@ struct BoxTrack {
     bool is_moving() const;
     /// Returns true if the box was observed at a time, with a tolerance of half the mean
     /// time step between observations.
-    bool is_present(double t_s) const;
+    bool is_observed_at_time(double t_s) const;
     /// Returns the track without the poses that were added before its first and after its
     /// last label.
-    BoxTrack copy_labelled_poses() const;
+    BoxTrack copy_track_of_labelled_poses() const;
     /// Returns true if a point in the world frame is in the box at a time. The box is
     /// enlarged by margin_m on all sides.
     bool contains_point(const glm::dvec3& point_m, double t_s, double margin_m) const;
@@ -223,8 +225,8 @@ struct BoxTrack {
 
 /// Model of the measured intensity as a function of range and angle of incidence. It is
 /// the same for all beams of a log. The factor is 1 at 10 m and perpendicular incidence.
-///   intensity of the mean beam = albedo * compute_range_factor(range)
-///                                * compute_incidence_factor(cosine)
+///   intensity of the mean beam = albedo * compute_intensity_factor_at_range(range)
+///                                * compute_intensity_factor_at_incidence(cosine)
 struct IntensityResponse {
     /// Ranges in metres, ascending, for which the table has factors. If the table is
     /// empty, the factor is 1 at all ranges.
@@ -232,11 +234,13 @@ struct IntensityResponse {
     std::vector<double> factor;  ///< [knots] factor, interpolated linearly
     double incidence = 0.0;      ///< dependence on incidence: 0 none, 1 Lambert's cosine law
 
-    double compute_range_factor(
+    double compute_intensity_factor_at_range(
         double distance_m) const;  ///< uses the first or last factor outside the knots
     /// Returns the intensity factor for the cosine of the angle between the ray and the
     /// surface normal.
-    double compute_incidence_factor(double cosine) const { return 1.0 - incidence * (1.0 - cosine); }
+    double compute_intensity_factor_at_incidence(double incidence_cosine) const {
+        return 1.0 - incidence * (1.0 - incidence_cosine);
+    }
 };
 
 /// A LiDAR log. Its world origin is the position of the vehicle in the middle frame.
@@ -267,12 +271,12 @@ struct LidarSequence {
     const Lidar& get_lidar(const LidarFrame& frame) const { return lidars[std::size_t(frame.lidar)]; }
     /// Returns the index of the vehicle pose that has the time of a frame.
     /// @throws DataError if there is no such pose
-    std::size_t get_pose_index(const LidarFrame& frame) const;
+    std::size_t get_vehicle_pose_index_of_frame(const LidarFrame& frame) const;
     /// Returns the poses of a LiDAR at the times of the vehicle's poses. Each pose is the
     /// pose of the vehicle combined with the mounting of the LiDAR.
     PoseTrack get_world_from_sensor(int lidar_index) const;
     /// Returns the total number of beams of all LiDARs.
-    std::size_t count_beams() const;
+    std::size_t count_beams_of_all_lidars() const;
     /// Returns the number of a beam among the beams of all LiDARs. Beams are numbered
     /// consecutively in the order of `lidars`. Returns nothing if the LiDAR does not have
     /// the beam.
@@ -281,7 +285,7 @@ struct LidarSequence {
 
 /// Returns the box with this id, or null if there is none. An empty id stands for the
 /// background and gives null.
-const BoxTrack* find_box(const LidarSequence& sequence, const std::string& id);
+const BoxTrack* find_box_track_by_id(const LidarSequence& sequence, const std::string& box_id);
 
 /// Returns a copy of a log without its frames.
 LidarSequence copy_without_frames(const LidarSequence& sequence);
@@ -302,7 +306,7 @@ PoseTrack subdivide_turning_segments(const PoseTrack& track);
 /// Returns the same poses in a world frame with another origin.
 /// @param offset_m  vector that is added to every position. LidarSequence::world_offset_m
 /// converts to the dataset's world frame. Its negative converts back.
-PoseTrack shift_track(PoseTrack track, const glm::dvec3& offset_m);
+PoseTrack add_offset_to_track_positions(PoseTrack track, const glm::dvec3& offset_m);
 
 /// Replaces the poses of the vehicle. The times must stay the same. Each labelled box
 /// keeps its pose relative to the vehicle, because boxes are labelled relative to the
@@ -328,8 +332,8 @@ WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const
 /// because a rosette covers every direction repeatedly.
 /// @param point_m [3] metres, sensor frame
 /// @return the `time_s` of the sweep if the sequence has no rolling shutter
-double compute_point_scan_time_s(const LidarSequence& sequence, const glm::dvec3& point_m,
-                                 const SweepTiming& sweep);
+double compute_time_when_lidar_faces_point_s(const LidarSequence& sequence, const glm::dvec3& point_m,
+                                             const SweepTiming& sweep);
 
 /// Range and intensity of the surface that a ray hit. The intensity is not corrected for
 /// the angle of incidence.
@@ -365,15 +369,16 @@ WorldReturn compute_world_return(const LidarSequence& sequence, const LidarFrame
 bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                       double margin_m);
 
-/// Result of calibrate_beam_ranges(): distances of the points from common planes, before
-/// and after the calibration of the beams.
+/// Result of fit_and_set_range_offset_of_beams(): distances of the points from common
+/// planes, before and after the calibration of the beams.
 struct RangeCalibrationResult {
     std::size_t returns = 0;  ///< number of returns that were compared
     double rms_before = 0.0;  ///< Root mean square distance of points from their plane, in metres.
     double rms_after = 0.0;   ///< The same distance (RMS) after adding an offset for each beam.
     bool adopted = false;     ///< True if the offsets were stored in the beams.
 };
-/// Result of calibrate_intensity(): errors before and after the calibration.
+/// Result of fit_and_set_intensity_calibration(): errors before and after the
+/// calibration.
 struct IntensityCalibrationResult {
     std::size_t returns = 0;  ///< number of returns that were compared
     /// Root mean square difference between an intensity and the mean of returns at the
@@ -392,22 +397,23 @@ struct IntensityCalibrationResult {
 /// gain 1 and offset 0. A beam that shares no surface point with other beams also gets
 /// these values. (Not in the paper.)
 /// @param frame_indices  indices into LidarSequence::frames of the frames to use
-IntensityCalibrationResult calibrate_intensity(LidarSequence& sequence,
-                                               const std::vector<int>& frame_indices);
+IntensityCalibrationResult fit_and_set_intensity_calibration(LidarSequence& sequence,
+                                                             const std::vector<int>& frame_indices);
 /// Measures the range noise of each LiDAR (Lidar::range_noise) from second differences
 /// between neighbouring firings of a beam. The scans must be in image order. A bin with
 /// fewer than 200 returns uses the value of the neighbouring bin. If no bin of a LiDAR
 /// has 200 returns, the LiDAR gets no noise. (Not in the paper.)
 /// @param frame_indices  indices into LidarSequence::frames of the frames to use
 /// @return number of returns that were used; 0: nothing was measured
-std::size_t measure_range_noise(LidarSequence& sequence, const std::vector<int>& frame_indices);
+std::size_t measure_and_set_range_noise(LidarSequence& sequence, const std::vector<int>& frame_indices);
 /// Estimates the range offset of each beam (Beam) from returns on the same planes, in
 /// cells of 0.3 m. Uses alternating least squares, starting from the nominal ranges. The
 /// mean offset of all beams is 0. If the offsets reduce the thickness of the planes by
 /// less than 3 %, they are set to 0. Datasets contain offsets of centimetres between
 /// beams. (Not in the paper.)
 /// @param frame_indices  indices into LidarSequence::frames of the frames to use
-RangeCalibrationResult calibrate_beam_ranges(LidarSequence& sequence, const std::vector<int>& frame_indices);
+RangeCalibrationResult fit_and_set_range_offset_of_beams(LidarSequence& sequence,
+                                                         const std::vector<int>& frame_indices);
 
 /// Split of the frames into training and test frames.
 struct TrainTestSplit {
@@ -415,16 +421,16 @@ struct TrainTestSplit {
     std::vector<int> test;
 };
 /// Splits the frames of a log into training and test frames. A test sweep includes the
-/// frames of all LiDARs that have the same index. Test sweeps are every `test_every`-th
-/// sweep except the first (10, 20, ... of 0:50 with 10), or the sweeps in `test_frames`.
-/// With `test_every` = 10 on a published part of a dataset, LidarSequence::test_frames
-/// are the test frames.
-/// @param test_every  0: no test frames
-/// @param test_frames  indices and half-open ranges, "13,26,40:45". If not empty, it is
-/// used instead of `test_every`.
-/// @throws UsageError for a test_every of 1, for an invalid list, for a frame that does
-/// not exist or is named twice, and if no frame is left for training
-TrainTestSplit split_frames(const LidarSequence& sequence, int test_every,
-                            const std::string& test_frames = "");
+/// frames of all LiDARs that have the same index. Test sweeps are every
+/// `test_every_nth_frame`-th sweep except the first (10, 20, ... of 0:50 with 10), or the
+/// sweeps in `test_frame_list`. With `test_every_nth_frame` = 10 on a published part of a
+/// dataset, LidarSequence::test_frame_list are the test frames.
+/// @param test_every_nth_frame  0: no test frames
+/// @param test_frame_list  indices and half-open ranges, "13,26,40:45". If not empty, it
+/// is used instead of `test_every_nth_frame`.
+/// @throws UsageError for a test_every_nth_frame of 1, for an invalid list, for a frame
+/// that does not exist or is named twice, and if no frame is left for training
+TrainTestSplit split_frames_into_train_and_test(const LidarSequence& sequence, int test_every_nth_frame,
+                                                const std::string& test_frame_list = "");
 
 }  // namespace relidar

@@ -47,8 +47,8 @@ struct BlockTrainingLog {
 };
 /// Copies the frames and boxes that are needed to train one block from a log.
 /// @param config settings of the complete training
-BlockTrainingLog extract_block_log(const LidarSequence& sequence, const TrainTestSplit& split,
-                                   const TrajectoryBlock& block, const Config& config);
+BlockTrainingLog copy_frames_and_boxes_of_block(const LidarSequence& sequence, const TrainTestSplit& split,
+                                                const TrajectoryBlock& block, const Config& config);
 
 /// Removes all background surfels that belong to other blocks. A surfel belongs to the
 /// block that contains the sweep nearest to the surfel.

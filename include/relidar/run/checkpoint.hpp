@@ -62,11 +62,11 @@ public:
     /// Stores a number, a host array [n] or a device array [n] under a name.
     template <class T>
     void operator()(const std::string& name, const T& value) requires std::is_arithmetic_v<T> {
-        store_array(name, get_numpy_dtype<T>(), {}, &value);
+        copy_array_into_checkpoint(name, get_numpy_dtype<T>(), {}, &value);
     }
     template <class T>
     void operator()(const std::string& name, const std::vector<T>& values) {
-        store_array(name, get_numpy_dtype<T>(), {values.size()}, values.data());
+        copy_array_into_checkpoint(name, get_numpy_dtype<T>(), {values.size()}, values.data());
     }
     template <class T>
     void operator()(const std::string& name, const Array<T>& array) {
@@ -83,8 +83,8 @@ private:
     Checkpoint& checkpoint_;
 
     /// Copies the values of an array into the checkpoint.
-    void store_array(const std::string& name, const char* dtype, std::vector<std::size_t> shape,
-                     const void* values);
+    void copy_array_into_checkpoint(const std::string& name, const char* dtype,
+                                    std::vector<std::size_t> shape, const void* values);
 };
 
 /// Copies the state of a training back from a checkpoint, with the same calls as
@@ -99,12 +99,12 @@ public:
     /// Restores a number, a host array [n] or a device array [n] from the checkpoint.
     template <class T>
     void operator()(const std::string& name, T& value) const requires std::is_arithmetic_v<T> {
-        copy_array_bytes(get_checked_array(name, get_numpy_dtype<T>(), {}), &value);
+        copy_array_bytes(get_array_of_type_and_shape(name, get_numpy_dtype<T>(), {}), &value);
     }
     template <class T>
     void operator()(const std::string& name, std::vector<T>& values) const {
         const NamedArray& stored_array = get_array_of_any_length(name, get_numpy_dtype<T>());
-        values.resize(stored_array.count_elements());
+        values.resize(stored_array.count_array_elements());
         copy_array_bytes(stored_array, values.data());
     }
     template <class T>
@@ -114,7 +114,7 @@ public:
     template <class T>
     void operator()(const std::string& name, const ArrayPrefix<T>& first) const {
         std::vector<T> values(first.n);
-        copy_array_bytes(get_checked_array(name, get_numpy_dtype<T>(), {first.n}), values.data());
+        copy_array_bytes(get_array_of_type_and_shape(name, get_numpy_dtype<T>(), {first.n}), values.data());
         first.array.upload(values);
     }
     void operator()(const std::string& name, SurfelArrays& surfels) const {
@@ -130,8 +130,8 @@ private:
     /// Returns the stored array with this name after checking its type and shape.
     /// Variants: get_array_of_any_length() accepts any length, read_surfels() returns the
     /// arrays of n surfels, copy_array_bytes() copies all bytes.
-    const NamedArray& get_checked_array(const std::string& name, const char* dtype,
-                                        const std::vector<std::size_t>& shape) const;
+    const NamedArray& get_array_of_type_and_shape(const std::string& name, const char* dtype,
+                                                  const std::vector<std::size_t>& shape) const;
     const NamedArray& get_array_of_any_length(const std::string& name, const char* dtype) const;
     Surfels read_surfels(const std::string& name, std::size_t n_surfels) const;
     static void copy_array_bytes(const NamedArray& array, void* destination);
@@ -139,7 +139,7 @@ private:
 
 /// Checks that all stored numbers are finite.
 /// @throws DataError naming the array and row of the first number that is not finite
-void check_finite(const Checkpoint& checkpoint);
+void require_finite_checkpoint_arrays(const Checkpoint& checkpoint);
 
 /// Writes a checkpoint file. The file appears only when it is complete.
 /// @throws DataError if the file cannot be written

@@ -84,7 +84,7 @@ struct SensorConfig {
 
     /// Returns true if `calibrate` includes the given quantity.
     /// @param quantity "range" or "intensity"
-    bool should_calibrate(const char* quantity) const {
+    bool is_calibration_enabled_for(const char* quantity) const {
         return calibrate.find(quantity) != std::string::npos;
     }
     bool operator==(const SensorConfig&) const = default;
@@ -148,7 +148,7 @@ struct TrainConfig {
 
     /// Returns true if training optimises the given poses (`refine_poses`).
     /// @param pose_kind "sensor" or "actors"
-    bool should_refine_poses(const char* pose_kind) const {
+    bool is_pose_refinement_enabled_for(const char* pose_kind) const {
         return refine_poses.find(pose_kind) != std::string::npos;
     }
     bool operator==(const TrainConfig&) const = default;
@@ -214,13 +214,13 @@ struct Config {
     /// Returns true if a loss compares neighbouring pixels. A training step then renders
     /// windows of adjacent columns. Otherwise it renders small groups of columns that are
     /// spread over all directions.
-    bool has_neighbour_pixel_loss() const { return loss.intensity * loss.intensity_ssim > 0.0f; }
+    bool has_loss_between_neighbour_pixels() const { return loss.intensity * loss.intensity_ssim > 0.0f; }
     bool operator==(const Config&) const = default;
 };
 
 /// Returns the settings of the preset "paper", "released", "default" or "quick".
 /// @throws UsageError for any other name. The message suggests the most similar name.
-Config make_preset(const std::string& name);
+Config make_preset_config(const std::string& preset_name);
 
 /// Description of a setting: key, current value as text, and explanation.
 struct ConfigKey {
@@ -241,7 +241,7 @@ void set_config_value(Config& config, const std::string& key, const std::string&
 /// the first part of a key.
 /// @throws UsageError for an unknown key or an invalid value
 /// @throws DataError if the file is missing or malformed
-void load_config(Config& config, const std::filesystem::path& path);
+void apply_config_file(Config& config, const std::filesystem::path& path);
 /// Reads a settings file written by to_toml(), for example config.toml of a run.
 /// @throws DataError if the file is malformed, lacks a setting, or has an unknown setting
 Config load_saved_config(const std::filesystem::path& path);

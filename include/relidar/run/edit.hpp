@@ -2,7 +2,8 @@
 // Functions that edit a dynamic scene. They return an edited copy of the scene and its
 // tracks. A track gives the pose of an instance over time (paper, Eq. 4-5). Edits change
 // only tracks and instances, with one exception: if a vehicle gets another track, its
-// unobserved sides are completed by mirrored surfels (add_mirrored_surfels()).
+// unobserved sides are completed by mirrored surfels
+// (replace_unobserved_by_mirrored_surfels()).
 #pragma once
 
 #include <filesystem>
@@ -68,24 +69,25 @@ std::optional<double> measure_ground_clearance(const SceneWithLogView& actor_sce
 /// @param actor_scene scene that contains the actor
 /// @throws UsageError naming the position if the background has no level surface below
 /// the start
-NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& driving,
+NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& scene_and_log,
                                              const GroundPlacement& ground_place,
                                              const SceneWithLogView& actor_scene, const std::string& track);
 
 /// Removes an actor and its track. Rays then hit the surfaces behind the actor.
 /// @throws UsageError if no instance has this track. The message suggests the most
 /// similar name. All functions below with a parameter `track` throw this error too.
-SceneWithLog remove_track(SceneWithLog driving, const std::string& track);
+SceneWithLog remove_track(SceneWithLog scene_and_log, const std::string& track);
 
 /// Moves an actor by a constant offset relative to its box (x forward, y left, z up,
 /// origin at the box centre):
 ///
-///   world_from_box'(t) = world_from_box(t) * box_from_moved
-SceneWithLog move_track(SceneWithLog driving, const std::string& track, const Pose& box_from_moved);
+///   world_from_box'(t) = world_from_box(t) * old_box_from_new_box
+SceneWithLog move_track(SceneWithLog scene_and_log, const std::string& track,
+                        const Pose& old_box_from_new_box);
 
 /// Delays an actor's track by a number of seconds. With a negative value, the actor
 /// appears earlier. The actor is absent outside the time interval of the shifted track.
-SceneWithLog delay_track(SceneWithLog driving, const std::string& track, double delay_s);
+SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, double delay_s);
 
 /// Returns a message if an edit has made an actor absent in some frames. The message
 /// contains the number of these frames. Returns an empty string if there are no such
@@ -99,24 +101,24 @@ std::string describe_frames_without_actor(const BoxTrack& original_box, const Li
 /// with times in the time of the log (LidarFrame::time_s)
 /// @throws DataError for fewer than two poses, times that do not increase, or values that
 /// are not finite
-SceneWithLog replace_trajectory(SceneWithLog driving, const std::string& track,
+SceneWithLog replace_trajectory(SceneWithLog scene_and_log, const std::string& track,
                                 const PoseTrack& dataset_from_box);
 
 /// Adds a copy of an actor that uses the same model, at the end of the instance list. The
 /// first copy of track "0" gets the name "0-copy-1".
-SceneWithLog copy_track(SceneWithLog driving, const std::string& track, const NewActorMotion& start);
+SceneWithLog copy_track(SceneWithLog scene_and_log, const std::string& track, const NewActorMotion& start);
 
 /// Adds an actor from another scene at the end of the instance list. The actor keeps its
 /// track name if the name is free. Otherwise "0" becomes "0-insert-1". Its spherical
 /// harmonics above the new scene's degree are ignored. Its intensities are not converted:
 /// they are those of the sensor that recorded the actor.
-SceneWithLog insert_track(SceneWithLog driving, const SceneWithLog& source_scene, const std::string& track,
-                          const NewActorMotion& start);
+SceneWithLog insert_track(SceneWithLog scene_and_log, const SceneWithLog& source_scene,
+                          const std::string& track, const NewActorMotion& start);
 
 /// Removes all actors. remove_background() does the opposite: it removes all background
 /// surfels and keeps the background as a model without surfels.
-SceneWithLog remove_all_actors(SceneWithLog driving);
-SceneWithLog remove_background(SceneWithLog driving);
+SceneWithLog remove_all_actors(SceneWithLog scene_and_log);
+SceneWithLog remove_background(SceneWithLog scene_and_log);
 
 /// Resolution of an actor's model: the number of its surfels, compared with the number of
 /// LiDAR rays that hit the actor at the smallest distance.
@@ -137,8 +139,8 @@ struct ActorModelResolution {
 /// @param lidar_index index in LidarSequence::lidars
 /// @return result with 0 rays if no ray of the LiDAR hits the actor, or if the rays of
 /// the LiDAR are unknown
-ActorModelResolution measure_actor_resolution(const SceneWithLog& driving, const std::string& track,
-                                              int lidar_index = 0);
+ActorModelResolution compare_ray_and_surfel_count_of_actor(const SceneWithLog& scene_and_log,
+                                                           const std::string& track, int lidar_index = 0);
 
 /// Compares the resolution of an actor's model with given rays, at one pose of the
 /// sensor.
@@ -146,10 +148,10 @@ ActorModelResolution measure_actor_resolution(const SceneWithLog& driving, const
 /// @param ray_directions [n,3] directions of the rays, sensor frame
 /// @param box_from_sensor pose of the sensor in the frame of the box
 /// @param size_m [3] size of the box, metres
-ActorModelResolution measure_actor_resolution(std::span<const glm::vec3> ray_origins,
-                                              std::span<const glm::vec3> ray_directions,
-                                              const Pose& box_from_sensor, const glm::dvec3& size_m,
-                                              std::size_t n_surfels);
+ActorModelResolution compare_ray_and_surfel_count_of_actor(std::span<const glm::vec3> ray_origins,
+                                                           std::span<const glm::vec3> ray_directions,
+                                                           const Pose& box_from_sensor,
+                                                           const glm::dvec3& size_m, std::size_t n_surfels);
 
 /// Reads a trajectory from a CSV file. A header line names the columns in any order:
 /// time_s, x, y, z, yaw_deg or yaw_rad, and optionally pitch and roll in either unit.

@@ -85,7 +85,7 @@ void save_run(const TrainedRun& run);
 void overwrite_run(const TrainedRun& run, const std::function<void()>& remove_earlier_files);
 /// Writes a run and deletes everything else in an existing folder. The replacement is
 /// atomic if the file system can exchange two folders in one operation.
-void replace_run_folder(const TrainedRun& run);
+void replace_folder_by_run_atomically(const TrainedRun& run);
 
 /// Loads a run folder.
 /// @throws DataError naming the file that is missing, truncated or inconsistent
@@ -98,11 +98,11 @@ TrainedRun load_run(const std::filesystem::path& folder);
 /// below the same folder.
 /// @throws DataError if an array has the wrong shape or a value that is not finite, or if
 /// the file cannot be written
-void save_model(const std::filesystem::path& path, const Scene& scene);
-/// Loads a scene from a file that save_model() has written.
+void save_scene_to_model_file(const std::filesystem::path& path, const Scene& scene);
+/// Loads a scene from a file that save_scene_to_model_file() has written.
 /// @throws DataError naming array and row if an array is missing, has the wrong shape, or
 /// has a value that is not finite
-Scene load_model(const std::filesystem::path& path);
+Scene load_scene_from_model_file(const std::filesystem::path& path);
 
 /// Loads the background surfels of a block from its file.
 /// @throws DataError if the file is invalid or its number of surfels differs from `block`
@@ -111,10 +111,10 @@ Surfels load_block_surfels(const SceneBlock& block);
 /// blocks. All other blocks are left out. The background is sorted in kd-tree order.
 /// @param block_indices indices in Scene::blocks
 /// @throws DataError if a block file is invalid
-Scene load_selected_blocks(const Scene& scene, const std::vector<std::size_t>& block_indices);
+Scene copy_scene_with_loaded_blocks(const Scene& scene, const std::vector<std::size_t>& block_indices);
 /// Returns a copy of the scene with the surfels of all blocks in memory. Use this copy
 /// for functions that need every surfel.
-Scene load_all_blocks(const Scene& scene);
+Scene copy_scene_with_all_blocks_loaded(const Scene& scene);
 
 /// Saves a ray-drop network as a safetensors file. load_ray_drop_network() loads it.
 /// @throws DataError naming file and array, also for numbers that are not finite
@@ -137,6 +137,6 @@ bool is_run_folder(const std::filesystem::path& path);
 /// Creates a folder and a test file in this folder. Call this function before long work,
 /// so that an unwritable folder is reported at the start.
 /// @throws DataError if the folder or the file cannot be created
-void check_writable(const std::filesystem::path& folder);
+void create_folder_and_require_writable(const std::filesystem::path& folder);
 
 }  // namespace relidar

@@ -12,9 +12,9 @@ namespace relidar {
 
 /// Returns the settings with a maximum range. If the setting dataset.max_range_m is 0, it
 /// becomes the largest range limit of the log's LiDARs.
-Config resolve_max_range(Config config, const LidarSequence& sequence);
+Config replace_automatic_max_range(Config config, const LidarSequence& sequence);
 /// Returns the options for ray tracing that training and simulation have in common.
-TraceOptions make_base_trace_options(const Config& config);
+TraceOptions make_common_trace_options(const Config& config);
 /// Returns the options for ray tracing during training, which enable values that only
 /// losses need.
 TraceOptions make_training_trace_options(const Config& config);

@@ -59,30 +59,30 @@ public:
     /// the sides are ignored too.
     /// @param point_m [3] box frame
     /// @param ray_direction [3] direction of the ray, box frame
-    void mark_patch_observed(const glm::dvec3& point_m, const glm::dvec3& ray_direction);
+    void mark_patch_of_point_as_observed(const glm::dvec3& point_m, const glm::dvec3& ray_direction);
     /// Returns true if a ray has observed the patch that contains a point of the box
     /// surface. Returns false for the lowest part of a side, which is ignored.
-    bool is_patch_observed(const glm::dvec3& point_m) const;
+    bool is_patch_of_point_observed(const glm::dvec3& point_m) const;
     /// Returns true if the patch of a point was not observed, but its mirror patch on the
     /// other half of the box was.
     bool is_observed_only_in_mirror(const glm::dvec3& point_m) const;
     /// Returns the observed fraction of a side, 0 to 1.
-    double compute_observed_fraction(BoxSide side) const;
+    double compute_observed_area_fraction(BoxSide side) const;
     /// Returns the observed fraction of the complete box surface, by area, 0 to 1.
-    /// compute_mirrored_fraction() returns the fraction that was observed only on the
-    /// other half of the box.
-    double compute_observed_fraction() const;
-    double compute_mirrored_fraction() const;
+    /// compute_mirrored_area_fraction() returns the fraction that was observed only on
+    /// the other half of the box.
+    double compute_observed_area_fraction() const;
+    double compute_mirrored_area_fraction() const;
     /// Returns the fraction of a side that was not observed, but whose mirror image on
     /// the other half of the box was observed.
-    double compute_mirrored_fraction(BoxSide side) const;
+    double compute_mirrored_area_fraction(BoxSide side) const;
 
     /// If true, unobserved patches of the model were completed: they got mirrored surfels
     /// if their mirror patches were observed.
     bool is_completed = false;
     /// Returns the fraction of each side that was observed, or completed with the mirror
     /// image.
-    ObservedSideFractions compute_covered_fractions() const;
+    ObservedSideFractions compute_covered_fraction_of_each_side() const;
     /// Returns the side of a point whose patch was completed with its mirror image.
     /// Returns nothing for points on other patches.
     std::optional<BoxSide> find_mirror_completed_side(const glm::dvec3& point_m) const;
@@ -91,7 +91,7 @@ public:
     /// @param points_m points of the surface, box frame
     /// @return median difference of the mean distances from the plane of symmetry,
     /// metres. 0 with fewer than three pairs of patches
-    double compute_asymmetry_m(const std::vector<glm::vec3>& points_m) const;
+    double compute_left_right_asymmetry_m(const std::vector<glm::vec3>& points_m) const;
 
     const glm::dvec3& half_size_m() const { return half_m_; }
     /// Returns the observed patches of a side as text, row by row. 1 means observed, 0
@@ -100,7 +100,7 @@ public:
     /// Sets the observed patches of a side from the text that format_observed_patches()
     /// returns.
     /// @return false if the text has a wrong length or wrong characters
-    bool parse_observed_patches(BoxSide side, const std::string& text);
+    bool try_parse_and_set_observed_patches(BoxSide side, const std::string& text);
 
 private:
     struct BoxSurfacePatch {
@@ -116,15 +116,15 @@ private:
     std::optional<BoxSurfacePatch> find_patch_of_point(const glm::dvec3& point_m) const;
     BoxSurfacePatch get_mirror_patch(BoxSurfacePatch patch) const;  ///< returns the mirror patch
     /// Returns false if the surface patch is near the ground, where patches are ignored.
-    bool is_patch_considered(const BoxSurfacePatch& patch) const;
+    bool is_patch_above_ground_margin(const BoxSurfacePatch& patch) const;
     bool has_observed_patch(const BoxSurfacePatch& patch) const;  ///< returns true if the patch was observed
     /// Returns two areas of a side in m2. The first is the area of its observed patches,
-    /// or of the patches observed only in the mirror image if `mirrored` is true. The
-    /// second is the area of all patches.
+    /// or of the patches observed only in the mirror image if `is_mirrored_area` is true.
+    /// The second is the area of all patches.
     std::array<double, 2> compute_patch_areas(BoxSide side, bool mirrored) const;
     /// Returns the fraction of the complete box surface, by area, that is observed (or
     /// mirrored).
-    double compute_area_fraction(bool mirrored) const;
+    double compute_observed_or_mirrored_fraction(bool is_mirrored_area) const;
 };
 
 }  // namespace relidar

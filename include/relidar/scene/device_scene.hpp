@@ -74,7 +74,7 @@ struct SurfelArrays {
     /// @throws DeviceError if device memory is exhausted. Some arrays may then be larger,
     /// but no values are lost
     void reserve(Device& device, std::uint32_t capacity, const std::string& description);
-    void fill_zero(Stream& stream);
+    void record_zero_fill(Stream& stream);
 };
 
 /// Learning rates of an optimiser step.
@@ -223,8 +223,9 @@ public:
     /// Records GPU commands that list the rows whose flag is 1. Waits for the stream if
     /// there are more rows than in any earlier call.
     /// @param touched_flags [n_rows] flags, 0 or 1
-    void collect_touched_rows(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched_flags,
-                              std::uint32_t n_rows);
+    void record_listing_of_touched_rows(Stream& stream,
+                                        Address<std::uint32_t, shared::TouchedSurfels> touched_flags,
+                                        std::uint32_t n_rows);
     /// Indices of the listed rows (those whose flag is 1), [count], in no particular
     /// order.
     Address<std::uint32_t, shared::TouchedRows> get_touched_rows_address() const;
@@ -233,8 +234,8 @@ public:
     /// Returns the number of threads for a kernel that processes the list. The host
     /// cannot read the length of the list without waiting. Therefore the number is
     /// constant, and each thread processes several rows if necessary.
-    /// @param max_rows length of the longest possible list
-    std::size_t choose_thread_count(std::size_t max_rows) const;
+    /// @param max_touched_rows length of the longest possible list
+    std::size_t choose_threads_for_touched_rows(std::size_t max_touched_rows) const;
 
 private:
     struct Impl;
@@ -249,8 +250,8 @@ private:
 InstancePose compute_box_pose_in_sweep(const LidarSequence& sequence, const PoseTrack& world_from_box,
                                        const glm::dvec3& half_size_m, const SweepTiming& sweep);
 
-/// Inputs and outputs of backpropagate_surfel_records(), which computes gradients of the
-/// parameters from gradients of the surfel records.
+/// Inputs and outputs of record_surfel_record_backpropagation(), which computes gradients
+/// of the parameters from gradients of the surfel records.
 struct ActivationGradients {
     /// Input: gradients with respect to the surfel records, [count_gradient_rows,16].
     const Array<float, shared::RecordGradients>* d_records = nullptr;
@@ -261,7 +262,7 @@ struct ActivationGradients {
     /// ShDirection::surfel. Null if not needed.
     Array<float, shared::ViewGradients>* d_view = nullptr;
     bool zero_untouched =
-        true;  ///< If true, backpropagate_surfel_records() writes zeros for surfels without a gradient.
+        true;  ///< If true, record_surfel_record_backpropagation() writes zeros for surfels without a gradient.
     /// If true, `touched` is also an input: 0 marks surfels that cannot have a gradient.
     /// They are skipped if can_skip_untouched_surfels() is true and zero_untouched is
     /// false. The entries of d_view for skipped surfels are not written.
@@ -283,27 +284,28 @@ public:
 
     /// Sets the pose world_from_model of every instance. All instances are marked as
     /// present. Waits until the upload is finished.
-    void set_instance_poses(const std::vector<Pose>& world_from_instance);
+    void upload_instance_poses_and_wait(const std::vector<Pose>& world_from_instance);
     /// Sets the poses and motions of all instances. An instance may be marked as absent.
     /// Waits until the upload is finished.
-    void set_instance_poses(const std::vector<InstancePose>& instance_poses);
+    void upload_instance_poses_and_wait(const std::vector<InstancePose>& instance_poses);
     /// Records GPU commands that set the poses and motions of all instances. Does not
     /// wait. An instance may be marked as absent. The acceleration structure has the new
-    /// poses only after its next update (update_bvh() or update_top_level_bvh()).
-    void record_instance_poses(Stream& stream, const std::vector<InstancePose>& instance_poses);
+    /// poses only after its next update (record_bvh_refit_or_build() or
+    /// record_top_level_bvh_update()).
+    void record_upload_of_instance_poses(Stream& stream, const std::vector<InstancePose>& instance_poses);
     const std::vector<InstancePose>& get_instance_poses() const;
     /// Returns true if the new poses change the walking phase of an actor. The surfel
     /// records must then be computed again.
-    bool has_new_gait_phases(const std::vector<InstancePose>& instance_poses) const;
+    bool would_change_gait_phases(const std::vector<InstancePose>& instance_poses) const;
     /// Records the kernel that computes surfel records from the parameters
     /// (docs/method.md M1, M2, M9). With ShDirection::surfel, also evaluates intensity
     /// and logits.
     /// @param view_origin_m [3] sensor position, world frame. A model with several
     /// instances uses it relative to its first instance
     /// @throws UsageError if `model` has another primitive than the scene
-    void compute_surfel_records(Stream& stream, const ImageFormationModel& model,
-                                const glm::vec3& view_origin_m);
-    /// Returns true if backpropagate_surfel_records() can skip surfels without a
+    void record_surfel_record_computation(Stream& stream, const ImageFormationModel& model,
+                                          const glm::vec3& view_origin_m);
+    /// Returns true if record_surfel_record_backpropagation() can skip surfels without a
     /// gradient. This works only on CPU devices. On a GPU, all threads copy SH
     /// coefficients through shared memory together.
     bool can_skip_untouched_surfels() const;
@@ -311,23 +313,26 @@ public:
     /// surfel records to gradients of the parameters. Gradients of SH coefficients are
     /// written only with ShDirection::surfel. With ShDirection::ray, the backward pass
     /// has written them.
-    void backpropagate_surfel_records(Stream& stream, const ImageFormationModel& model,
-                                      const glm::vec3& view_origin_m, const ActivationGradients& gradients);
+    void record_surfel_record_backpropagation(Stream& stream, const ImageFormationModel& model,
+                                              const glm::vec3& view_origin_m,
+                                              const ActivationGradients& gradients);
 
     /// Enlarges the arrays of parameters and records to at least `capacity` surfels.
     /// Existing values are kept.
     void reserve(Device& device, std::uint32_t capacity);
     /// Sets which range of the surfel arrays belongs to each model. Call this function
     /// after the arrays were rearranged, and then compute the surfel records again. The
-    /// next record_instance_poses() or set_instance_poses() updates the instance table.
+    /// next record_upload_of_instance_poses() or upload_instance_poses_and_wait() updates
+    /// the instance table.
     void set_models(const std::vector<SurfelModel>& models);
 
     const Scene& get_scene_layout() const;  ///< Models and instances of the scene, without surfels.
     SurfelArrays& get_surfel_parameters();
     const SurfelArrays& get_surfel_parameters() const;
     const Array<shared::SurfelRecord>& get_surfel_records() const;  ///< Surfel records, [n].
-    /// Minimum opacity (alpha_min) for which compute_surfel_records() last computed the
-    /// surfel records. Rays hit a surfel only where its opacity exceeds this value.
+    /// Minimum opacity (alpha_min) for which record_surfel_record_computation() last
+    /// computed the surfel records. Rays hit a surfel only where its opacity exceeds this
+    /// value.
     float alpha_min() const;
     /// Table of models, [models], in the order of their surfel ranges.
     const Array<shared::ModelEntry>& get_model_table() const;
@@ -337,7 +342,7 @@ public:
     PrimitiveType primitive() const;
     /// Returns the first row of an instance in the array of record gradients, which has a
     /// row for each surfel of each instance.
-    std::uint32_t get_first_gradient_row(std::size_t instance) const;
+    std::uint32_t get_first_gradient_row_of_instance(std::size_t instance_index) const;
     /// Number of rows in the array of record gradients. Each surfel has a row for each
     /// instance of its model, and at least one row.
     std::uint32_t count_gradient_rows() const;

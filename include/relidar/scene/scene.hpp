@@ -118,14 +118,14 @@ struct Surfels {
     /// Appends other surfels. If this set is empty, it first adopts their primitive. If
     /// only one set has walking motions (gait), the other set gets motions of zero.
     /// @throws DataError if the primitives differ
-    void append(const Surfels& other);
+    void append_surfels(const Surfels& other);
     /// Returns a reordered copy: surfel i of the result is surfel order[i] of this set.
     Surfels reorder(const std::vector<std::uint32_t>& order) const;
     /// Returns a copy of surfels first ... first + count - 1.
     Surfels slice(std::size_t first, std::size_t count) const;
     /// Checks that all arrays have the same number of surfels.
     /// @throws DataError if the lengths of the arrays disagree
-    void check_array_lengths() const;
+    void require_equal_array_lengths() const;
 };
 
 /// Converts surfels to another primitive. If the new primitive has a third scale, its
@@ -200,7 +200,7 @@ struct SceneWithLog {
 Scene make_background_scene(Surfels surfels);
 /// Returns a copy of the scene with another background, which replaces the old background
 /// and all blocks. The new surfels are sorted in kd-tree order.
-Scene replace_background(const Scene& scene, const Surfels& background);
+Scene copy_scene_with_new_background(const Scene& scene, const Surfels& background);
 /// Copies a model and its surfels from another scene to the end of this scene.
 /// @return index of the new model
 std::uint32_t append_model(Scene& scene, const Scene& source_scene, std::uint32_t model_index);
@@ -211,7 +211,8 @@ Scene duplicate_shared_models(Scene scene);
 /// track id.
 /// @return [instances] true for each selected instance
 /// @throws UsageError for an unknown name. The message suggests the most similar name.
-std::vector<bool> select_instances(const Scene& scene, const std::vector<std::string>& names);
+std::vector<bool> mark_instances_with_names(const Scene& scene,
+                                            const std::vector<std::string>& instance_names);
 
 /// Direction in which spherical harmonics are evaluated. `ray`: along each ray. `surfel`:
 /// from the sensor to each surfel's mean.
@@ -345,8 +346,10 @@ struct InstancePose {
 /// mover-1, ... All processes of a group get the same result. Each LiDAR is processed
 /// separately. If several LiDARs saw an object, the first track is kept. A later track
 /// replaces it only if it is more than 1.5 times as long.
-std::vector<BoxTrack> discover_tracks(const LidarSequence& sequence, const std::vector<int>& train_positions,
-                                      const ProgressReporter& progress = {}, const ProcessGroup& group = {});
+std::vector<BoxTrack> discover_moving_object_tracks(const LidarSequence& sequence,
+                                                    const std::vector<int>& train_frame_indices,
+                                                    const ProgressReporter& progress = {},
+                                                    const ProcessGroup& group = {});
 
 /// Returns the boxes whose points and rays are kept out of the background: moving boxes
 /// (BoxTrack::is_moving()) and the tracks listed in actor_tracks.
@@ -359,7 +362,7 @@ std::vector<BoxTrack> list_foreground_boxes(const LidarSequence& sequence,
 /// world frame. The surfels are sorted by recursive median splits along the longest axis
 /// (kd-tree order), because software BVH builders without sorting need this order.
 /// @throws DataError if no training frame has a usable point
-Surfels initialise_background(const LidarSequence& sequence, const std::vector<int>& train_positions,
+Surfels initialise_background(const LidarSequence& sequence, const std::vector<int>& train_frame_indices,
                               const SceneInitialisationOptions& options,
                               const ProgressReporter& progress = {});
 
@@ -370,7 +373,7 @@ Surfels initialise_background(const LidarSequence& sequence, const std::vector<i
 /// @param notes output: for each actor of SceneInitialisationOptions::deform, whether its
 /// shape changes, or the reason why it is rigid
 /// @throws DataError if no training frame has a usable point
-Scene initialise_scene(const LidarSequence& sequence, const std::vector<int>& train_positions,
+Scene initialise_scene(const LidarSequence& sequence, const std::vector<int>& train_frame_indices,
                        const SceneInitialisationOptions& options, const ProgressReporter& progress = {},
                        std::vector<std::string>* notes = nullptr);
 
@@ -405,7 +408,7 @@ std::vector<InstancePose> compute_instance_poses(const Scene& scene, const Lidar
 /// their poses and walking motions of that time. Absent actors are left out.
 /// @param instance_poses [instances] pose of each instance
 /// @throws DataError if the number of poses is wrong
-Surfels bake_surfels_to_world(const Scene& scene, const std::vector<InstancePose>& instance_poses);
+Surfels transform_all_surfels_to_world(const Scene& scene, const std::vector<InstancePose>& instance_poses);
 
 /// Sorts points in kd-tree order, by recursive median splits along the longest axis. The
 /// median of a range is at (first + last) / 2.
@@ -415,13 +418,13 @@ std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& p
 /// Returns the extent of a model in metres. Some settings are relative to this length.
 /// For an actor: 4 times the diagonal of its box. For any other model: 3 times the 90th
 /// percentile of 2 |p - centre| over its surfels. Without surfels: 1.
-double compute_model_extent(const Scene& scene, std::size_t model);
+double compute_robust_model_extent_m(const Scene& scene, std::size_t model_index);
 /// Returns the extent of a box, which is 4 times its diagonal, metres.
 /// @param half_size_m [3] half size of the box, metres
-double compute_box_extent(const glm::vec3& half_size_m);
+double compute_four_times_box_diagonal_m(const glm::vec3& half_size_m);
 /// Returns the extent of the background, metres: 3 times the 90th percentile of 2 |p -
 /// centre| over its surfels.
-double compute_background_extent(const Scene& scene);
+double compute_robust_background_extent_m(const Scene& scene);
 
 /// Returns a copy of a scene without its surfels. The copy has models, instances, blocks
 /// and sensor drop probabilities.

@@ -36,11 +36,12 @@ void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
                       const FileMetadata& header_comments);
 /// Reads a scene that write_surfel_ply() has written. The surfels are restored bit by bit
 /// and grouped by model. Models, instances and sensor drop probabilities are copied from
-/// `layout`. Properties may have any order, and additional properties are allowed.
+/// `scene_layout`. Properties may have any order, and additional properties are allowed.
 /// Ignores nx ny nz, scale_2 of surfels, and the second and third colour.
 /// @param primitive primitive of the file. Default: surfels
 /// @throws DataError for text or big-endian files, missing properties, sizes that do not
 /// match, or values that are not finite
-Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, PrimitiveType primitive = {});
+Scene read_surfel_ply(const std::filesystem::path& path, const Scene& scene_layout,
+                      PrimitiveType primitive = {});
 
 }  // namespace relidar

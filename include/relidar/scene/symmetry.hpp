@@ -19,6 +19,6 @@ Surfels mirror_left_right(Surfels surfels);
 /// surfels of the other side, if the other side was observed. The new surfels are
 /// appended. Does nothing if both sides were observed and differ by more than 0.15 m.
 /// @return number of surfels that were added
-std::size_t add_mirrored_surfels(Surfels& surfels, ObservedBoxSurface& surface);
+std::size_t replace_unobserved_by_mirrored_surfels(Surfels& surfels, ObservedBoxSurface& surface);
 
 }  // namespace relidar

@@ -119,8 +119,9 @@ void copy_scans_into_run(TrainedRun& run, const std::vector<int>& frame_indices,
 /// @param frame  the frame, with its scan
 /// @param sensor_offset  pose of the sensor that made frame.scan, in the frame of the
 /// log's sensor
-ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const LidarSequence& sequence,
-                        const LidarFrame& frame, const Pose& sensor_offset = {});
+ScoredFrame render_and_score_frame(ScanRenderer& renderer, const Config& config,
+                                   const LidarSequence& sequence, const LidarFrame& frame,
+                                   const Pose& sensor_offset = {});
 
 /// Renders many frames and computes their metrics. Memory use does not grow with the
 /// number of frames.
@@ -161,7 +162,7 @@ EvaluationResult evaluate_baseline(const std::string& baseline_name, const Confi
 /// Reads the file with LPIPS weights, if the user has set one. Called before a long
 /// evaluation, so that a damaged file is reported at the start.
 /// @throws DataError if the file is damaged or an array is missing
-void check_lpips_weights();
+void require_readable_lpips_weights();
 /// Returns the path of the file with LPIPS weights, from the environment variable
 /// RELIDAR_LPIPS_WEIGHTS. If the path is empty, LPIPS is not computed.
 std::string find_lpips_weights_path();

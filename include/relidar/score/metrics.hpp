@@ -121,8 +121,8 @@ MetricValues evaluate_points(const RangeImage& rendered, const RangeImage& real,
 /// @param rendered_classes [n] values of the channel `class`
 /// @param real_classes [n] labels
 /// @return an empty row if no ray has a label
-MetricValues evaluate_classes(const std::vector<std::int32_t>& rendered_classes,
-                              std::span<const SurfaceClass> real_classes);
+MetricValues compute_surface_class_metrics(const std::vector<std::int32_t>& rendered_classes,
+                                           std::span<const SurfaceClass> real_classes);
 
 /// A rendered image, the real image of the same rays, and the regions to score.
 struct RangeImageComparison {
@@ -148,13 +148,14 @@ enum class BoxPointMotion { stay, follow };
 /// Computes the baseline: moves the returns of the nearest earlier and later training
 /// frames of the same LiDAR into another sweep. Each point is moved to the time at which
 /// the head of the LiDAR faces it:
-///   p_sensor(t) = sensor_from_world(t) p_world,  t = compute_point_scan_time_s(p_sensor)
+///   p_sensor(t) = sensor_from_world(t) p_world,  t = compute_time_when_lidar_faces_point_s(p_sensor)
 /// The result is not an image. It has one ray for each point, and the ray starts at the
 /// sensor origin.
-/// @param frame_index  index of the sweep in sequence.frames; its scan is not read
+/// @param predicted_frame_index  index of the sweep in sequence.frames; its scan is not
+/// read
 /// @param train_frames  indices of the training frames, with their scans
 /// @throws DataError if there is no training frame
-Scan predict_scan_from_neighbours(const LidarSequence& sequence, int frame_index,
+Scan predict_scan_from_neighbours(const LidarSequence& sequence, int predicted_frame_index,
                                   const std::vector<int>& train_frames, BoxPointMotion box_motion);
 
 /// Assigns each point to the ray with the smallest angle to the point. If several points
@@ -162,7 +163,7 @@ Scan predict_scan_from_neighbours(const LidarSequence& sequence, int frame_index
 /// beam spacing above the highest or below the lowest beam.
 /// @return a scan of `rays`, with range_m along the direction of each ray
 /// @throws DataError if the rays are not in image order
-Scan bin_points_onto_rays(const RayTable& rays, const Scan& points);
+Scan assign_points_to_nearest_rays(const RayTable& rays, const Scan& points);
 
 /// Weights of LPIPS v0.1 with AlexNet. The convolutions have the shapes 64x3x11x11,
 /// 192x64x5x5, 384x192x3x3, 256x384x3x3, 256x256x3x3 (out, in, height, width).
@@ -190,22 +191,22 @@ public:
     explicit Lpips(LpipsWeights weights);
     ~Lpips();
     /// Returns the distance between two images for each of the five layers.
-    /// @param first [3,rows,columns] values intended for -1..1; other values are not
-    /// clamped
-    /// @param second [3,rows,columns] like `first`
+    /// @param first_image [3,rows,columns] values intended for -1..1; other values are
+    /// not clamped
+    /// @param second_image [3,rows,columns] like `first_image`
     /// @throws DataError if an array has another size, or the image is below 31 x 31
     /// pixels, so that pooling leaves no pixel
-    std::array<double, 5> compute_layer_distances(const std::vector<float>& first,
-                                                  const std::vector<float>& second, int rows,
-                                                  int columns) const;
+    std::array<double, 5> compute_lpips_layer_distances(const std::vector<float>& first_image,
+                                                        const std::vector<float>& second_image, int rows,
+                                                        int columns) const;
     /// Returns the distance between two images with a single channel, summed over all
     /// layers. The channel is repeated three times. Values are mapped from 0..1 to -1..1
     /// by x -> 2 x - 1, without clamping, like `normalize` in the published code.
     /// Published tables for LiDAR use ranges in metres as values.
-    /// @param first [rows*columns]
-    /// @param second [rows*columns]
-    double compute_perceptual_distance(const std::vector<double>& first, const std::vector<double>& second,
-                                       int rows, int columns) const;
+    /// @param first_image [rows*columns]
+    /// @param second_image [rows*columns]
+    double compute_perceptual_distance(const std::vector<double>& first_image,
+                                       const std::vector<double>& second_image, int rows, int columns) const;
 
 private:
     struct Impl;
@@ -214,18 +215,18 @@ private:
 
 /// Returns the structural similarity of two images with the defaults of scikit-image:
 /// uniform 7 x 7 window, sample covariance, borders of 3 pixels cropped.
-/// @param first [rows*columns]
-/// @param second [rows*columns]
+/// @param first_image [rows*columns]
+/// @param second_image [rows*columns]
 /// @throws DataError if the image is below 7 x 7 pixels or data_range is not positive
-double compute_ssim(const std::vector<double>& first, const std::vector<double>& second, int rows,
+double compute_ssim(const std::vector<double>& first_image, const std::vector<double>& second_image, int rows,
                     int columns, double data_range);
 
 /// Returns the exact distance from each query point to the nearest target point. Uses all
 /// cores.
 /// @return [n] metres
 /// @throws DataError if there is no target point or a coordinate is not finite
-std::vector<double> compute_nearest_distances(const std::vector<glm::dvec3>& query,
-                                              const std::vector<glm::dvec3>& target);
+std::vector<double> compute_nearest_distances(const std::vector<glm::dvec3>& query_points,
+                                              const std::vector<glm::dvec3>& target_points);
 
 /// Returns the mean of each metric. Rows that lack a metric do not affect its mean.
 MetricValues compute_mean_metrics(const std::vector<MetricValues>& metric_rows);

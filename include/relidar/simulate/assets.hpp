@@ -32,8 +32,8 @@ struct ActorObservations {
 /// Returns the surface of an actor's box. The patches that rays of the log have hit are
 /// marked as observed.
 /// @param box_size_m [3] size of the box
-ObservedBoxSurface compute_observed_surface(const glm::dvec3& box_size_m,
-                                            const ActorObservations& observations);
+ObservedBoxSurface mark_observed_box_surface(const glm::dvec3& box_size_m,
+                                             const ActorObservations& observations);
 /// Returns the points at which rays of the log hit each actor, by track. Renders the
 /// training frames again with the log's LiDARs at their original poses. An object that
 /// hid an actor in the log therefore also hides it here. A LiDAR without a nominal ray
@@ -69,7 +69,7 @@ struct AssetDescription {
 
     /// Returns the fraction of the box surface that was observed, or completed with the
     /// mirror image.
-    double compute_covered_fraction() const { return seen + completed; }
+    double get_observed_or_mirrored_fraction() const { return seen + completed; }
 };
 
 /// An actor that was extracted from a run.
@@ -94,7 +94,7 @@ ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
 void save_asset(ActorAsset asset, const std::filesystem::path& folder);
 /// Reads asset.json from a folder.
 /// @throws DataError if the file is missing or malformed
-AssetDescription read_asset_facts(const std::filesystem::path& folder);
+AssetDescription read_asset_description(const std::filesystem::path& folder);
 /// Returns the height of an asset's box above the road (AssetDescription::clearance_m).
 /// Returns nothing if the run is not an asset.
 std::optional<double> read_asset_ground_clearance(const TrainedRun& run);

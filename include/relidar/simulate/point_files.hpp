@@ -17,7 +17,7 @@ namespace relidar {
 /// instance, so that all files of a scan folder have the same fields.
 /// @param notes comments in the header of the file
 /// @throws DataError if lengths differ, and in the same cases as
-/// check_channel_names_and_sizes() and write_file_atomically()
+/// require_valid_channel_names_and_sizes() and write_file_atomically()
 void write_ply(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes = {});
 /// Writes points to a binary PCD 0.7 file. The VIEWPOINT in the header is
 /// `world_from_points`.

@@ -151,10 +151,10 @@ std::vector<float> compute_range_spread(const RenderedScan& scan);
 /// Computes the inputs of a ray-drop network for a scan.
 /// @param scan should have the channel `incidence`; without it all cosines are 0
 /// @param channel_names names of the network's input channels
-/// @param first_origin_m [3] result of get_first_vehicle_position(). Sensor positions are
-/// relative to this point
+/// @param first_vehicle_position_m [3] result of get_first_vehicle_position(). Sensor
+/// positions are relative to this point
 RayDropImage make_network_input_image(const RenderedScan& scan, const std::vector<std::string>& channel_names,
-                                      const glm::dvec3& first_origin_m);
+                                      const glm::dvec3& first_vehicle_position_m);
 
 /// Returns the first position of the log's vehicle, in the dataset's world frame.
 /// @return [3] metres
@@ -162,7 +162,7 @@ glm::dvec3 get_first_vehicle_position(const LidarSequence& sequence);
 
 /// Returns the values from which random intensities are drawn: rendered intensity, range,
 /// spread, incidence and elevation of each ray.
-RenderedIntensityImage get_rendered_intensities(const RenderedScan& scan);
+RenderedIntensityImage copy_inputs_of_random_intensities(const RenderedScan& scan);
 
 /// Replaces the expected values of a scan by one random sample. A ray returns with
 /// probability 1 - drop_prob, independently of other rays. Random noise is added to the
@@ -211,7 +211,7 @@ struct SimulatedSensor {
     /// the ray gets 9.
     int returns = 0;
     /// False: all rays are fired at the scan's reference time, as if the scan were
-    /// motion-compensated. has_rolling_shutter() also considers the settings.
+    /// motion-compensated. fires_rays_at_different_times() also considers the settings.
     bool rolling_shutter = true;
 };
 
@@ -219,32 +219,33 @@ struct SimulatedSensor {
 /// `sensor.rolling_shutter` = `no` overrides SimulatedSensor::rolling_shutter. Without a
 /// rolling shutter, all rays are fired at the scan's time, and all points are in the
 /// sensor frame at this time.
-bool has_rolling_shutter(const SimulatedSensor& sensor, const Config& config);
+bool fires_rays_at_different_times(const SimulatedSensor& sensor, const Config& config);
 
 /// Returns a copy of the sensor with the measured azimuths of the log's sweep at this
 /// time. If the sensor does not follow the sweeps of the log, or if the log has no sweep
 /// at this time, returns the sensor unchanged. ScanRenderer calls this function for scans
 /// without a ScanRequest.
 /// @param frames frames of the log with their azimuth shifts
-SimulatedSensor align_sensor_with_sweep(const SimulatedSensor& sensor, std::span<const LidarFrame> frames,
-                                        std::span<const Lidar> lidars, double time_s);
+SimulatedSensor copy_sensor_with_azimuths_of_sweep(const SimulatedSensor& sensor,
+                                                   std::span<const LidarFrame> frames,
+                                                   std::span<const Lidar> lidars, double time_s);
 
 /// Returns the sensor that the setting `sensor.grid` selects: a LiDAR of the log, or a
 /// grid. For a grid, `sensor.grid_method` selects the method. Either the rays of the grid
 /// are cast, or the points of the LiDAR are binned into the grid. The range limits of the
 /// LiDAR are intersected with those of the dataset settings. A LiDAR with an unknown scan
 /// pattern has empty `rays`, so the caller must set the rays of each scan.
-SimulatedSensor make_configured_sensor(const Config& config, const LidarSequence& sequence, int lidar = 0);
+SimulatedSensor make_sensor_from_config(const Config& config, const LidarSequence& sequence, int lidar = 0);
 /// Returns the sensor with this name or in this file. Possible values: "native" (the
 /// log's LiDAR), a built-in sensor, a sensor file, or a range grid. For the grid
 /// "kitti360", the setting `sensor.grid_method` applies.
-SimulatedSensor choose_sensor(const std::string& name_or_file, const Config& config,
-                              const LidarSequence& sequence, int lidar = 0);
+SimulatedSensor find_or_load_sensor(const std::string& name_or_file, const Config& config,
+                                    const LidarSequence& sequence, int lidar = 0);
 
 /// Creates a SimulatedSensor for a sensor that replaces a LiDAR of the log.
-SimulatedSensor make_sensor_choice(const SensorModel& sensor, int lidar = 0);
+SimulatedSensor make_simulated_sensor(const SensorModel& sensor, int lidar = 0);
 /// Creates a SimulatedSensor for a sensor of a rig, with its number of returns.
-SimulatedSensor make_sensor_choice(const MountedSensor& mounted, int lidar = 0);
+SimulatedSensor make_simulated_sensor(const MountedSensor& mounted, int lidar = 0);
 
 /// Merges scans of all sensors of a rig into one scan without image order. Rays are in
 /// the frame of the rig, as if the rig were a single sensor. The beam numbers of each
@@ -306,7 +307,7 @@ public:
     /// Sets the space that the log observed. All following scans are compared with this
     /// space to set RenderedScan::unseen_share. An empty coverage switches the
     /// comparison off.
-    void set_observed_space(const ObservedVoxelSet& coverage);
+    void set_observed_voxels(const ObservedVoxelSet& observed_voxels);
     /// Sets the classes of the background for the channel `class` of all following scans.
     /// With an empty map, the class of the background is `unknown`.
     void set_background_classes(const SurfaceClassMap& class_map);
@@ -321,7 +322,7 @@ public:
     /// sample also seeds the weather. Other scans use seed 0. Scans with weather have the
     /// channel `source`.
     /// @throws UsageError if all intensities of the log are 0
-    /// @throws errors of check_weather()
+    /// @throws errors of require_valid_weather()
     void set_weather(const Weather& weather);
     /// Returns true if a ray-drop network corrects the drop probabilities of this
     /// sensor's scans.
@@ -386,7 +387,7 @@ private:
 /// drop probability of a cell is the smallest probability of its rays. A product of
 /// probabilities would assume independent drops, but neighbouring rays are dropped for
 /// the same reason.
-RenderedScan bin_scan_into_grid(const RenderedScan& scan, const RangeImageGrid& grid);
+RenderedScan project_points_into_grid_image(const RenderedScan& scan, const RangeImageGrid& grid);
 
 /// Returns the measured range image of a frame, for comparison with a rendered image of
 /// the configured sensor. For the native grid, its pixels are the rays of the scan. For

@@ -88,17 +88,17 @@ struct ScanOutputOptions {
 };
 /// Returns the default format for scans of a run: npz files with rays in the sensor
 /// frame. The simulated sensor has the same poses as the log's sensor.
-ScanOutputOptions make_scan_format(const TrainedRun& run, const SimulatedSensor& sensor);
+ScanOutputOptions make_default_output_options(const TrainedRun& run, const SimulatedSensor& sensor);
 /// Returns true if all points of a scan are in one frame: the world frame, or the sensor
 /// frame at one time. (In recordings, this is the time stamp of the message.) This is the
 /// case if points are converted to such a frame, or if all rays are fired at the same
 /// time.
-bool has_deskewed_points(const ScanOutputOptions& format);
+bool are_points_in_one_frame(const ScanOutputOptions& output_options);
 /// Sets the topic and the frame id of a sensor in recordings to /lidar/NAME/points and
 /// NAME. In the topic, NAME is converted by make_valid_topic_name(). An empty name gives
 /// /lidar/points and lidar.
 /// @param sensor_name  name of the log's LiDAR or of the rig's sensor
-void set_recording_topic(ScanOutputOptions& format, const std::string& sensor_name);
+void set_topic_and_frame_id_from_name(ScanOutputOptions& output_options, const std::string& sensor_name);
 /// Replaces characters that ROS does not allow in topic names by _.
 std::string make_valid_topic_name(const std::string& name);
 
@@ -144,7 +144,7 @@ public:
     /// @param scans  a scan for each sensor, all of the same sweep
     /// @throws DataError if times decrease or a file cannot store them
     void write_scans(std::span<const RenderedScan> scans);
-    void finish();
+    void finish_recordings();
     /// Returns the names of the files.
     std::vector<std::string> list_file_names() const;
 
@@ -221,7 +221,7 @@ public:
     void write_scan(int frame_number, const RenderedScan& scan);
     /// Writes scans.json and gives the recordings their final names. Must be called after
     /// the last scan.
-    void finish();
+    void finish_scan_folder();
     const std::filesystem::path& path() const { return folder_; }
     /// Returns the entries of scans.json for the scans that this object has written. Each
     /// entry is JSON without line breaks. set_summary_entries() replaces the entries, for
@@ -241,8 +241,8 @@ private:
     /// moved. Null in a process that joined an existing folder.
     std::shared_ptr<ScanRecordingsWriter> recordings_;
 
-    /// returns true if `format` is one of ScanOutputOptions::formats
-    bool has_scan_format(const std::string& format) const;
+    /// returns true if `output_options` is one of ScanOutputOptions::formats
+    bool is_output_format_selected(const std::string& format) const;
     void write_summary_file() const;
 };
 
@@ -260,7 +260,7 @@ std::vector<std::filesystem::path> list_scan_files(const std::filesystem::path& 
 /// intensities and drop probabilities are gray. Pixels without a return are dark gray.
 Image draw_range_picture(const RangeImage& image, double max_range_m);
 Image draw_intensity_picture(const RangeImage& image);
-Image draw_drop_picture(const RangeImage& image);
+Image draw_ray_drop_picture(const RangeImage& image);
 /// Returns a single picture with range, intensity and drop probability below each other.
 Image draw_scan_picture(const RenderedScan& scan);
 /// Returns the factor by which stack_images_vertically() stretches an image vertically.

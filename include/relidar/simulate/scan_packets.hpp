@@ -13,7 +13,7 @@ namespace relidar {
 
 /// Converts a rendered scan to a measured scan, for example for a packet encoder. Rays
 /// without a return get range 0.
-Scan convert_to_measured_scan(const RenderedScan& scan, const Config& config);
+Scan convert_rendered_to_measured_scan(const RenderedScan& scan, const Config& config);
 
 /// Converts the scans of a sensor, or of all sensors of a rig, to the network packets
 /// that these sensors send.

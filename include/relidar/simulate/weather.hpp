@@ -54,7 +54,7 @@ Weather parse_weather(const std::string& text);
 std::string format_weather(const Weather& weather);
 /// Throws an exception if a value of the weather is out of range.
 /// @throws UsageError for the same values as parse_weather()
-void check_weather(const Weather& weather);
+void require_valid_weather(const Weather& weather);
 
 /// Properties of a sensor that determine how weather affects its scans. The wavelength is
 /// 905 nm. Other near-infrared wavelengths give the same results, because fog, rain and
@@ -84,7 +84,7 @@ struct WeatherSensorProperties {
     /// Returns the minimum power that the sensor detects at a range. Applies to surfaces,
     /// fog, particles and noise. For mirrored and stray light, the minimum power is
     /// compute_min_detectable_power().
-    double compute_detection_threshold(double range_m) const;
+    double compute_min_detected_power_at_range(double range_m) const;
 };
 
 /// Cause of a point. These are the values of the channel `source`.
@@ -125,7 +125,7 @@ double compute_water_reflectance(double cosine);
 /// diffuse surface:
 ///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - F_mean) / n^2
 /// @param cosine  cosine of the angle of incidence in air, 0..1
-/// @param albedo  albedo of the dry ground, 0..1
+/// @param surface_albedo_or_0  albedo of the dry ground, 0..1
 double compute_wet_reflectance_ratio(double cosine, double albedo);
 /// Returns the fraction of the ground that is covered by a film of water. The fraction is
 /// 1 if the water is at least 1 mm deep, which is the assumed texture depth of asphalt.
@@ -137,16 +137,16 @@ double compute_water_film_fraction(double water_depth_mm);
 /// - light reflected by the surface: E / pi times its albedo, as if it faces the sun;
 /// - the solar disc, if it is in view: E divided by its solid angle.
 /// @param angle_to_sun_rad  angle between ray and sun
-/// @param albedo  albedo of the surface that the ray hits; 0: none
+/// @param surface_albedo_or_0  albedo of the surface that the ray hits; 0: none
 /// @param sees_sky  true if nothing is between the sensor and the sky
-double compute_sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double angle_to_sun_rad,
-                         double albedo, bool sees_sky);
+double compute_sunlight_noise_power(const Sun& sun, const WeatherSensorProperties& sensor,
+                                    double angle_to_sun_rad, double surface_albedo_or_0, bool sees_sky);
 /// Returns how often noise exceeds a threshold, per metre of range. For Gaussian noise
 /// after a matched filter, the rate is exp(-level^2 / 2) / (2 sqrt(3) tau) per second.
 /// `level` is the threshold, and tau is the pulse duration (Rice 1945; RCA Electro-Optics
 /// Handbook 1974).
 /// @param threshold_sigmas  threshold in standard deviations of the noise
-double compute_false_return_rate(const WeatherSensorProperties& sensor, double threshold_sigmas);
+double compute_false_returns_per_metre(const WeatherSensorProperties& sensor, double threshold_sigmas);
 
 struct WeatherInput;
 class RayWeatherEffect;
@@ -175,7 +175,7 @@ struct WeatherEffectEntry {
     /// no ray has the effect.
     std::unique_ptr<RayWeatherEffect> (*prepare)(const WeatherInput&) = nullptr;
 
-    bool is_active_in(const Weather& weather) const;  ///< true if the weather has the effect
+    bool is_effect_active_in_weather(const Weather& weather) const;  ///< true if the weather has the effect
 };
 
 extern const WeatherEffectEntry kFog, kRain, kSnow, kWetGround, kBlooming, kSunlight;

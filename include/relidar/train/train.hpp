@@ -152,7 +152,8 @@ TrainResult train(Device& device, const LidarSequence& sequence, const TrainTest
                   const Config& config, const TrainProgressCallback& progress,
                   const TrainSession& session = {});
 
-/// Callbacks of place_held_out(), which corrects the poses of held-out scans.
+/// Callbacks of estimate_held_out_vehicle_poses(), which corrects the poses of held-out
+/// scans.
 struct HeldOutPoseCallbacks {
     ProgressReporter progress = {};
     /// Callback before each scan. It returns true to stop the correction of poses. No
@@ -160,8 +161,8 @@ struct HeldOutPoseCallbacks {
     std::function<bool()> stop = {};
 };
 
-/// Result of place_held_out(): the number of held-out scans, how many of their poses were
-/// corrected, and by what distances.
+/// Result of estimate_held_out_vehicle_poses(): the number of held-out scans, how many of
+/// their poses were corrected, and by what distances.
 struct HeldOutPoseReport {
     std::size_t scans = 0, placed = 0;
     double median_m = 0.0, largest_m = 0.0;
@@ -176,7 +177,8 @@ struct HeldOutPoseReport {
 /// Does nothing if the settings do not register the sensor (train.refine_poses), or for
 /// 3D Gaussians, which have no normals. Sets TrainedRun::held_out_placed if it was not
 /// stopped. If it was stopped, no pose changes.
-HeldOutPoseReport place_held_out(Device& device, TrainedRun& run, const HeldOutPoseCallbacks& session = {});
+HeldOutPoseReport estimate_held_out_vehicle_poses(Device& device, TrainedRun& run,
+                                                  const HeldOutPoseCallbacks& session = {});
 
 /// Checkpoints, callbacks and stop condition for the training of a ray-drop network.
 struct RayDropTrainingSession {
@@ -211,8 +213,8 @@ inline constexpr const char* kRefineCheckpoints = "drop_network";
 /// @return empty network if stopped
 /// @throws DataError if no training frame has an image, or if no training frame has a
 /// dropped ray
-/// @throws errors of check_network_training_resumable() if the session resumes from a
-/// checkpoint
+/// @throws errors of require_network_training_is_resumable() if the session resumes from
+/// a checkpoint
 RayDropNetwork refine_drops(Device& device, const TrainedRun& run,
                             const RayDropTrainingSession& session = {});
 
@@ -222,13 +224,14 @@ RayDropNetwork refine_drops(Device& device, const TrainedRun& run,
 /// the checkpoint.
 /// @throws UsageError if a setting differs. The message names the setting.
 /// @throws DataError if the log or scene differs. The message names the differing part.
-void check_network_training_resumable(const Checkpoint& checkpoint, const TrainedRun& run);
+void require_network_training_is_resumable(const Checkpoint& checkpoint, const TrainedRun& run);
 /// Reads the settings that affect a ray-drop network from its checkpoint and stores them
 /// in a config.
 /// @throws UsageError for a setting that this version does not know
-void restore_network_settings(const Checkpoint& checkpoint, Config& config);
+void copy_network_settings_into_config(const Checkpoint& checkpoint, Config& config);
 
-/// Callbacks of learn_scatter(), which estimates the scatter of intensities.
+/// Callbacks of fit_intensity_scatter_per_lidar(), which estimates the scatter of
+/// intensities.
 struct ScatterFitCallbacks {
     ProgressReporter progress = {};
     /// Callback before each frame. It returns true to stop.
@@ -240,8 +243,8 @@ struct ScatterFitCallbacks {
 /// the scans.
 /// @return [lidars] models, empty for a LiDAR with too few returns. An empty vector if
 /// stopped
-std::vector<IntensityScatterModel> learn_scatter(Device& device, const TrainedRun& run,
-                                                 const ScatterFitCallbacks& session = {});
+std::vector<IntensityScatterModel> fit_intensity_scatter_per_lidar(Device& device, const TrainedRun& run,
+                                                                   const ScatterFitCallbacks& session = {});
 
 /// Reason why a training ended: all steps are done, or a callback stopped it.
 enum class TrainingEndReason { finished, stopped };
@@ -278,11 +281,11 @@ void move_result_into_run(TrainedRun& run, TrainResult& result);
 /// trace.chunk.
 /// @throws UsageError if another setting differs. The message names the setting.
 /// @throws DataError if the log differs. The message names the differing part.
-void check_training_resumable(const Checkpoint& checkpoint, const LidarSequence& sequence,
-                              const TrainTestSplit& split, const Config& config);
+void require_training_is_resumable(const Checkpoint& checkpoint, const LidarSequence& sequence,
+                                   const TrainTestSplit& split, const Config& config);
 /// Compares two configs. Returns the name of the first setting whose difference prevents
 /// resuming a training. Returns an empty string if no difference prevents it.
-std::string find_differing_setting(const Config& config, const Config& other_config);
+std::string find_setting_that_prevents_resuming(const Config& config, const Config& other_config);
 /// Returns the training log that is stored in a checkpoint.
 /// @throws DataError if the checkpoint is not a training checkpoint
 std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const Config& config);

@@ -51,7 +51,7 @@ private:
 /// Table in a flatbuffer. Each field is checked when it is read.
 class FlatbufferTable {
 public:
-    static FlatbufferTable read_root_table(AlignedFlatbuffer& flatbuffer) {
+    static FlatbufferTable get_root_table(AlignedFlatbuffer& flatbuffer) {
         const auto offset = flatbuffer.verifier.VerifyOffset(std::size_t(0));
         if (offset == 0) throw_malformed_arrow_error("root table");
         return {flatbuffer, flatbuffer.data() + offset};
@@ -143,7 +143,7 @@ ArrowField::Type parse_float_type(const FlatbufferTable& type_table) {
     return {ArrowValueKind::floating, 16 << precision, true};
 }
 
-ArrowField parse_field(const FlatbufferTable& field_table) {
+ArrowField parse_column_field(const FlatbufferTable& field_table) {
     ArrowField field;
     field.name = field_table.read_name_field(0);
     const auto type = field_table.read_scalar_field<std::uint8_t>(2, 0);
@@ -179,21 +179,21 @@ ArrowCompression parse_compression_codec(const FlatbufferTable& batch_table) {
 
 Footer parse_arrow_footer(std::string_view footer_bytes) {
     AlignedFlatbuffer copy(footer_bytes);
-    const FlatbufferTable footer = FlatbufferTable::read_root_table(copy),
+    const FlatbufferTable footer = FlatbufferTable::get_root_table(copy),
                           schema = footer.read_required_table_field(1, "schema");
     if (schema.read_scalar_field<std::int16_t>(0, 0) != 0)
         throw DataError("the numbers are big-endian, expected little-endian");
     Footer parsed;
     for (const FlatbufferTable& field : schema.read_table_vector_field(1))
-        parsed.fields.push_back(parse_field(field));
+        parsed.fields.push_back(parse_column_field(field));
     parsed.dictionaries = footer.read_struct_vector_field<ArrowFileBlock>(2);
     parsed.batches = footer.read_struct_vector_field<ArrowFileBlock>(3);
     return parsed;
 }
 
-RecordBatch parse_record_batch(std::string_view message_bytes) {
+RecordBatch parse_record_batch_message(std::string_view message_bytes) {
     AlignedFlatbuffer copy(message_bytes);
-    const FlatbufferTable message = FlatbufferTable::read_root_table(copy);
+    const FlatbufferTable message = FlatbufferTable::get_root_table(copy);
     const auto type = message.read_scalar_field<std::uint8_t>(1, 0);
     if (type != kHeaderDictionary && type != kHeaderRecords) throw_malformed_arrow_error("kind of message");
     const FlatbufferTable header = message.read_required_table_field(2, "header");

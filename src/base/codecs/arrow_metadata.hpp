@@ -35,7 +35,7 @@ struct ArrowField {
     /// Returns the number of buffers that a record batch stores for this column. Numbers
     /// have two buffers: validity and values. Text has three buffers: validity, offsets
     /// and characters.
-    std::size_t count_buffers_of_column() const {
+    std::size_t get_buffers_per_record_batch() const {
         return type.kind == ArrowValueKind::text && !dictionary ? 3 : 2;
     }
 };
@@ -84,6 +84,6 @@ Footer parse_arrow_footer(std::string_view footer_bytes);
 /// Parses the message of a record batch.
 /// @param message_bytes flatbuffer of the message
 /// @throws DataError with the reason, without the file name
-RecordBatch parse_record_batch(std::string_view message_bytes);
+RecordBatch parse_record_batch_message(std::string_view message_bytes);
 
 }  // namespace relidar::arrow

@@ -44,7 +44,7 @@ struct TemporaryFile {
 
 /// Returns the path of the file to write. Follows a symbolic link, so that writing does
 /// not replace the link. Rejects devices and other targets that are not regular files.
-fs::path resolve_output_file_path(const fs::path& path) {
+fs::path follow_link_and_require_regular_file(const fs::path& path) {
     if (!path.has_filename()) throw_write_error(path, "the path has no file name");
     std::error_code error;
     const fs::file_status status = fs::status(path, error);
@@ -105,7 +105,7 @@ void flush_parent_folder_to_disk(const fs::path& file_path) {
 
 }  // namespace
 
-fs::path make_temporary_path(const fs::path& final_path) {
+fs::path make_unique_temporary_path(const fs::path& final_path) {
     // Makes temporary names unique, because two threads may write the same file.
     static std::atomic<unsigned> count{0};
     return final_path.parent_path() /
@@ -113,8 +113,8 @@ fs::path make_temporary_path(const fs::path& final_path) {
 }
 
 void write_file_atomically(const fs::path& path, const std::function<void(const fs::path&)>& write_content) {
-    const fs::path target = resolve_output_file_path(path);
-    TemporaryFile temporary{make_temporary_path(target)};
+    const fs::path target = follow_link_and_require_regular_file(path);
+    TemporaryFile temporary{make_unique_temporary_path(target)};
     write_temporary_file(path, temporary.path, write_content);
     flush_file_to_disk(path, temporary.path);
     if (::rename(temporary.path.c_str(), target.c_str()) != 0)
@@ -124,7 +124,7 @@ void write_file_atomically(const fs::path& path, const std::function<void(const 
 }
 
 void remove_temporary_files(const fs::path& folder) {
-    // Pattern that matches the names from make_temporary_path().
+    // Pattern that matches the names from make_unique_temporary_path().
     static const std::regex kTemporary(R"(\..+\.tmp-[0-9]+-[0-9]+)");
     std::error_code failed;
     std::vector<fs::path> temporary_paths;

@@ -42,7 +42,7 @@ constexpr Colour kNoValue{44, 44, 48};    // Dark gray for pixels without a valu
 constexpr std::uint8_t kSeparator = 128;  // Gray value of the line between images.
 constexpr int kSeparatorRows = 2;
 
-std::span<const Colour> find_colour_stops(const std::string& colour_map_name) {
+std::span<const Colour> get_stops_of_colour_map(const std::string& colour_map_name) {
     if (colour_map_name == "turbo") return kTurbo;
     if (colour_map_name == "gray") return kGray;
     if (colour_map_name == "heat") return kHeat;
@@ -63,32 +63,37 @@ Colour interpolate_colour(std::span<const Colour> stops, double fraction) {
     return colour;
 }
 
-void check_pixel_value_count(const char* array_name, std::size_t count, std::size_t expected_count) {
+void require_pixel_value_count(const char* array_name_for_errors, std::size_t count,
+                               std::size_t expected_count) {
     if (count != expected_count)
         throw DataError(fmt::format("cannot colour an image: found {} values of {}, expected {}", count,
-                                    array_name, expected_count));
+                                    array_name_for_errors, expected_count));
 }
 
 }  // namespace
 
-Image apply_colour_map(const std::vector<float>& values, int rows, int columns, float low, float high,
-                       const std::string& map, const std::vector<float>& mask) {
+Image apply_colour_map(const std::vector<float>& values, int rows, int columns, float min_value,
+                       float max_value, const std::string& colour_map_name,
+                       const std::vector<float>& valid_pixel_mask) {
     const std::size_t n = std::size_t(std::max(rows, 0)) * std::size_t(std::max(columns, 0));
-    check_pixel_value_count("the image", values.size(), n);
-    if (!mask.empty()) check_pixel_value_count("the mask", mask.size(), n);
-    if (!std::isfinite(low) || !std::isfinite(high))
-        throw DataError(fmt::format(
-            "cannot colour an image: found the range {} to {}, expected finite values", low, high));
-    const std::span<const Colour> stops = find_colour_stops(map);
+    require_pixel_value_count("the image", values.size(), n);
+    if (!valid_pixel_mask.empty()) require_pixel_value_count("the mask", valid_pixel_mask.size(), n);
+    if (!std::isfinite(min_value) || !std::isfinite(max_value))
+        throw DataError(
+            fmt::format("cannot colour an image: found the range {} to {}, expected finite values", min_value,
+                        max_value));
+    const std::span<const Colour> stops = get_stops_of_colour_map(colour_map_name);
     // Avoids a division by zero. A constant image gets the lowest colour.
-    const double span = high > low ? double(high) - double(low) : 1.0;
+    const double span = max_value > min_value ? double(max_value) - double(min_value) : 1.0;
 
     Image image{rows, columns, {}};
     image.rgb.reserve(n * 3);
     for (std::size_t i = 0; i < n; ++i) {
-        const bool shown = !std::isnan(values[i]) && (mask.empty() || mask[i] != 0.0f);
+        const bool shown =
+            !std::isnan(values[i]) && (valid_pixel_mask.empty() || valid_pixel_mask[i] != 0.0f);
         const Colour colour =
-            shown ? interpolate_colour(stops, std::clamp((double(values[i]) - double(low)) / span, 0.0, 1.0))
+            shown ? interpolate_colour(stops,
+                                       std::clamp((double(values[i]) - double(min_value)) / span, 0.0, 1.0))
                   : kNoValue;
         image.rgb.insert(image.rgb.end(), colour.begin(), colour.end());
     }
@@ -107,7 +112,7 @@ Image stack_images_vertically(const std::vector<Image>& images, int vertical_sca
                 fmt::format("cannot stack images: found the widths {} and {}, expected the same width",
                             result.columns, image.columns));
         const std::size_t width = std::size_t(image.columns) * 3;
-        check_pixel_value_count("a stacked image", image.rgb.size(), width * std::size_t(image.rows));
+        require_pixel_value_count("a stacked image", image.rgb.size(), width * std::size_t(image.rows));
         if (&image != &images.front()) {
             result.rgb.insert(result.rgb.end(), width * kSeparatorRows, kSeparator);
             result.rows += kSeparatorRows;

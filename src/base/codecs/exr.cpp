@@ -43,7 +43,8 @@ private:
     std::size_t position_ = 0;
 };
 
-void check_channel_sizes(int rows, int columns, const std::map<std::string, std::vector<float>>& channels) {
+void require_channels_of_image_size(int rows, int columns,
+                                    const std::map<std::string, std::vector<float>>& channels) {
     if (rows <= 0 || columns <= 0 || channels.empty())
         throw DataError(fmt::format(
             "cannot write an EXR image with {} x {} pixels and {} channels, expected at least one of "
@@ -59,14 +60,14 @@ void check_channel_sizes(int rows, int columns, const std::map<std::string, std:
 }  // namespace
 
 void write_exr(const std::filesystem::path& path, int rows, int columns,
-               const std::map<std::string, std::vector<float>>& channels, const FileMetadata& notes) {
+               const std::map<std::string, std::vector<float>>& channels, const FileMetadata& metadata) {
     namespace imf = OPENEXR_IMF_NAMESPACE;
-    check_channel_sizes(rows, columns, channels);
+    require_channels_of_image_size(rows, columns, channels);
     ExrMemoryWriter stream;
     try {
         imf::Header header(columns, rows);
         header.compression() = imf::ZIP_COMPRESSION;
-        for (const auto& [name, text] : notes) header.insert(name, imf::StringAttribute(text));
+        for (const auto& [name, text] : metadata) header.insert(name, imf::StringAttribute(text));
         imf::FrameBuffer buffer;
         const std::size_t stride = sizeof(float);
         for (const auto& [name, values] : channels) {

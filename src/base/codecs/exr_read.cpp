@@ -39,7 +39,7 @@ constexpr std::int64_t kRowsAtOnce[] = {1, 1, 1, 16, 32, 16, 32, 32, 32, 256};
 /// Reads the header of an OpenEXR file value by value, from start to end.
 class ExrHeaderReader {
 public:
-    explicit ExrHeaderReader(const std::string& file) : file_(file) {}
+    explicit ExrHeaderReader(const std::string& file_bytes) : file_(file_bytes) {}
 
     std::int32_t read_int32() {
         std::int32_t value = 0;
@@ -92,7 +92,7 @@ void parse_data_window(std::string_view attribute_bytes, ImageHeader& image_head
                                         c, kFarthest));
 }
 
-void parse_compression(std::string_view attribute_bytes, ImageHeader& image_header) {
+void parse_compression_method(std::string_view attribute_bytes, ImageHeader& image_header) {
     const std::size_t kind = attribute_bytes.empty()
                                  ? std::size(kRowsAtOnce)
                                  : std::size_t(static_cast<unsigned char>(attribute_bytes[0]));
@@ -127,8 +127,8 @@ void parse_channel_list(std::string_view attribute_bytes, ImageHeader& image_hea
 
 /// Checks that the size of an attribute matches its type. OpenEXR ignores the stored
 /// size, so a wrong size would make it read unchecked data.
-void check_attribute_size(const std::string& attribute_name, const std::string& attribute_type,
-                          std::string_view attribute_bytes) {
+void require_attribute_size_of_type(const std::string& attribute_name, const std::string& attribute_type,
+                                    std::string_view attribute_bytes) {
     static const std::map<std::string_view, std::size_t> kSizes = {{"box2i", 16},
                                                                    {"box2f", 16},
                                                                    {"chromaticities", 32},
@@ -174,7 +174,7 @@ void check_attribute_size(const std::string& attribute_name, const std::string& 
     }
 }
 
-void check_magic_and_version(ExrHeaderReader& header_reader) {
+void read_and_require_magic_and_version(ExrHeaderReader& header_reader) {
     if (header_reader.read_int32() != std::int32_t(kExrMagic))
         throw DataError("the file does not begin like an OpenEXR file, expected the format OpenEXR");
     const auto version = std::uint32_t(header_reader.read_int32());
@@ -188,7 +188,7 @@ void check_magic_and_version(ExrHeaderReader& header_reader) {
 
 ImageHeader parse_exr_header(const std::string& exr_file_bytes) {
     ExrHeaderReader header(exr_file_bytes);
-    check_magic_and_version(header);
+    read_and_require_magic_and_version(header);
     ImageHeader image_header;
     std::set<std::string> attribute_names;
     for (std::string name = header.read_zero_terminated_name(); !name.empty();
@@ -207,9 +207,9 @@ ImageHeader parse_exr_header(const std::string& exr_file_bytes) {
         if (type == "idmanifest" || type == "preview" || type == "bytes")
             throw DataError(fmt::format("attribute '{}' has the type '{}', which is not supported",
                                         shorten_for_error_message(name), type));
-        check_attribute_size(name, type, bytes);
+        require_attribute_size_of_type(name, type, bytes);
         if (name == "dataWindow") parse_data_window(bytes, image_header);
-        if (name == "compression") parse_compression(bytes, image_header);
+        if (name == "compression") parse_compression_method(bytes, image_header);
         if (name == "channels") parse_channel_list(bytes, image_header);
         if (type == "string" && bytes.size() <= kLongestNote) image_header.notes[name] = bytes;
     }
@@ -219,7 +219,7 @@ ImageHeader parse_exr_header(const std::string& exr_file_bytes) {
 }
 
 /// Checks that the file is large enough for the image size that its header states.
-void check_image_size(const ImageHeader& image_header, std::size_t file_size_bytes) {
+void require_file_large_enough_for_image(const ImageHeader& image_header, std::size_t file_size_bytes) {
     const std::int64_t rows = image_header.rows, columns = image_header.columns;
     if (rows <= 0 || columns <= 0 || image_header.channels.empty())
         throw DataError(
@@ -262,7 +262,7 @@ private:
 
 ExrImage decode_exr_image(const std::string& exr_file_bytes) {
     ImageHeader image_header = parse_exr_header(exr_file_bytes);
-    check_image_size(image_header, exr_file_bytes.size());
+    require_file_large_enough_for_image(image_header, exr_file_bytes.size());
     ExrMemoryReader stream(exr_file_bytes);
     imf::InputFile input(stream);
     if (!input.isComplete()) throw DataError("the image file is truncated");

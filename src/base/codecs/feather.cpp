@@ -37,9 +37,9 @@ T read_little_endian(std::string_view bytes, std::size_t byte_offset) {
 }
 
 /// Returns the `n_bytes` bytes that start at an offset. Throws an error if they are not
-/// inside `bytes`.
-std::string_view get_checked_byte_range(std::string_view bytes, std::int64_t offset, std::int64_t n_bytes,
-                                        const char* name_for_errors) {
+/// inside `file_bytes`.
+std::string_view get_byte_range_or_throw(std::string_view bytes, std::int64_t offset, std::int64_t n_bytes,
+                                         const char* name_for_errors) {
     if (offset < 0 || n_bytes < 0 || std::uint64_t(offset) > bytes.size() ||
         std::uint64_t(n_bytes) > bytes.size() - std::uint64_t(offset))
         throw DataError(fmt::format("{} should be at byte {} with {} bytes, but the file has only {} bytes",
@@ -57,7 +57,7 @@ std::string_view find_arrow_footer(std::string_view file_bytes) {
         throw DataError("the file is truncated, because it does not end with ARROW1");
     const std::int64_t end = std::int64_t(file_bytes.size() - kTrailerBytes),
                        n = read_little_endian<std::int32_t>(file_bytes, file_bytes.size() - kTrailerBytes);
-    return get_checked_byte_range(file_bytes, end - n, n, "a footer");
+    return get_byte_range_or_throw(file_bytes, end - n, n, "a footer");
 }
 
 /// Reads the record batch at a position of the file. Its message begins with 0xFFFFFFFF
@@ -65,24 +65,24 @@ std::string_view find_arrow_footer(std::string_view file_bytes) {
 Batch read_record_batch(std::string_view file_bytes, const arrow::ArrowFileBlock& block) {
     constexpr std::int64_t kPrefix = 8;
     const std::string_view message =
-        get_checked_byte_range(file_bytes, block.offset, block.metadata_bytes, "a message");
+        get_byte_range_or_throw(file_bytes, block.offset, block.metadata_bytes, "a message");
     if (std::int64_t(message.size()) < kPrefix ||
         read_little_endian<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
         throw DataError(fmt::format(
             "found no message at byte {}, expected a record batch of Arrow 0.15 or later", block.offset));
     const auto n = read_little_endian<std::int32_t>(message, 4);
-    return {arrow::parse_record_batch(get_checked_byte_range(message, kPrefix, n, "a message")),
-            get_checked_byte_range(file_bytes, block.offset + block.metadata_bytes, block.body_bytes,
-                                   "a record batch")};
+    return {arrow::parse_record_batch_message(get_byte_range_or_throw(message, kPrefix, n, "a message")),
+            get_byte_range_or_throw(file_bytes, block.offset + block.metadata_bytes, block.body_bytes,
+                                    "a record batch")};
 }
 
 /// Decompresses a buffer of a record batch. Throws an error if the result has fewer than
 /// n_expected_bytes bytes, or more than n_expected_bytes plus padding.
-std::string read_decompressed_buffer(const Batch& batch, std::size_t buffer_index,
-                                     std::size_t n_expected_bytes) {
+std::string decompress_buffer_of_batch(const Batch& batch, std::size_t buffer_index,
+                                       std::size_t n_expected_bytes) {
     const arrow::ArrowBufferRange& buffer_range = batch.layout.buffers.at(buffer_index);
     std::string_view stored =
-        get_checked_byte_range(batch.body, buffer_range.offset, buffer_range.length, "a buffer");
+        get_byte_range_or_throw(batch.body, buffer_range.offset, buffer_range.length, "a buffer");
     bool compressed = batch.layout.codec != ArrowCompression::none && !stored.empty();
     std::int64_t n = std::int64_t(stored.size());
     if (compressed) {
@@ -105,7 +105,8 @@ std::string read_decompressed_buffer(const Batch& batch, std::size_t buffer_inde
 
 /// Returns the number of rows of a column in a record batch. Throws an error if the
 /// column has missing values.
-std::size_t get_checked_row_count(const Batch& batch, std::size_t node_index, std::size_t last_buffer_index) {
+std::size_t get_row_count_without_missing_values(const Batch& batch, std::size_t node_index,
+                                                 std::size_t last_buffer_index) {
     if (node_index >= batch.layout.nodes.size() || last_buffer_index >= batch.layout.buffers.size())
         throw DataError(
             fmt::format("found a record batch with {} columns and {} buffers, which is fewer than the schema "
@@ -122,12 +123,12 @@ std::size_t get_checked_row_count(const Batch& batch, std::size_t node_index, st
 }
 
 template <class Stored, class T, class Convert>
-void append_converted_column(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
-                             const Convert& convert) {
-    const std::size_t n = get_checked_row_count(batch, column.node, column.buffer + 1);
-    const std::string bytes = read_decompressed_buffer(batch, column.buffer + 1, n * sizeof(Stored));
+void append_values_of_column_converted(std::vector<T>& values, const Batch& batch,
+                                       const Feather::Column& column, const Convert& convert_stored_value) {
+    const std::size_t n = get_row_count_without_missing_values(batch, column.node, column.buffer + 1);
+    const std::string bytes = decompress_buffer_of_batch(batch, column.buffer + 1, n * sizeof(Stored));
     for (std::size_t i = 0; i < n; ++i)
-        values.push_back(convert(read_little_endian<Stored>(bytes, i * sizeof(Stored))));
+        values.push_back(convert_stored_value(read_little_endian<Stored>(bytes, i * sizeof(Stored))));
 }
 
 /// Appends the integers of a column to `values`. The integers may have any width.
@@ -137,19 +138,23 @@ void append_integer_column(std::vector<T>& values, const Batch& batch, const Fea
     const auto as = [](auto value) { return T(value); };
     switch (integer_type.bits) {
         case 8:
-            return integer_type.is_signed ? append_converted_column<std::int8_t>(values, batch, column, as)
-                                          : append_converted_column<std::uint8_t>(values, batch, column, as);
+            return integer_type.is_signed
+                       ? append_values_of_column_converted<std::int8_t>(values, batch, column, as)
+                       : append_values_of_column_converted<std::uint8_t>(values, batch, column, as);
         case 16:
-            return integer_type.is_signed ? append_converted_column<std::int16_t>(values, batch, column, as)
-                                          : append_converted_column<std::uint16_t>(values, batch, column, as);
+            return integer_type.is_signed
+                       ? append_values_of_column_converted<std::int16_t>(values, batch, column, as)
+                       : append_values_of_column_converted<std::uint16_t>(values, batch, column, as);
         case 32:
-            return integer_type.is_signed ? append_converted_column<std::int32_t>(values, batch, column, as)
-                                          : append_converted_column<std::uint32_t>(values, batch, column, as);
+            return integer_type.is_signed
+                       ? append_values_of_column_converted<std::int32_t>(values, batch, column, as)
+                       : append_values_of_column_converted<std::uint32_t>(values, batch, column, as);
         default:
             break;
     }
-    if (integer_type.is_signed) return append_converted_column<std::int64_t>(values, batch, column, as);
-    append_converted_column<std::uint64_t>(values, batch, column, [](std::uint64_t value) {
+    if (integer_type.is_signed)
+        return append_values_of_column_converted<std::int64_t>(values, batch, column, as);
+    append_values_of_column_converted<std::uint64_t>(values, batch, column, [](std::uint64_t value) {
         if (value > std::uint64_t(std::numeric_limits<std::int64_t>::max()))
             throw DataError(fmt::format("the integer {} is too large, expected at most 63 bits", value));
         return T(value);
@@ -159,10 +164,10 @@ void append_integer_column(std::vector<T>& values, const Batch& batch, const Fea
 void append_float_column(std::vector<double>& values, const Batch& batch, const Feather::Column& column,
                          int bits_per_value) {
     const auto as = [](auto value) { return double(value); };
-    if (bits_per_value == 64) append_converted_column<double>(values, batch, column, as);
-    else if (bits_per_value == 32) append_converted_column<float>(values, batch, column, as);
+    if (bits_per_value == 64) append_values_of_column_converted<double>(values, batch, column, as);
+    else if (bits_per_value == 32) append_values_of_column_converted<float>(values, batch, column, as);
     else
-        append_converted_column<std::uint16_t>(
+        append_values_of_column_converted<std::uint16_t>(
             values, batch, column, [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
 }
 
@@ -171,10 +176,10 @@ void append_float_column(std::vector<double>& values, const Batch& batch, const 
 /// @param max_text_bytes maximum number of text bytes
 void append_text_column(std::vector<std::string>& values, const Batch& batch, std::size_t node_index,
                         std::size_t first_buffer_index, std::size_t max_text_bytes) {
-    const std::size_t n = get_checked_row_count(batch, node_index, first_buffer_index + 2);
+    const std::size_t n = get_row_count_without_missing_values(batch, node_index, first_buffer_index + 2);
     if (n == 0) return;  // Without rows, writers may omit the offsets.
     const std::string offsets =
-        read_decompressed_buffer(batch, first_buffer_index + 1, (n + 1) * sizeof(std::int32_t));
+        decompress_buffer_of_batch(batch, first_buffer_index + 1, (n + 1) * sizeof(std::int32_t));
     const auto offset = [&](std::size_t index) {
         return read_little_endian<std::int32_t>(offsets, index * sizeof(std::int32_t));
     };
@@ -186,20 +191,20 @@ void append_text_column(std::vector<std::string>& values, const Batch& batch, st
         throw DataError(
             fmt::format("found {} bytes of text, expected at most {}", offset(n), max_text_bytes));
     const std::string characters =
-        read_decompressed_buffer(batch, first_buffer_index + 2, std::size_t(offset(n)));
+        decompress_buffer_of_batch(batch, first_buffer_index + 2, std::size_t(offset(n)));
     for (std::size_t i = 0; i < n; ++i)
         values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
 }
 
 /// Returns the total number of rows of all record batches.
-/// @throws DataError if the number exceeds `max_rows`
-std::size_t count_rows_of_batches(const std::vector<Batch>& batches, std::size_t max_rows) {
+/// @throws DataError if the number exceeds `max_allowed_rows`
+std::size_t count_rows_of_batches(const std::vector<Batch>& batches, std::size_t max_allowed_rows) {
     std::size_t rows = 0;
     for (const Batch& batch : batches) {
         const std::int64_t n = batch.layout.length;
-        if (n < 0 || std::uint64_t(n) > max_rows - rows)
-            throw DataError(
-                fmt::format("found a record batch of {} rows, expected at most {} rows", n, max_rows - rows));
+        if (n < 0 || std::uint64_t(n) > max_allowed_rows - rows)
+            throw DataError(fmt::format("found a record batch of {} rows, expected at most {} rows", n,
+                                        max_allowed_rows - rows));
         rows += std::size_t(n);
     }
     return rows;
@@ -209,12 +214,13 @@ std::size_t count_rows_of_batches(const std::vector<Batch>& batches, std::size_t
 
 Feather::Feather(const std::filesystem::path& file) : Feather(file.string(), read_file(file)) {}
 
-Feather::Feather(std::string name, std::string bytes) : name_(std::move(name)), bytes_(std::move(bytes)) {
+Feather::Feather(std::string name_for_errors, std::string file_bytes)
+    : name_(std::move(name_for_errors)), bytes_(std::move(file_bytes)) {
     try {
         arrow::Footer footer = arrow::parse_arrow_footer(find_arrow_footer(bytes_));
         Column at;
         for (ArrowField& field : footer.fields) {
-            const std::size_t n_buffers = field.count_buffers_of_column();
+            const std::size_t n_buffers = field.get_buffers_per_record_batch();
             columns_.push_back({std::move(field), at.node, at.buffer});
             at.node += 1;
             at.buffer += n_buffers;
@@ -250,7 +256,7 @@ const Feather::Column& Feather::find_column(const std::string& column_name) cons
 }
 
 template <class Task>
-auto Feather::call_with_column(const std::string& column_name, const Task& task) const {
+auto Feather::read_column_with_error_location(const std::string& column_name, const Task& task) const {
     try {
         return task(find_column(column_name));
     } catch (const DataError& error) {
@@ -259,7 +265,7 @@ auto Feather::call_with_column(const std::string& column_name, const Task& task)
 }
 
 std::vector<double> Feather::read_number_column(const std::string& column_name) const {
-    return call_with_column(column_name, [&](const Column& column) {
+    return read_column_with_error_location(column_name, [&](const Column& column) {
         const ArrowField::Type& type = column.field.type;
         if (type.kind == ArrowValueKind::text || column.field.dictionary)
             throw DataError("found text, expected numbers");
@@ -276,7 +282,7 @@ std::vector<double> Feather::read_number_column(const std::string& column_name) 
 }
 
 std::vector<std::int64_t> Feather::read_integer_column(const std::string& column_name) const {
-    return call_with_column(column_name, [&](const Column& column) {
+    return read_column_with_error_location(column_name, [&](const Column& column) {
         if (column.field.type.kind != ArrowValueKind::integer || column.field.dictionary)
             throw DataError("found values that are not integers, expected integers");
         std::vector<std::int64_t> values;
@@ -286,7 +292,7 @@ std::vector<std::int64_t> Feather::read_integer_column(const std::string& column
 }
 
 std::vector<std::string> Feather::read_text_column(const std::string& column_name) const {
-    return call_with_column(column_name, [&](const Column& column) {
+    return read_column_with_error_location(column_name, [&](const Column& column) {
         if (column.field.type.kind != ArrowValueKind::text) throw DataError("found numbers, expected text");
         const std::size_t most = kMostText * bytes_.size();
         std::vector<std::string> values;

@@ -23,8 +23,8 @@ public:
     /// @throws DataError with the file name if the file is missing, truncated or damaged
     explicit Feather(const std::filesystem::path& file);
     /// Parses the bytes of a Feather file.
-    /// @param name name of the data in error messages
-    Feather(std::string name, std::string bytes);
+    /// @param name_for_errors name of the data in error messages
+    Feather(std::string name_for_errors, std::string file_bytes);
     Feather(const Feather&) = delete;  // Not copyable, because batches refer to the bytes.
     Feather& operator=(const Feather&) = delete;
 
@@ -65,7 +65,7 @@ private:
     /// Runs a task that reads a column. If the task throws a DataError, adds the names of
     /// file and column to its message.
     template <class Task>
-    auto call_with_column(const std::string& column_name, const Task& task) const;
+    auto read_column_with_error_location(const std::string& column_name, const Task& task) const;
 };
 
 }  // namespace relidar

@@ -59,14 +59,14 @@ std::string encode_mcap_record(McapRecordCode record_code, std::string_view body
 
 McapWriter::McapWriter(std::filesystem::path path, std::string_view profile)
     : path_(std::move(path)), file_(path_, std::ios::binary) {
-    write_to_file(kMagic);
+    append_to_mcap_file(kMagic);
     std::string header;
     append_length_prefixed_text(header, profile);
     append_length_prefixed_text(header, "relidar " RELIDAR_VERSION);
-    write_to_file(encode_mcap_record(kHeader, header));
+    append_to_mcap_file(encode_mcap_record(kHeader, header));
 }
 
-void McapWriter::write_to_file(std::string_view bytes) {
+void McapWriter::append_to_mcap_file(std::string_view bytes) {
     errno = 0;
     file_.write(bytes.data(), std::streamsize(bytes.size()));
     if (!file_)
@@ -75,14 +75,14 @@ void McapWriter::write_to_file(std::string_view bytes) {
     written_ += bytes.size();
 }
 
-std::uint16_t McapWriter::add_schema(std::string_view name, std::string_view encoding,
+std::uint16_t McapWriter::add_schema(std::string_view schema_name, std::string_view encoding,
                                      std::string_view definition) {
     std::string body;
     append_binary_value(body, ++n_schemas_);
-    append_length_prefixed_text(body, name), append_length_prefixed_text(body, encoding),
+    append_length_prefixed_text(body, schema_name), append_length_prefixed_text(body, encoding),
         append_length_prefixed_text(body, definition);
     schemas_ += encode_mcap_record(kSchema, body);
-    write_to_file(encode_mcap_record(kSchema, body));
+    append_to_mcap_file(encode_mcap_record(kSchema, body));
     return n_schemas_;
 }
 
@@ -95,20 +95,20 @@ std::uint16_t McapWriter::add_channel(std::uint16_t schema, std::string_view top
     append_length_prefixed_text(body, topic), append_length_prefixed_text(body, encoding),
         append_length_prefixed_text(body, encode_key_value_pairs(metadata));
     channels_ += encode_mcap_record(kChannel, body);
-    write_to_file(encode_mcap_record(kChannel, body));
+    append_to_mcap_file(encode_mcap_record(kChannel, body));
     return id;
 }
 
-void McapWriter::add_metadata(std::string_view name, const McapMetadataMap& values) {
+void McapWriter::add_metadata(std::string_view metadata_name, const McapMetadataMap& metadata_values) {
     std::string body, index;
-    append_length_prefixed_text(body, name),
-        append_length_prefixed_text(body, encode_key_value_pairs(values));
+    append_length_prefixed_text(body, metadata_name),
+        append_length_prefixed_text(body, encode_key_value_pairs(metadata_values));
     const std::string metadata = encode_mcap_record(kMetadata, body);
     append_binary_value(index, written_), append_binary_value(index, std::uint64_t(metadata.size())),
-        append_length_prefixed_text(index, name);
+        append_length_prefixed_text(index, metadata_name);
     metadata_indices_ += encode_mcap_record(kMetadataIndex, index);
     ++n_metadata_;
-    write_to_file(metadata);
+    append_to_mcap_file(metadata);
 }
 
 void McapWriter::add_message(std::uint16_t channel_id, std::uint64_t time_ns, std::string_view message) {
@@ -135,7 +135,7 @@ void McapWriter::write_pending_chunk() {
     // because the floats of a scan compress poorly.
     append_length_prefixed_text(body, "");
     append_binary_value(body, std::uint64_t(chunk_.size()));
-    write_to_file(encode_mcap_record(kChunk, body + chunk_));
+    append_to_mcap_file(encode_mcap_record(kChunk, body + chunk_));
     const std::uint64_t end = written_;
 
     // List of channel ids, each with the file position of the channel's message index.
@@ -147,7 +147,7 @@ void McapWriter::write_pending_chunk() {
         for (const MessageIndexEntry& message : messages)
             append_binary_value(entries, message.time_ns), append_binary_value(entries, message.offset);
         append_binary_value(index, channel), append_length_prefixed_text(index, entries);
-        write_to_file(encode_mcap_record(kMessageIndex, index));
+        append_to_mcap_file(encode_mcap_record(kMessageIndex, index));
     }
     std::string index;
     append_binary_value(index, chunk_first_ns_), append_binary_value(index, chunk_last_ns_),
@@ -180,11 +180,11 @@ std::string McapWriter::encode_statistics_record() const {
 
 /// Returns the bytes of the summary section at the end of the file. Records with the same
 /// code form a group.
-/// @param groups receives the position of each group
-std::string McapWriter::encode_summary_section(std::vector<SummaryRecordGroup>& groups) const {
+/// @param record_groups receives the position of each group
+std::string McapWriter::encode_summary_and_list_groups(std::vector<SummaryRecordGroup>& record_groups) const {
     std::string bytes;
     const auto add = [&](McapRecordCode code, const std::string& records) {
-        if (!records.empty()) groups.push_back({code, written_ + bytes.size(), records.size()});
+        if (!records.empty()) record_groups.push_back({code, written_ + bytes.size(), records.size()});
         bytes += records;
     };
     add(kSchema, schemas_), add(kChannel, channels_), add(kStatistics, encode_statistics_record());
@@ -192,26 +192,26 @@ std::string McapWriter::encode_summary_section(std::vector<SummaryRecordGroup>& 
     return bytes;
 }
 
-void McapWriter::close() {
+void McapWriter::write_summary_and_close() {
     write_pending_chunk();
     std::string end, footer;
     // Checksum 0 means that the file has no checksum. Each chunk has one instead.
     append_binary_value(end, std::uint32_t(0));
-    write_to_file(encode_mcap_record(kDataEnd, end));
+    append_to_mcap_file(encode_mcap_record(kDataEnd, end));
     const std::uint64_t begin = written_;
     std::vector<SummaryRecordGroup> groups;
-    write_to_file(encode_summary_section(groups));
+    append_to_mcap_file(encode_summary_and_list_groups(groups));
     const std::uint64_t offsets = written_;
     for (const SummaryRecordGroup& group : groups) {
         std::string body;
         append_binary_value(body, group.code), append_binary_value(body, group.begin),
             append_binary_value(body, group.n_bytes);
-        write_to_file(encode_mcap_record(kSummaryOffset, body));
+        append_to_mcap_file(encode_mcap_record(kSummaryOffset, body));
     }
     append_binary_value(footer, begin), append_binary_value(footer, offsets),
         append_binary_value(footer, std::uint32_t(0));
-    write_to_file(encode_mcap_record(kFooter, footer));
-    write_to_file(kMagic);
+    append_to_mcap_file(encode_mcap_record(kFooter, footer));
+    append_to_mcap_file(kMagic);
     file_.close();
     if (!file_) throw DataError(fmt::format("cannot write '{}': the disk is probably full", path_.string()));
 }

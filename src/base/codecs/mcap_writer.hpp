@@ -26,17 +26,18 @@ public:
     /// Writes a schema (add_schema) or a channel (add_channel) to the file. All schemas
     /// and channels must be added before the first message.
     /// @return id of the schema or channel
-    std::uint16_t add_schema(std::string_view name, std::string_view encoding, std::string_view definition);
+    std::uint16_t add_schema(std::string_view schema_name, std::string_view encoding,
+                             std::string_view definition);
     std::uint16_t add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding,
                               const McapMetadataMap& metadata = {});
-    void add_metadata(std::string_view name, const McapMetadataMap& values);
+    void add_metadata(std::string_view metadata_name, const McapMetadataMap& metadata_values);
     void add_message(std::uint16_t channel_id, std::uint64_t time_ns, std::string_view message);
     /// Writes all messages since the last call as one chunk. Readers load one chunk at a
     /// time.
     void write_pending_chunk();
     /// Writes the summary and the footer, which readers read first. Call this function
     /// last.
-    void close();
+    void write_summary_and_close();
 
 private:
     struct MessageIndexEntry {
@@ -60,9 +61,9 @@ private:
     std::map<std::uint16_t, std::vector<MessageIndexEntry>> chunk_index_;
     std::uint64_t chunk_first_ns_ = UINT64_MAX, chunk_last_ns_ = 0;
 
-    void write_to_file(std::string_view bytes);
+    void append_to_mcap_file(std::string_view bytes);
     std::string encode_statistics_record() const;
-    std::string encode_summary_section(std::vector<SummaryRecordGroup>& groups) const;
+    std::string encode_summary_and_list_groups(std::vector<SummaryRecordGroup>& record_groups) const;
 };
 
 }  // namespace relidar::scan_files

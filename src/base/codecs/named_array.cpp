@@ -21,9 +21,9 @@ template <class T>
 NamedArray make_typed_array(std::string name, std::vector<std::size_t> shape, const char* dtype,
                             const T* values, std::size_t count) {
     NamedArray array{std::move(name), dtype, std::move(shape), {}};
-    if (array.count_elements() != count)
+    if (array.count_array_elements() != count)
         throw DataError(fmt::format("array '{}' has {} values, expected {} for the shape [{}]", array.name,
-                                    count, array.count_elements(), fmt::join(array.shape, ", ")));
+                                    count, array.count_array_elements(), fmt::join(array.shape, ", ")));
     array.bytes.resize(count * sizeof(T));
     if (count > 0) std::memcpy(array.bytes.data(), values, array.bytes.size());
     return array;
@@ -81,8 +81,8 @@ Converter<Out> find_element_converter(std::string_view dtype) {
 }
 
 template <class Out>
-std::vector<Out> check_and_convert_elements(const NamedArray& array) {
-    report_detail::check_array_type_and_size(array);
+std::vector<Out> require_numeric_and_convert_elements(const NamedArray& array) {
+    report_detail::require_valid_array_type_and_size(array);
     const Converter<Out> function = find_element_converter<Out>(array.dtype);
     if (!function)
         throw DataError(
@@ -121,16 +121,17 @@ std::u32string decode_utf8_code_points(std::string_view utf8) {
 
 namespace report_detail {
 
-std::size_t get_element_size_bytes(std::string_view dtype) {
-    if (dtype.starts_with('S') || dtype.starts_with('U')) {
+std::size_t get_element_size_bytes(std::string_view numpy_type) {
+    if (numpy_type.starts_with('S') || numpy_type.starts_with('U')) {
         std::uint32_t length = 0;
-        const auto [end, error] = std::from_chars(dtype.data() + 1, dtype.data() + dtype.size(), length);
-        return error == std::errc() && end == dtype.data() + dtype.size()
-                   ? length * (dtype[0] == 'U' ? sizeof(char32_t) : 1)
+        const auto [end, error] =
+            std::from_chars(numpy_type.data() + 1, numpy_type.data() + numpy_type.size(), length);
+        return error == std::errc() && end == numpy_type.data() + numpy_type.size()
+                   ? length * (numpy_type[0] == 'U' ? sizeof(char32_t) : 1)
                    : 0;
     }
-    if (!find_element_converter<float>(dtype)) return 0;
-    return std::size_t(dtype[1] - '0');
+    if (!find_element_converter<float>(numpy_type)) return 0;
+    return std::size_t(numpy_type[1] - '0');
 }
 
 std::optional<std::size_t> compute_array_size_bytes(const std::vector<std::size_t>& shape,
@@ -146,7 +147,7 @@ std::optional<std::size_t> compute_array_size_bytes(const std::vector<std::size_
     return product;
 }
 
-void check_array_type_and_size(const NamedArray& array) {
+void require_valid_array_type_and_size(const NamedArray& array) {
     if (array.name.empty()) throw DataError("an array has no name");
     const std::size_t size = get_element_size_bytes(array.dtype);
     if (size == 0)
@@ -161,7 +162,7 @@ void check_array_type_and_size(const NamedArray& array) {
 
 }  // namespace report_detail
 
-std::size_t NamedArray::count_elements() const {
+std::size_t NamedArray::count_array_elements() const {
     const auto n = report_detail::compute_array_size_bytes(shape, 1);
     if (!n)
         throw DataError(
@@ -174,9 +175,11 @@ const NamedArray* find_array(const std::vector<NamedArray>& arrays, std::string_
     return match == arrays.end() ? nullptr : &*match;
 }
 
-std::vector<float> NamedArray::convert_to_floats() const { return check_and_convert_elements<float>(*this); }
+std::vector<float> NamedArray::convert_to_floats() const {
+    return require_numeric_and_convert_elements<float>(*this);
+}
 std::vector<double> NamedArray::convert_to_doubles() const {
-    return check_and_convert_elements<double>(*this);
+    return require_numeric_and_convert_elements<double>(*this);
 }
 
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values,

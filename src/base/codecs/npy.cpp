@@ -30,17 +30,18 @@ public:
 
     void parse_header() {
         skip_required_character('{');
-        while (!skip_character_if_next('}')) {
+        while (!skip_spaces_and_character_if_next('}')) {
             const std::string key = parse_quoted_string();
             skip_required_character(':');
             if (key == "descr")
-                descr = is_next_character('[')
+                descr = skip_spaces_and_test_next_character('[')
                             ? throw_header_error("contains a struct type, expected a plain number type")
                             : parse_quoted_string();
             else if (key == "fortran_order") fortran_order = parse_boolean();
             else if (key == "shape") shape = parse_integer_tuple();
             else throw_header_error("has the unknown key '" + key + "'");
-            if (!skip_character_if_next(',') && !is_next_character('}')) throw_header_error("is malformed");
+            if (!skip_spaces_and_character_if_next(',') && !skip_spaces_and_test_next_character('}'))
+                throw_header_error("is malformed");
         }
         if (!descr || !fortran_order || !shape)
             throw_header_error("has no descr, fortran_order or shape, expected all of them");
@@ -55,27 +56,27 @@ private:
         throw DataError("the npy header " + reason);
     }
 
-    bool is_next_character(char character) {
+    bool skip_spaces_and_test_next_character(char character) {
         while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n' || text_[0] == '\t'))
             text_.remove_prefix(1);
         return !text_.empty() && text_[0] == character;
     }
-    bool skip_character_if_next(char character) {
-        if (!is_next_character(character)) return false;
+    bool skip_spaces_and_character_if_next(char character) {
+        if (!skip_spaces_and_test_next_character(character)) return false;
         text_.remove_prefix(1);
         return true;
     }
     void skip_required_character(char character) {
-        if (!skip_character_if_next(character)) throw_header_error("is malformed");
+        if (!skip_spaces_and_character_if_next(character)) throw_header_error("is malformed");
     }
     bool skip_word_if_next(std::string_view word) {
-        is_next_character(' ');
+        skip_spaces_and_test_next_character(' ');
         if (!text_.starts_with(word)) return false;
         text_.remove_prefix(word.size());
         return true;
     }
     std::string parse_quoted_string() {
-        const char quote = is_next_character('"') ? '"' : '\'';
+        const char quote = skip_spaces_and_test_next_character('"') ? '"' : '\'';
         skip_required_character(quote);
         const std::size_t end = text_.find(quote);
         if (end == std::string_view::npos) throw_header_error("is malformed");
@@ -89,20 +90,22 @@ private:
         throw_header_error("is malformed");
     }
     std::size_t parse_integer() {
-        is_next_character(' ');
+        skip_spaces_and_test_next_character(' ');
         std::size_t value = 0;
         const auto [end, error] = std::from_chars(text_.data(), text_.data() + text_.size(), value);
         if (error != std::errc()) throw_header_error("contains an invalid shape, expected whole numbers");
         text_.remove_prefix(std::size_t(end - text_.data()));
-        skip_character_if_next('L');  // Accepts the suffix L, which Python 2 writes after long integers.
+        skip_spaces_and_character_if_next(
+            'L');  // Accepts the suffix L, which Python 2 writes after long integers.
         return value;
     }
     std::vector<std::size_t> parse_integer_tuple() {
         std::vector<std::size_t> result;
         skip_required_character('(');
-        while (!skip_character_if_next(')')) {
+        while (!skip_spaces_and_character_if_next(')')) {
             result.push_back(parse_integer());
-            if (!skip_character_if_next(',') && !is_next_character(')')) throw_header_error("is malformed");
+            if (!skip_spaces_and_character_if_next(',') && !skip_spaces_and_test_next_character(')'))
+                throw_header_error("is malformed");
         }
         return result;
     }
@@ -110,13 +113,15 @@ private:
     std::string_view text_;
 };
 
-std::string parse_numpy_type(const std::string& type_descriptor) {
-    const std::string_view type = std::string_view(type_descriptor).substr(type_descriptor.empty() ? 0 : 1);
-    const char order = type_descriptor.empty() ? '?' : type_descriptor[0];
+std::string parse_little_endian_numpy_type(const std::string& numpy_type_with_byte_order) {
+    const std::string_view type =
+        std::string_view(numpy_type_with_byte_order).substr(numpy_type_with_byte_order.empty() ? 0 : 1);
+    const char order = numpy_type_with_byte_order.empty() ? '?' : numpy_type_with_byte_order[0];
     const std::size_t size = get_element_size_bytes(type);
-    if (size == 0) throw DataError(fmt::format("type '{}' is not supported", type_descriptor));
+    if (size == 0) throw DataError(fmt::format("type '{}' is not supported", numpy_type_with_byte_order));
     if (order != '<' && !(order == '|' && (size == 1 || type.starts_with('S'))))
-        throw DataError(fmt::format("type '{}' is big-endian, expected little-endian", type_descriptor));
+        throw DataError(
+            fmt::format("type '{}' is big-endian, expected little-endian", numpy_type_with_byte_order));
     return std::string(type);
 }
 
@@ -150,7 +155,7 @@ std::string make_npy_header(const NamedArray& array) {
     return header + dict;
 }
 
-NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& bytes) {
+NamedArray parse_npy(const std::string& array_name, const std::vector<std::byte>& bytes) {
     if (bytes.size() < 12 || std::memcmp(bytes.data(), kNpyMagic.data(), kNpyMagic.size()) != 0)
         throw DataError("the file does not begin like an .npy file, expected an array of NumPy");
     const auto version = std::to_integer<int>(bytes[6]);
@@ -164,7 +169,7 @@ NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& byte
 
     NpyHeaderParser header({reinterpret_cast<const char*>(bytes.data()) + start, length});
     header.parse_header();
-    NamedArray array{name, parse_numpy_type(*header.descr), *header.shape, {}};
+    NamedArray array{array_name, parse_little_endian_numpy_type(*header.descr), *header.shape, {}};
     if (*header.fortran_order)
         throw DataError("the values are in Fortran (column-major) order, expected row-major");
     const auto n_expected_bytes = compute_array_size_bytes(array.shape, get_element_size_bytes(array.dtype));

@@ -18,6 +18,6 @@ std::string make_npy_header(const NamedArray& array);
 /// Parses the bytes of a .npy file. Supports versions 1 to 3, little-endian numbers and
 /// row-major order.
 /// @throws DataError with the reason if the file uses any other version, type or order
-NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& bytes);
+NamedArray parse_npy(const std::string& array_name, const std::vector<std::byte>& bytes);
 
 }  // namespace relidar::report_detail

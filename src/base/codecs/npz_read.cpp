@@ -46,11 +46,11 @@ struct ZipArchiveBytes {
 };
 
 template <class T>
-T read_zip_field(std::span<const std::byte> bytes, std::size_t offset) {
-    if (offset > bytes.size() || sizeof(T) > bytes.size() - offset)
+T read_zip_field(std::span<const std::byte> bytes, std::size_t byte_offset) {
+    if (byte_offset > bytes.size() || sizeof(T) > bytes.size() - byte_offset)
         throw DataError("a zip record is truncated");
     T value;
-    std::memcpy(&value, bytes.data() + offset, sizeof value);
+    std::memcpy(&value, bytes.data() + byte_offset, sizeof value);
     return value;
 }
 
@@ -108,7 +108,7 @@ struct NpzEntry {
 
 /// Reads 64-bit values from the zip64 extra field. This field contains only the values
 /// whose 32-bit value is 0xFFFFFFFF, which means "see zip64".
-void apply_zip64_extra_field(NpzEntry& entry, std::span<const std::byte> extra_fields) {
+void read_zip64_sizes_into_entry(NpzEntry& entry, std::span<const std::byte> extra_fields) {
     for (std::size_t at = 0; at + 4 <= extra_fields.size();) {
         const std::size_t size = read_zip_field<std::uint16_t>(extra_fields, at + 2);
         if (read_zip_field<std::uint16_t>(extra_fields, at) == kZip64Extra) {
@@ -125,10 +125,11 @@ void apply_zip64_extra_field(NpzEntry& entry, std::span<const std::byte> extra_f
     }
 }
 
-/// Parses the zip directory entry at position `offset`. Then advances `offset` to the
-/// next entry.
-NpzEntry parse_zip_directory_entry(std::span<const std::byte> directory_bytes, std::size_t& offset) {
-    const auto record = directory_bytes.subspan(offset);
+/// Parses the zip directory entry at position `entry_offset`. Then advances
+/// `entry_offset` to the next entry.
+NpzEntry parse_next_zip_directory_entry(std::span<const std::byte> directory_bytes,
+                                        std::size_t& entry_offset) {
+    const auto record = directory_bytes.subspan(entry_offset);
     if (read_zip_field<std::uint32_t>(record, 0) != kCentralSignature || record.size() < kCentralSize)
         throw DataError("the zip directory is damaged");
     NpzEntry entry;
@@ -144,8 +145,8 @@ NpzEntry parse_zip_directory_entry(std::span<const std::byte> directory_bytes, s
     if (n_name + n_extra + n_comment > record.size() - kCentralSize)
         throw DataError("the zip directory is truncated");
     entry.name.assign(reinterpret_cast<const char*>(record.data()) + kCentralSize, n_name);
-    apply_zip64_extra_field(entry, record.subspan(kCentralSize + n_name, n_extra));
-    offset += kCentralSize + n_name + n_extra + n_comment;
+    read_zip64_sizes_into_entry(entry, record.subspan(kCentralSize + n_name, n_extra));
+    entry_offset += kCentralSize + n_name + n_extra + n_comment;
     return entry;
 }
 
@@ -224,7 +225,7 @@ std::vector<NamedArray> parse_npz_arrays(const ZipArchiveBytes& archive) {
     std::uint64_t n_packed = 0;
     std::size_t at = 0;
     for (std::uint64_t i = 0; i < directory.n_entries; ++i) {
-        const NpzEntry entry = parse_zip_directory_entry(records, at);
+        const NpzEntry entry = parse_next_zip_directory_entry(records, at);
         if (!names.insert(entry.name).second)
             throw DataError(fmt::format("entry '{}' occurs twice, expected it once", entry.name));
         n_packed += std::min<std::uint64_t>(entry.packed_size, archive.bytes.size() + 1);

@@ -124,7 +124,7 @@ std::string make_zip_end_record(std::size_t n_entries, std::size_t directory_siz
     return bytes;
 }
 
-void check_npz_size_limit(const std::string& description, std::uint64_t n_bytes) {
+void require_size_within_npz_limit(const std::string& description, std::uint64_t n_bytes) {
     if (n_bytes >= kLimit)
         throw DataError(fmt::format("{} has {} bytes, but npz files have at most 4 GiB; use safetensors",
                                     description, n_bytes));
@@ -135,11 +135,12 @@ void check_npz_size_limit(const std::string& description, std::uint64_t n_bytes)
 ZipEntry write_array_as_zip_entry(report_detail::OutputFile& file, const NamedArray& array,
                                   std::size_t file_offset) {
     const std::string header = report_detail::make_npy_header(array);
-    check_npz_size_limit(fmt::format("array '{}'", array.name), header.size() + array.bytes.size());
+    require_size_within_npz_limit(fmt::format("array '{}'", array.name), header.size() + array.bytes.size());
     Deflater deflater;
     deflater.compress_chunk(header.data(), header.size(), false);
     deflater.compress_chunk(array.bytes.data(), array.bytes.size(), true);
-    check_npz_size_limit("the archive", file_offset + deflater.packed.size() + array.name.size() + 1024);
+    require_size_within_npz_limit("the archive",
+                                  file_offset + deflater.packed.size() + array.name.size() + 1024);
     const ZipEntry entry{array.name + ".npy", deflater.crc, std::uint32_t(deflater.packed.size()),
                          std::uint32_t(header.size() + array.bytes.size()), std::uint32_t(file_offset)};
     file.write(make_zip_local_header(entry));
@@ -147,10 +148,10 @@ ZipEntry write_array_as_zip_entry(report_detail::OutputFile& file, const NamedAr
     return entry;
 }
 
-void check_arrays_fit_npz(const std::vector<NamedArray>& arrays) {
+void require_arrays_valid_for_npz(const std::vector<NamedArray>& arrays) {
     std::set<std::string> names;
     for (const NamedArray& array : arrays) {
-        report_detail::check_array_type_and_size(array);
+        report_detail::require_valid_array_type_and_size(array);
         if (array.name.size() > 0xFF00) throw DataError("an array name is too long");
         if (!names.insert(array.name).second)
             throw DataError(fmt::format("array name '{}' is used twice", array.name));
@@ -163,7 +164,7 @@ void check_arrays_fit_npz(const std::vector<NamedArray>& arrays) {
 
 void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays) {
     write_file_atomically(path, [&](const std::filesystem::path& temporary) {
-        check_arrays_fit_npz(arrays);
+        require_arrays_valid_for_npz(arrays);
         report_detail::OutputFile file(temporary);
         std::size_t offset = 0;
         std::string directory;
@@ -172,7 +173,7 @@ void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>&
             offset += make_zip_local_header(entry).size() + entry.packed_size;
             directory += make_zip_central_header(entry);
         }
-        check_npz_size_limit("the archive", offset + directory.size());
+        require_size_within_npz_limit("the archive", offset + directory.size());
         file.write(directory);
         file.write(make_zip_end_record(arrays.size(), directory.size(), offset));
         file.close();

@@ -44,7 +44,7 @@ constexpr std::ptrdiff_t kAfterHeader = 8 + 25;
 
 }  // namespace
 
-std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& notes) {
+std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& metadata) {
     const std::size_t n = std::size_t(std::max(image.rows, 0)) * std::size_t(std::max(image.columns, 0)) * 3;
     if (n == 0 || image.rgb.size() != n)
         throw DataError(
@@ -65,13 +65,13 @@ std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& not
     if (!done) throw DataError("cannot encode a PNG image: " + message);
     bytes.resize(size);
     std::string chunks;
-    for (const auto& [name, text] : notes) chunks += make_png_text_chunk(name, text);
+    for (const auto& [name, text] : metadata) chunks += make_png_text_chunk(name, text);
     bytes.insert(bytes.begin() + kAfterHeader, chunks.begin(), chunks.end());
     return bytes;
 }
 
-void write_png(const std::filesystem::path& path, const Image& image, const FileMetadata& notes) {
-    const std::vector<std::uint8_t> bytes = encode_png(image, notes);
+void write_png(const std::filesystem::path& path, const Image& image, const FileMetadata& metadata) {
+    const std::vector<std::uint8_t> bytes = encode_png(image, metadata);
     report_detail::write_file(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
 }
 

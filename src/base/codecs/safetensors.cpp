@@ -50,7 +50,7 @@ constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypes{{
 
 /// Returns the safetensors name of a numpy type.
 /// @throws DataError if safetensors has no such type, for example text
-std::string convert_to_safetensors_type(const std::string& numpy_type) {
+std::string convert_numpy_to_safetensors_type(const std::string& numpy_type) {
     const auto it = std::find_if(kTypes.begin(), kTypes.end(),
                                  [&](const auto& type) { return type.second == numpy_type; });
     if (it == kTypes.end())
@@ -58,12 +58,13 @@ std::string convert_to_safetensors_type(const std::string& numpy_type) {
     return std::string(it->first);
 }
 
-std::string convert_to_numpy_type(const std::string& array_name, const std::string& safetensors_type) {
+std::string convert_safetensors_to_numpy_type(const std::string& array_name_for_errors,
+                                              const std::string& safetensors_type) {
     const auto it = std::find_if(kTypes.begin(), kTypes.end(),
                                  [&](const auto& known) { return known.first == safetensors_type; });
     if (it == kTypes.end())
-        throw DataError(fmt::format("array '{}' has the type '{}', which is not supported", array_name,
-                                    shorten_for_error_message(safetensors_type)));
+        throw DataError(fmt::format("array '{}' has the type '{}', which is not supported",
+                                    array_name_for_errors, shorten_for_error_message(safetensors_type)));
     return std::string(it->second);
 }
 
@@ -75,11 +76,11 @@ std::string make_safetensors_header(const std::vector<NamedArray>& arrays,
     if (!metadata.empty()) header[kMetadata] = metadata;
     std::size_t offset = 0;
     for (const NamedArray& array : arrays) {
-        report_detail::check_array_type_and_size(array);
+        report_detail::require_valid_array_type_and_size(array);
         if (array.name == kMetadata || header.contains(array.name))
             throw DataError(fmt::format("array name '{}' is reserved or used twice", array.name));
         const std::size_t end = offset + array.bytes.size();
-        header[array.name] = {{"dtype", convert_to_safetensors_type(array.dtype)},
+        header[array.name] = {{"dtype", convert_numpy_to_safetensors_type(array.dtype)},
                               {"shape", array.shape},
                               {"data_offsets", {offset, end}}};
         offset = end;
@@ -169,7 +170,7 @@ std::pair<NamedArray, DataByteRange> parse_array_description(const std::string& 
         throw DataError(
             fmt::format("array '{}' has no text 'dtype' in the header, expected one", array_name));
     NamedArray array{array_name,
-                     convert_to_numpy_type(array_name, array_json["dtype"].get<std::string>()),
+                     convert_safetensors_to_numpy_type(array_name, array_json["dtype"].get<std::string>()),
                      parse_integer_list(array_name, array_json, "shape"),
                      {}};
     const std::vector<std::size_t> offsets = parse_integer_list(array_name, array_json, "data_offsets");
@@ -183,7 +184,7 @@ std::pair<NamedArray, DataByteRange> parse_array_description(const std::string& 
     return {std::move(array), {offsets[0], offsets[1]}};
 }
 
-std::map<std::string, std::string> parse_metadata(const Json& metadata_json) {
+std::map<std::string, std::string> parse_safetensors_metadata(const Json& metadata_json) {
     std::map<std::string, std::string> result;
     if (!metadata_json.is_object()) throw DataError("the header key __metadata__ is not a JSON object");
     for (const auto& [key, value] : metadata_json.items()) {
@@ -203,7 +204,7 @@ std::vector<NamedArray> parse_safetensors_file(const std::vector<std::byte>& fil
     std::map<std::string, std::string> file_metadata;
     for (const std::string& name : header.names) {
         const Json& entry = header.json.at(name);
-        if (name == kMetadata) file_metadata = parse_metadata(entry);
+        if (name == kMetadata) file_metadata = parse_safetensors_metadata(entry);
         else entries.push_back(parse_array_description(name, entry, n_data));
     }
     std::stable_sort(entries.begin(), entries.end(), [](const auto& first, const auto& second) {

@@ -57,7 +57,7 @@ StagedFolder::~StagedFolder() {
     fs::remove_all(path_, failed);
 }
 
-void StagedFolder::move_folder_without_replacing() const {
+void StagedFolder::move_folder_unless_name_is_used() const {
     // rename() replaces an empty folder. It fails if anything else exists at the
     // destination.
     if (::rename(path_.c_str(), final_path_.c_str()) == 0) return;
@@ -70,7 +70,7 @@ void StagedFolder::move_folder_without_replacing() const {
                                       final_path_.string(), std::generic_category().message(error)));
 }
 
-void StagedFolder::move_folder_to_final_path() const {
+void StagedFolder::move_folder_and_replace_existing() const {
 #ifdef RENAME_EXCHANGE
     // Exchanges the new and the old folder atomically. The old folder then has the
     // temporary name, and the destructor deletes it.

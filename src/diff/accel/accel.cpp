@@ -9,8 +9,8 @@
 
 namespace relidar {
 
-ProxyShape choose_bounding_shape(ProxyShape requested_shape, const Device& device) {
-    if (device.traversal() == RayTracingBackend::software) return ProxyShape::boxes;
+ProxyShape resolve_automatic_proxy_shape(ProxyShape requested_shape, const Device& device) {
+    if (device.get_ray_tracing_backend() == RayTracingBackend::software) return ProxyShape::boxes;
     if (requested_shape != ProxyShape::automatic) return requested_shape;
     // GPUs intersect triangles faster than boxes, because they do so in hardware.
     return device.info().type == "CPU" ? ProxyShape::boxes : ProxyShape::triangles;
@@ -31,8 +31,8 @@ struct AccelerationStructure::Impl {
     std::uint64_t n_updates = 0;
 
     Impl(Device& device, const DeviceScene& scene, const AccelOptions& o)
-        : options(o), proxy(choose_bounding_shape(o.proxy, device)) {
-        if (device.traversal() == RayTracingBackend::software)
+        : options(o), proxy(resolve_automatic_proxy_shape(o.proxy, device)) {
+        if (device.get_ray_tracing_backend() == RayTracingBackend::software)
             software = std::make_unique<Bvh>(device, scene);
         else hardware = std::make_unique<RayQueryAccel>(device, scene, proxy);
     }
@@ -70,7 +70,8 @@ AccelerationStructure::AccelerationStructure(Device& device, const DeviceScene& 
     : impl_(std::make_unique<Impl>(device, scene, options)) {}
 AccelerationStructure::~AccelerationStructure() = default;
 
-void AccelerationStructure::update_bvh(Stream& stream, const DeviceScene& scene, bool force_rebuild) {
+void AccelerationStructure::record_bvh_refit_or_build(Stream& stream, const DeviceScene& scene,
+                                                      bool force_rebuild) {
     Impl& a = *impl_;
     const bool refit = !force_rebuild && !a.should_rebuild_tree();
     ++a.n_updates;
@@ -87,21 +88,21 @@ void AccelerationStructure::update_bvh(Stream& stream, const DeviceScene& scene,
     a.cost_when_built = 0.0;
 }
 
-void AccelerationStructure::refit_animated_actor_bvhs(Stream& stream, const DeviceScene& scene) {
+void AccelerationStructure::record_refit_of_animated_actor_bvhs(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
-    if (!a.built) return update_bvh(stream, scene);
+    if (!a.built) return record_bvh_refit_or_build(stream, scene);
     // Refits the trees of walking actors. These refits are not counted for the next
     // rebuild, because walking repeats the same shapes and so the trees do not degrade.
     a.refit_tree(stream, scene, list_animated_surfel_ranges(scene.get_scene_layout().models));
     ++a.n_updates;
 }
 
-void AccelerationStructure::update_top_level_bvh(Stream& stream, const DeviceScene& scene) {
+void AccelerationStructure::record_top_level_bvh_update(Stream& stream, const DeviceScene& scene) {
     if (impl_->hardware) impl_->hardware->rebuild_top_level_structure(stream, scene);
     else impl_->software->rebuild_top_level_tree(stream, scene);
 }
 
-void AccelerationStructure::measure_bvh_traversal_cost(Stream& stream) {
+void AccelerationStructure::record_bvh_cost_measurement(Stream& stream) {
     Impl& a = *impl_;
     if (!a.software || !a.built) return;
     if (const std::optional<double> cost = a.software->read_tree_cost(stream); cost && a.measured) {
@@ -114,16 +115,17 @@ void AccelerationStructure::measure_bvh_traversal_cost(Stream& stream) {
 
 AccelAddresses AccelerationStructure::get_device_addresses() const {
     AccelAddresses addresses;
-    if (impl_->software) addresses.bvh = impl_->software->get_device_pointers();
-    else impl_->hardware->write_addresses(addresses);
+    if (impl_->software) addresses.bvh = impl_->software->get_bvh_gpu_addresses();
+    else impl_->hardware->write_ray_query_gpu_addresses(addresses);
     return addresses;
 }
 
-ProxyShape AccelerationStructure::get_bounding_shape() const { return impl_->proxy; }
-std::uint64_t AccelerationStructure::get_update_count() const { return impl_->n_updates; }
+ProxyShape AccelerationStructure::get_proxy_shape_of_surfels() const { return impl_->proxy; }
+std::uint64_t AccelerationStructure::get_build_and_refit_count() const { return impl_->n_updates; }
 int AccelerationStructure::count_refits_since_build() const { return impl_->refits; }
 std::uint64_t AccelerationStructure::get_device_memory_bytes() const {
-    return impl_->hardware ? impl_->hardware->memory_bytes() : impl_->software->memory_bytes();
+    return impl_->hardware ? impl_->hardware->get_accel_memory_bytes()
+                           : impl_->software->get_bvh_memory_bytes();
 }
 
 }  // namespace relidar

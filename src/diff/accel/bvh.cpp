@@ -70,8 +70,8 @@ std::uint32_t count_top_level_nodes(std::uint32_t n_instances) {
 
 }  // namespace
 
-/// Passed to compute_node_boxes() as the last surfel to select all models, including
-/// models without surfels.
+/// Passed to compute_node_boxes_of_models() as the last surfel to select all models,
+/// including models without surfels.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
 /// Offsets of the arrays in scratch memory, in words per surfel. The last build step
@@ -119,17 +119,18 @@ struct Bvh::Impl {
     ReadbackBuffer costs;
 
     Impl(Device& device, const DeviceScene& scene);
-    shared::BvhBinary get_binary_tree_addresses() const;
-    shared::BvhWide get_wide_tree_addresses() const;
+    shared::BvhBinary get_binary_bvh_gpu_addresses() const;
+    shared::BvhWide get_wide_bvh_gpu_addresses() const;
     template <class T, class Meaning>
-    Address<T, Meaning> get_scratch_address(std::uint32_t words_per_surfel) const {
-        return scratch.address_as<T, Meaning>(words_per_surfel * std::size_t(round_up_to_multiple_of_4(n)));
+    Address<T, Meaning> get_scratch_address(std::uint32_t offset_words_per_surfel) const {
+        return scratch.address_as<T, Meaning>(offset_words_per_surfel *
+                                              std::size_t(round_up_to_multiple_of_4(n)));
     }
     /// Returns the offset of a set of sort keys in scratch memory. The sort alternates
     /// between two sets, and its result is in set 0. Later, the costs of the binary nodes
     /// overwrite set 1.
     std::uint32_t get_sort_keys_offset(int set_index) const { return set_index == 0 ? kKeysAt : kCostsAt; }
-    SortBuffers get_sort_buffer_set(int set_index) const;
+    SortBuffers get_sort_buffer_gpu_addresses(int set_index) const;
     std::uint32_t compute_max_tree_levels() const;
     void collapse_binary_to_wide_tree(Stream& stream, const DeviceScene& scene);
     std::uint32_t count_sort_key_bits() const {
@@ -141,7 +142,7 @@ struct Bvh::Impl {
     SortBuffers sort_surfels_by_morton_code(Stream& stream, const DeviceScene& scene);
     /// Submits kernels that compute the node boxes of the models whose first surfel has
     /// an index in [first_surfel, last_surfel].
-    void compute_node_boxes(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel);
+    void compute_node_boxes_of_models(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel);
 };
 
 Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
@@ -149,8 +150,8 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       n_models(static_cast<std::uint32_t>(scene.get_scene_layout().models.size())),
       n_instances(static_cast<std::uint32_t>(scene.get_scene_layout().instances.size())),
       bound(compute_max_node_count(n, n_models)),
-      n_refitting(prefers_coalesced_access(d) ? RELIDAR_BVH_WIDTH * bound
-                                              : std::min(RELIDAR_BVH_WIDTH * bound, kRefitThreadsOfCpu)),
+      n_refitting(should_coalesce_memory_access(d) ? RELIDAR_BVH_WIDTH * bound
+                                                   : std::min(RELIDAR_BVH_WIDTH * bound, kRefitThreadsOfCpu)),
       proxies(d, "diff/accel/proxies",
               {{SpecialisationConstantId::BOXES, 2u},
                {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}}),
@@ -202,7 +203,7 @@ std::uint32_t Bvh::Impl::compute_max_tree_levels() const {
     return n_levels;
 }
 
-shared::BvhBinary Bvh::Impl::get_binary_tree_addresses() const {
+shared::BvhBinary Bvh::Impl::get_binary_bvh_gpu_addresses() const {
     return {.children = get_scratch_address<glm::uvec2, shared::BinaryChildren>(kChildrenAt),
             .boxes = get_scratch_address<float, shared::BinaryBoxes>(kBoxesAt),
             .costs = get_scratch_address<float, shared::BinaryCosts>(kCostsAt),
@@ -210,7 +211,7 @@ shared::BvhBinary Bvh::Impl::get_binary_tree_addresses() const {
             .spares = get_scratch_address<std::uint32_t, shared::SpareNodes>(kSparesAt)};
 }
 
-shared::BvhWide Bvh::Impl::get_wide_tree_addresses() const {
+shared::BvhWide Bvh::Impl::get_wide_bvh_gpu_addresses() const {
     return {.nodes = nodes.address(),
             .order = order.address(),
             .links = links.address(),
@@ -219,7 +220,7 @@ shared::BvhWide Bvh::Impl::get_wide_tree_addresses() const {
             .count = count.address()};
 }
 
-SortBuffers Bvh::Impl::get_sort_buffer_set(int set_index) const {
+SortBuffers Bvh::Impl::get_sort_buffer_gpu_addresses(int set_index) const {
     return {.keys = get_scratch_address<std::uint32_t, shared::SortKeys>(get_sort_keys_offset(set_index)),
             .order = get_scratch_address<std::uint32_t, shared::SortOrder>(set_index == 0 ? kValuesAt
                                                                                           : kCostsAt + 2)};
@@ -249,7 +250,7 @@ SortBuffers Bvh::Impl::sort_surfels_by_morton_code(Stream& stream, const DeviceS
          .n_models = n_models});
     // Each pass of the sort moves the keys from one set to the other. Chooses the first
     // set so that the last pass writes set 0.
-    const int first_set = static_cast<int>(RadixSort::count_passes(count_sort_key_bits()) % 2);
+    const int first_set = static_cast<int>(RadixSort::count_radix_passes(count_sort_key_bits()) % 2);
     run(stream, keys_kernel, n,
         {.records = scene.get_surfel_records().address(),
          .models = scene.get_model_table().address(),
@@ -259,15 +260,15 @@ SortBuffers Bvh::Impl::sort_surfels_by_morton_code(Stream& stream, const DeviceS
          .demands = get_scratch_address<std::uint32_t, shared::SlotDemands>(kDemandsAt),
          .n_surfels = n,
          .n_models = n_models});
-    return sort.run(stream, get_sort_buffer_set(first_set), get_sort_buffer_set(1 - first_set),
-                    count_sort_key_bits());
+    return sort.run(stream, get_sort_buffer_gpu_addresses(first_set),
+                    get_sort_buffer_gpu_addresses(1 - first_set), count_sort_key_bits());
 }
 
 void Bvh::Impl::collapse_binary_to_wide_tree(Stream& stream, const DeviceScene& scene) {
     stream.fill(level_sizes);
     shared::BvhWideParams params{
-        .tree = get_binary_tree_addresses(),
-        .wide = get_wide_tree_addresses(),
+        .tree = get_binary_bvh_gpu_addresses(),
+        .wide = get_wide_bvh_gpu_addresses(),
         .queue = queue.address(),
         .slots = get_scratch_address<std::uint32_t, shared::WideSlots>(kSlotsAt),
         .level_sizes = level_sizes.address(),
@@ -292,9 +293,10 @@ void Bvh::Impl::collapse_binary_to_wide_tree(Stream& stream, const DeviceScene& 
     run(stream, wide_emit, bound, params);
 }
 
-void Bvh::Impl::compute_node_boxes(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel) {
+void Bvh::Impl::compute_node_boxes_of_models(Stream& stream, std::uint32_t first_surfel,
+                                             std::uint32_t last_surfel) {
     run(stream, refit_kernel, n_refitting,
-        {.wide = get_wide_tree_addresses(),
+        {.wide = get_wide_bvh_gpu_addresses(),
          .boxes = boxes.address(),
          .bound = bound,
          .first_surfel = first_surfel,
@@ -319,7 +321,7 @@ void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptio
     b.compute_surfel_boxes(stream, scene, options, {0, b.n});
     const SortBuffers sorted = b.sort_surfels_by_morton_code(stream, scene);
     run(stream, b.cluster, b.n,
-        {.tree = b.get_binary_tree_addresses(),
+        {.tree = b.get_binary_bvh_gpu_addresses(),
          .boxes = b.boxes.address(),
          .keys = b.get_scratch_address<glm::uvec2, shared::MortonKeys>(kKeysAt),
          .surfels = sorted.order.cast_meaning<shared::SortedSurfels>(),
@@ -330,7 +332,7 @@ void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptio
          .n_surfels = b.n,
          .n_models = b.n_models});
     b.collapse_binary_to_wide_tree(stream, scene);
-    b.compute_node_boxes(stream, 0, kAllModels);
+    b.compute_node_boxes_of_models(stream, 0, kAllModels);
     rebuild_top_level_tree(stream, scene);
 }
 
@@ -339,7 +341,7 @@ void Bvh::refit_trees(Stream& stream, const DeviceScene& scene, const AccelOptio
     for (const auto& [first, count] : ranges) {
         if (count == 0) continue;
         impl_->compute_surfel_boxes(stream, scene, options, {first, count});
-        impl_->compute_node_boxes(stream, first, first + count - 1);
+        impl_->compute_node_boxes_of_models(stream, first, first + count - 1);
     }
     rebuild_top_level_tree(stream, scene);
 }
@@ -347,7 +349,7 @@ void Bvh::refit_trees(Stream& stream, const DeviceScene& scene, const AccelOptio
 void Bvh::rebuild_top_level_tree(Stream& stream, const DeviceScene& scene) {
     Impl& b = *impl_;
     run(stream, b.top, kWorkgroup,
-        {.bvh = get_device_pointers(),
+        {.bvh = get_bvh_gpu_addresses(),
          .instances = scene.get_instance_table().address(),
          .model_of = b.model_of.address(),
          .models = scene.get_model_table().address(),
@@ -358,7 +360,7 @@ void Bvh::rebuild_top_level_tree(Stream& stream, const DeviceScene& scene) {
          .n_padded = static_cast<std::uint32_t>(b.top_keys.size())});
 }
 
-shared::BvhPointers Bvh::get_device_pointers() const {
+shared::BvhPointers Bvh::get_bvh_gpu_addresses() const {
     const Impl& b = *impl_;
     return {.nodes = b.nodes.address(),
             .order = b.order.address(),
@@ -367,7 +369,7 @@ shared::BvhPointers Bvh::get_device_pointers() const {
             .top_order = b.top_order.address()};
 }
 
-std::uint64_t Bvh::memory_bytes() const {
+std::uint64_t Bvh::get_bvh_memory_bytes() const {
     const Impl& b = *impl_;
     std::uint64_t bytes = b.sort.memory_bytes();
     for (const Buffer* buffer :
@@ -391,7 +393,7 @@ HostBvhCopy Bvh::download_bvh() const {
 void Bvh::record_tree_cost_measurement(Stream& stream) {
     Impl& b = *impl_;
     run(stream, b.cost_kernel, b.bound,
-        {.wide = b.get_wide_tree_addresses(),
+        {.wide = b.get_wide_bvh_gpu_addresses(),
          .boxes = b.boxes.address(),
          .partial = b.cost_sums.address(),
          .bound = b.bound});

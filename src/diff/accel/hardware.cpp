@@ -34,9 +34,11 @@ struct VulkanAccelStructure {
         info.buffer = storage->impl().handle;
         info.size = size;
         info.type = type;
-        gpu::check_vulkan_result(vkCreateAccelerationStructureKHR(device->device, &info, nullptr, &handle),
-                                 "vkCreateAccelerationStructureKHR");
-        gpu::set_object_name(device->device, VK_OBJECT_TYPE_ACCELERATION_STRUCTURE_KHR, handle, description);
+        gpu::throw_unless_vulkan_success(
+            vkCreateAccelerationStructureKHR(device->device, &info, nullptr, &handle),
+            "vkCreateAccelerationStructureKHR");
+        gpu::set_vulkan_object_name(device->device, VK_OBJECT_TYPE_ACCELERATION_STRUCTURE_KHR, handle,
+                                    description);
         VkAccelerationStructureDeviceAddressInfoKHR query{
             VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_DEVICE_ADDRESS_INFO_KHR};
         query.accelerationStructure = handle;
@@ -165,7 +167,7 @@ struct RayQueryAccel::Impl {
             reach = Array<std::uint32_t>(device, 1, "sizes of the proxies of surfels");
     }
 
-    void append_model_build_input(const SurfelModel& model);
+    void append_blas_build_input(const SurfelModel& model);
     void compute_proxy_shapes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                               const SurfelRange& range);
     void compute_model_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
@@ -177,7 +179,7 @@ struct RayQueryAccel::Impl {
 
 /// Describes the geometry of one model, which is a part of the array `geometry`. The
 /// geometry is marked as not opaque, so that the shader can test every candidate hit.
-void RayQueryAccel::Impl::append_model_build_input(const SurfelModel& model) {
+void RayQueryAccel::Impl::append_blas_build_input(const SurfelModel& model) {
     BuildInput& input = blas_input.emplace_back();
     if (proxy == ProxyShape::boxes) {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_AABBS_KHR;
@@ -237,7 +239,9 @@ std::uint64_t RayQueryAccel::Impl::write_instances_and_get_address(Stream::Impl&
     }
     tlas_input.range.primitiveCount = static_cast<std::uint32_t>(rows.size());
     upload_moving_instances(stream, of_motion);
-    return rows.empty() ? 0 : stream.store_host_bytes(rows.data(), rows.size() * sizeof(rows[0])).address;
+    return rows.empty()
+               ? 0
+               : stream.stage_host_bytes_for_kernels(rows.data(), rows.size() * sizeof(rows[0])).address;
 }
 
 RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShape proxy)
@@ -258,7 +262,7 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
     VkDeviceSize scratch_bytes = 0;
     a.blas_input.reserve(layout.models.size());
     for (const SurfelModel& model : layout.models) {
-        a.append_model_build_input(model);
+        a.append_blas_build_input(model);
         const std::uint32_t n = model.count * (a.proxy == ProxyShape::boxes ? 1u : a.mesh.count_triangles());
         a.blas_scratch.push_back(scratch_bytes);
         if (n == 0) {
@@ -353,7 +357,7 @@ void RayQueryAccel::rebuild_top_level_structure(Stream& stream, const DeviceScen
     record_accel_structure_builds(s, "accel/top_level", {a.tlas_input});
 }
 
-void RayQueryAccel::write_addresses(AccelAddresses& addresses) const {
+void RayQueryAccel::write_ray_query_gpu_addresses(AccelAddresses& addresses) const {
     const Impl& a = *impl_;
     addresses.tlas = {a.tlas->address};
     // Kernels store this float as an integer, because atomic maxima need integers.
@@ -364,7 +368,7 @@ void RayQueryAccel::write_addresses(AccelAddresses& addresses) const {
     addresses.n_moving = a.n_moving;
 }
 
-std::uint64_t RayQueryAccel::memory_bytes() const {
+std::uint64_t RayQueryAccel::get_accel_memory_bytes() const {
     std::uint64_t bytes = impl_->geometry.buffer().size_bytes() + impl_->indices.buffer().size_bytes() +
                           impl_->scratch.size_bytes() + impl_->tlas->storage->size_bytes();
     for (const auto& structure : impl_->blas)

@@ -32,8 +32,8 @@ public:
     void rebuild_top_level_structure(Stream& stream, const DeviceScene& scene);
 
     /// Writes the addresses that ray queries need into `addresses`.
-    void write_addresses(AccelAddresses& addresses) const;
-    std::uint64_t memory_bytes() const;
+    void write_ray_query_gpu_addresses(AccelAddresses& addresses) const;
+    std::uint64_t get_accel_memory_bytes() const;
 
 private:
     struct Impl;

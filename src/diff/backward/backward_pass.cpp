@@ -25,8 +25,8 @@ constexpr std::uint32_t kMostHitsPerRay = 4096;
 /// atomics. Atomics are then as fast as records and need no memory. Devices without float
 /// atomics always use records, because their compare-and-swap loops conflict if many rays
 /// hit one surfel.
-bool should_sum_hits_without_atomics(const Device& device, GradientReduction reduction,
-                                     ShDirection sh_direction) {
+bool should_sum_gradients_without_atomics(const Device& device, GradientReduction reduction,
+                                          ShDirection sh_direction) {
     if (reduction != GradientReduction::automatic) return reduction == GradientReduction::gather;
     return sh_direction == ShDirection::ray || !device.info().float_atomics;
 }
@@ -35,11 +35,11 @@ bool should_sum_hits_without_atomics(const Device& device, GradientReduction red
 /// before they add them with atomics. On a GPU this is faster, because each atomic
 /// instruction accesses fewer memory sectors. It requires maximal reconvergence, because
 /// lanes leave the loops over hits at different times.
-bool should_exchange_gradient_rows(const Device& device, const BackwardOptions& backward_options,
-                                   bool sums_without_atomics) {
+bool should_exchange_rows_in_shared_memory(const Device& device, const BackwardOptions& backward_options,
+                                           bool sums_without_atomics) {
     return !sums_without_atomics &&
-           backward_options.coalesced_atomics.value_or(prefers_coalesced_access(device) &&
-                                                       has_maximal_reconvergence(device));
+           backward_options.coalesced_atomics.value_or(should_coalesce_memory_access(device) &&
+                                                       is_lane_reconvergence_guaranteed(device));
 }
 
 }  // namespace
@@ -60,9 +60,9 @@ struct BackwardPass::Impl {
         std::vector<SpecialisationConstant> all =
             make_trace_kernel_constants(device, proxy, trace_options, model);
         const bool gathered =
-            should_sum_hits_without_atomics(device, backward_options.reduction, model.sh_direction);
+            should_sum_gradients_without_atomics(device, backward_options.reduction, model.sh_direction);
         all.push_back({SpecialisationConstantId::GATHER, gathered ? 1u : 0u});
-        const bool exchanged = should_exchange_gradient_rows(device, backward_options, gathered);
+        const bool exchanged = should_exchange_rows_in_shared_memory(device, backward_options, gathered);
         all.push_back({SpecialisationConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
         // With one subgroup per workgroup, subgroup barriers also work on lavapipe, which
         // treats them as barriers of the full workgroup.
@@ -77,10 +77,10 @@ struct BackwardPass::Impl {
         : model(m),
           options(o),
           trace(device, "diff/backward/trace",
-                choose_float_atomics_variant(device, get_traversal_kernel_variant(device)),
+                choose_float_add_kernel_variant(device, get_traversal_kernel_variant(device)),
                 make_backward_kernel_constants(device, m, proxy, o, backward)),
           poses(device),
-          gather(should_sum_hits_without_atomics(device, backward.reduction, m.sh_direction)
+          gather(should_sum_gradients_without_atomics(device, backward.reduction, m.sh_direction)
                      ? std::make_unique<HitGradientGather>(device, m, backward.hits_per_ray, o)
                      : nullptr),
           pass_cap(device, 1, "number of truncated rays") {}
@@ -98,7 +98,7 @@ BackwardPass::BackwardPass(Device& device, const ImageFormationModel& model, Pro
 BackwardPass::~BackwardPass() = default;
 void BackwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 const Array<std::uint32_t>* BackwardPass::get_device_max_hit_count() const {
-    return impl_->gather ? &impl_->gather->most_hits() : nullptr;
+    return impl_->gather ? &impl_->gather->get_max_hit_count_array() : nullptr;
 }
 std::uint64_t BackwardPass::get_hit_capacity() const {
     return impl_->gather ? impl_->gather->get_hit_capacity() : 0;
@@ -136,7 +136,7 @@ void BackwardPass::record_backward_pass(Stream& stream, DeviceScene& scene,
     params.with_turn = has_pose_gradients ? 1u : 0u;
     if (impl_->gather) {
         impl_->gather->assign_hit_record_indices(stream, batch);
-        impl_->gather->write_hit_addresses(params);
+        impl_->gather->set_hit_record_addresses(params);
     }
     {
         const ConcurrentLaunchScope zeros(stream);
@@ -147,13 +147,14 @@ void BackwardPass::record_backward_pass(Stream& stream, DeviceScene& scene,
     }
     relidar::run(stream, impl_->trace, count_trace_threads(batch.rays), params);
     if (impl_->gather) impl_->gather->sum_hit_gradients(stream, params);
-    scene.backpropagate_surfel_records(stream, model, view_origin_m,
-                                       {.d_records = &gradients.records,
-                                        .d_surfels = &gradients.surfels,
-                                        .touched = &gradients.touched,
-                                        .d_view = has_pose_gradients ? &gradients.pose_sums->d_view : nullptr,
-                                        .zero_untouched = gradients.zero_untouched,
-                                        .touched_is_marked = lists});
+    scene.record_surfel_record_backpropagation(
+        stream, model, view_origin_m,
+        {.d_records = &gradients.records,
+         .d_surfels = &gradients.surfels,
+         .touched = &gradients.touched,
+         .d_view = has_pose_gradients ? &gradients.pose_sums->d_view : nullptr,
+         .zero_untouched = gradients.zero_untouched,
+         .touched_is_marked = lists});
     if (has_pose_gradients)
         impl_->poses.compute_pose_gradients(stream, scene, model, view_origin_m, gradients);
 }

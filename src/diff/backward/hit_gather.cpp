@@ -27,9 +27,9 @@ HitGradientGather::HitGradientGather(Device& device, const ImageFormationModel& 
     : device_(device),
       hits_per_ray_(hits_per_ray),
       part_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
-      gather_(device, "diff/backward/gather", choose_float_atomics_variant(device),
+      gather_(device, "diff/backward/gather", choose_float_add_kernel_variant(device),
               make_gather_kernel_constants(model, options)),
-      heads_kernel_(device, "diff/backward/gather_heads", choose_float_atomics_variant(device),
+      heads_kernel_(device, "diff/backward/gather_heads", choose_float_add_kernel_variant(device),
                     make_gather_kernel_constants(model, options)),
       most_hits_(device, std::vector<std::uint32_t>{0u}, "largest number of hits in a batch"),
       n_hits_(device, 1, "hits of a batch"),
@@ -55,7 +55,7 @@ void HitGradientGather::assign_hit_record_indices(Stream& stream, const Rendered
     if (n_rays_ > first_hit_.size()) {
         stream.submit_and_wait();
         first_hit_ = {device_, n_rays_, "slots of rays"};
-        prefix_sum_.reserve(device_, n_rays_);
+        prefix_sum_.reserve_scratch_memory(device_, n_rays_);
         reserve_hit_records(std::uint64_t(n_rays_) * hits_per_ray_);
     }
     const StridedCounts hits{.address = batch.rendered->address_as<std::uint32_t, shared::ScanCounts>(),
@@ -65,7 +65,7 @@ void HitGradientGather::assign_hit_record_indices(Stream& stream, const Rendered
                     n_hits_.address().cast_meaning<shared::ScanTotal>());
 }
 
-void HitGradientGather::write_hit_addresses(shared::BackwardParams& params) const {
+void HitGradientGather::set_hit_record_addresses(shared::BackwardParams& params) const {
     params.first_hit = first_hit_.address();
     params.hits = hits_.address();
     params.rows = rows_[0].address();

@@ -29,7 +29,7 @@ BlockTable make_surfel_block_table(const DeviceScene& scene) {
     for (std::size_t i = 0; i < layout.instances.size(); ++i) {
         const std::uint32_t model = layout.instances[i].model;
         const std::uint32_t n = layout.models[model].count, first = layout.models[model].first,
-                            first_row = scene.get_first_gradient_row(i);
+                            first_row = scene.get_first_gradient_row_of_instance(i);
         table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
         for (std::uint32_t k = 0; k < n; k += kBlock)
             table.blocks.push_back(

@@ -75,19 +75,24 @@ struct Densifier::Impl {
           spawn(d, "diff/densify/spawn"),
           reset_opacity(d, "diff/densify/reset_opacity") {
         for (std::size_t model = 0; model < scene.models.size(); ++model)
-            extents_m.push_back(compute_model_extent(scene, model));
+            extents_m.push_back(compute_robust_model_extent_m(scene, model));
     }
 
     std::uint64_t compute_random_key(RandomPurpose purpose, int step) const {
         return hash_integer_pair(hash_integer_pair(seed, std::uint64_t(purpose)), std::uint64_t(step));
     }
     DensifyThresholds get_densify_thresholds(int step) const;
-    std::vector<ModelDensifyCounters> count_surfels_per_action(Stream& stream, const DeviceScene& scene,
-                                                               const DensifyThresholds& rules, int step);
-    std::uint32_t reserve_surfel_memory(DeviceScene& scene, Adam& adam, std::uint32_t requested_surfels,
-                                        double other_bytes_per_surfel, std::string& failure_reason);
+    std::vector<ModelDensifyCounters> choose_actions_and_count_surfels(Stream& stream,
+                                                                       const DeviceScene& scene,
+                                                                       const DensifyThresholds& thresholds,
+                                                                       int step);
+    std::uint32_t allocate_for_up_to_requested_surfels(DeviceScene& scene, Adam& adam,
+                                                       std::uint32_t requested_surfels,
+                                                       double other_arrays_bytes_per_surfel,
+                                                       std::string& failure_reason);
     DensifyReport densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam,
-                                  const DensifyThresholds& rules, int step, double other_bytes_per_surfel);
+                                  const DensifyThresholds& thresholds, int step,
+                                  double other_arrays_bytes_per_surfel);
 };
 
 DensifyThresholds Densifier::Impl::get_densify_thresholds(int step) const {
@@ -96,29 +101,28 @@ DensifyThresholds Densifier::Impl::get_densify_thresholds(int step) const {
     return rules;
 }
 
-std::vector<ModelDensifyCounters> Densifier::Impl::count_surfels_per_action(Stream& stream,
-                                                                            const DeviceScene& scene,
-                                                                            const DensifyThresholds& rules,
-                                                                            int step) {
+std::vector<ModelDensifyCounters> Densifier::Impl::choose_actions_and_count_surfels(
+    Stream& stream, const DeviceScene& scene, const DensifyThresholds& thresholds, int step) {
     const SurfelStatistics& s = arrays.statistics;
     const std::vector<float> extents(extents_m.begin(), extents_m.end());
     stream.fill(counters);
-    relidar::run(stream, classify, scene.size(),
-                 {.surfels = get_surfel_pointers(scene.get_surfel_parameters()),
-                  .gradient_sum = s.gradient_sum.address(),
-                  .n_seen = s.n_observing_batches.address(),
-                  .action = arrays.action.address(),
-                  .weight = arrays.weight.address(),
-                  .counters = counters.address(),
-                  .models = scene.get_model_table().address(),
-                  .extents = stream.impl().store_host_values(extents).cast_meaning<shared::ModelExtents>(),
-                  .min_opacity = rules.min_opacity,
-                  .max_extent_share = rules.max_extent_share,
-                  .clone_extent_share = static_cast<float>(options.clone_extent_share),
-                  .gradient_threshold = static_cast<float>(options.gradient_threshold),
-                  .n_surfels = scene.size(),
-                  .n_models = static_cast<std::uint32_t>(extents.size()),
-                  .key = static_cast<std::uint32_t>(compute_random_key(RandomPurpose::classify, step))});
+    relidar::run(
+        stream, classify, scene.size(),
+        {.surfels = get_surfel_pointers(scene.get_surfel_parameters()),
+         .gradient_sum = s.gradient_sum.address(),
+         .n_seen = s.n_observing_batches.address(),
+         .action = arrays.action.address(),
+         .weight = arrays.weight.address(),
+         .counters = counters.address(),
+         .models = scene.get_model_table().address(),
+         .extents = stream.impl().stage_host_values_for_kernels(extents).cast_meaning<shared::ModelExtents>(),
+         .min_opacity = thresholds.min_opacity,
+         .max_extent_share = thresholds.max_extent_share,
+         .clone_extent_share = static_cast<float>(options.clone_extent_share),
+         .gradient_threshold = static_cast<float>(options.gradient_threshold),
+         .n_surfels = scene.size(),
+         .n_models = static_cast<std::uint32_t>(extents.size()),
+         .key = static_cast<std::uint32_t>(compute_random_key(RandomPurpose::classify, step))});
     stream.submit_and_wait();
     const std::vector<std::uint32_t> values = counters.download();
     std::vector<ModelDensifyCounters> result(extents.size());
@@ -132,10 +136,10 @@ std::vector<ModelDensifyCounters> Densifier::Impl::count_surfels_per_action(Stre
 /// @param requested_surfels desired number of surfels
 /// @param failure_reason receives the reason if there is not enough memory
 /// @return number of surfels for which memory is available, at most `requested_surfels`
-std::uint32_t Densifier::Impl::reserve_surfel_memory(DeviceScene& scene, Adam& adam,
-                                                     std::uint32_t requested_surfels,
-                                                     double other_bytes_per_surfel,
-                                                     std::string& failure_reason) {
+std::uint32_t Densifier::Impl::allocate_for_up_to_requested_surfels(DeviceScene& scene, Adam& adam,
+                                                                    std::uint32_t requested_surfels,
+                                                                    double other_arrays_bytes_per_surfel,
+                                                                    std::string& failure_reason) {
     const std::uint32_t before = scene.size();
     // bytes per surfel for parameters, Adam moments and records
     const double others =
@@ -146,7 +150,7 @@ std::uint32_t Densifier::Impl::reserve_surfel_memory(DeviceScene& scene, Adam& a
         const bool grows = capacity > now;
         const double while_copied = grows ? 4.0 * kShFloats * now : 0.0;
         failure_reason =
-            try_allocation_and_get_error(device, other_bytes_per_surfel * target +
+            try_allocation_and_get_error(device, other_arrays_bytes_per_surfel * target +
                                                      (grows ? bytes * (capacity - now) + while_copied : 0.0));
         if (!failure_reason.empty() || !grows) return failure_reason.empty();
         try {
@@ -175,15 +179,16 @@ std::uint32_t Densifier::Impl::reserve_surfel_memory(DeviceScene& scene, Adam& a
 }
 
 DensifyReport Densifier::Impl::densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam,
-                                               const DensifyThresholds& rules, int step,
-                                               double other_bytes_per_surfel) {
+                                               const DensifyThresholds& thresholds, int step,
+                                               double other_arrays_bytes_per_surfel) {
     const std::uint32_t before = scene.size();
-    const std::vector<ModelDensifyCounters> counted = count_surfels_per_action(stream, scene, rules, step);
+    const std::vector<ModelDensifyCounters> counted =
+        choose_actions_and_count_surfels(stream, scene, thresholds, step);
     GrowthPlan plan = limit_growth_plan(
         plan_surfel_growth(counted, options, compute_random_key(RandomPurpose::phase, step)), memory_limit);
     std::string failure_reason;
-    const std::uint32_t surfel_capacity =
-        reserve_surfel_memory(scene, adam, plan.size(), other_bytes_per_surfel, failure_reason);
+    const std::uint32_t surfel_capacity = allocate_for_up_to_requested_surfels(
+        scene, adam, plan.size(), other_arrays_bytes_per_surfel, failure_reason);
     std::string note;
     if (surfel_capacity < plan.size()) {
         memory_limit = surfel_capacity;
@@ -199,9 +204,9 @@ DensifyReport Densifier::Impl::densify_surfels(Stream& stream, DeviceScene& scen
         return report;
     }
     arrays.compute_new_row_indices(stream, plan, before);
-    arrays.move_to_new_rows(stream, scene.get_surfel_parameters(), false, plan.size());
-    arrays.move_to_new_rows(stream, adam.get_first_moments(), true, plan.size());
-    arrays.move_to_new_rows(stream, adam.get_second_moments(), true, plan.size());
+    arrays.move_surfels_to_new_rows(stream, scene.get_surfel_parameters(), false, plan.size());
+    arrays.move_surfels_to_new_rows(stream, adam.get_first_moments(), true, plan.size());
+    arrays.move_surfels_to_new_rows(stream, adam.get_second_moments(), true, plan.size());
     relidar::run(stream, spawn, before,
                  {.surfels = get_surfel_pointers(scene.get_surfel_parameters()),
                   .action = arrays.action.address(),
@@ -226,8 +231,8 @@ SurfelStatistics& Densifier::statistics() { return impl_->arrays.statistics; }
 std::vector<double>& Densifier::get_model_extents_m() { return impl_->extents_m; }
 const std::vector<double>& Densifier::get_model_extents_m() const { return impl_->extents_m; }
 
-void Densifier::accumulate_gradient_statistics(Stream& stream, const DeviceScene& scene,
-                                               const BackpropagatedBatch& batch) {
+void Densifier::record_gradient_statistics_update(Stream& stream, const DeviceScene& scene,
+                                                  const BackpropagatedBatch& batch) {
     if (!impl_) return;
     const SurfelStatistics& s = impl_->arrays.statistics;
     RELIDAR_ASSERT_LE(batch.frame / 32 + 1, s.n_words);
@@ -244,7 +249,7 @@ void Densifier::accumulate_gradient_statistics(Stream& stream, const DeviceScene
                   .is_full_frame = batch.is_full_frame ? 1u : 0u});
 }
 
-bool Densifier::should_densify(int step) const {
+bool Densifier::should_densify_after_step(int step) const {
     if (!impl_) return false;
     const DensifyOptions& o = impl_->options;
     return step >= o.from && step < o.until && step % std::max(1, o.every) == 0;
@@ -256,7 +261,7 @@ DensifyReport Densifier::densify_surfels(Stream& stream, DeviceScene& scene, Ada
                                   reserved_bytes_per_surfel);
 }
 
-void Densifier::reset_opacities_if_scheduled(Stream& stream, DeviceScene& scene, Adam& adam, int step) {
+void Densifier::record_opacity_reset_if_scheduled(Stream& stream, DeviceScene& scene, Adam& adam, int step) {
     if (!impl_) return;
     const DensifyOptions& o = impl_->options;
     if (o.opacity_reset_every <= 0 || step >= o.until || step % o.opacity_reset_every != 0) return;

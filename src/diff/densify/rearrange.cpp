@@ -28,7 +28,7 @@ SurfelReorderer::SurfelReorderer(Device& device, std::uint32_t n_surfels, std::u
 
 void SurfelReorderer::reserve_surfel_memory(std::uint32_t n_surfels) {
     const std::size_t n_words = std::size_t(n_surfels) * statistics.n_words;
-    prefix_sum_.reserve(device_, n_surfels);
+    prefix_sum_.reserve_scratch_memory(device_, n_surfels);
     scratch_surfels_.reserve(device_, n_surfels, "copy of surfels");
     statistics.gradient_sum.reserve(device_, n_surfels, "gradient statistics");
     statistics.n_observing_batches.reserve(device_, n_surfels, "batches in which surfels were visible");
@@ -85,8 +85,8 @@ void SurfelReorderer::move_rows_and_swap(Stream& stream, Array<T>& rows, Array<T
     std::swap(rows, scratch_rows);
 }
 
-void SurfelReorderer::move_to_new_rows(Stream& stream, SurfelArrays& surfel_arrays, bool zero_new_rows,
-                                       std::uint32_t n_surfels_after) {
+void SurfelReorderer::move_surfels_to_new_rows(Stream& stream, SurfelArrays& surfel_arrays,
+                                               bool zero_new_rows, std::uint32_t n_surfels_after) {
     for (const SurfelParameterGroup& group : list_parameter_groups(surfel_arrays.get_parameter_set()))
         move_rows_and_swap(stream, group.mutable_device(surfel_arrays),
                            group.mutable_device(scratch_surfels_), group.count_floats(), zero_new_rows);

@@ -30,8 +30,8 @@ public:
     /// positions of the surfels.
     /// @param zero_new_rows true: values of new and changed surfels are set to zero
     /// @param n_surfels_after number of surfels after the densification
-    void move_to_new_rows(Stream& stream, SurfelArrays& surfel_arrays, bool zero_new_rows,
-                          std::uint32_t n_surfels_after);
+    void move_surfels_to_new_rows(Stream& stream, SurfelArrays& surfel_arrays, bool zero_new_rows,
+                                  std::uint32_t n_surfels_after);
     /// Submits the kernels that move the densification statistics to the new positions of
     /// the surfels. Keeps the frames in which a surfel was visible, and resets all other
     /// statistics.

@@ -12,10 +12,11 @@ namespace relidar {
 std::optional<VisitCounts> count_bvh_visits(Device& device, const DeviceScene& scene,
                                             const AccelerationStructure& accel, const RayBatch& batch,
                                             const ImageFormationModel& model, const TraceOptions& options) {
-    if (device.traversal() != RayTracingBackend::software || must_test_every_surfel(device))
+    if (device.get_ray_tracing_backend() != RayTracingBackend::software ||
+        is_brute_force_tracing_forced(device))
         return std::nullopt;
     std::vector<SpecialisationConstant> constants =
-        make_trace_kernel_constants(device, accel.get_bounding_shape(), options, model);
+        make_trace_kernel_constants(device, accel.get_proxy_shape_of_surfels(), options, model);
     constants.push_back({SpecialisationConstantId::COUNT_VISITS, 1u});
     const Kernel<shared::ForwardParams> trace(device, "diff/forward/trace", KernelVariant("@software_bvh"),
                                               constants);

@@ -62,16 +62,16 @@ void ForwardPass::record_forward_pass(Stream& stream, const DeviceScene& scene,
     // An image has complete rows, so the number of rays is a multiple of the number of
     // columns.
     RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);
-    RELIDAR_ASSERT_LE(impl_->options.has_surface_outputs() ? std::size_t(batch.n_rays) : 0,
+    RELIDAR_ASSERT_LE(impl_->options.writes_normals_or_surface_ranges() ? std::size_t(batch.n_rays) : 0,
                       surfaces ? surfaces->size() : 0);
     shared::ForwardParams params = {
         .scene = make_trace_scene_params(scene, accel, batch, impl_->model, impl_->options,
                                          impl_->pass_cap.address()),
         .lists = {},
         .rendered = rendered_rays.address(),
-        .kept = get_address(stored_hits ? &stored_hits->hits : nullptr),
+        .kept = get_device_address_or_null(stored_hits ? &stored_hits->hits : nullptr),
         .n_overfull = impl_->n_overfull.address(),
-        .surfaces = get_address(surfaces),
+        .surfaces = get_device_address_or_null(surfaces),
         .n_kept = stored_hits ? stored_hits->per_ray : 0,
         .kept_in_lists = 0,
         .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)};
@@ -79,17 +79,19 @@ void ForwardPass::record_forward_pass(Stream& stream, const DeviceScene& scene,
     relidar::run(stream, impl_->trace, count_trace_threads(batch), params);
 }
 
-const Array<std::uint32_t>& ForwardPass::get_truncated_ray_count() const { return impl_->pass_cap; }
-const Array<std::uint32_t>& ForwardPass::get_hit_overflow_ray_count() const { return impl_->n_overfull; }
+const Array<std::uint32_t>& ForwardPass::get_device_truncated_ray_count() const { return impl_->pass_cap; }
+const Array<std::uint32_t>& ForwardPass::get_device_hit_overflow_ray_count() const {
+    return impl_->n_overfull;
+}
 
-std::uint32_t ForwardPass::reset_truncated_ray_count() {
+std::uint32_t ForwardPass::read_and_reset_truncated_ray_count() {
     const std::uint32_t count = impl_->pass_cap.download()[0];
     if (count) impl_->pass_cap.upload(std::vector<std::uint32_t>{0u});
     return count;
 }
 
-RenderedRayValues to_rendering(const std::vector<shared::RenderedRay>& rays,
-                               const std::vector<shared::RenderedSurface>& surfaces) {
+RenderedRayValues convert_rays_to_rendered_values(const std::vector<shared::RenderedRay>& rays,
+                                                  const std::vector<shared::RenderedSurface>& surfaces) {
     RenderedRayValues r;
     for (const shared::RenderedRay& ray : rays) {
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) r.name.push_back(ray.name);

@@ -42,7 +42,7 @@ struct Renderer::Impl {
           stream(o.stream ? *o.stream : local_stream.emplace(d, true)),
           scene(d, s),
           accel(std::in_place, d, scene, o.accel),
-          forward(d, m, accel->get_bounding_shape(), o.trace) {
+          forward(d, m, accel->get_proxy_shape_of_surfels(), o.trace) {
         allocate_ray_arrays(o.n_rays);
     }
 
@@ -52,7 +52,8 @@ struct Renderer::Impl {
         // again.
         batch.surfaces = nullptr;
         rendered = {};
-        if (options.trace.has_surface_outputs()) surfaces.emplace(device, n_rays, "surfaces of rays");
+        if (options.trace.writes_normals_or_surface_ranges())
+            surfaces.emplace(device, n_rays, "surfaces of rays");
         rendered = Array<shared::RenderedRay>(device, n_rays, "rendered rays");
         allocate_hit_storage_that_fits(n_rays);
         batch = {
@@ -93,29 +94,30 @@ void Renderer::wait_for_device() noexcept {
         if (!impl_->local_stream) impl_->stream.submit_and_wait();
     } catch (const Error&) {  // nothing to do, because a lost device no longer uses memory
     }
-    impl_->device.impl().wait_idle();
+    impl_->device.impl().wait_until_device_idle();
 }
 
-void Renderer::prepare_view(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m) {
+void Renderer::record_view_preparation(const std::vector<InstancePose>& instance_poses,
+                                       const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
     r.view_origin_m = view_origin_m;
-    r.scene.record_instance_poses(r.stream, instance_poses);  // Eq. 4-5 of the paper
-    r.scene.compute_surfel_records(r.stream, r.model, view_origin_m);
-    r.accel->update_bvh(r.stream, r.scene);
+    r.scene.record_upload_of_instance_poses(r.stream, instance_poses);  // Eq. 4-5 of the paper
+    r.scene.record_surfel_record_computation(r.stream, r.model, view_origin_m);
+    r.accel->record_bvh_refit_or_build(r.stream, r.scene);
     r.placed = true;
 }
 
-void Renderer::move_instances(const std::vector<InstancePose>& instance_poses,
-                              const glm::vec3& view_origin_m) {
+void Renderer::record_instance_poses_and_view(const std::vector<InstancePose>& instance_poses,
+                                              const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
-    if (!r.placed) return prepare_view(instance_poses, view_origin_m);
+    if (!r.placed) return record_view_preparation(instance_poses, view_origin_m);
     r.view_origin_m = view_origin_m;
-    const bool bends = r.scene.has_new_gait_phases(instance_poses);
-    r.scene.record_instance_poses(r.stream, instance_poses);
+    const bool bends = r.scene.would_change_gait_phases(instance_poses);
+    r.scene.record_upload_of_instance_poses(r.stream, instance_poses);
     if (bends || r.model.sh_direction == ShDirection::surfel)
-        r.scene.compute_surfel_records(r.stream, r.model, view_origin_m);
-    if (bends) r.accel->refit_animated_actor_bvhs(r.stream, r.scene);
-    else r.accel->update_top_level_bvh(r.stream, r.scene);
+        r.scene.record_surfel_record_computation(r.stream, r.model, view_origin_m);
+    if (bends) r.accel->record_refit_of_animated_actor_bvhs(r.stream, r.scene);
+    else r.accel->record_top_level_bvh_update(r.stream, r.scene);
 }
 
 void Renderer::record_forward_pass(const RayBatch& rays) {
@@ -145,10 +147,10 @@ RenderedRayValues Renderer::render_rays(const WorldRays& rays) {
     return download_rendering();
 }
 
-void Renderer::check_rays_fully_traced() {
+void Renderer::require_rays_fully_traced() {
     Impl& r = *impl_;
     r.stream.submit_and_wait();
-    if (const std::uint32_t capped = r.forward.reset_truncated_ray_count())
+    if (const std::uint32_t capped = r.forward.read_and_reset_truncated_ray_count())
         throw DeviceError(
             fmt::format("cannot trace {} rays: {} of them exceeded the maximum of {} traversal passes or the "
                         "traversal stack; the scene may have too many overlapping surfels",
@@ -157,10 +159,11 @@ void Renderer::check_rays_fully_traced() {
 
 RenderedRayValues Renderer::download_rendering() {
     Impl& r = *impl_;
-    check_rays_fully_traced();
+    require_rays_fully_traced();
     const std::size_t n = r.batch.rays.n_rays;
-    if (!r.surfaces) return to_rendering(r.rendered.download(n));
-    RenderedRayValues rendering = to_rendering(r.rendered.download(n), r.surfaces->download(n));
+    if (!r.surfaces) return convert_rays_to_rendered_values(r.rendered.download(n));
+    RenderedRayValues rendering =
+        convert_rays_to_rendered_values(r.rendered.download(n), r.surfaces->download(n));
     if (!r.options.trace.normals) rendering.normal.clear();
     if (!r.options.trace.mode_gap_m) rendering.mode_depth.clear();
     return rendering;

@@ -21,7 +21,7 @@ struct ImageTileLevels {
     glm::uvec2 points, tiles, groups;
 
     explicit ImageTileLevels(const TargetBatch& batch) {
-        const bool image = batch.image.has_image_layout();
+        const bool image = batch.image.has_image_rows_and_columns();
         if (!image) tile = {1, 32};
         points = image ? glm::uvec2(batch.image.rows, batch.image.columns) : glm::uvec2(1, batch.n_rays);
         tiles = (points + tile - 1u) / tile;
@@ -45,7 +45,7 @@ struct TiledPointCloud {
           tile_high(device, count / 4 + 1, description + " tiles"),
           group_low(device, count / 16 + 2, description + " groups"),
           group_high(device, count / 16 + 2, description + " groups") {}
-    shared::ChamferCloud get_device_pointers() const {
+    shared::ChamferCloud get_cloud_gpu_addresses() const {
         return {.points = points.address(),
                 .tile_low = tile_low.address(),
                 .tile_high = tile_high.address(),
@@ -77,10 +77,10 @@ struct ChamferLoss::Impl {
           nearest_simulated(device, count, "nearest simulated points"),
           d_nearest_simulated(device, 2 * count, "gradients of nearest points"),
           counts(device, 2, "points"),
-          points(device, "diff/loss/chamfer_points", choose_float_atomics_variant(device)),
+          points(device, "diff/loss/chamfer_points", choose_float_add_kernel_variant(device)),
           boxes(device, "diff/loss/chamfer_boxes"),
           nearest(device, "diff/loss/chamfer_nearest"),
-          chamfer(device, "diff/loss/chamfer", choose_float_atomics_variant(device)),
+          chamfer(device, "diff/loss/chamfer", choose_float_add_kernel_variant(device)),
           vjp(device, "diff/loss/chamfer_vjp") {}
 
     void compute_tile_bounds(Stream& stream, const TiledPointCloud& cloud,
@@ -114,7 +114,7 @@ struct ChamferLoss::Impl {
                              const ImageTileLevels& tile_layout) const {
         relidar::run(stream, nearest, n_rays,
                      {.queries = source_cloud.points.address().cast_meaning<shared::QueryPoints>(),
-                      .cloud = target_cloud.get_device_pointers(),
+                      .cloud = target_cloud.get_cloud_gpu_addresses(),
                       .nearest = nearest_index.address(),
                       .rows = tile_layout.points.x,
                       .columns = tile_layout.points.y,
@@ -186,7 +186,7 @@ void ChamferLoss::record_ray_losses(Stream& stream, const RenderedBatch& batch_r
         .counts = c.counts.address(),
         .d_found = c.d_nearest_simulated.address(),
         .upstream = upstream.address(),
-        .terms = terms.get_row_address(),
+        .terms = terms.get_loss_term_row_address(),
         .weight = c.weights.chamfer,
         .n_rays = batch.n_rays,
         .first_ray = batch.first,

@@ -23,8 +23,8 @@ struct ImageLoss::Impl {
 
 ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays)
     : impl_(new Impl{weights,
-                     {device, "diff/loss/image_loss", choose_float_atomics_variant(device)},
-                     {device, "diff/loss/ssim", choose_float_atomics_variant(device)},
+                     {device, "diff/loss/image_loss", choose_float_add_kernel_variant(device)},
+                     {device, "diff/loss/ssim", choose_float_add_kernel_variant(device)},
                      {device, "diff/loss/ssim_vjp"},
                      {device, weights.intensity_ssim > 0.0f ? std::size_t(n_rays) * RELIDAR_SSIM_FLOATS : 0,
                       "structural similarity"}}) {}
@@ -47,7 +47,7 @@ void ImageLoss::record_ray_losses(Stream& stream, const RenderedBatch& rays, con
                  {.rendered = rendered.address(),
                   .targets = batch.targets->address(),
                   .upstream = upstream.address(),
-                  .terms = terms.get_row_address(),
+                  .terms = terms.get_loss_term_row_address(),
                   .depth_weight = w.depth * per_return,
                   .intensity_weight = (1.0f - w.intensity_ssim) * w.intensity * per_return,
                   .drop_weight = w.drop * per_ray,
@@ -65,7 +65,7 @@ void ImageLoss::record_ray_losses(Stream& stream, const RenderedBatch& rays, con
                                   .targets = batch.targets->address(),
                                   .statistics = impl_->statistics.address(),
                                   .upstream = upstream.address(),
-                                  .terms = terms.get_row_address(),
+                                  .terms = terms.get_loss_term_row_address(),
                                   .weight = w.intensity_ssim * w.intensity * per_return,
                                   .first_ray = batch.first,
                                   .ray_stride = batch.stride,

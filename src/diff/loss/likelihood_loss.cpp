@@ -19,7 +19,8 @@ struct LikelihoodLoss::Impl {
 };
 
 LikelihoodLoss::LikelihoodLoss(Device& device, const LossWeights& weights)
-    : impl_(new Impl{weights, {device, "diff/loss/likelihood_loss", choose_float_atomics_variant(device)}}) {}
+    : impl_(new Impl{weights,
+                     {device, "diff/loss/likelihood_loss", choose_float_add_kernel_variant(device)}}) {}
 LikelihoodLoss::~LikelihoodLoss() = default;
 std::unique_ptr<Loss> make_likelihood_loss(Device& device, const LossWeights& weights, std::uint32_t) {
     return std::make_unique<LikelihoodLoss>(device, weights);
@@ -34,7 +35,7 @@ void LikelihoodLoss::record_ray_losses(Stream& stream, const RenderedBatch& rend
                  {.rendered = rendered.rendered->address(),
                   .targets = batch.targets->address(),
                   .upstream = rendered.upstream->address(),
-                  .terms = terms.get_row_address(),
+                  .terms = terms.get_loss_term_row_address(),
                   .weight = w.likelihood * per_return,
                   .likelihood_floor = w.likelihood_floor,
                   .n_rays = batch.n_rays,

@@ -27,7 +27,7 @@ struct ActorBoxLoss::Impl {
 };
 
 ActorBoxLoss::ActorBoxLoss(Device& device, const LossWeights& weights)
-    : impl_(new Impl{weights, {device, "diff/loss/surfel_loss", choose_float_atomics_variant(device)}}) {}
+    : impl_(new Impl{weights, {device, "diff/loss/surfel_loss", choose_float_add_kernel_variant(device)}}) {}
 ActorBoxLoss::~ActorBoxLoss() = default;
 std::unique_ptr<Loss> make_surfel_loss(Device& device, const LossWeights& weights, std::uint32_t) {
     return std::make_unique<ActorBoxLoss>(device, weights);
@@ -49,8 +49,8 @@ void ActorBoxLoss::record_regularisation_losses(Stream& stream, const DeviceScen
     relidar::run(stream, impl_->kernel, end - first,
                  {.surfels = get_surfel_pointers(scene.get_surfel_parameters()),
                   .d_surfels = get_surfel_pointers(*gradients.d_surfels),
-                  .touched = get_address(gradients.touched),
-                  .terms = terms.get_row_address(),
+                  .touched = get_device_address_or_null(gradients.touched),
+                  .terms = terms.get_loss_term_row_address(),
                   .models = scene.get_model_table().address(),
                   .box_scale_share = w.box_scale_share,
                   .box_weight = static_cast<float>(w.box / std::max(n_boxed, 1.0)),

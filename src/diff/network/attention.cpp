@@ -52,8 +52,8 @@ Attention::Attention(Device& device, std::uint32_t heads)
       softmax_(device, "diff/network/softmax", make_attention_kernel_constants(lanes_),
                SubgroupRequirement::full) {}
 
-AttentionActivations Attention::make_attention_state(Device& device, const ImageBatchSize& grid,
-                                                     bool with_gradients) const {
+AttentionActivations Attention::allocate_attention_activations(Device& device, const ImageBatchSize& grid,
+                                                               bool with_gradients) const {
     const auto channels = std::uint32_t(heads_ * grid.count_pixels_per_image());
     AttentionActivations state{Tensor(device, channels, grid, "attention"), {}};
     if (with_gradients) state.d_share = Tensor(device, channels, grid, "gradient of attention");

@@ -21,8 +21,8 @@ public:
     /// @param heads number of heads. The channels are divided equally between the heads
     Attention(Device& device, std::uint32_t heads);
 
-    AttentionActivations make_attention_state(Device& device, const ImageBatchSize& grid,
-                                              bool with_gradients) const;
+    AttentionActivations allocate_attention_activations(Device& device, const ImageBatchSize& grid,
+                                                        bool with_gradients) const;
     /// Computes output[h] = V softmax(K^T Q / sqrt(channels per head)) for each head h.
     /// @param qkv query Q, key K and value V of each pixel, [n, 3 channels, rows,
     /// columns]

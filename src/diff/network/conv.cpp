@@ -34,7 +34,7 @@ std::uint32_t count_partial_sums_per_weight(const ImageBatchSize& grid, std::siz
 std::uint32_t require_supported_taps(const Device& device, std::uint32_t kernel_taps) {
     RELIDAR_ASSERT_EQ(kernel_taps == 1 || kernel_taps == 9, true);
     const DeviceInfo& info = device.info();
-    const std::string missing = list_features_missing_for_networks(device);
+    const std::string missing = list_missing_network_features(device);
     if (!missing.empty())
         throw DeviceError(
             fmt::format("cannot use the ray-drop network on {}: the device lacks {}; use --set "
@@ -47,7 +47,7 @@ std::uint32_t get_lanes_per_subgroup(const Device& device) {
     return std::uint32_t(device.info().subgroup_size);
 }
 std::uint32_t choose_pixels_per_lane(const Device& device) {
-    return prefers_coalesced_access(device) ? 8 : 4;
+    return should_coalesce_memory_access(device) ? 8 : 4;
 }
 
 Kernel<shared::ConvParams> make_conv_kernel(Device& device, std::uint32_t kernel_taps) {
@@ -56,7 +56,7 @@ Kernel<shared::ConvParams> make_conv_kernel(Device& device, std::uint32_t kernel
             {{SpecialisationConstantId::TAPS, kernel_taps},
              {SpecialisationConstantId::PIXELS, choose_pixels_per_lane(device)},
              {SpecialisationConstantId::LANES, get_lanes_per_subgroup(device)},
-             {SpecialisationConstantId::STAGED, prefers_coalesced_access(device) ? 1u : 0u},
+             {SpecialisationConstantId::STAGED, should_coalesce_memory_access(device) ? 1u : 0u},
              {SpecialisationConstantId::WORKGROUP_SIZE, kConvThreads}},
             SubgroupRequirement::full};
 }

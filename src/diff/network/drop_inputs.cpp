@@ -79,7 +79,7 @@ void RayDropInputs::make_input_batch(Stream& stream, std::span<const RotatedSamp
                                      const Tensor& output_images) {
     shared::DropInputsParams params{};
     params.samples = samples_.address();
-    if (has_targets()) {
+    if (has_measured_drops()) {
         target_.reserve(stream.device(), output_images.grid.count_all_pixels(), "targets");
         params.targets = targets_.address(), params.target = target_.address();
     }
@@ -104,8 +104,10 @@ void RayDropInputs::make_input_batch(Stream& stream, std::span<const RotatedSamp
         column_shifts.push_back(c.column_shift);
     }
     start_.reserve(stream.device(), output_images.grid.count_all_pixels(), "rendered logits");
-    params.chosen = stream.impl().store_host_values(samples).cast_meaning<shared::ChosenSamples>();
-    params.turn = stream.impl().store_host_values(column_shifts).cast_meaning<shared::SampleTurns>();
+    params.chosen =
+        stream.impl().stage_host_values_for_kernels(samples).cast_meaning<shared::ChosenSamples>();
+    params.turn =
+        stream.impl().stage_host_values_for_kernels(column_shifts).cast_meaning<shared::SampleTurns>();
     params.scale_shift = scale_shift_.address();
     params.images = output_images.values.address();
     params.start = start_.address();

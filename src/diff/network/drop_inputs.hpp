@@ -46,7 +46,7 @@ public:
     /// Returns the measured drops of the last batch, [n, rows, columns], with the values
     /// of RayDropImage::dropped.
     const Array<float, shared::DropTargets>& get_measured_drops() const { return target_; }
-    bool has_targets() const { return targets_.size() > 0; }
+    bool has_measured_drops() const { return targets_.size() > 0; }
     /// Returns the number of pixels of an image whose measured drop is known.
     std::size_t count_known_pixels(std::uint32_t image_index) const { return n_known_pixels_[image_index]; }
 

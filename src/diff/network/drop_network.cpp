@@ -102,9 +102,9 @@ std::uint32_t count_sensor_pixel_channels(const RayDropNetwork& network) {
         [](const std::string& name) { return name == "elevation" || name.starts_with("origin"); }));
 }
 
-void check_network_input_image(const RayDropNetwork& network, const RayDropImage& image,
-                               const std::string& description) {
-    const int side = network.compute_min_image_side();
+void require_valid_network_image(const RayDropNetwork& network, const RayDropImage& image,
+                                 const std::string& description) {
+    const int side = network.compute_min_image_rows_and_columns();
     if (image.rows < side || image.columns < side)
         throw DataError(fmt::format(
             "{}: found {} x {} pixels, expected at least {} x {} pixels for a network with {} levels",

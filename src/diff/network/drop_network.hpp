@@ -42,7 +42,7 @@ std::uint32_t count_sensor_pixel_channels(const RayDropNetwork& network);
 /// Checks the size and the values of an image.
 /// @param description description of the image for error messages
 /// @throws DataError if the image has the wrong size or values that are not finite
-void check_network_input_image(const RayDropNetwork& network, const RayDropImage& image,
-                               const std::string& description);
+void require_valid_network_image(const RayDropNetwork& network, const RayDropImage& image,
+                                 const std::string& description);
 
 }  // namespace relidar::refine

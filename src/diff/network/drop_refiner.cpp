@@ -85,8 +85,8 @@ struct RayDropInference::Impl {
         shaped.emplace_front(device, network);
     }
 
-    SizedRayDropNetwork& get_network_for_image_size(Stream& stream,
-                                                    const refine::ImageBatchSize& image_grid) {
+    SizedRayDropNetwork& get_or_make_network_for_image_size(Stream& stream,
+                                                            const refine::ImageBatchSize& image_grid) {
         auto cache_entry = std::ranges::find(shaped, image_grid, &SizedRayDropNetwork::grid);
         const bool is_new = cache_entry == shaped.end();
         if (is_new)
@@ -114,14 +114,14 @@ const RayDropNetwork& RayDropInference::network() const { return impl_->network;
 const Array<float, shared::DropProbabilities>& RayDropInference::record_network_evaluation(
     Stream& stream, int rows, int columns, const Array<float, shared::DropSamples>& input_channels) {
     Impl& r = *impl_;
-    if (const int side = r.network.compute_min_image_side(); rows < side || columns < side)
+    if (const int side = r.network.compute_min_image_rows_and_columns(); rows < side || columns < side)
         throw DataError(fmt::format(
             "cannot apply the ray-drop network: the image has {} x {} pixels, expected at least {} "
             "rows and columns",
             rows, columns, side));
     const refine::ImageBatchSize grid{1, std::uint32_t(rows), std::uint32_t(columns)};
     RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.count_pixels_per_image(), input_channels.size());
-    SizedRayDropNetwork& shaped = r.get_network_for_image_size(stream, grid);
+    SizedRayDropNetwork& shaped = r.get_or_make_network_for_image_size(stream, grid);
     const refine::RayDropInputs::RotatedSample unrotated_sample{};
     shaped.inputs.make_input_batch(stream, {&unrotated_sample, 1}, input_channels.address(),
                                    shaped.unet.get_input_images());
@@ -153,11 +153,11 @@ RayDropRefiner& RayDropRefiner::operator=(RayDropRefiner&&) noexcept = default;
 
 const RayDropNetwork& RayDropRefiner::network() const { return impl_->pass.network(); }
 const KernelTimes& RayDropRefiner::times() const { return impl_->stream.times(); }
-RayDropInference& RayDropRefiner::get_drop_pass() { return impl_->pass; }
+RayDropInference& RayDropRefiner::get_ray_drop_inference() { return impl_->pass; }
 
 std::vector<float> RayDropRefiner::predict_drop_probabilities(const RayDropImage& image) {
     Impl& r = *impl_;
-    refine::check_network_input_image(network(), image, "cannot apply the ray-drop network to a scan");
+    refine::require_valid_network_image(network(), image, "cannot apply the ray-drop network to a scan");
     r.stream.submit_and_wait();
     r.channels.reserve(r.device, image.channels.size(), "scan that the ray-drop network refines");
     r.channels.upload(image.channels);

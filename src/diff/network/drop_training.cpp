@@ -17,13 +17,13 @@ namespace {
 constexpr double kLastRate = 0.01;         // final learning rate relative to the initial rate
 constexpr std::uint32_t kKeysOfStep = 64;  // number of dropout keys per step, one for each layer
 
-void check_training_images(const RayDropNetwork& network, const std::vector<RayDropImage>& images) {
+void require_valid_training_images(const RayDropNetwork& network, const std::vector<RayDropImage>& images) {
     if (images.empty()) throw DataError("cannot train the ray-drop network: there are no training images");
     double drops = 0.0;
     for (std::size_t i = 0; i < images.size(); ++i) {
         const RayDropImage& image = images[i];
-        check_network_input_image(network, image,
-                                  fmt::format("cannot train the ray-drop network with image {}", i));
+        require_valid_network_image(network, image,
+                                    fmt::format("cannot train the ray-drop network with image {}", i));
         if (image.rows != images[0].rows || image.columns != images[0].columns)
             throw DataError(fmt::format(
                 "cannot train the ray-drop network: image {} has {} x {} pixels, expected {} x {} like "
@@ -45,7 +45,7 @@ void check_training_images(const RayDropNetwork& network, const std::vector<RayD
 RayDropNetwork make_initial_network(const std::vector<RayDropImage>& images,
                                     const RayDropNetworkOptions& options, std::uint64_t seed) {
     RayDropNetwork network = make_network_architecture(options);
-    check_training_images(network, images);
+    require_valid_training_images(network, images);
     network.normalisation = compute_channel_normalisation(images, network.inputs.size());
     initialise_network_parameters(network, UnetParameterLayout(network), seed);
     return network;

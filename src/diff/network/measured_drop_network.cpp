@@ -25,7 +25,7 @@ std::vector<RayDropImage> make_noise_images(const RayDropNetworkOptions& options
     return images;
 }
 
-double count_network_operations(const RayDropNetwork& network, refine::ImageBatchSize grid) {
+double count_network_inference_flops(const RayDropNetwork& network, refine::ImageBatchSize grid) {
     const refine::UnetParameterLayout plan(network);
     double sum = 0.0;
     const auto add = [&](const refine::ConvParameterOffsets& layer) {
@@ -33,7 +33,7 @@ double count_network_operations(const RayDropNetwork& network, refine::ImageBatc
                double(grid.count_pixels_per_image());
     };
     add(plan.first_conv), add(plan.last_conv);
-    for (std::size_t level = 0; level < network.widths.size(); ++level, grid = refine::halve_grid(grid))
+    for (std::size_t level = 0; level < network.widths.size(); ++level, grid = refine::halve_image_size(grid))
         for (std::size_t k = 0; k < 2; ++k) {
             if (level > 0) add(plan.down[2 * level - 2 + k].conv);
             if (2 * level + k < plan.up.size()) add(plan.up[2 * level + k].conv);
@@ -71,10 +71,10 @@ void RayDropNetworkBenchmark::run_training_step() {
     impl_->training.train_on_batch(impl_->chosen, ++impl_->steps, 1000);
 }
 void RayDropNetworkBenchmark::run_inference() { impl_->refiner.predict_drop_probabilities(impl_->images[0]); }
-double RayDropNetworkBenchmark::count_inference_operations() const {
+double RayDropNetworkBenchmark::count_inference_flops() const {
     const RayDropImage& image = impl_->images[0];
-    return count_network_operations(impl_->refiner.network(),
-                                    {1, std::uint32_t(image.rows), std::uint32_t(image.columns)});
+    return count_network_inference_flops(impl_->refiner.network(),
+                                         {1, std::uint32_t(image.rows), std::uint32_t(image.columns)});
 }
 const KernelTimes& RayDropNetworkBenchmark::times() const { return impl_->training.times(); }
 

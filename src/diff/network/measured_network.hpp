@@ -16,7 +16,7 @@ struct ConvolutionSize {
 
     /// Returns the number of multiplications and additions of one pass. This number is
     /// the same for the forward pass and both derivatives.
-    double count_operations_per_pass() const {
+    double count_convolution_flops() const {
         return 2.0 * 9.0 * double(rows) * double(columns) * double(n_in) * double(n_out);
     }
 };
@@ -48,7 +48,7 @@ public:
     void run_inference();  ///< runs inference on one image and waits until it is finished
     /// Returns the number of multiplications and additions of inference on one image.
     /// Training needs three times as many operations per image.
-    double count_inference_operations() const;
+    double count_inference_flops() const;
     /// Returns the duration of each kernel in run_training_step(), in milliseconds. Empty
     /// if the device has no timestamps.
     const KernelTimes& times() const;

@@ -87,9 +87,10 @@ void NormalisationKernels::apply_scale_shift_and_relu(Stream& stream, const Chan
          .dropout = is_training ? state.dropout : 0.0f});
 }
 
-void NormalisationKernels::normalise_for_training(Stream& stream, const ChannelSlice& input,
-                                                  const NormWeights& weights, NormActivations& state,
-                                                  const ChannelSlice& output) {
+void NormalisationKernels::run_norm_relu_dropout_for_training(Stream& stream, const ChannelSlice& input,
+                                                              const NormWeights& weights,
+                                                              NormActivations& state,
+                                                              const ChannelSlice& output) {
     sum_channels_in_parts(stream, {.from = input.view,
                                    .d_to = input.view,
                                    .partial = partial_.address(),
@@ -106,9 +107,9 @@ void NormalisationKernels::normalise_for_training(Stream& stream, const ChannelS
     apply_scale_shift_and_relu(stream, input, state, output, true);
 }
 
-void NormalisationKernels::normalise_for_inference(Stream& stream, const ChannelSlice& input,
-                                                   const NormWeights& weights, NormActivations& state,
-                                                   const ChannelSlice& output) {
+void NormalisationKernels::run_norm_relu_for_inference(Stream& stream, const ChannelSlice& input,
+                                                       const NormWeights& weights, NormActivations& state,
+                                                       const ChannelSlice& output) {
     compute_scale_and_shift(stream, input, weights, state, false);
     apply_scale_shift_and_relu(stream, input, state, output, false);
 }

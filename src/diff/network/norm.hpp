@@ -43,14 +43,15 @@ public:
     /// Computes output = dropout(relu(gamma x + beta)) for training. x is the input,
     /// normalised with the mean and variance of the batch. Updates the running mean and
     /// variance.
-    void normalise_for_training(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
-                                NormActivations& state, const ChannelSlice& output);
+    void run_norm_relu_dropout_for_training(Stream& stream, const ChannelSlice& input,
+                                            const NormWeights& weights, NormActivations& state,
+                                            const ChannelSlice& output);
     /// Computes the layer for inference. Uses the running mean and variance, and no
     /// dropout.
-    void normalise_for_inference(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
-                                 NormActivations& state, const ChannelSlice& output);
+    void run_norm_relu_for_inference(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
+                                     NormActivations& state, const ChannelSlice& output);
     /// Computes the gradients of the input (d_input), beta and gamma from the gradient of
-    /// the output (d_output). Requires an earlier normalise_for_training().
+    /// the output (d_output). Requires an earlier run_norm_relu_dropout_for_training().
     /// @param accumulate true: adds the result to `d_input` instead of overwriting it
     void backpropagate_norm_layer(Stream& stream, const ChannelSlice& input, const NormActivations& state,
                                   const ChannelSlice& d_output, const ChannelSlice& d_input,

@@ -9,14 +9,14 @@ namespace relidar::refine {
 
 /// Returns the size of the pooled image: half the rows and half the columns, rounded
 /// down.
-ImageBatchSize halve_grid(const ImageBatchSize& grid);
+ImageBatchSize halve_image_size(const ImageBatchSize& grid);
 
 class ResamplingKernels {
 public:
     explicit ResamplingKernels(Device& device);
 
     /// Computes the maximum of each block of 2 x 2 pixels (max pooling).
-    /// @param output images of the size halve_grid(input.grid)
+    /// @param output images of the size halve_image_size(input.grid)
     void max_pool(Stream& stream, const ChannelSlice& input, const ChannelSlice& output);
     /// Computes the gradient of the input of max_pool() and adds it to `d_input`.
     void backpropagate_max_pool(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,

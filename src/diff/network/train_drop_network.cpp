@@ -19,9 +19,8 @@ namespace {
 
 /// Draws the order of the images and their rotations for one epoch. The seed depends on
 /// the epoch, so that a resumed training draws the same values.
-std::vector<refine::RayDropInputs::RotatedSample> draw_epoch_order(std::size_t n_images, int n_columns,
-                                                                   bool rotate_images, std::uint64_t seed,
-                                                                   int epoch) {
+std::vector<refine::RayDropInputs::RotatedSample> sample_epoch_order_and_rotations(
+    std::size_t n_images, int n_columns, bool rotate_images, std::uint64_t seed, int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
     std::vector<refine::RayDropInputs::RotatedSample> chosen(n_images);
     for (std::size_t i = 0; i < n_images; ++i) {
@@ -105,9 +104,9 @@ RayDropNetwork train_ray_drop_network(Device& device, const std::vector<RayDropI
     while (course.report.step < course.report.n_steps) {
         const std::size_t k = course.advance_and_get_step_in_epoch();
         if (k == 0 || order.empty())
-            order =
-                draw_epoch_order(images.size(), images[0].columns, refine::get_regularisation(options).turns,
-                                 seed, course.get_epoch_index());
+            order = sample_epoch_order_and_rotations(images.size(), images[0].columns,
+                                                     refine::get_regularisation(options).turns, seed,
+                                                     course.get_epoch_index());
         const auto chosen = std::span(order).subspan(k * course.batch, course.batch);
         course.add_step_score(training.train_on_batch(chosen, course.report.step, course.report.n_steps), k);
         if (progress && !progress(course.report, state)) break;

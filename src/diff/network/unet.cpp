@@ -30,14 +30,14 @@ ChannelSlice Unet::get_skip_connection_gradient(std::size_t level) const {
         count_upsampled_channels(widths_, level), widths_[level]);
 }
 
-void Unet::allocate_block_state(Device& device, const UnetBlockOffsets& block, const ImageBatchSize& grid,
-                                UnetBlockActivations& state) {
+void Unet::allocate_block_activations(Device& device, const UnetBlockOffsets& block,
+                                      const ImageBatchSize& grid, UnetBlockActivations& state) {
     state.active = Tensor(device, block.conv.n_in, grid, "activations");
     state.norm = NormActivations(device, block.conv.n_in);
     norm_.reserve_channel_sums(device, block.conv.n_in, grid);
     if (!with_gradients_) return;
     most_active_ = std::max(most_active_, block.conv.n_in * grid.count_all_pixels());
-    ConvolutionKernels& conv = get_conv(block.conv);
+    ConvolutionKernels& conv = get_convolution_kernels(block.conv);
     conv.reserve_partial_sums(device, conv.count_partial_sum_floats(grid, block.conv.n_in, block.conv.n_out));
 }
 
@@ -52,8 +52,8 @@ void Unet::allocate_level_tensors(Device& device, std::size_t level, const Image
         tensors(l.pooled, l.d_pooled, widths_[level - 1], grid);
         tensors(l.down_between, l.d_down_between, widths_[level], grid);
         for (std::size_t k = 0; k < 2; ++k)
-            allocate_block_state(device, plan_.down[2 * level - 2 + k], grid,
-                                 down_states_[2 * level - 2 + k]);
+            allocate_block_activations(device, plan_.down[2 * level - 2 + k], grid,
+                                       down_states_[2 * level - 2 + k]);
     }
     if (2 * level >= plan_.up.size()) {  // smallest image size
         tensors(l.up, l.d_up, widths_[level], grid);
@@ -63,7 +63,7 @@ void Unet::allocate_level_tensors(Device& device, std::size_t level, const Image
     tensors(l.up_between, l.d_up_between, count_concatenated_channels(widths_, level), grid);
     tensors(l.up, l.d_up, count_decoder_channels(widths_, level), grid);
     for (std::size_t k = 0; k < 2; ++k)
-        allocate_block_state(device, plan_.up[2 * level + k], grid, up_states_[2 * level + k]);
+        allocate_block_activations(device, plan_.up[2 * level + k], grid, up_states_[2 * level + k]);
 }
 
 void Unet::allocate_activations(Device& device, const ImageBatchSize& grid, bool with_gradients) {
@@ -81,7 +81,7 @@ void Unet::allocate_activations(Device& device, const ImageBatchSize& grid, bool
     if (with_gradients) d_logit_ = Tensor(device, 1, grid, "gradient of drop logits");
     if (with_gradients) gradients_.reserve(device, parameters_.size(), "gradients of the network");
     ImageBatchSize at = grid;
-    for (std::size_t level = 0; level < levels_.size(); ++level, at = halve_grid(at))
+    for (std::size_t level = 0; level < levels_.size(); ++level, at = halve_image_size(at))
         allocate_level_tensors(device, level, at);
     for (const ConvParameterOffsets* layer : {&plan_.first_conv, &plan_.last_conv})
         conv1_.reserve_partial_sums(device, conv1_.count_partial_sum_floats(grid, layer->n_in, layer->n_out));
@@ -95,11 +95,11 @@ void Unet::allocate_activations(Device& device, const ImageBatchSize& grid, bool
 void Unet::allocate_attention_tensors(Device& device) {
     const ImageBatchSize& smallest = levels_.back().up.grid;
     const std::uint32_t channels = widths_.back();
-    allocate_block_state(device, *plan_.query, smallest, query_state_);
+    allocate_block_activations(device, *plan_.query, smallest, query_state_);
     qkv_ = Tensor(device, 3 * channels, smallest, "queries, keys and values");
     attended_ = Tensor(device, channels, smallest, "attention");
     mixed_ = Tensor(device, channels, smallest, "attention added");
-    attention_state_ = attention_->make_attention_state(device, smallest, with_gradients_);
+    attention_state_ = attention_->allocate_attention_activations(device, smallest, with_gradients_);
     conv1_.reserve_partial_sums(device, conv1_.count_partial_sum_floats(smallest, channels, channels));
     if (!with_gradients_) return;
     d_qkv_ = Tensor(device, 3 * channels, smallest, "gradient of queries");
@@ -107,24 +107,25 @@ void Unet::allocate_attention_tensors(Device& device) {
     d_mixed_ = Tensor(device, channels, smallest, "gradient of attention added");
 }
 
-void Unet::run_block(Stream& stream, const UnetBlockOffsets& block, UnetBlockActivations& state,
-                     const ChannelSlice& input, const ChannelSlice& output, UnetMode mode) {
+void Unet::run_conv_block(Stream& stream, const UnetBlockOffsets& block, UnetBlockActivations& state,
+                          const ChannelSlice& input, const ChannelSlice& output, UnetMode mode) {
     const NormWeights norm_weights{parameters_.address_as<glm::vec2, shared::BetaGamma>(block.beta_gamma),
                                    running_.address_as<glm::vec2, shared::RunningMoments>(block.running)};
     if (mode == UnetMode::train)
-        norm_.normalise_for_training(stream, input, norm_weights, state.norm,
-                                     state.active.get_all_channels());
+        norm_.run_norm_relu_dropout_for_training(stream, input, norm_weights, state.norm,
+                                                 state.active.get_all_channels());
     else
-        norm_.normalise_for_inference(stream, input, norm_weights, state.norm,
-                                      state.active.get_all_channels());
-    get_conv(block.conv)
+        norm_.run_norm_relu_for_inference(stream, input, norm_weights, state.norm,
+                                          state.active.get_all_channels());
+    get_convolution_kernels(block.conv)
         .run_convolution(stream, state.active.get_all_channels(), get_conv_weights(block.conv.weights), {},
                          output);
 }
 
 void Unet::run_attention_layer(Stream& stream, UnetMode mode) {
     const Tensor& bottom = levels_.back().up;
-    run_block(stream, *plan_.query, query_state_, bottom.get_all_channels(), qkv_.get_all_channels(), mode);
+    run_conv_block(stream, *plan_.query, query_state_, bottom.get_all_channels(), qkv_.get_all_channels(),
+                   mode);
     attention_->compute_attention(stream, qkv_.get_all_channels(), attention_state_,
                                   attended_.get_all_channels());
     stream.copy(bottom.values.buffer(), mixed_.values.buffer(), bottom.values.size() * sizeof(float));
@@ -140,9 +141,9 @@ void Unet::run_all_layers(Stream& stream, UnetMode mode) {
         const ChannelSlice pooled = levels_[l].pooled.get_all_channels(),
                            between = levels_[l].down_between.get_all_channels();
         resample_.max_pool(stream, get_skip_connection(l - 1), pooled);
-        run_block(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2], pooled, between, mode);
-        run_block(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between,
-                  l < n_levels ? get_skip_connection(l) : levels_[l].up.get_all_channels(), mode);
+        run_conv_block(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2], pooled, between, mode);
+        run_conv_block(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between,
+                       l < n_levels ? get_skip_connection(l) : levels_[l].up.get_all_channels(), mode);
     }
     if (attention_) run_attention_layer(stream, mode);
     for (std::size_t l = plan_.up.size() / 2; l-- > 0;) {
@@ -154,10 +155,10 @@ void Unet::run_all_layers(Stream& stream, UnetMode mode) {
                 smallest && attention_ ? mixed_.get_all_channels() : levels_[l + 1].up.get_all_channels(),
                 level.joined.get_all_channels().get_channel_range(0, below));
         }
-        run_block(stream, plan_.up[2 * l], up_states_[2 * l], level.joined.get_all_channels(),
-                  level.up_between.get_all_channels(), mode);
-        run_block(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], level.up_between.get_all_channels(),
-                  level.up.get_all_channels(), mode);
+        run_conv_block(stream, plan_.up[2 * l], up_states_[2 * l], level.joined.get_all_channels(),
+                       level.up_between.get_all_channels(), mode);
+        run_conv_block(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1],
+                       level.up_between.get_all_channels(), level.up.get_all_channels(), mode);
     }
     conv1_.run_convolution(stream, levels_[0].up.get_all_channels(),
                            get_conv_weights(plan_.last_conv.weights), get_conv_bias(*plan_.last_conv.bias),
@@ -178,19 +179,20 @@ void Unet::run_inference(Stream& stream) { run_all_layers(stream, UnetMode::eval
 
 void Unet::backpropagate_conv_parameters(Stream& stream, const ConvParameterOffsets& layer,
                                          const ChannelSlice& input, const ChannelSlice& d_output) {
-    get_conv(layer).backpropagate_weights(stream, input, d_output,
-                                          gradients_.address_as<float, shared::ConvWeights>(layer.weights));
+    get_convolution_kernels(layer).backpropagate_weights(
+        stream, input, d_output, gradients_.address_as<float, shared::ConvWeights>(layer.weights));
     if (layer.bias)
         norm_.backpropagate_bias(stream, d_output,
                                  gradients_.address_as<float, shared::ConvBias>(*layer.bias));
 }
 
-void Unet::backpropagate_block(Stream& stream, const UnetBlockOffsets& block, UnetBlockActivations& state,
-                               const ChannelSlice& input, const ChannelSlice& d_output,
-                               const ChannelSlice& d_input, bool accumulate) {
+void Unet::backpropagate_conv_block(Stream& stream, const UnetBlockOffsets& block,
+                                    UnetBlockActivations& state, const ChannelSlice& input,
+                                    const ChannelSlice& d_output, const ChannelSlice& d_input,
+                                    bool accumulate) {
     const ChannelSlice d_active{{scratch_.values.address(), block.conv.n_in, 0}, block.conv.n_in, input.grid};
     backpropagate_conv_parameters(stream, block.conv, state.active.get_all_channels(), d_output);
-    get_conv(block.conv)
+    get_convolution_kernels(block.conv)
         .backpropagate_input(stream, d_output, get_conv_weights(block.conv.weights), d_active);
     norm_.backpropagate_norm_layer(stream, input, state.norm, d_active, d_input,
                                    {gradients_, block.beta_gamma}, accumulate);
@@ -206,8 +208,8 @@ void Unet::backpropagate_attention(Stream& stream) {
                                      d_attended_.get_all_channels(), d_qkv_.get_all_channels());
     stream.copy(d_mixed_.values.buffer(), smallest.d_up.values.buffer(),
                 d_mixed_.values.size() * sizeof(float));
-    backpropagate_block(stream, *plan_.query, query_state_, smallest.up.get_all_channels(),
-                        d_qkv_.get_all_channels(), smallest.d_up.get_all_channels(), true);
+    backpropagate_conv_block(stream, *plan_.query, query_state_, smallest.up.get_all_channels(),
+                             d_qkv_.get_all_channels(), smallest.d_up.get_all_channels(), true);
 }
 
 void Unet::run_backward_pass(Stream& stream) {
@@ -220,10 +222,10 @@ void Unet::run_backward_pass(Stream& stream) {
         const UnetLevelBuffers& level = levels_[l];
         const ChannelSlice between = level.up_between.get_all_channels(),
                            d_between = level.d_up_between.get_all_channels();
-        backpropagate_block(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], between,
-                            level.d_up.get_all_channels(), d_between);
-        backpropagate_block(stream, plan_.up[2 * l], up_states_[2 * l], level.joined.get_all_channels(),
-                            d_between, level.d_joined.get_all_channels());
+        backpropagate_conv_block(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], between,
+                                 level.d_up.get_all_channels(), d_between);
+        backpropagate_conv_block(stream, plan_.up[2 * l], up_states_[2 * l], level.joined.get_all_channels(),
+                                 d_between, level.d_joined.get_all_channels());
         if (const std::uint32_t below = count_upsampled_channels(widths_, l); below > 0) {
             const bool smallest = l + 1 == n_levels;
             resample_.backpropagate_upsample(stream,
@@ -238,11 +240,11 @@ void Unet::run_backward_pass(Stream& stream) {
         const ChannelSlice d_to =
                                l < n_levels ? get_skip_connection_gradient(l) : level.d_up.get_all_channels(),
                            between = level.down_between.get_all_channels();
-        backpropagate_block(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between, d_to,
-                            level.d_down_between.get_all_channels());
-        backpropagate_block(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2],
-                            level.pooled.get_all_channels(), level.d_down_between.get_all_channels(),
-                            level.d_pooled.get_all_channels());
+        backpropagate_conv_block(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between, d_to,
+                                 level.d_down_between.get_all_channels());
+        backpropagate_conv_block(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2],
+                                 level.pooled.get_all_channels(), level.d_down_between.get_all_channels(),
+                                 level.d_pooled.get_all_channels());
         resample_.backpropagate_max_pool(stream, get_skip_connection(l - 1),
                                          level.d_pooled.get_all_channels(),
                                          get_skip_connection_gradient(l - 1));

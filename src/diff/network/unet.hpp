@@ -56,7 +56,7 @@ std::uint32_t count_concatenated_channels(const std::vector<std::uint32_t>& widt
 /// Initialises the parameters with Kaiming's uniform distribution. Normalisations start
 /// with gamma 1 and beta 0. If the network predicts a correction, its last convolution
 /// starts with 0, so that the initial correction is 0.
-void initialise_network_parameters(RayDropNetwork& network, const UnetParameterLayout& plan,
+void initialise_network_parameters(RayDropNetwork& network, const UnetParameterLayout& parameter_layout,
                                    std::uint64_t seed);
 
 /// Network on a device, with its parameters and memory.
@@ -132,20 +132,20 @@ private:
     ConvolutionKernels::Bias get_conv_bias(std::size_t offset) const {
         return parameters_.address_as<float, shared::ConvBias>(offset);
     }
-    ConvolutionKernels& get_conv(const ConvParameterOffsets& layer) {
+    ConvolutionKernels& get_convolution_kernels(const ConvParameterOffsets& layer) {
         return layer.taps == 1 ? conv1_ : conv3_;
     }
     ChannelSlice get_skip_connection(std::size_t level) const;
     ChannelSlice get_skip_connection_gradient(std::size_t level) const;
     void allocate_level_tensors(Device& device, std::size_t level, const ImageBatchSize& grid);
     void allocate_attention_tensors(Device& device);
-    void allocate_block_state(Device& device, const UnetBlockOffsets& block, const ImageBatchSize& grid,
-                              UnetBlockActivations& state);
-    void run_block(Stream& stream, const UnetBlockOffsets& block, UnetBlockActivations& state,
-                   const ChannelSlice& input, const ChannelSlice& output, UnetMode mode);
-    void backpropagate_block(Stream& stream, const UnetBlockOffsets& block, UnetBlockActivations& state,
-                             const ChannelSlice& input, const ChannelSlice& d_output,
-                             const ChannelSlice& d_input, bool accumulate = false);
+    void allocate_block_activations(Device& device, const UnetBlockOffsets& block, const ImageBatchSize& grid,
+                                    UnetBlockActivations& state);
+    void run_conv_block(Stream& stream, const UnetBlockOffsets& block, UnetBlockActivations& state,
+                        const ChannelSlice& input, const ChannelSlice& output, UnetMode mode);
+    void backpropagate_conv_block(Stream& stream, const UnetBlockOffsets& block, UnetBlockActivations& state,
+                                  const ChannelSlice& input, const ChannelSlice& d_output,
+                                  const ChannelSlice& d_input, bool accumulate = false);
     void backpropagate_conv_parameters(Stream& stream, const ConvParameterOffsets& layer,
                                        const ChannelSlice& input, const ChannelSlice& d_output);
     void run_all_layers(Stream& stream, UnetMode mode);

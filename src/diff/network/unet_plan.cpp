@@ -11,7 +11,7 @@
 namespace relidar::refine {
 namespace {
 
-std::size_t allocate_aligned_floats(std::size_t& n_allocated, std::size_t n_floats) {
+std::size_t reserve_aligned_float_offset(std::size_t& n_allocated, std::size_t n_floats) {
     const std::size_t first = n_allocated;
     n_allocated += (n_floats + 3) / 4 * 4;
     return first;
@@ -19,20 +19,25 @@ std::size_t allocate_aligned_floats(std::size_t& n_allocated, std::size_t n_floa
 
 /// Returns a random number between -1 and 1. The number is the same with every compiler,
 /// unlike std::uniform_real_distribution.
-float draw_symmetric_uniform(std::mt19937_64& random) { return float(random() >> 40) * 0x1p-23f - 1.0f; }
+float sample_uniform_minus1_to_1(std::mt19937_64& random) { return float(random() >> 40) * 0x1p-23f - 1.0f; }
 
 }  // namespace
 
 UnetParameterLayout::UnetParameterLayout(const RayDropNetwork& network) {
     const auto conv = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps, bool biased) {
         ConvParameterOffsets layer{
-            n_in, n_out, taps, allocate_aligned_floats(n_parameters, std::size_t(n_in) * n_out * taps), {}};
-        if (biased) layer.bias = allocate_aligned_floats(n_parameters, n_out);
+            n_in,
+            n_out,
+            taps,
+            reserve_aligned_float_offset(n_parameters, std::size_t(n_in) * n_out * taps),
+            {}};
+        if (biased) layer.bias = reserve_aligned_float_offset(n_parameters, n_out);
         return layer;
     };
     const auto block = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps) {
-        return UnetBlockOffsets{allocate_aligned_floats(n_parameters, 2 * n_in),
-                                allocate_aligned_floats(n_running, 2 * n_in), conv(n_in, n_out, taps, false)};
+        return UnetBlockOffsets{reserve_aligned_float_offset(n_parameters, 2 * n_in),
+                                reserve_aligned_float_offset(n_running, 2 * n_in),
+                                conv(n_in, n_out, taps, false)};
     };
     const std::vector<std::uint32_t>& w = network.widths;
     const std::size_t n_levels = w.size() - 1;
@@ -68,15 +73,15 @@ std::uint32_t count_concatenated_channels(const std::vector<std::uint32_t>& widt
     return count_upsampled_channels(widths, level) + widths[level];
 }
 
-void initialise_network_parameters(RayDropNetwork& network, const UnetParameterLayout& plan,
+void initialise_network_parameters(RayDropNetwork& network, const UnetParameterLayout& parameter_layout,
                                    std::uint64_t seed) {
     std::mt19937_64 random(seed);
-    network.parameters.assign(plan.n_parameters, 0.0f);
-    network.running.assign(plan.n_running, 0.0f);
+    network.parameters.assign(parameter_layout.n_parameters, 0.0f);
+    network.running.assign(parameter_layout.n_running, 0.0f);
     const auto draw_conv = [&](const ConvParameterOffsets& layer) {
         const float bound = std::sqrt(6.0f / float(layer.n_in * layer.taps));
         for (std::size_t i = 0; i < std::size_t(layer.n_in) * layer.n_out * layer.taps; ++i)
-            network.parameters[layer.weights + i] = bound * draw_symmetric_uniform(random);
+            network.parameters[layer.weights + i] = bound * sample_uniform_minus1_to_1(random);
     };
     const auto draw_block = [&](const UnetBlockOffsets& block) {
         for (std::size_t c = 0; c < block.conv.n_in; ++c) {
@@ -85,13 +90,13 @@ void initialise_network_parameters(RayDropNetwork& network, const UnetParameterL
         }
         draw_conv(block.conv);
     };
-    draw_conv(plan.first_conv);
-    for (const UnetBlockOffsets& block : plan.down) draw_block(block);
+    draw_conv(parameter_layout.first_conv);
+    for (const UnetBlockOffsets& block : parameter_layout.down) draw_block(block);
     // The output projection of the attention stays 0, so that attention adds nothing at
     // first.
-    if (plan.query) draw_block(*plan.query);
-    for (const UnetBlockOffsets& block : plan.up) draw_block(block);
-    if (!network.residual) draw_conv(plan.last_conv);
+    if (parameter_layout.query) draw_block(*parameter_layout.query);
+    for (const UnetBlockOffsets& block : parameter_layout.up) draw_block(block);
+    if (!network.residual) draw_conv(parameter_layout.last_conv);
 }
 
 }  // namespace relidar::refine

@@ -43,7 +43,7 @@ struct Adam::Impl {
 
     Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, SurfelParameterSet parameter_set)
         : options(o),
-          per_float(prefers_coalesced_access(device)),
+          per_float(should_coalesce_memory_access(device)),
           moment1(device, n_surfels - std::min(o.n_fixed, n_surfels), "first moment", parameter_set),
           moment2(device, moment1.n, "second moment", parameter_set),
           max_log_scale(device, 0, "bounds of scales"),
@@ -56,8 +56,8 @@ Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options,
            SurfelParameterSet parameter_set)
     : impl_(new Impl(device, n_surfels, options, parameter_set)) {
     Stream stream(device);
-    impl_->moment1.fill_zero(stream);
-    impl_->moment2.fill_zero(stream);
+    impl_->moment1.record_zero_fill(stream);
+    impl_->moment2.record_zero_fill(stream);
     // Waits until the moments are zero, because a resumed run uploads other moments
     // before the first step.
     stream.submit_and_wait();
@@ -67,7 +67,7 @@ SurfelArrays& Adam::get_first_moments() { return impl_->moment1; }
 SurfelArrays& Adam::get_second_moments() { return impl_->moment2; }
 Array<float>& Adam::get_max_log_scales() { return impl_->max_log_scale; }
 
-void Adam::set_max_log_scales(Device& device, const std::vector<float>& max_log_scales) {
+void Adam::set_max_log_scale_of_each_surfel(Device& device, const std::vector<float>& max_log_scales) {
     impl_->max_log_scale = {device, std::span<const float>(max_log_scales), "bounds of scales"};
 }
 
@@ -82,7 +82,7 @@ void Adam::record_adam_step(Stream& stream, SurfelArrays& parameters, const Surf
     const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step_number)));
     const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step_number)));
     const bool listed = a.list && touched_flags;
-    if (listed) a.list->collect_touched_rows(stream, touched_flags->address(first), n_rows);
+    if (listed) a.list->record_listing_of_touched_rows(stream, touched_flags->address(first), n_rows);
     const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
     const ConcurrentLaunchScope groups(stream);  // launches may overlap, because the groups are independent
     for (const SurfelParameterGroup& group : list_parameter_groups(parameters.get_parameter_set())) {
@@ -93,7 +93,7 @@ void Adam::record_adam_step(Stream& stream, SurfelArrays& parameters, const Surf
         const std::size_t from = std::size_t(first) * stride;
         const bool by_model = group.rate == &LearningRates::mean && !learning_rates.mean_factors.empty();
         const std::size_t n_threads = std::size_t(n_rows) * (a.per_float ? n_blocks * n_active : 1u);
-        run(stream, a.kernel, listed ? a.list->choose_thread_count(n_threads) : n_threads,
+        run(stream, a.kernel, listed ? a.list->choose_threads_for_touched_rows(n_threads) : n_threads,
             {.values = group.device(parameters).address_as<float, shared::AdamValues>(from),
              .gradients = group.device(gradients).address_as<float, shared::AdamGradients>(from),
              .moment1 = group.device(a.moment1).address_as<float, shared::FirstMoments>(),
@@ -107,7 +107,8 @@ void Adam::record_adam_step(Stream& stream, SurfelArrays& parameters, const Surf
              .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first)
                                                                   : Address<float, shared::ScaleBounds>{},
              .model_scale =
-                 (by_model ? stream.impl().store_host_values(learning_rates.mean_factors) : Address<float>{})
+                 (by_model ? stream.impl().stage_host_values_for_kernels(learning_rates.mean_factors)
+                           : Address<float>{})
                      .cast_meaning<shared::ModelRates>(),
              .models = by_model ? learning_rates.models->address() : Address<shared::ModelEntry>{},
              .learning_rate = static_cast<float>(learning_rates.*group.rate * rest_factor),

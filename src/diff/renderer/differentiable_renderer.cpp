@@ -63,7 +63,7 @@ struct DifferentiableRenderer::Impl {
          const RendererOptions& of_renderer, const GradientOptions& of_gradients)
         : renderer(device, scene, model, of_renderer),
           options(of_gradients),
-          backward(device, model, renderer.accel().get_bounding_shape(), of_renderer.trace,
+          backward(device, model, renderer.accel().get_proxy_shape_of_surfels(), of_renderer.trace,
                    of_gradients.sums),
           upstream(device, of_renderer.n_rays, "loss gradients") {
         allocate_gradients();
@@ -123,7 +123,7 @@ HostGradients DifferentiableRenderer::compute_gradients(const RenderedGradients&
             download_if_allocated(g.rays, 6 * n_rays)};
 }
 
-void DifferentiableRenderer::apply_surfel_change(
+void DifferentiableRenderer::change_surfels_and_reallocate_memory(
     const std::function<void(double other_allocation_bytes)>& change_surfels) {
     Renderer& renderer = impl_->renderer;
     const Device& device = renderer.stream().device();

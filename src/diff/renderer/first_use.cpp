@@ -55,12 +55,12 @@ RenderedRayValues render_surfel_ring(Device& device, const AccelOptions& accel_o
                                      AccelTreeState tree_state) {
     Surfels surfels = make_surfel_ring();
     Renderer renderer(device, make_background_scene(surfels), {}, {.accel = accel_options});
-    renderer.prepare_view(glm::vec3(0.0f));
+    renderer.record_view_preparation(glm::vec3(0.0f));
     if (tree_state == AccelTreeState::refitted) {
         for (std::size_t i = 0; i < surfels.mean.size(); ++i) surfels.mean[i].z += i % 2 == 0 ? 0.2f : -0.2f;
         renderer.stream().submit_and_wait();
         renderer.upload_surfels(surfels);
-        renderer.prepare_view(glm::vec3(0.0f));
+        renderer.record_view_preparation(glm::vec3(0.0f));
     }
     return renderer.render_rays(make_rays_from_origin());
 }
@@ -70,12 +70,12 @@ RenderedRayValues render_surfel_ring(Device& device, const AccelOptions& accel_o
 /// @param default_size_error description of the wrong result with the default size
 int find_working_subgroup_size(const DeviceOptions& options, const Device& device,
                                const std::string& default_size_error) {
-    const std::vector<int> sizes = list_subgroup_sizes(device);
+    const std::vector<int> sizes = list_requestable_subgroup_sizes(device);
     for (auto lanes = sizes.rbegin(); lanes != sizes.rend(); ++lanes) {
         if (*lanes == device.info().subgroup_size) continue;
         const ScopedDeviceTestResults trusting(DeviceTestResults{.subgroup_size = *lanes});
         Device other(options);
-        if (describe_subgroup_failure(other).empty()) return *lanes;
+        if (test_subgroups_and_describe_error(other).empty()) return *lanes;
     }
     throw DeviceError(fmt::format(
         "cannot use {} ({}): subgroups of {} lanes give wrong results ({}), and no other subgroup size gives "
@@ -88,7 +88,8 @@ int find_working_subgroup_size(const DeviceOptions& options, const Device& devic
 int count_wrongly_traced_rays(Device& device, AccelTreeState tree_state) {
     AccelOptions accel;
     // A test can force wrong hits here by making the boxes smaller than their surfels.
-    if (gpu::is_fault_injected("ray_query") && device.traversal() == RayTracingBackend::ray_query)
+    if (gpu::is_fault_injected("ray_query") &&
+        device.get_ray_tracing_backend() == RayTracingBackend::ray_query)
         accel.margin_scale = 0.3f;
     const RenderedRayValues actual = render_surfel_ring(device, accel, tree_state);
     const ForcedBehaviourScope forced(device, {.brute_force = true});
@@ -100,18 +101,19 @@ int count_wrongly_traced_rays(Device& device, AccelTreeState tree_state) {
     return n_wrong;
 }
 
-DeviceTestResults check_device_at_first_use(const DeviceOptions& options) {
+DeviceTestResults test_device_capabilities(const DeviceOptions& options) {
     const ScopedDeviceTestResults trusting(DeviceTestResults{});
     Device device(options);
     DeviceTestResults trust;
-    if (device.info().float_atomics) trust.float_atomics = compute_atomic_sum_error(device, false) == 0.0;
-    trust.float_swaps = compute_atomic_sum_error(device, true) == 0.0;
+    if (device.info().float_atomics)
+        trust.float_atomics = test_atomic_adds_and_get_max_error(device, false) == 0.0;
+    trust.float_swaps = test_atomic_adds_and_get_max_error(device, true) == 0.0;
     // Tests subgroups only if the device supports software traversal, because only its
     // kernels rely on subgroups.
     if (device.info().software)
-        if (const std::string wrong = describe_subgroup_failure(device); !wrong.empty())
+        if (const std::string wrong = test_subgroups_and_describe_error(device); !wrong.empty())
             trust.subgroup_size = find_working_subgroup_size(options, device, wrong);
-    if (device.traversal() != RayTracingBackend::ray_query) return trust;
+    if (device.get_ray_tracing_backend() != RayTracingBackend::ray_query) return trust;
     int n_wrong = 0;
     if (trust.subgroup_size == 0) {
         n_wrong = count_wrongly_traced_rays(device);

@@ -12,16 +12,16 @@
 
 namespace relidar {
 
-CollectedHits collect_ray_hits(Device& device, const PosedScene& placed_scene, const WorldRays& rays,
+CollectedHits collect_ray_hits(Device& device, const PosedScene& posed_scene, const WorldRays& rays,
                                std::uint32_t max_hits_per_ray) {
     Stream stream(device);
-    DeviceScene on_device(device, *placed_scene.scene);
-    on_device.set_instance_poses(placed_scene.world_from_instance);
-    AccelerationStructure accel(device, on_device, placed_scene.accel);
+    DeviceScene on_device(device, *posed_scene.scene);
+    on_device.upload_instance_poses_and_wait(posed_scene.world_from_instance);
+    AccelerationStructure accel(device, on_device, posed_scene.accel);
     const Kernel<shared::CollectHitsParams> kernel(
         device, "diff/traversal/collect_hits", get_traversal_kernel_variant(device),
-        make_trace_kernel_constants(device, accel.get_bounding_shape(), placed_scene.trace,
-                                    placed_scene.model));
+        make_trace_kernel_constants(device, accel.get_proxy_shape_of_surfels(), posed_scene.trace,
+                                    posed_scene.model));
     const std::size_t n = rays.size();
     const Array<DeviceRay> device_rays(device, std::span<const DeviceRay>(to_device_rays(rays)), "rays");
     const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
@@ -30,12 +30,12 @@ CollectedHits collect_ray_hits(Device& device, const PosedScene& placed_scene, c
     const Array<std::uint32_t, shared::HitInstances> instance(device, n * max_hits_per_ray, "hit instances");
     const Array<std::uint32_t, shared::HitSurfels> surfel(device, n * max_hits_per_ray, "hit surfels");
     const Array<float, shared::HitDistances> t(device, n * max_hits_per_ray, "hit distances");
-    on_device.compute_surfel_records(stream, placed_scene.model, glm::vec3(0.0f));
-    accel.update_bvh(stream, on_device);
+    on_device.record_surfel_record_computation(stream, posed_scene.model, glm::vec3(0.0f));
+    accel.record_bvh_refit_or_build(stream, on_device);
     run(stream, kernel, n,
         {.scene =
              make_trace_scene_params(on_device, accel, {&device_rays, 0, 1, static_cast<std::uint32_t>(n)},
-                                     placed_scene.model, placed_scene.trace, pass_cap.address()),
+                                     posed_scene.model, posed_scene.trace, pass_cap.address()),
          .counts = counts.address(),
          .t = t.address(),
          .instance = instance.address(),

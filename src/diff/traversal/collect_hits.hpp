@@ -34,7 +34,7 @@ struct PosedScene {
 /// @param max_hits_per_ray maximum number of stored hits per ray. Further hits are only
 /// counted
 /// @throws DeviceError if a ray has too many hits to be traced completely
-CollectedHits collect_ray_hits(Device& device, const PosedScene& placed_scene, const WorldRays& rays,
+CollectedHits collect_ray_hits(Device& device, const PosedScene& posed_scene, const WorldRays& rays,
                                std::uint32_t max_hits_per_ray);
 
 }  // namespace relidar

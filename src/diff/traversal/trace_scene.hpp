@@ -54,7 +54,7 @@ inline shared::TraceScene make_trace_scene_params(
     traced.ray_stride = batch.stride;
     traced.columns = batch.columns;
     if (options.likelihood) {
-        traced.targets = get_address(batch.targets);
+        traced.targets = get_device_address_or_null(batch.targets);
         traced.likelihood_scale_m = options.likelihood->scale_m;
     }
     return traced;
@@ -62,8 +62,9 @@ inline shared::TraceScene make_trace_scene_params(
 
 /// Returns the kernel variant for the traversal method of the device.
 inline KernelVariant get_traversal_kernel_variant(const Device& device) {
-    if (must_test_every_surfel(device)) return KernelVariant("@brute_force");
-    return KernelVariant(device.traversal() == RayTracingBackend::software ? "@software_bvh" : "@ray_query");
+    if (is_brute_force_tracing_forced(device)) return KernelVariant("@brute_force");
+    return KernelVariant(device.get_ray_tracing_backend() == RayTracingBackend::software ? "@software_bvh"
+                                                                                         : "@ray_query");
 }
 
 /// Returns the value of the specialisation constant TOGETHER. 0: each ray traverses the

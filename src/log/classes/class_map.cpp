@@ -26,7 +26,7 @@ std::vector<glm::vec3> compute_cell_centres(const SurfaceClassMap& map) {
 
 }  // namespace
 
-void merge_class_map(SurfaceClassMap& target_map, const SurfaceClassMap& source_map) {
+void add_missing_cells_of_class_map(SurfaceClassMap& target_map, const SurfaceClassMap& source_map) {
     std::unordered_set<std::uint64_t> occupied_cells;
     for (const SurfaceClassCell& cell : target_map) occupied_cells.insert(make_class_cell_key(cell));
     for (const SurfaceClassCell& cell : source_map)
@@ -45,10 +45,10 @@ SurfaceClassLookup::SurfaceClassLookup(const SurfaceClassMap& map)
 
 SurfaceClassLookup::~SurfaceClassLookup() = default;
 
-SurfaceClass SurfaceClassLookup::find_nearest_class(const glm::dvec3& point_m) const {
+SurfaceClass SurfaceClassLookup::find_class_of_nearest_cell(const glm::dvec3& point_m) const {
     const glm::vec3 point(point_m);
     if (!std::isfinite(point.x + point.y + point.z)) return SurfaceClass::unknown;
-    const auto [cell, squared_m] = impl_->centres.find_nearest_point(point);
+    const auto [cell, squared_m] = impl_->centres.find_nearest_with_squared_distance(point);
     return squared_m <= kClassReach_m * kClassReach_m ? impl_->classes[cell] : SurfaceClass::unknown;
 }
 

@@ -48,12 +48,14 @@ SurfaceClass choose_majority_class(const std::array<std::uint32_t, kSurfaceClass
 
 }  // namespace
 
-SurfaceClassMap compute_class_map(const LidarSequence& sequence, const PoseTrack& world_from_vehicle,
-                                  const std::vector<int>& frame_indices) {
+SurfaceClassMap compute_map_of_surface_classes(const LidarSequence& sequence,
+                                               const PoseTrack& world_from_vehicle,
+                                               const std::vector<BoxTrack>& boxes,
+                                               const std::vector<int>& frame_indices) {
     std::vector<PoseTrack> world_from_sensor;
     for (const Lidar& lidar : sequence.lidars)
         world_from_sensor.push_back(compute_mounted_track(world_from_vehicle, lidar.vehicle_from_sensor));
-    std::vector<BoxTrack> moving = sequence.boxes;
+    std::vector<BoxTrack> moving = boxes;
     std::erase_if(moving, [](const BoxTrack& box) { return !box.is_moving(); });
     std::vector<std::vector<SurfaceClassCell>> votes_of_frame(frame_indices.size());
     parallel_for(static_cast<int>(frame_indices.size()), [&](int index) {
@@ -66,7 +68,7 @@ SurfaceClassMap compute_class_map(const LidarSequence& sequence, const PoseTrack
         votes.insert(votes.end(), some.begin(), some.end());
         some = {};
     }
-    const ItemCellIndices cells = assign_cell_numbers(votes.size(), [&](std::size_t vote) {
+    const ItemCellIndices cells = number_cells_and_assign_items(votes.size(), [&](std::size_t vote) {
         return compute_grid_cell_key(glm::dvec3(votes[vote].grid_index), 1.0);
     });
     SurfaceClassMap map(cells.n_cells);

@@ -22,7 +22,7 @@ constexpr int kMostMissing = 8;
 std::map<int, double> compute_head_azimuth_per_firing(const LidarPoints& points,
                                                       const std::vector<int>& firing_numbers,
                                                       const SpinningSensor& sensor, double azimuth_step_rad) {
-    const std::vector<BeamRayGenerator> beams = make_beam_geometries(sensor.beams);
+    const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
     // One sum per firing. The phase of the sum is the mean difference between the
     // azimuths of the points and a constant rotation.
     std::map<int, std::complex<double>> sums;
@@ -44,10 +44,12 @@ std::map<int, double> compute_head_azimuth_per_firing(const LidarPoints& points,
 
 /// Adds firings without returns at the end of a revolution, until the circle or the range
 /// image is full. Assumes that the head rotates at a constant rate.
-/// @param columns  number of columns of the range image; 0 if unknown
-void append_missing_firings(std::map<int, double>& azimuth_by_firing, int columns, double azimuth_step_rad) {
+/// @param n_image_columns  number of columns of the range image; 0 if unknown
+void append_firings_without_returns_at_end(std::map<int, double>& azimuth_by_firing, int n_image_columns,
+                                           double azimuth_step_rad) {
     const int full = int(2.0 * kPi / std::abs(azimuth_step_rad));
-    const int n_missing = (columns > 0 ? std::min(columns, full) : full) - int(azimuth_by_firing.size());
+    const int n_missing =
+        (n_image_columns > 0 ? std::min(n_image_columns, full) : full) - int(azimuth_by_firing.size());
     const auto [last, head] = *azimuth_by_firing.rbegin();
     for (int k = 1; n_missing > kMostMissing && k <= n_missing; ++k)
         azimuth_by_firing[last + k] = std::remainder(head + k * azimuth_step_rad, 2.0 * kPi);
@@ -55,16 +57,16 @@ void append_missing_firings(std::map<int, double>& azimuth_by_firing, int column
 
 }  // namespace
 
-SweepFirings assign_points_to_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
-                                      const SpinningSensor& sensor, double azimuth_step_rad) {
+SweepFirings estimate_sweep_and_assign_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
+                                               const SpinningSensor& sensor, double azimuth_step_rad) {
     std::map<int, double> heads =
         compute_head_azimuth_per_firing(points, firing_numbers, sensor, azimuth_step_rad);
-    append_missing_firings(heads, sensor.columns, azimuth_step_rad);
-    return sort_firings_by_azimuth(points, firing_numbers, heads);
+    append_firings_without_returns_at_end(heads, sensor.columns, azimuth_step_rad);
+    return make_sweep_of_firings_by_azimuth(points, firing_numbers, heads);
 }
 
-SweepFirings sort_firings_by_azimuth(LidarPoints& points, const std::vector<int>& firing_numbers,
-                                     const std::map<int, double>& head_azimuth_by_firing) {
+SweepFirings make_sweep_of_firings_by_azimuth(LidarPoints& points, const std::vector<int>& firing_numbers,
+                                              const std::map<int, double>& head_azimuth_by_firing) {
     std::vector<std::pair<double, int>> by_azimuth;
     for (const auto& [number, head] : head_azimuth_by_firing) by_azimuth.emplace_back(-head, number);
     std::sort(by_azimuth.begin(), by_azimuth.end());
@@ -72,7 +74,7 @@ SweepFirings sort_firings_by_azimuth(LidarPoints& points, const std::vector<int>
     std::map<int, std::uint32_t> firing_index_of_number;
     for (const auto& [azimuth, number] : by_azimuth) {
         firing_index_of_number[number] = std::uint32_t(sweep.firings.size());
-        sweep.firings.push_back(sweep.lattice.find_nearest_tick(-azimuth));
+        sweep.firings.push_back(sweep.lattice.find_nearest_encoder_tick(-azimuth));
     }
     points.firing.clear();
     for (const int number : firing_numbers) points.firing.push_back(firing_index_of_number[number]);

@@ -23,14 +23,14 @@ namespace relidar {
 /// with time
 /// @param azimuth_step_rad  azimuth step between firings at a constant rotation rate;
 /// negative for a head that rotates clockwise
-SweepFirings assign_points_to_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
-                                      const SpinningSensor& sensor, double azimuth_step_rad);
+SweepFirings estimate_sweep_and_assign_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
+                                               const SpinningSensor& sensor, double azimuth_step_rad);
 
 /// Sorts firings by the azimuth of the head, and assigns each point to its firing.
 /// @param firing_numbers  [points] firing number of each point
 /// @param head_azimuth_by_firing  azimuth of the head for each firing number, also for
 /// firings without points
-SweepFirings sort_firings_by_azimuth(LidarPoints& points, const std::vector<int>& firing_numbers,
-                                     const std::map<int, double>& head_azimuth_by_firing);
+SweepFirings make_sweep_of_firings_by_azimuth(LidarPoints& points, const std::vector<int>& firing_numbers,
+                                              const std::map<int, double>& head_azimuth_by_firing);
 
 }  // namespace relidar

@@ -14,12 +14,12 @@ bool ScanErrorCollector::is_scan_broken(std::size_t scan_index) const {
     return reasons_.contains(scan_index);
 }
 
-void ScanErrorCollector::add_broken_scan(std::size_t scan_index, const std::string& reason) {
+void ScanErrorCollector::record_broken_scan(std::size_t scan_index, const std::string& reason) {
     const std::lock_guard guard(lock_);
     reasons_.try_emplace(scan_index, reason);
 }
 
-void ScanErrorCollector::add_broken_scan_notes(LidarSequence& sequence, std::size_t n_scans) const {
+void ScanErrorCollector::add_broken_scan_notes_or_throw(LidarSequence& sequence, std::size_t n_scans) const {
     if (!reasons_.empty() && reasons_.size() == n_scans)
         throw DataError(fmt::format("{}: none of the {} scans can be read; the first error is: {}",
                                     sequence.source, n_scans, reasons_.begin()->second));
@@ -28,7 +28,7 @@ void ScanErrorCollector::add_broken_scan_notes(LidarSequence& sequence, std::siz
 }
 
 void ScanErrorCollector::remove_broken_frames(LidarSequence& sequence) const {
-    add_broken_scan_notes(sequence, sequence.frames.size());
+    add_broken_scan_notes_or_throw(sequence, sequence.frames.size());
     if (reasons_.empty()) return;
     std::vector<LidarFrame> remaining_frames;
     std::set<double> times_s;

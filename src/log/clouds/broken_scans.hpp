@@ -25,13 +25,13 @@ public:
     /// Several threads can call this function at the same time.
     /// @throws DataError from `read_scan_part`, unless the user allows broken scans
     template <class Step>
-    void read_or_mark_broken(std::size_t scan_index, const Step& read_scan_part) {
+    void call_and_record_scan_errors(std::size_t scan_index, const Step& read_scan_part) {
         if (is_scan_broken(scan_index)) return;
         try {
             read_scan_part();
         } catch (const DataError& error) {
             if (!skip_) throw DataError(std::string(error.what()) + kSkipBrokenHint);
-            add_broken_scan(scan_index, error.what());
+            record_broken_scan(scan_index, error.what());
         }
     }
 
@@ -39,13 +39,13 @@ public:
     /// Marks scan `scan_index` as broken, even if the user does not allow broken scans.
     /// Used for scans from which points are missing, because their rays would count as
     /// dropped.
-    void add_broken_scan(std::size_t scan_index, const std::string& reason);
+    void record_broken_scan(std::size_t scan_index, const std::string& reason);
     std::size_t size() const { return reasons_.size(); }
 
     /// Adds a note for the user about each broken scan.
     /// @param n_scans  total number of scans
     /// @throws DataError if all scans are broken
-    void add_broken_scan_notes(LidarSequence& sequence, std::size_t n_scans) const;
+    void add_broken_scan_notes_or_throw(LidarSequence& sequence, std::size_t n_scans) const;
     /// Removes the frames of broken scans, and the poses that are then unused. Adds a
     /// note for the user about each broken scan. The indices of scans must be indices of
     /// frames.

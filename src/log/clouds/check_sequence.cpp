@@ -40,7 +40,7 @@ bool is_finite(const glm::dvec3& vector) {
     return std::isfinite(vector.x) && std::isfinite(vector.y) && std::isfinite(vector.z);
 }
 
-void check_pose(const Pose& pose, const std::string& error_location) {
+void require_valid_pose(const Pose& pose, const std::string& error_location) {
     const double largest =
         std::max({std::abs(pose.translation.x), std::abs(pose.translation.y), std::abs(pose.translation.z)});
     if (!is_finite(pose.translation) || largest > kFarthest_m)
@@ -54,7 +54,7 @@ void check_pose(const Pose& pose, const std::string& error_location) {
 }
 
 /// Checks a track. Its times must increase, and each time must have one pose.
-void check_pose_track(const PoseTrack& track, const std::string& error_location) {
+void require_valid_pose_track(const PoseTrack& track, const std::string& error_location) {
     if (track.pose.empty() || track.pose.size() != track.time_s.size())
         fail(error_location, fmt::format("{} poses and {} times", track.pose.size(), track.time_s.size()),
              "at least one pose, and as many times as poses");
@@ -64,18 +64,18 @@ void check_pose_track(const PoseTrack& track, const std::string& error_location)
             fail(fmt::format("{}, pose {}", error_location, k),
                  fmt::format("the time {} s after the time {} s", track.time_s[k], before),
                  "finite and increasing times");
-        check_pose(track.pose[k], fmt::format("{}, pose {}", error_location, k));
+        require_valid_pose(track.pose[k], fmt::format("{}, pose {}", error_location, k));
     }
 }
 
-void check_lidars(const LidarSequence& sequence) {
+void require_valid_lidars(const LidarSequence& sequence) {
     if (sequence.lidars.empty()) fail(sequence.name, "no LiDAR", "at least one LiDAR");
     std::set<std::string> names;
     for (const Lidar& lidar : sequence.lidars) {
         const std::string where = fmt::format("{}: LiDAR '{}'", sequence.name, lidar.name);
         if (!names.insert(lidar.name).second)
             fail(where, "another LiDAR with this name", "different names of LiDARs");
-        check_pose(lidar.vehicle_from_sensor, where + ", vehicle_from_sensor");
+        require_valid_pose(lidar.vehicle_from_sensor, where + ", vehicle_from_sensor");
         const SpinningSensor& sensor = lidar.sensor;
         if (sensor.beams.empty() != (sensor.columns == 0))
             fail(where, fmt::format("{} beams and {} columns", sensor.beams.size(), sensor.columns),
@@ -87,7 +87,7 @@ void check_lidars(const LidarSequence& sequence) {
     }
 }
 
-void check_frame_times(const LidarSequence& sequence) {
+void require_valid_frames_and_pose_times(const LidarSequence& sequence) {
     const std::vector<double>& times = sequence.world_from_vehicle.time_s;
     if (sequence.frames.empty()) fail(sequence.name, "no frame", "at least one frame");
     std::set<std::pair<int, int>> numbers;
@@ -122,7 +122,7 @@ void check_frame_times(const LidarSequence& sequence) {
              fmt::format("{} poses of the vehicle, one for the time of each frame", pose + 1));
 }
 
-void check_scan_array_sizes(const Scan& scan, const std::string& error_location) {
+void require_matching_scan_array_sizes(const Scan& scan, const std::string& error_location) {
     const RayTable& rays = scan.rays;
     if (rays.rows < 0 || rays.columns < 0 || std::size_t(rays.rows) * std::size_t(rays.columns) > kMaxRays)
         fail(error_location,
@@ -150,14 +150,14 @@ void check_scan_array_sizes(const Scan& scan, const std::string& error_location)
 
 /// Returns the name of the invalid field of a return: "range_m" or "intensity". Returns
 /// null if range and intensity are valid.
-const char* find_invalid_return_field(float range_m, float intensity) {
+const char* get_invalid_return_field_or_null(float range_m, float intensity) {
     if (!(range_m >= 0.0f && range_m <= kFarthest_m)) return "range_m";
     if (!(intensity >= 0.0f && intensity <= (range_m > 0.0f ? 1.0f : 0.0f))) return "intensity";
     return nullptr;
 }
 
-void check_scan(const Scan& scan, std::size_t n_beams, const std::string& error_location) {
-    check_scan_array_sizes(scan, error_location);
+void require_valid_scan(const Scan& scan, std::size_t n_beams, const std::string& error_location) {
+    require_matching_scan_array_sizes(scan, error_location);
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         const auto ray = [&](const char* field) {
             return fmt::format("{}, ray {}, {}", error_location, i, field);
@@ -180,12 +180,12 @@ void check_scan(const Scan& scan, std::size_t n_beams, const std::string& error_
             !(angle >= 0.0 && angle <= kWidestBeam_rad))
             fail(ray("divergence"), fmt::format("{}", angle),
                  fmt::format("a beam divergence from 0 to {} rad", kWidestBeam_rad));
-        if (const char* field = find_invalid_return_field(scan.range_m[i], scan.intensity[i]))
+        if (const char* field = get_invalid_return_field_or_null(scan.range_m[i], scan.intensity[i]))
             fail(ray(field),
                  fmt::format("a range of {} m and an intensity of {}", scan.range_m[i], scan.intensity[i]),
                  "a range above 0 m and an intensity from 0 to 1, or both 0 for a dropped ray");
         for (const AdditionalReturns& f : scan.second_returns)
-            if (find_invalid_return_field(f.range_m[i], f.intensity[i]) ||
+            if (get_invalid_return_field_or_null(f.range_m[i], f.intensity[i]) ||
                 (scan.range_m[i] == 0.0f && f.range_m[i] != 0.0f))
                 fail(ray("second return"),
                      fmt::format("a second return with range {} m and intensity {} after a first return at "
@@ -195,7 +195,7 @@ void check_scan(const Scan& scan, std::size_t n_beams, const std::string& error_
     }
 }
 
-void check_boxes(const LidarSequence& sequence) {
+void require_valid_boxes(const LidarSequence& sequence) {
     std::set<std::string> ids;
     for (const BoxTrack& box : sequence.boxes) {
         const std::string where = fmt::format("{}: box '{}'", sequence.name, box.id);
@@ -204,7 +204,7 @@ void check_boxes(const LidarSequence& sequence) {
         if (!is_finite(box.size_m) || !(std::min({box.size_m.x, box.size_m.y, box.size_m.z}) > 0.0))
             fail(where, fmt::format("the box size {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z),
                  "a length, a width and a height above 0 m");
-        check_pose_track(box.world_from_box, where);
+        require_valid_pose_track(box.world_from_box, where);
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
             // Skips labels with a time before the first frame or after the last frame.
@@ -229,7 +229,7 @@ struct FrameGap {
 
 }  // namespace
 
-void check_time_gaps(LidarSequence& sequence) {
+void add_notes_about_time_gaps(LidarSequence& sequence) {
     constexpr double kGap_s = 1.0, kJump_s = 60.0, kUsualSteps = 10.0;
     std::vector<FrameGap> steps;
     for (std::size_t i = 1; i < sequence.frames.size(); ++i)
@@ -258,16 +258,16 @@ void check_time_gaps(LidarSequence& sequence) {
         steps.size(), steps.size() > 1 ? "s" : "", longest.get_duration_s(), before, after, usual_s));
 }
 
-void check_sequence(const LidarSequence& sequence) {
-    check_lidars(sequence);
-    check_pose_track(sequence.world_from_vehicle, sequence.name + ": the vehicle");
-    check_frame_times(sequence);
+void require_valid_sequence(const LidarSequence& sequence) {
+    require_valid_lidars(sequence);
+    require_valid_pose_track(sequence.world_from_vehicle, sequence.name + ": the vehicle");
+    require_valid_frames_and_pose_times(sequence);
     parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
         const LidarFrame& frame = sequence.frames[std::size_t(index)];
-        check_scan(frame.scan, sequence.get_lidar(frame).sensor.beams.size(),
-                   fmt::format("{}: frame {}", sequence.name, frame.index));
+        require_valid_scan(frame.scan, sequence.get_lidar(frame).sensor.beams.size(),
+                           fmt::format("{}: frame {}", sequence.name, frame.index));
     });
-    check_boxes(sequence);
+    require_valid_boxes(sequence);
 }
 
 }  // namespace relidar

@@ -44,7 +44,8 @@ std::vector<TimeRange> list_point_time_ranges(const std::vector<folder::PointTab
     return ranges;
 }
 
-PointTimeReference estimate_time_zero(const std::vector<TimeRange>& time_ranges, double time_unit_s) {
+PointTimeReference find_reference_of_point_times(const std::vector<TimeRange>& time_ranges,
+                                                 double time_unit_s) {
     const auto all = [&](auto test) { return std::ranges::all_of(time_ranges, test); };
     const auto are_times_close = [&](double first, double second) {
         return std::abs(first - second) <= kBesideStamp_s;
@@ -61,8 +62,8 @@ PointTimeReference estimate_time_zero(const std::vector<TimeRange>& time_ranges,
     return PointTimeReference::sensor_clock;
 }
 
-void estimate_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& time_ranges,
-                        double cloud_interval_s) {
+void set_point_time_unit_from_ranges(PointCloudUnits& units, const std::vector<TimeRange>& time_ranges,
+                                     double cloud_interval_s) {
     if (time_ranges.empty()) return;
     std::vector<double> spans;
     for (const TimeRange& r : time_ranges) spans.push_back(r.last - r.first);
@@ -72,7 +73,7 @@ void estimate_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& ti
     for (const TimeUnit& unit : kTimeUnits) {
         const double turns = span * unit.seconds / cloud_interval_s;
         if (!(turns >= kLeastSpan && turns <= kMostSpan)) continue;
-        units.zero = estimate_time_zero(time_ranges, unit.seconds);
+        units.zero = find_reference_of_point_times(time_ranges, unit.seconds);
         units.time_unit_s = unit.seconds;
         units.about = fmt::format(
             "the times of points are read in {}, {}; a cloud lasts {:.1f} ms from its first to its last "
@@ -96,10 +97,11 @@ void estimate_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& ti
 
 }  // namespace
 
-PointCloudUnits estimate_cloud_units(const std::vector<folder::PointTable>& clouds,
-                                     const std::vector<double>& cloud_stamps_s, double cloud_interval_s) {
+PointCloudUnits estimate_time_and_intensity_units(const std::vector<folder::PointTable>& clouds,
+                                                  const std::vector<double>& cloud_stamps_s,
+                                                  double cloud_interval_s) {
     PointCloudUnits units;
-    estimate_time_unit(units, list_point_time_ranges(clouds, cloud_stamps_s), cloud_interval_s);
+    set_point_time_unit_from_ranges(units, list_point_time_ranges(clouds, cloud_stamps_s), cloud_interval_s);
     units.meaning = folder::interpret_point_fields(clouds);
     return units;
 }

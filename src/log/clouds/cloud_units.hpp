@@ -34,7 +34,8 @@ struct PointCloudUnits {
 /// @param clouds  some clouds of the topic
 /// @param cloud_stamps_s  [clouds] time stamp of each cloud in seconds
 /// @param cloud_interval_s  time between clouds in seconds
-PointCloudUnits estimate_cloud_units(const std::vector<folder::PointTable>& clouds,
-                                     const std::vector<double>& cloud_stamps_s, double cloud_interval_s);
+PointCloudUnits estimate_time_and_intensity_units(const std::vector<folder::PointTable>& clouds,
+                                                  const std::vector<double>& cloud_stamps_s,
+                                                  double cloud_interval_s);
 
 }  // namespace relidar::bag

@@ -50,7 +50,7 @@ MaxRangeReturns find_max_range_returns(const LidarSequence& sequence, int lidar_
     return far;
 }
 
-bool is_max_range_drop_marker(const MaxRangeReturns& max_range_returns) {
+bool do_max_range_returns_mark_drops(const MaxRangeReturns& max_range_returns) {
     const double share =
         double(max_range_returns.n) / double(std::max<std::size_t>(max_range_returns.n_all, 1));
     return max_range_returns.n >= kFewest && max_range_returns.rows.size() >= kFewestRows &&
@@ -61,10 +61,10 @@ bool is_max_range_drop_marker(const MaxRangeReturns& max_range_returns) {
 
 }  // namespace
 
-void drop_fake_max_range_returns(LidarSequence& sequence) {
+void remove_returns_that_mark_dropped_rays(LidarSequence& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         const MaxRangeReturns far = find_max_range_returns(sequence, int(l));
-        if (!is_max_range_drop_marker(far)) continue;
+        if (!do_max_range_returns_mark_drops(far)) continue;
         for (LidarFrame& frame : sequence.frames)
             if (frame.lidar == int(l))
                 remove_returns_outside_limits(frame.scan,

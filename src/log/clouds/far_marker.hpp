@@ -13,6 +13,6 @@ namespace relidar {
 /// many returns have exactly this range, it is a multiple of half a metre, and other
 /// returns are nearer.
 /// a multiple of half a metre, and other returns are nearer.
-void drop_fake_max_range_returns(LidarSequence& sequence);
+void remove_returns_that_mark_dropped_rays(LidarSequence& sequence);
 
 }  // namespace relidar

@@ -28,19 +28,21 @@ constexpr double kSorted = 0.9;
 // of the distance between rings.
 constexpr double kInRing = 0.5;
 
-double compute_point_azimuth(const glm::vec3& point) { return std::atan2(double(point.y), double(point.x)); }
-double compute_point_elevation(const glm::vec3& point) {
+double compute_point_azimuth_rad(const glm::vec3& point) {
+    return std::atan2(double(point.y), double(point.x));
+}
+double compute_point_elevation_rad(const glm::vec3& point) {
     return std::atan2(double(point.z), std::hypot(double(point.x), double(point.y)));
 }
 
 /// Returns the direction of rotation: 1 if the azimuth increases from point to point, -1
 /// if it decreases. Returns nothing if the points are not in the order of rotation.
-std::optional<double> estimate_rotation_direction(const LidarPoints& points) {
+std::optional<double> estimate_rotation_sign(const LidarPoints& points) {
     std::size_t n_up = 0, n_down = 0;
     for (std::size_t i = 1; i < points.size(); ++i) {
-        const double step = std::remainder(
-            compute_point_azimuth(points.position_m[i]) - compute_point_azimuth(points.position_m[i - 1]),
-            2.0 * kPi);
+        const double step = std::remainder(compute_point_azimuth_rad(points.position_m[i]) -
+                                               compute_point_azimuth_rad(points.position_m[i - 1]),
+                                           2.0 * kPi);
         n_up += step > 0.0, n_down += step < 0.0;
     }
     const double least = kMinSameSignFraction * double(points.size());
@@ -55,7 +57,7 @@ std::vector<double> unwrap_point_azimuths(const LidarPoints& points, double rota
     std::vector<double> turned;
     turned.reserve(points.size());
     for (std::size_t i = 0; i < points.size(); ++i) {
-        const double azimuth = rotation_sign * compute_point_azimuth(points.position_m[i]);
+        const double azimuth = rotation_sign * compute_point_azimuth_rad(points.position_m[i]);
         if (i == 0) {
             turned.push_back(azimuth);
             continue;
@@ -95,7 +97,7 @@ std::vector<double> compute_median_ring_elevations(const LidarPoints& points,
         if (ring_of_point[i] >= samples_by_ring.size())
             samples_by_ring.resize(std::size_t(ring_of_point[i]) + 1);
         samples_by_ring[ring_of_point[i]].emplace_back(glm::length(points.position_m[i]),
-                                                       compute_point_elevation(points.position_m[i]));
+                                                       compute_point_elevation_rad(points.position_m[i]));
     }
     std::vector<double> elevations;
     for (auto& points_of_ring : samples_by_ring) {
@@ -119,8 +121,8 @@ double compute_median_ring_elevation_error(const LidarPoints& points,
     std::vector<double> off;
     off.reserve(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
-        off.push_back(
-            std::abs(compute_point_elevation(points.position_m[i]) - ring_elevations_rad[ring_of_point[i]]));
+        off.push_back(std::abs(compute_point_elevation_rad(points.position_m[i]) -
+                               ring_elevations_rad[ring_of_point[i]]));
     return compute_median(off);
 }
 
@@ -131,14 +133,15 @@ double compute_mean_ring_elevation_error(const LidarPoints& points,
                                          const std::vector<double>& ring_elevations_rad) {
     double sum = 0.0;
     for (std::size_t i = 0; i < points.size(); ++i)
-        sum +=
-            std::abs(compute_point_elevation(points.position_m[i]) - ring_elevations_rad[ring_of_point[i]]);
+        sum += std::abs(compute_point_elevation_rad(points.position_m[i]) -
+                        ring_elevations_rad[ring_of_point[i]]);
     return sum / double(points.size());
 }
 
 /// Returns the azimuth at which the rings of a file begin. Tests many azimuths and
 /// selects the one with the smallest deviation of points from their rings.
-double find_ring_start_azimuth(const LidarPoints& points, const std::vector<double>& unwrapped_azimuths_rad) {
+double find_ring_start_azimuth_rad(const LidarPoints& points,
+                                   const std::vector<double>& unwrapped_azimuths_rad) {
     LidarPoints some;
     std::vector<double> some_turned;
     for (std::size_t i = 0; i < points.size(); i += kStride) {
@@ -163,8 +166,9 @@ double find_ring_start_azimuth(const LidarPoints& points, const std::vector<doub
 
 /// Returns true if the rings are sorted by elevation and clearly separated. The points of
 /// a ring must be closer to its elevation than to other rings.
-bool are_rings_separated(const LidarPoints& points, const std::vector<std::uint16_t>& ring_of_point,
-                         const std::vector<double>& ring_elevations_rad) {
+bool are_rings_sorted_and_separated(const LidarPoints& points,
+                                    const std::vector<std::uint16_t>& ring_of_point,
+                                    const std::vector<double>& ring_elevations_rad) {
     if (ring_elevations_rad.size() < kFewestRings || ring_elevations_rad.size() > kMostOrderedRings)
         return false;
     std::vector<double> steps;
@@ -185,20 +189,21 @@ bool are_rings_separated(const LidarPoints& points, const std::vector<std::uint1
 RingOrderDetector::RingOrderDetector(const std::vector<LidarPoints>& scans) {
     const auto fullest = std::ranges::max_element(scans, {}, &LidarPoints::size);
     if (fullest == scans.end()) return;
-    const std::optional<double> turning = estimate_rotation_direction(*fullest);
+    const std::optional<double> turning = estimate_rotation_sign(*fullest);
     if (!turning) return;
     turning_ = *turning;
     const std::vector<double> turned = unwrap_point_azimuths(*fullest, turning_);
     if (turned.back() - turned.front() < 2.0 * kPi * double(kFewestRings - 1)) return;
-    first_azimuth_rad_ = find_ring_start_azimuth(*fullest, turned);
+    first_azimuth_rad_ = find_ring_start_azimuth_rad(*fullest, turned);
     for (const LidarPoints& scan : scans) {
-        if (estimate_rotation_direction(scan) != turning) continue;
+        if (estimate_rotation_sign(scan) != turning) continue;
         const std::vector<std::uint16_t> ring =
             compute_revolution_numbers(unwrap_point_azimuths(scan, turning_), first_azimuth_rad_);
         std::vector<double> elevations = compute_median_ring_elevations(scan, ring);
         // Keeps the scan with the most rings, because it is most likely to have returns
         // of every beam.
-        if (elevations.size() > elevation_rad_.size() && are_rings_separated(scan, ring, elevations))
+        if (elevations.size() > elevation_rad_.size() &&
+            are_rings_sorted_and_separated(scan, ring, elevations))
             elevation_rad_ = std::move(elevations);
     }
 }

@@ -36,7 +36,7 @@ constexpr std::size_t kMostRings = 4096;
 
 double compute_azimuth(const glm::vec3& point) { return std::atan2(double(point.y), double(point.x)); }
 
-double select_quantile(std::vector<double>& values, double fraction) {
+double compute_quantile_and_reorder(std::vector<double>& values, double fraction) {
     const auto at = values.begin() + std::ptrdiff_t(fraction * double(values.size() - 1));
     std::nth_element(values.begin(), at, values.end());
     return *at;
@@ -83,7 +83,7 @@ std::vector<std::optional<double>> estimate_ring_elevations(const std::vector<Li
                          });
         std::vector<double> far;
         for (auto s = half; s != samples_by_ring[r].end(); ++s) far.push_back(s->elevation_rad);
-        elevations[r] = select_quantile(far, 0.5);
+        elevations[r] = compute_quantile_and_reorder(far, 0.5);
     }
     return elevations;
 }
@@ -106,7 +106,7 @@ int estimate_column_count(const LidarPoints& scan, const RingPointLists& rings) 
             fmt::format("cannot fit a spinning LiDAR to {} points in {} rings: only {} azimuth "
                         "steps between neighbouring points are usable, expected at least {}",
                         scan.size(), rings.size(), steps.size(), kFewestSteps));
-    return int(std::lround(2.0 * kPi / select_quantile(steps, 0.25)));
+    return int(std::lround(2.0 * kPi / compute_quantile_and_reorder(steps, 0.25)));
 }
 
 /// Returns S_r(N), the sum of exp(i N azimuth) over the points of ring r, for each ring.
@@ -122,11 +122,11 @@ std::vector<std::complex<double>> compute_azimuth_phase_sums(const RingPointList
 }
 
 /// Returns the sum over all rings r of |S_r(N)|, where S_r(N) is the sum of exp(i N
-/// azimuth). Computes it for `n_column_counts` consecutive N, starting with
+/// azimuth). Computes it for `n_counts_to_try` consecutive N, starting with
 /// `first_column_count`.
-std::vector<double> compute_phase_coherences(const RingPointLists& rings, int first_column_count,
-                                             std::size_t n_column_counts) {
-    std::vector<double> lengths(n_column_counts, 0.0);
+std::vector<double> compute_coherence_of_column_counts(const RingPointLists& rings, int first_column_count,
+                                                       std::size_t n_counts_to_try) {
+    std::vector<double> lengths(n_counts_to_try, 0.0);
     for (const RingPoints& ring : rings) {
         std::vector<std::complex<double>> turned, step;
         for (const double azimuth : ring.azimuth_rad) {
@@ -151,12 +151,12 @@ struct FiringColumnGrid {
     std::vector<double> offset_rad;
 };
 
-FiringColumnGrid estimate_azimuth_grid(const LidarPoints& scan, const RingPointLists& rings) {
+FiringColumnGrid estimate_columns_and_ring_offsets(const LidarPoints& scan, const RingPointLists& rings) {
     FiringColumnGrid lattice{estimate_column_count(scan, rings), std::vector<double>(rings.size(), 0.0)};
     const int reach = std::max(1, int(kColumnSearchMargin * lattice.columns)),
               first = std::max(1, lattice.columns - reach);
     const std::vector<double> lengths =
-        compute_phase_coherences(rings, first, std::size_t(lattice.columns + reach + 1 - first));
+        compute_coherence_of_column_counts(rings, first, std::size_t(lattice.columns + reach + 1 - first));
     const auto best = std::ranges::max_element(lengths);
     if (*best <= kCoherent * double(scan.size())) {
         // A ring has at most one first return per column, so there are at least as many
@@ -201,7 +201,7 @@ std::optional<double> estimate_rotation_rate(const LidarPoints& scan, const Ring
 
 }  // namespace
 
-FittedSensor fit_sensor(const std::vector<LidarPoints>& scans, double period_s) {
+FittedSensor estimate_spinning_sensor(const std::vector<LidarPoints>& scans, double period_s) {
     std::size_t n_rings = 0;
     const LidarPoints* fullest = nullptr;
     for (const LidarPoints& scan : scans) {
@@ -223,7 +223,7 @@ FittedSensor fit_sensor(const std::vector<LidarPoints>& scans, double period_s) 
                         "below {}",
                         n_rings - 1, kMostRings));
     const RingPointLists rings = group_points_by_ring(*fullest, n_rings);
-    const FiringColumnGrid lattice = estimate_azimuth_grid(*fullest, rings);
+    const FiringColumnGrid lattice = estimate_columns_and_ring_offsets(*fullest, rings);
     const std::vector<std::optional<double>> elevations = estimate_ring_elevations(scans, n_rings);
 
     std::vector<std::size_t> order;  // ring numbers, sorted from the highest to the lowest ring

@@ -32,7 +32,7 @@ constexpr std::size_t kMostFieldsOfPoint = 64;  // maximum number of fields of a
 
 std::string read_text_or(const JsonField& field, const std::string& key, const std::string& default_value,
                          std::size_t max_length = kLongestName) {
-    return field.has_member(key) ? field.at(key).get_string(max_length) : default_value;
+    return field.has_member(key) ? field.at(key).get_short_single_line_string(max_length) : default_value;
 }
 
 bool read_flag_or(const JsonField& field, const std::string& key, bool default_value) {
@@ -43,12 +43,13 @@ std::vector<std::string> read_optional_text_list(const JsonField& field, const s
     std::vector<std::string> texts;
     if (!field.has_member(key)) return texts;
     for (std::size_t i = 0; i < field.at(key).size(); ++i)
-        texts.push_back(field.at(key).at(i).get_string(kLongestText));
+        texts.push_back(field.at(key).at(i).get_short_single_line_string(kLongestText));
     return texts;
 }
 
 /// Returns the index of the text of a JSON field in a list of allowed words.
-std::size_t read_choice_index(const JsonField& field, const std::vector<std::string>& allowed_words) {
+std::size_t read_index_of_allowed_word(const JsonField& field,
+                                       const std::vector<std::string>& allowed_words) {
     const auto at = std::find(allowed_words.begin(), allowed_words.end(), field.get_string());
     if (at == allowed_words.end())
         field.throw_field_error(fmt::format("found \"{}\"{}", shorten_for_error_message(field.get_string()),
@@ -71,17 +72,19 @@ glm::dquat read_quaternion(const JsonField& field) {
 Pose read_vehicle_from_sensor(const JsonField& field, const std::string& error_location) {
     if (field.is_array()) {
         const auto m = field.get_numbers<16>();
-        return make_rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
-                               {m[3], m[7], m[11]}, error_location);
+        return make_pose_from_checked_rotation(
+            glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]), {m[3], m[7], m[11]},
+            error_location);
     }
-    field.check_no_unknown_members({"translation", "quaternion"});
+    field.require_only_known_members({"translation", "quaternion"});
     const auto t = field.at("translation").get_numbers<3>();
     return {read_quaternion(field.at("quaternion")), {t[0], t[1], t[2]}};
 }
 
 /// Sets the sensor of a LiDAR from the name of a built-in sensor or of a sensor file.
-void read_named_sensor(const JsonField& field, const fs::path& log_folder, bool must_spin, Lidar& lidar) {
-    const std::string name = field.get_string(kLongestPath);
+void read_sensor_by_name_into_lidar(const JsonField& field, const fs::path& log_folder, bool must_spin,
+                                    Lidar& lidar) {
+    const std::string name = field.get_short_single_line_string(kLongestPath);
     // maximum range, used if the sensor file does not contain one
     const double max_range_m = lidar.sensor.max_range_m;
     const auto is_file = [&](const char* ending) { return name.find(ending) != std::string::npos; };
@@ -98,11 +101,12 @@ void read_named_sensor(const JsonField& field, const fs::path& log_folder, bool 
 /// Reads the sensor of a LiDAR from a JSON object: {"<kind>": {...}}, or the keys of a
 /// spinning sensor. If the sweep period is missing, the reader uses the time between
 /// frames.
-void read_inline_sensor(const JsonField& field, bool must_spin, Lidar& lidar) {
+void read_sensor_object_into_lidar(const JsonField& field, bool must_spin, Lidar& lidar) {
     const double max_range_m = lidar.sensor.max_range_m;
     const PatternKind* kind = find_pattern_kind(field);
     const JsonField members = kind ? field.at(kind->name) : field;
-    set_nominal_sensor(lidar, kind ? read_sensor_json(field, "") : make_spinning_kind().parse(field, ""));
+    set_nominal_sensor(lidar,
+                       kind ? read_sensor_json(field, "") : make_spinning_pattern_kind().parse(field, ""));
     if (lidar.pattern && must_spin)
         field.throw_field_error(fmt::format("found a sensor of kind {}, which does not spin", kind->name),
                                 "expected a spinning sensor, or \"spins\": false");
@@ -112,7 +116,7 @@ void read_inline_sensor(const JsonField& field, bool must_spin, Lidar& lidar) {
 
 SequenceHeaderLidar read_lidar(const JsonField& field, const std::string& json_file,
                                const fs::path& log_folder, double default_max_range_m) {
-    field.check_no_unknown_members({"name", "vehicle_from_sensor", "sensor", "scans", "spins", "ring_0"});
+    field.require_only_known_members({"name", "vehicle_from_sensor", "sensor", "scans", "spins", "ring_0"});
     SequenceHeaderLidar lidar;
     lidar.lidar.name = read_text_or(field, "name", "");
     lidar.lidar.sensor.max_range_m = default_max_range_m;
@@ -122,15 +126,16 @@ SequenceHeaderLidar read_lidar(const JsonField& field, const std::string& json_f
                                                          shorten_for_error_message(lidar.lidar.name)));
     lidar.spins = read_flag_or(field, "spins", true);
     if (field.has_member("sensor") && field.at("sensor").is_string())
-        read_named_sensor(field.at("sensor"), log_folder, lidar.spins, lidar.lidar);
-    else if (field.has_member("sensor")) read_inline_sensor(field.at("sensor"), lidar.spins, lidar.lidar);
+        read_sensor_by_name_into_lidar(field.at("sensor"), log_folder, lidar.spins, lidar.lidar);
+    else if (field.has_member("sensor"))
+        read_sensor_object_into_lidar(field.at("sensor"), lidar.spins, lidar.lidar);
     lidar.has_beams = !lidar.lidar.sensor.beams.empty();
     if (lidar.has_beams && !lidar.spins)
         field.at("spins").throw_field_error("found false for a LiDAR with beams",
                                             "expected true, or a LiDAR without beams");
     lidar.scans = read_text_or(field, "scans", "", kLongestPath);
-    lidar.lowest_first =
-        field.has_member("ring_0") && read_choice_index(field.at("ring_0"), {"highest", "lowest"}) == 1;
+    lidar.lowest_first = field.has_member("ring_0") &&
+                         read_index_of_allowed_word(field.at("ring_0"), {"highest", "lowest"}) == 1;
     return lidar;
 }
 
@@ -169,11 +174,11 @@ std::vector<SequenceHeaderFrame> read_listed_frames(const JsonField& frame_list,
     std::vector<SequenceHeaderFrame> frames;
     for (std::size_t i = 0; i < frame_list.size(); ++i) {
         const JsonField entry = frame_list.at(i);
-        entry.check_no_unknown_members({"number", "time_s", "lidar", "scan"});
-        frames.push_back({int(entry.at("number").get_integer(0, kMaxFrame)),
-                          entry.at("time_s").get_number(-kLargestOfHead, kLargestOfHead),
+        entry.require_only_known_members({"number", "time_s", "lidar", "scan"});
+        frames.push_back({int(entry.at("number").get_integer_in_range(0, kMaxFrame)),
+                          entry.at("time_s").get_number_in_range(-kLargestOfHead, kLargestOfHead),
                           find_lidar_index_of_frame(entry, lidars),
-                          log_folder / entry.at("scan").get_string(kLongestPath)});
+                          log_folder / entry.at("scan").get_short_single_line_string(kLongestPath)});
     }
     if (frames.empty()) frame_list.throw_field_error("found no frame", "expected at least one frame");
     return frames;
@@ -230,12 +235,13 @@ PointFileUnits read_point_units(const JsonField& root) {
         root.at("columns").throw_field_error(fmt::format("found {} names", units.columns.size()),
                                              fmt::format("expected at most {} names", kMostFieldsOfPoint));
     if (root.has_member("intensity_max"))
-        units.intensity_max = root.at("intensity_max").get_number(1e-12, kLargestOfHead);
+        units.intensity_max = root.at("intensity_max").get_number_in_range(1e-12, kLargestOfHead);
     constexpr double kSeconds[] = {1.0, 1e-3, 1e-6, 1e-9};
     if (root.has_member("time_unit"))
-        units.time_unit_s = kSeconds[read_choice_index(root.at("time_unit"), {"s", "ms", "us", "ns"})];
+        units.time_unit_s =
+            kSeconds[read_index_of_allowed_word(root.at("time_unit"), {"s", "ms", "us", "ns"})];
     units.absolute_times = root.has_member("point_times") &&
-                           read_choice_index(root.at("point_times"), {"offsets", "absolute"}) == 1;
+                           read_index_of_allowed_word(root.at("point_times"), {"offsets", "absolute"}) == 1;
     return units;
 }
 
@@ -245,12 +251,12 @@ SequenceHeader read_log_description(const fs::path& log_folder, double default_m
     const std::string file = (log_folder / kHeadFile).string();
     const nlohmann::json json = parse_json(read_text_file(file), file);
     const JsonField root(json, file, "");
-    root.check_no_unknown_members({"format", "version", "relidar", "name", "conventions", "notes", "lidars",
-                                   "frames", "rate_hz", "motion_compensated", "columns", "intensity_max",
-                                   "time_unit", "point_times", "world_offset_m"});
+    root.require_only_known_members({"format", "version", "relidar", "name", "conventions", "notes", "lidars",
+                                     "frames", "rate_hz", "motion_compensated", "columns", "intensity_max",
+                                     "time_unit", "point_times", "world_offset_m"});
     if (root.at("format").get_string() != kFormat)
         root.at("format").throw_field_error("found another format", fmt::format("expected \"{}\"", kFormat));
-    root.at("version").get_integer(1, kVersion);
+    root.at("version").get_integer_in_range(1, kVersion);
     SequenceHeader head;
     head.name = read_text_or(root, "name", log_folder.filename().string());
     head.conventions =
@@ -261,10 +267,10 @@ SequenceHeader read_log_description(const fs::path& log_folder, double default_m
         root.throw_field_error(root.has_member("frames") ? "found both \"frames\" and \"rate_hz\""
                                                          : "found neither \"frames\" nor \"rate_hz\"",
                                "expected exactly one of the two keys");
-    head.frames =
-        root.has_member("frames")
-            ? read_listed_frames(root.at("frames"), head.lidars, log_folder)
-            : list_frames_in_scan_folders(root.at("rate_hz").get_number(1e-3, 1e3), head.lidars, log_folder);
+    head.frames = root.has_member("frames")
+                      ? read_listed_frames(root.at("frames"), head.lidars, log_folder)
+                      : list_frames_in_scan_folders(root.at("rate_hz").get_number_in_range(1e-3, 1e3),
+                                                    head.lidars, log_folder);
     std::stable_sort(head.frames.begin(), head.frames.end(),
                      [](const SequenceHeaderFrame& first, const SequenceHeaderFrame& second) {
                          return std::pair(first.time_s, first.lidar) < std::pair(second.time_s, second.lidar);
@@ -280,7 +286,7 @@ SequenceHeader read_log_description(const fs::path& log_folder, double default_m
     if (root.has_member("world_offset_m")) {
         const auto v = root.at("world_offset_m").get_numbers<3>();
         for (std::size_t i = 0; i < 3; ++i)
-            root.at("world_offset_m").at(i).get_number(-kFarthestWorld_m, kFarthestWorld_m);
+            root.at("world_offset_m").at(i).get_number_in_range(-kFarthestWorld_m, kFarthestWorld_m);
         head.world_offset_m = glm::dvec3(v[0], v[1], v[2]);
     }
     return head;

@@ -89,10 +89,11 @@ SequenceHeader read_log_description(const std::filesystem::path& log_folder, dou
 /// Poses with times are interpolated at the times of the frames. If the vehicle then does
 /// not drive forward, other meanings of the numbers are tested, such as another order of
 /// the quaternion.
-/// @param read_scan_pairs  reads pairs of scans that confirm a meaning; may be null
+/// @param read_scan_pairs_or_null  reads pairs of scans that confirm a meaning; may be
+/// null
 std::optional<std::vector<Pose>> read_frame_poses(const std::filesystem::path& pose_file,
                                                   const std::vector<SequenceHeaderFrame>& frames,
-                                                  const OverlapScanPairReader& read_scan_pairs,
+                                                  const OverlapScanPairReader& read_scan_pairs_or_null,
                                                   std::vector<std::string>& notes);
 
 /// Reads labelled boxes from boxes.json. Returns no boxes if the file does not exist.
@@ -107,7 +108,7 @@ std::vector<BoxTrack> read_box_tracks(const std::filesystem::path& box_file,
 /// from the points. Undoes motion compensation, but not if the user loads the log without
 /// poses.
 /// @param scan_files  [frames] scan file of each frame
-void read_scans(LidarSequence& sequence, const SequenceHeader& head,
+void read_scans(LidarSequence& sequence, const SequenceHeader& sequence_header,
                 const std::vector<std::filesystem::path>& scan_files, const DatasetOptions& options);
 
 }  // namespace relidar::folder

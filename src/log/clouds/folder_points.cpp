@@ -34,8 +34,8 @@ bool is_strongest_return_type(double return_type) {
 /// in any unit. A field with the name of a range can also contain something else, such as
 /// the distance from a plane.
 /// @param is_no_return  points without a return, which are ignored
-bool are_ranges_consistent(const PointFieldView& ranges, const std::vector<glm::vec3>& points,
-                           const std::vector<char>& is_no_return) {
+bool do_ranges_match_point_distances(const PointFieldView& ranges, const std::vector<glm::vec3>& points,
+                                     const std::vector<char>& is_no_return) {
     constexpr std::size_t kMostCompared = 2000;
     constexpr double kTolerance = 0.05, kFewest = 0.9;
     std::vector<double> ratios;
@@ -61,7 +61,7 @@ std::vector<char> flag_no_return_points(const PointTable& table, const std::vect
     ranges->visit_with_value_reader([&](const auto& range_at) {
         for (std::size_t i = 0; i < table.n; ++i) marked[i] = !is_valid_return_range(double(range_at(i)));
     });
-    if (!are_ranges_consistent(*ranges, points, marked)) marked.clear();
+    if (!do_ranges_match_point_distances(*ranges, points, marked)) marked.clear();
     return marked;
 }
 
@@ -110,17 +110,18 @@ struct PointFieldConverter {
     /// Fills an array with the converted values of the selected points. Does nothing if
     /// the field does not exist.
     template <class T, class OfValue>
-    void convert_field_into(std::vector<T>& values, const PointFieldView* field,
+    void convert_field_into(std::vector<T>& values, const PointFieldView* field_or_null,
                             const OfValue& convert_value) const {
-        if (!field) return;
+        if (!field_or_null) return;
         values.resize(selected_indices.size());
-        convert_each_value(*field, convert_value, [&](std::size_t index, T value) { values[index] = value; });
+        convert_each_value(*field_or_null, convert_value,
+                           [&](std::size_t index, T value) { values[index] = value; });
     }
 };
 
 /// Returns the number that a file uses for first returns: 1 if the file counts from 1,
 /// otherwise 0. Every file has first returns, so this is the smallest number.
-double find_first_return_number(const PointFieldView& return_numbers, std::size_t n_points) {
+double find_number_used_for_first_returns(const PointFieldView& return_numbers, std::size_t n_points) {
     double least = return_numbers[0];
     return_numbers.visit_with_value_reader([&](const auto& number_at) {
         for (std::size_t i = 1; i < n_points; ++i)
@@ -141,7 +142,7 @@ void reorder_values(std::vector<T>& values, const std::vector<std::size_t>& orde
 /// Sets the return number of each point. Points with the same ring, time and direction
 /// are returns of one ray. The strongest of them becomes the first return.
 /// @param return_types  [points] return type of each point
-void assign_return_numbers(LidarPoints& points, const std::vector<double>& return_types) {
+void sort_points_and_set_return_numbers(LidarPoints& points, const std::vector<double>& return_types) {
     const std::size_t n = points.size();
     std::vector<std::size_t> order(n);
     std::iota(order.begin(), order.end(), std::size_t(0));
@@ -207,19 +208,20 @@ LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnit
     convert.convert_field_into(points.ring, table.find_field(PointAttribute::ring),
                                [&](double value) { return convert_ring_number(value, of_point); });
     convert.convert_field_into(
-        points.time_offset_s, table.find_field(PointAttribute::time),
-        [&](double value) { return convert_time_offset(value, units, frame_time_s, of_point); });
+        points.time_offset_s, table.find_field(PointAttribute::time), [&](double value) {
+            return convert_point_time_to_frame_offset_s(value, units, frame_time_s, of_point);
+        });
     const auto *number = table.find_field(PointAttribute::return_number),
                *type = table.find_field(PointAttribute::return_type);
     if (number) {
-        const double first = find_first_return_number(*number, table.n);
+        const double first = find_number_used_for_first_returns(*number, table.n);
         convert.convert_field_into(points.return_number, number, [&](double value) {
             return std::uint8_t(1 + convert_return_number(value - first, of_point));
         });
     } else if (type && !points.ring.empty() && !points.time_offset_s.empty()) {
         std::vector<double> types;
         convert.convert_field_into(types, type, [](double value) { return value; });
-        assign_return_numbers(points, types);
+        sort_points_and_set_return_numbers(points, types);
     }
     return points;
 }

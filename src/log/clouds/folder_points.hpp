@@ -37,7 +37,7 @@ public:
 /// Reads the scans of all frames, which must already have poses. Estimates unknown beams
 /// from the points. Undoes motion compensation, but not if the user loads the log without
 /// poses.
-void read_scans(LidarSequence& sequence, const SequenceHeader& head, const ScanProvider& source,
-                const DatasetOptions& options);
+void read_scans(LidarSequence& sequence, const SequenceHeader& sequence_header,
+                const ScanProvider& scan_provider, const DatasetOptions& options);
 
 }  // namespace relidar::folder

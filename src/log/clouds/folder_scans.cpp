@@ -77,7 +77,7 @@ public:
     }
     LidarPoints read_points_of_frame(std::size_t frame_index) const override {
         const PointTable table = read_point_file(files_[frame_index], head_.units.columns);
-        check_deskew_is_declared(table.is_deskewed, head_, get_frame_name(frame_index));
+        require_header_to_declare_deskewing(table.is_deskewed, head_, get_frame_name(frame_index));
         return convert_table_to_points(table, head_.units, sequence_.frames[frame_index].time_s,
                                        get_frame_name(frame_index));
     }
@@ -109,15 +109,15 @@ public:
           n_first_(sequence.frames.size(), 0),
           behind_(sequence.frames.size(), 0) {}
 
-    void determine_lidar_sensors() {
+    void determine_sensor_of_each_lidar() {
         for (std::size_t l = 0; l < plans_.size(); ++l) {
             std::vector<std::size_t> with_points;  // frames with points
             for (std::size_t i = 0; i < sequence_.frames.size(); ++i)
                 if (sequence_.frames[i].lidar == int(l) && source_.is_stored_as_points(i))
                     with_points.push_back(i);
             if (sequence_.lidars[l].sensor.name.empty()) sequence_.lidars[l].sensor.name = sequence_.name;
-            if (with_points.empty()) set_period_of_ray_scans(l);
-            else plan_lidar_conversion(l, with_points);
+            if (with_points.empty()) set_sweep_period_of_ray_lidar(l);
+            else choose_point_conversion_of_lidar(l, with_points);
         }
         const auto stands = [&](const ScanConversionPlan& plan) { return !plan.undo; };
         sequence_.rolling_shutter =
@@ -142,13 +142,14 @@ public:
                 source_.get_frame_name(frame_index), points.ring.empty() ? "no rings" : "rings",
                 points.time_offset_s.empty() ? "no times" : "times"));
         if (!plan.ordered) {
-            frame.scan = make_unordered_scan(points);
+            frame.scan = make_scan_with_one_ray_per_point(points);
             return;
         }
         if (plan.order) plan.order->assign_ring_numbers(points);
         if (plan.has_rings || plan.order) points = convert_rings_to_beams(points, plan, frame_index);
         else assign_points_to_rings(points, sensor.beams);
-        frame.scan = make_spinning_scan(points, sensor, fit_uniform_sweep(points, sensor));
+        frame.scan = assign_points_to_rays_of_spinning_scan(
+            points, sensor, fit_equal_azimuth_steps_to_points(points, sensor));
         n_first_[frame_index] = count_first_returns(points);
         behind_[frame_index] =
             n_first_[frame_index] - std::min(n_first_[frame_index], frame.scan.count_returns());
@@ -202,7 +203,7 @@ private:
 
     /// Returns the duration of a revolution that the user gave. Otherwise returns the
     /// median time between frames of the LiDAR.
-    double get_sweep_duration_s(std::size_t lidar_index) const {
+    double get_or_estimate_sweep_duration_s(std::size_t lidar_index) const {
         if (head_.lidars[lidar_index].sweep_duration_s > 0.0)
             return head_.lidars[lidar_index].sweep_duration_s;
         std::vector<double> steps;
@@ -217,18 +218,19 @@ private:
 
     /// Sets the sweep period of a LiDAR whose files store rays instead of points. A LiDAR
     /// with unknown beams is treated as not rotating (period 0).
-    void set_period_of_ray_scans(std::size_t lidar_index) {
+    void set_sweep_period_of_ray_lidar(std::size_t lidar_index) {
         SpinningSensor& sensor = sequence_.lidars[lidar_index].sensor;
         if (!head_.lidars[lidar_index].has_beams) sensor.period_s = 0.0;
-        else if (sensor.period_s == 0.0) sensor.period_s = get_sweep_duration_s(lidar_index);
+        else if (sensor.period_s == 0.0) sensor.period_s = get_or_estimate_sweep_duration_s(lidar_index);
     }
 
-    void plan_lidar_conversion(std::size_t lidar_index, const std::vector<std::size_t>& frame_indices) {
+    void choose_point_conversion_of_lidar(std::size_t lidar_index,
+                                          const std::vector<std::size_t>& frame_indices) {
         ScanConversionPlan& plan = plans_[lidar_index];
         std::vector<LidarPoints> samples;
         std::vector<std::size_t> of_sample;  // frame of each sample
         const auto add_sample = [&](std::size_t index) {
-            broken_.read_or_mark_broken(index, [&] {
+            broken_.call_and_record_scan_errors(index, [&] {
                 samples.push_back(read_points(index, head_.motion_compensated && has_poses_));
                 of_sample.push_back(index);
             });
@@ -237,15 +239,15 @@ private:
         for (std::size_t k = 0; k < n; ++k) add_sample(frame_indices[k * frame_indices.size() / n]);
         for (std::size_t k = 0; samples.empty() && k < frame_indices.size(); ++k)
             add_sample(frame_indices[k]);
-        if (samples.empty()) broken_.add_broken_scan_notes(sequence_, broken_.size());
+        if (samples.empty()) broken_.add_broken_scan_notes_or_throw(sequence_, broken_.size());
         plan.has_rings = !samples[0].ring.empty();
         plan.has_times = !samples[0].time_offset_s.empty();
         plan.undo = head_.motion_compensated && has_poses_ && plan.has_times;
         SpinningSensor& sensor = sequence_.lidars[lidar_index].sensor;
         if (sensor.period_s == 0.0 || !head_.lidars[lidar_index].has_beams)
-            sensor.period_s = get_sweep_duration_s(lidar_index);
-        if (head_.lidars[lidar_index].has_beams) use_stored_beams(lidar_index);
-        else if (head_.lidars[lidar_index].spins) fit_beams_to_samples(lidar_index, samples);
+            sensor.period_s = get_or_estimate_sweep_duration_s(lidar_index);
+        if (head_.lidars[lidar_index].has_beams) use_known_beams_of_lidar(lidar_index);
+        else if (head_.lidars[lidar_index].spins) fit_spinning_sensor_or_note_why_not(lidar_index, samples);
         if (!plan.ordered) sensor.period_s = 0.0;
         if (plan.ordered && !plan.has_times && !head_.motion_compensated)
             add_note_once(lidar_index,
@@ -262,7 +264,7 @@ private:
         }
     }
 
-    void use_stored_beams(std::size_t lidar_index) {
+    void use_known_beams_of_lidar(std::size_t lidar_index) {
         ScanConversionPlan& plan = plans_[lidar_index];
         const std::size_t n = sequence_.lidars[lidar_index].sensor.beams.size();
         plan.ordered = true;
@@ -275,15 +277,16 @@ private:
                           "elevation");
     }
 
-    void fit_beams_to_samples(std::size_t lidar_index, std::vector<LidarPoints>& sample_scans) {
+    void fit_spinning_sensor_or_note_why_not(std::size_t lidar_index,
+                                             std::vector<LidarPoints>& sample_scans) {
         ScanConversionPlan& plan = plans_[lidar_index];
         SpinningSensor& sensor = sequence_.lidars[lidar_index].sensor;
-        if (!plan.has_rings && !estimate_ring_numbers(lidar_index, sample_scans)) {
+        if (!plan.has_rings && !try_to_assign_ring_numbers(lidar_index, sample_scans)) {
             add_note_once(
                 lidar_index,
                 "the points have no rings, and neither their order nor their elevations show the rings; "
                 "therefore dropped rays and the order of the rays in an image are unknown" +
-                    suggest_sensor_setting(lidar_index));
+                    format_hint_to_set_sensor(lidar_index));
             return;
         }
         const double step_s = sensor.period_s;
@@ -297,7 +300,7 @@ private:
                 lidar_index,
                 fmt::format("{}; therefore the LiDAR is not modelled as a spinning sensor: each "
                             "point becomes one ray, and dropped rays (rays without return) are unknown{}",
-                            why, plan.has_rings ? "" : suggest_sensor_setting(lidar_index)));
+                            why, plan.has_rings ? "" : format_hint_to_set_sensor(lidar_index)));
             fitted_sensor = std::nullopt;
         }
         if (!fitted_sensor) plan.order.reset();
@@ -319,7 +322,7 @@ private:
 
     /// Sets ring numbers of points that have none, from their elevations or from their
     /// order. Returns false if both methods fail.
-    bool estimate_ring_numbers(std::size_t lidar_index, std::vector<LidarPoints>& sample_scans) {
+    bool try_to_assign_ring_numbers(std::size_t lidar_index, std::vector<LidarPoints>& sample_scans) {
         // Elevations are tried first, because the order of points does not show the rings
         // of an Ouster. Its rings begin at different azimuths.
         if (const std::vector<Beam> beams = estimate_beams(sample_scans); !beams.empty()) {
@@ -335,7 +338,7 @@ private:
 
     /// Returns a hint that the user can set the sensor in sequence.json. Returns an empty
     /// string for logs that do not have this file.
-    std::string suggest_sensor_setting(std::size_t lidar_index) const {
+    std::string format_hint_to_set_sensor(std::size_t lidar_index) const {
         return head_.lidars[lidar_index].is_guessed
                    ? ""
                    : "; set the key \"sensor\" of the LiDAR in sequence.json to define its beams";
@@ -345,7 +348,7 @@ private:
                                                         const std::vector<LidarPoints>& sample_scans,
                                                         double period_s) {
         try {
-            const FittedSensor fit = fit_sensor(sample_scans, period_s);
+            const FittedSensor fit = estimate_spinning_sensor(sample_scans, period_s);
             if (fit.sensor.beams.size() * std::size_t(fit.sensor.columns) > kMaxRays)
                 throw DataError(
                     fmt::format("the fitted sensor has {} beams and {} columns, expected at "
@@ -436,17 +439,17 @@ IntensityScale estimate_image_intensity_scale(const std::vector<fs::path>& scan_
 /// Estimates units that sequence.json does not contain from the points of some scans. If
 /// the intensity scale is ambiguous, it stays unset. Intensities above 1 are then an
 /// error.
-void complete_point_units(SequenceHeader& head, const std::vector<fs::path>& scan_files,
-                          std::vector<std::string>& notes) {
-    const std::vector<PointTable> samples = read_sample_tables(scan_files, head.units.columns);
+void estimate_missing_point_units(SequenceHeader& sequence_header, const std::vector<fs::path>& scan_files,
+                                  std::vector<std::string>& notes) {
+    const std::vector<PointTable> samples = read_sample_tables(scan_files, sequence_header.units.columns);
     PointFieldSemantics meaning = interpret_point_fields(samples);
-    if (samples.empty() && !head.units.intensity_max)
+    if (samples.empty() && !sequence_header.units.intensity_max)
         meaning.scale = estimate_image_intensity_scale(scan_files);
-    head.units.intensity_field = meaning.intensity_field;
-    head.units.no_return = meaning.no_return;
+    sequence_header.units.intensity_field = meaning.intensity_field;
+    sequence_header.units.no_return = meaning.no_return;
     std::erase(meaning.notes, meaning.scale.about);
-    if (!head.units.intensity_max && meaning.scale.is_sure && meaning.scale.max > 1.0) {
-        head.units.intensity_max = meaning.scale.max;
+    if (!sequence_header.units.intensity_max && meaning.scale.is_sure && meaning.scale.max > 1.0) {
+        sequence_header.units.intensity_max = meaning.scale.max;
         notes.push_back(meaning.scale.about +
                         "; set the key \"intensity_max\" in sequence.json to use another scale");
     }
@@ -470,23 +473,23 @@ std::vector<std::size_t> select_frames_to_read(const LidarSequence& sequence, in
 
 }  // namespace
 
-void read_scans(LidarSequence& sequence, const SequenceHeader& head, const ScanProvider& source,
-                const DatasetOptions& options) {
+void read_scans(LidarSequence& sequence, const SequenceHeader& sequence_header,
+                const ScanProvider& scan_provider, const DatasetOptions& options) {
     ScanErrorCollector broken(options.skip_broken);
-    FolderScanReader reader(sequence, head, source, options.poses_file != kNoPoses, broken);
-    reader.determine_lidar_sensors();
+    FolderScanReader reader(sequence, sequence_header, scan_provider, options.poses_file != kNoPoses, broken);
+    reader.determine_sensor_of_each_lidar();
     const std::vector<std::size_t> frames = select_frames_to_read(sequence, options.max_scans);
     parallel_for_with_progress(frames.size(), options.progress, "reading scans", [&](std::size_t index) {
-        broken.read_or_mark_broken(frames[index], [&] { reader.read_frame_scan(frames[index]); });
+        broken.call_and_record_scan_errors(frames[index], [&] { reader.read_frame_scan(frames[index]); });
     });
     reader.add_notes_on_skipped_points();
     broken.remove_broken_frames(sequence);
 }
 
-void read_scans(LidarSequence& sequence, const SequenceHeader& head, const std::vector<fs::path>& scan_files,
-                const DatasetOptions& options) {
-    SequenceHeader complete = head;
-    complete_point_units(complete, scan_files, sequence.notes);
+void read_scans(LidarSequence& sequence, const SequenceHeader& sequence_header,
+                const std::vector<fs::path>& scan_files, const DatasetOptions& options) {
+    SequenceHeader complete = sequence_header;
+    estimate_missing_point_units(complete, scan_files, sequence.notes);
     read_scans(sequence, complete, FolderScanProvider(sequence, complete, scan_files), options);
 }
 

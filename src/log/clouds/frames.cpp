@@ -12,8 +12,8 @@
 
 namespace relidar {
 
-Pose make_rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation,
-                     const std::string& error_location) {
+Pose make_pose_from_checked_rotation(const glm::dmat3& rotation, const glm::dvec3& translation,
+                                     const std::string& error_location) {
     const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
     double worst = 0.0;
     for (int c = 0; c < 3; ++c) {
@@ -38,12 +38,12 @@ LidarFrame& add_frame(LidarSequence& sequence, int frame_number, double time_s,
     return sequence.frames.emplace_back(LidarFrame{frame_number, time_s, {}, lidar_index});
 }
 
-void recentre_sequence(LidarSequence& sequence) {
+void move_world_origin_of_log(LidarSequence& sequence) {
     const std::vector<Pose>& poses = sequence.world_from_vehicle.pose;
-    if (!poses.empty()) recentre_sequence(sequence, poses[poses.size() / 2].translation);
+    if (!poses.empty()) move_world_origin_of_log(sequence, poses[poses.size() / 2].translation);
 }
 
-void recentre_sequence(LidarSequence& sequence, glm::dvec3 new_origin_m) {
+void move_world_origin_of_log(LidarSequence& sequence, glm::dvec3 new_origin_m) {
     sequence.world_offset_m += new_origin_m;
     for (Pose& pose : sequence.world_from_vehicle.pose) pose.translation -= new_origin_m;
     for (BoxTrack& box : sequence.boxes)

@@ -10,20 +10,20 @@
 
 namespace relidar {
 
-double EncoderTickGrid::compute_tick_step_rad() const { return 2.0 * kPi / n_ticks; }
+double EncoderTickGrid::compute_azimuth_per_tick_rad() const { return 2.0 * kPi / n_ticks; }
 
-int EncoderTickGrid::find_nearest_tick(double head_azimuth_rad) const {
-    const long t = std::lround((head_azimuth_rad - zero_rad) / compute_tick_step_rad()) % n_ticks;
+int EncoderTickGrid::find_nearest_encoder_tick(double head_azimuth_rad) const {
+    const long t = std::lround((head_azimuth_rad - zero_rad) / compute_azimuth_per_tick_rad()) % n_ticks;
     return static_cast<int>(t < 0 ? t + n_ticks : t);
 }
 
-double EncoderTickGrid::compute_tick_azimuth_rad(int tick) const {
-    return std::remainder(zero_rad + tick * compute_tick_step_rad(), 2.0 * kPi);
+double EncoderTickGrid::compute_azimuth_of_encoder_tick_rad(int tick) const {
+    return std::remainder(zero_rad + tick * compute_azimuth_per_tick_rad(), 2.0 * kPi);
 }
 
-SweepFirings fit_uniform_sweep(const LidarPoints& points, const SpinningSensor& sensor) {
+SweepFirings fit_equal_azimuth_steps_to_points(const LidarPoints& points, const SpinningSensor& sensor) {
     SweepFirings sweep{{sensor.columns, 0.0}, {}};
-    const std::vector<BeamRayGenerator> beams = make_beam_geometries(sensor.beams);
+    const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
     const BeamRayGenerator ideal((Beam()));
     // The phase of this sum is the mean difference between the head azimuths and a grid
     // that starts at azimuth 0.
@@ -35,8 +35,8 @@ SweepFirings fit_uniform_sweep(const LidarPoints& points, const SpinningSensor& 
     sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
     // Lists the grid steps of one revolution in clockwise order, starting near the
     // azimuth +pi.
-    int last = sweep.lattice.find_nearest_tick(kPi);
-    if (sweep.lattice.compute_tick_azimuth_rad(last) < 0.0)
+    int last = sweep.lattice.find_nearest_encoder_tick(kPi);
+    if (sweep.lattice.compute_azimuth_of_encoder_tick_rad(last) < 0.0)
         last = (last + sensor.columns - 1) % sensor.columns;
     for (int i = 0; i < sensor.columns; ++i)
         sweep.firings.push_back((last - i + sensor.columns) % sensor.columns);

@@ -50,7 +50,7 @@ struct RequestedDriveFrames {
 };
 /// Returns the drive (a recording of the dataset) and the frames that the user requested.
 /// @throws UsageError if the requested frames do not overlap the sequence of the paper
-RequestedDriveFrames resolve_benchmark_sequence(const DatasetOptions& options,
-                                                std::span<const BenchmarkSequence> benchmark_sequences);
+RequestedDriveFrames find_requested_drive_and_frames(const DatasetOptions& options,
+                                                     std::span<const BenchmarkSequence> benchmark_sequences);
 
 }  // namespace relidar

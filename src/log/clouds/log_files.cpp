@@ -39,7 +39,7 @@ std::vector<SurfaceClass> read_semantic_kitti_classes(const fs::path& label_file
 
 }  // namespace
 
-std::string suggest_dataset_folder(const fs::path& folder, const std::string& expected_subfolder) {
+std::string describe_mistaken_kitti_folder(const fs::path& folder, const std::string& expected_subfolder) {
     std::error_code failed;
     const auto has = [&](const char* name) { return fs::exists(folder / name, failed); };
     if ((has("velodyne") && (has("times.txt") || has("calib.txt"))) || has("sequences"))
@@ -66,8 +66,8 @@ std::string suggest_dataset_folder(const fs::path& folder, const std::string& ex
                         n, n == 1 ? "" : "s", (folder / first).string());
 }
 
-std::string describe_missing_scans(const fs::path& folder, const std::vector<int>& frame_numbers,
-                                   bool allow_missing) {
+std::string describe_or_reject_missing_scan_files(const fs::path& folder,
+                                                  const std::vector<int>& frame_numbers, bool allow_missing) {
     constexpr std::size_t kShown = 5;
     const std::size_t n =
         static_cast<std::size_t>(frame_numbers.back() - frame_numbers.front() + 1) - frame_numbers.size();
@@ -85,7 +85,7 @@ std::string describe_missing_scans(const fs::path& folder, const std::vector<int
 }
 
 std::vector<int> list_scan_numbers(const fs::path& folder, int begin_number, int end_number) {
-    check_is_folder(folder, "KITTI raw scans with names like 0000000000.bin");
+    require_existing_folder(folder, "KITTI raw scans with names like 0000000000.bin");
     std::vector<int> all, frames;
     bool text_scans = false;
     for (const fs::path& file : list_folder_entries(folder)) {

@@ -38,16 +38,16 @@ ScanPoints read_kitti_scan_points(const std::filesystem::path& scan_file,
 /// Returns a note for the user about missing scan files between the first and the last
 /// frame. Returns an empty string if no scan file is missing.
 /// @throws DataError if scan files are missing and allow_missing is false
-std::string describe_missing_scans(const std::filesystem::path& folder, const std::vector<int>& frame_numbers,
-                                   bool allow_missing);
+std::string describe_or_reject_missing_scan_files(const std::filesystem::path& folder,
+                                                  const std::vector<int>& frame_numbers, bool allow_missing);
 
 /// Returns an error message for a folder that is not a KITTI drive. The message names the
 /// folder to use instead. Recognises three cases: an odometry sequence, a folder of
 /// drives, and a folder inside a drive.
 /// @param expected_subfolder  subfolder that every drive has
 /// @return empty string in all other cases
-std::string suggest_dataset_folder(const std::filesystem::path& folder,
-                                   const std::string& expected_subfolder);
+std::string describe_mistaken_kitti_folder(const std::filesystem::path& folder,
+                                           const std::string& expected_subfolder);
 
 /// Reads the times of some frames, in seconds after the first time in the file. Line i
 /// contains the time of frame i. It is empty if the scan is missing. Times can cross
@@ -78,8 +78,8 @@ Pose read_transform_of_key(const std::filesystem::path& file, const std::string&
 /// the north. The origin of the world frame is the IMU in that frame.
 /// @throws DataError with the file. If the drive has no OXTS data, the message names the
 /// setting to use instead.
-std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive_folder,
-                                  const std::vector<int>& frame_numbers);
+std::vector<Pose> compute_lidar_poses_from_oxts_files(const std::filesystem::path& drive_folder,
+                                                      const std::vector<int>& frame_numbers);
 
 /// Reads LiDAR poses from a file. Line i contains the pose of frame i as 12 numbers: a
 /// 3x4 matrix, row-major.

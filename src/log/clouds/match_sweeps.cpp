@@ -18,9 +18,9 @@ double compute_median_interval_s(std::vector<double> sweep_times_s) {
     return step_s > 1e-3 ? step_s : 0.1;
 }
 
-std::vector<std::optional<std::size_t>> match_sweeps_by_time(const std::vector<double>& main_times_s,
-                                                             const std::vector<double>& other_times_s,
-                                                             double max_difference_s) {
+std::vector<std::optional<std::size_t>> find_nearest_other_sweep_per_sweep(
+    const std::vector<double>& main_times_s, const std::vector<double>& other_times_s,
+    double max_difference_s) {
     std::vector<std::optional<std::size_t>> beside(main_times_s.size());
     for (std::size_t i = 0; i < other_times_s.size(); ++i) {
         const auto distance_s = [&](std::size_t index, std::size_t other) {

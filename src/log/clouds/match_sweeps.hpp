@@ -19,8 +19,8 @@ double compute_median_interval_s(std::vector<double> sweep_times_s);
 /// @param other_times_s  times of the other LiDAR in any order
 /// @param max_difference_s  maximum time difference
 /// @return [sweeps] indices in other_times_s; empty if no sweep is near enough
-std::vector<std::optional<std::size_t>> match_sweeps_by_time(const std::vector<double>& main_times_s,
-                                                             const std::vector<double>& other_times_s,
-                                                             double max_difference_s);
+std::vector<std::optional<std::size_t>> find_nearest_other_sweep_per_sweep(
+    const std::vector<double>& main_times_s, const std::vector<double>& other_times_s,
+    double max_difference_s);
 
 }  // namespace relidar

@@ -37,10 +37,12 @@ struct LasHeader {
     std::uint64_t n = 0;                ///< number of points
     std::array<double, 3> scale{}, offset_m{};
 
-    bool has_extended_format() const { return format >= kFirstLongFormat; }
-    bool has_gps_time() const { return has_extended_format() || format == 1 || format >= 3; }
-    std::size_t get_time_offset_bytes() const { return has_extended_format() ? 22 : 20; }
-    std::size_t get_min_record_bytes() const { return get_time_offset_bytes() + (has_gps_time() ? 8 : 0); }
+    bool has_extended_point_format() const { return format >= kFirstLongFormat; }
+    bool has_gps_time_per_point() const { return has_extended_point_format() || format == 1 || format >= 3; }
+    std::size_t get_gps_time_byte_offset() const { return has_extended_point_format() ? 22 : 20; }
+    std::size_t get_min_point_record_bytes() const {
+        return get_gps_time_byte_offset() + (has_gps_time_per_point() ? 8 : 0);
+    }
 };
 
 LasHeader parse_las_header(std::string_view bytes, const std::string& error_location) {
@@ -65,7 +67,7 @@ LasHeader parse_las_header(std::string_view bytes, const std::string& error_loca
         header.scale[axis] = read_unaligned<double>(bytes, kScaleAt + 8 * axis);
         header.offset_m[axis] = read_unaligned<double>(bytes, kOffsetAt + 8 * axis);
     }
-    if (header.record < header.get_min_record_bytes() || header.begin > bytes.size() ||
+    if (header.record < header.get_min_point_record_bytes() || header.begin > bytes.size() ||
         header.n > (bytes.size() - header.begin) / header.record)
         throw DataError(fmt::format(
             "{}: the file is truncated: found {} bytes, expected {} points of {} bytes from byte {}",
@@ -76,8 +78,8 @@ LasHeader parse_las_header(std::string_view bytes, const std::string& error_loca
 /// Throws if the points are a map or in survey coordinates. The sensor of a scan is at
 /// the origin, so some points must be near the origin. They can all be on one side,
 /// because some sensors only look forward.
-void check_points_near_origin(const std::array<std::vector<double>, 3>& coordinates_m,
-                              const std::string& error_location) {
+void require_points_near_origin(const std::array<std::vector<double>, 3>& coordinates_m,
+                                const std::string& error_location) {
     for (std::size_t axis = 0; axis < 2; ++axis) {
         const auto [least, most] = std::ranges::minmax(coordinates_m[axis]);
         if (least <= kMostAway_m && most >= -kMostAway_m) continue;
@@ -93,7 +95,7 @@ void check_points_near_origin(const std::array<std::vector<double>, 3>& coordina
 PointTable parse_las_points(const SharedBytes& file, const std::string& error_location) {
     const LasHeader header = parse_las_header(file.bytes, error_location);
     const auto n = std::size_t(header.n);
-    check_number_of_points(n, error_location);
+    require_valid_point_count(n, error_location);
     const char* points = file.bytes.data() + header.begin;
     std::array<std::vector<double>, 3> position_m;
     std::vector<std::uint8_t> return_numbers(n);
@@ -104,9 +106,10 @@ PointTable parse_las_points(const SharedBytes& file, const std::string& error_lo
             position_m[axis][i] =
                 header.scale[axis] * read_unaligned<std::int32_t>(point, 4 * axis) + header.offset_m[axis];
         // a ray keeps at most 8 returns
-        return_numbers[i] = std::uint8_t(std::min(point[14] & (header.has_extended_format() ? 15 : 7), 8));
+        return_numbers[i] =
+            std::uint8_t(std::min(point[14] & (header.has_extended_point_format() ? 15 : 7), 8));
     }
-    check_points_near_origin(position_m, error_location);
+    require_points_near_origin(position_m, error_location);
     PointTable table(n);
     table.keep_memory_alive(file.memory);
     const char* names[] = {"x", "y", "z"};
@@ -116,8 +119,8 @@ PointTable parse_las_points(const SharedBytes& file, const std::string& error_lo
     // Some programs write 0 for all return numbers.
     if (std::ranges::any_of(return_numbers, [](std::uint8_t number) { return number > 1; }))
         table.add_value_field("return_number", ScalarType::u1, std::move(return_numbers), error_location);
-    if (!header.has_gps_time()) return table;
-    const PointFieldView times(ScalarType::f8, points + header.get_time_offset_bytes(), header.record);
+    if (!header.has_gps_time_per_point()) return table;
+    const PointFieldView times(ScalarType::f8, points + header.get_gps_time_byte_offset(), header.record);
     bool is_constant = true;  // some programs write the time 0 for all points
     for (std::size_t i = 1; i < n; ++i) is_constant = is_constant && times[i] == times[0];
     if (!is_constant) table.add_value_field("time", times, error_location);

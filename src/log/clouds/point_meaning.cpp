@@ -41,40 +41,42 @@ bool is_field_all_zero(const std::vector<PointTable>& clouds, const std::string&
 
 /// Selects the field that contains the intensities: the first candidate that has a value
 /// other than 0.
-void choose_intensity_field(const std::vector<PointTable>& clouds, PointFieldSemantics& meaning) {
-    const std::vector<std::string> names = clouds[0].list_field_names(PointAttribute::intensity);
+void choose_and_store_intensity_field(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
+    const std::vector<std::string> names = clouds[0].list_fields_with_attribute(PointAttribute::intensity);
     if (names.empty()) return;
     const auto used = std::ranges::find_if(
         names, [&](const std::string& name) { return !is_field_all_zero(clouds, name); });
-    meaning.intensity_field = used == names.end() ? names[0] : *used;
-    const bool is_usual = meaning.intensity_field == "intensity" || meaning.intensity_field == "reflectivity";
+    semantics.intensity_field = used == names.end() ? names[0] : *used;
+    const bool is_usual =
+        semantics.intensity_field == "intensity" || semantics.intensity_field == "reflectivity";
     if (used == names.end())
-        meaning.notes.push_back(
+        semantics.notes.push_back(
             fmt::format("the field '{}', which usually contains intensities, is 0 for all points",
                         shorten_for_error_message(names[0])));
     else if (used != names.begin())
-        meaning.notes.push_back(
+        semantics.notes.push_back(
             fmt::format("intensities are read from the field '{}', because '{}' is 0 for all points",
                         shorten_for_error_message(*used), shorten_for_error_message(names[0])));
     else if (!is_usual)
-        meaning.notes.push_back(
+        semantics.notes.push_back(
             fmt::format("intensities are read from the field '{}'", shorten_for_error_message(*used)));
 }
 
-void add_note_on_unread_fields(const std::vector<PointTable>& clouds, PointFieldSemantics& meaning) {
+void add_note_on_unread_fields(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
     std::set<std::string> unread;
     for (const PointTable& cloud : clouds)
         for (const std::string& name : cloud.unread) unread.insert(shorten_for_error_message(name));
     if (unread.empty()) return;
-    meaning.notes.push_back(fmt::format(
+    semantics.notes.push_back(fmt::format(
         "these fields of the points are not read: {} (field of the intensities: {})", fmt::join(unread, ", "),
-        meaning.intensity_field.empty() ? "none, because no field has a usual name of intensities"
-                                        : "'" + shorten_for_error_message(meaning.intensity_field) + "'"));
+        semantics.intensity_field.empty()
+            ? "none, because no field has a usual name of intensities"
+            : "'" + shorten_for_error_message(semantics.intensity_field) + "'"));
 }
 
 /// Returns the position at which so many points are stored that it must mark dropped
 /// rays. Returns nothing if there is no such position.
-std::optional<glm::vec3> find_repeated_position(const PointTable& cloud) {
+std::optional<glm::vec3> find_position_that_marks_dropped_rays(const PointTable& cloud) {
     const std::array<const PointFieldView*, 3> xyz = {cloud.find_field(PointAttribute::x),
                                                       cloud.find_field(PointAttribute::y),
                                                       cloud.find_field(PointAttribute::z)};
@@ -130,7 +132,7 @@ IntensityScale estimate_intensity_scale(std::vector<double>& intensities) {
 PointFieldSemantics interpret_point_fields(const std::vector<PointTable>& sample_clouds) {
     PointFieldSemantics meaning;
     if (sample_clouds.empty()) return meaning;
-    choose_intensity_field(sample_clouds, meaning);
+    choose_and_store_intensity_field(sample_clouds, meaning);
     add_note_on_unread_fields(sample_clouds, meaning);
     std::vector<double> intensities;
     for (const PointTable& cloud : sample_clouds)
@@ -139,7 +141,7 @@ PointFieldSemantics interpret_point_fields(const std::vector<PointTable>& sample
     meaning.scale = estimate_intensity_scale(intensities);
     if (!meaning.scale.about.empty()) meaning.notes.push_back(meaning.scale.about);
     for (const PointTable& cloud : sample_clouds)
-        if (!meaning.no_return) meaning.no_return = find_repeated_position(cloud);
+        if (!meaning.no_return) meaning.no_return = find_position_that_marks_dropped_rays(cloud);
     if (meaning.no_return)
         meaning.notes.push_back(
             fmt::format("many points have exactly the position ({}, {}, {}); they are read as rays without "

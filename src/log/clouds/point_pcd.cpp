@@ -29,7 +29,7 @@ struct PcdHeader {
 
 std::vector<std::string> split_words(std::string_view line) {
     std::vector<std::string> words;
-    for (line = trim_spaces(line); !line.empty(); line = trim_spaces(line)) {
+    for (line = trim_blanks_at_both_ends(line); !line.empty(); line = trim_blanks_at_both_ends(line)) {
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
         words.emplace_back(line.substr(0, end));
         line.remove_prefix(end);
@@ -177,10 +177,10 @@ PointTable parse_pcd_points(const SharedBytes& file, const std::string& error_lo
     const std::size_t n = std::size_t(header.points);
     if (header.data == "ascii") return parse_point_lines(data, fields, n, error_location);
     if (header.data == "binary")
-        return make_table_of_binary_points(file.make_shared_subview(data), fields, n,
+        return make_table_of_binary_points(file.share_memory_with_subview(data), fields, n,
                                            PointMemoryLayout::by_point, error_location);
     if (header.data == "binary_compressed")
-        return make_table_of_binary_points(move_to_shared_bytes(decompress_pcd_points(data, error_location)),
+        return make_table_of_binary_points(make_shared_bytes(decompress_pcd_points(data, error_location)),
                                            fields, n, PointMemoryLayout::by_field, error_location);
     throw DataError(fmt::format("{}: found DATA '{}', expected ascii, binary or binary_compressed",
                                 error_location, shorten_for_error_message(header.data)));

@@ -76,7 +76,7 @@ std::size_t find_exact_field_index(std::string_view field_name) {
 /// Returns the index of a field in kFieldNames, or kNotRead if the field is unknown.
 /// Ignores upper case and prefixes of its name.
 std::size_t find_field_index_ignoring_case(std::string_view field_name) {
-    std::string name(trim_spaces(field_name));
+    std::string name(trim_blanks_at_both_ends(field_name));
     std::ranges::transform(name, name.begin(),
                            [](unsigned char character) { return char(std::tolower(character)); });
     // VeloView and ParaView store x, y and z as elements 0, 1 and 2 of a vector:
@@ -115,7 +115,7 @@ ScalarType get_field_number_type(const PointField& field, const std::string& err
 }
 
 PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::string>& column_names) {
-    const SharedBytes data = move_to_shared_bytes(read_file(bin_file));
+    const SharedBytes data = make_shared_bytes(read_file(bin_file));
     const std::size_t n_bytes = data.bytes.size();
     std::vector<PointField> fields;
     for (const std::string& column : column_names) fields.push_back({column, 'F', sizeof(float)});
@@ -133,7 +133,7 @@ PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::
 }
 
 PointTable read_npy_points(const fs::path& file, const std::vector<std::string>& column_names) {
-    if (const SharedBytes bytes = move_to_shared_bytes(read_file(file)); is_structured_npy(bytes.bytes))
+    if (const SharedBytes bytes = make_shared_bytes(read_file(file)); is_structured_npy(bytes.bytes))
         return parse_structured_npy_points(bytes, file.string());
     NamedArray array = read_npy(file);
     if (array.shape.size() != 2 || array.shape[1] != column_names.size())
@@ -143,9 +143,10 @@ PointTable read_npy_points(const fs::path& file, const std::vector<std::string>&
             file.string(), array.shape.size(),
             array.shape.empty() ? "" : fmt::format(", whose last dimension is {}", array.shape.back()),
             column_names.size()));
-    check_number_of_points(array.shape[0], file.string());
+    require_valid_point_count(array.shape[0], file.string());
     const auto* type_row = std::ranges::find(kNumberTypes, array.dtype, &ScalarTypeEntry::numpy);
-    if (type_row == std::end(kNumberTypes) || array.bytes.size() != array.count_elements() * type_row->size) {
+    if (type_row == std::end(kNumberTypes) ||
+        array.bytes.size() != array.count_array_elements() * type_row->size) {
         const std::vector<double> values = array.convert_to_doubles();
         array = make_array(array.name, array.shape, values.data(), values.size());
         type_row = std::ranges::find(kNumberTypes, ScalarType::f8, &ScalarTypeEntry::type);
@@ -165,17 +166,17 @@ PointTable read_npy_points(const fs::path& file, const std::vector<std::string>&
 
 }  // namespace
 
-std::optional<PointAttribute> find_field_meaning(std::string_view field_name) {
+std::optional<PointAttribute> find_attribute_of_field_name(std::string_view field_name) {
     const std::size_t row = find_field_index_ignoring_case(field_name);
     return row == kNotRead ? std::nullopt : std::optional(kFieldNames[row].value);
 }
 
-std::vector<std::string> PointTable::list_field_names(PointAttribute meaning) const {
+std::vector<std::string> PointTable::list_fields_with_attribute(PointAttribute attribute) const {
     // If names differ only in spelling, the exact name comes first.
     std::vector<std::tuple<std::size_t, bool, std::string>> ranked;
     for (const auto& [name, values] : fields_) {
         const std::size_t row = find_field_index_ignoring_case(name);
-        if (row != kNotRead && kFieldNames[row].value == meaning)
+        if (row != kNotRead && kFieldNames[row].value == attribute)
             ranked.emplace_back(row, name != kFieldNames[row].name, name);
     }
     std::ranges::sort(ranked);
@@ -184,7 +185,7 @@ std::vector<std::string> PointTable::list_field_names(PointAttribute meaning) co
     return names;
 }
 
-void check_number_of_points(std::size_t n_points, const std::string& error_location) {
+void require_valid_point_count(std::size_t n_points, const std::string& error_location) {
     if (n_points == 0 || n_points > kMostPoints)
         throw DataError(
             fmt::format("{}: found {} points, expected 1 to {}", error_location, n_points, kMostPoints));
@@ -195,8 +196,8 @@ const PointFieldView* PointTable::find_field(const std::string& field_name) cons
     return at == fields_.end() ? nullptr : &at->second;
 }
 
-const PointFieldView* PointTable::find_field(PointAttribute meaning) const {
-    const std::vector<std::string> all = list_field_names(meaning);
+const PointFieldView* PointTable::find_field(PointAttribute attribute) const {
+    const std::vector<std::string> all = list_fields_with_attribute(attribute);
     return all.empty() ? nullptr : find_field(all[0]);
 }
 
@@ -207,14 +208,15 @@ void PointTable::add_value_field(const std::string& field_name, const PointField
             fmt::format("{}: the field '{}' occurs twice, expected it once", error_location, field_name));
 }
 
-void PointTable::remove_fields(PointAttribute meaning) {
-    std::erase_if(fields_, [&](const auto& field) { return find_field_meaning(field.first) == meaning; });
+void PointTable::remove_fields_with_attribute(PointAttribute attribute) {
+    std::erase_if(fields_,
+                  [&](const auto& field) { return find_attribute_of_field_name(field.first) == attribute; });
 }
 
 PointTable make_table_of_binary_points(const SharedBytes& data, const std::vector<PointField>& fields,
-                                       std::size_t n_points, PointMemoryLayout packing,
+                                       std::size_t n_points, PointMemoryLayout memory_layout,
                                        const std::string& error_location) {
-    check_number_of_points(n_points, error_location);
+    require_valid_point_count(n_points, error_location);
     std::size_t record = 0;
     for (const PointField& field : fields) {
         if (field.size == 0 || field.count == 0)
@@ -233,11 +235,11 @@ PointTable make_table_of_binary_points(const SharedBytes& data, const std::vecto
     for (const PointField& field : fields) {
         const std::size_t width = field.size * field.count;
         if (is_known_point_field(field.name)) {
-            const char* first =
-                data.bytes.data() + (packing == PointMemoryLayout::by_point ? before : before * n_points);
+            const char* first = data.bytes.data() +
+                                (memory_layout == PointMemoryLayout::by_point ? before : before * n_points);
             table.add_value_field(field.name,
                                   {get_field_number_type(field, error_location), first,
-                                   packing == PointMemoryLayout::by_point ? record : width},
+                                   memory_layout == PointMemoryLayout::by_point ? record : width},
                                   error_location);
         } else if (field.name != kPadding) {
             table.unread.push_back(field.name);
@@ -249,7 +251,7 @@ PointTable make_table_of_binary_points(const SharedBytes& data, const std::vecto
 
 PointTable parse_point_lines(std::string_view text, const std::vector<PointField>& fields,
                              std::size_t n_points, const std::string& error_location) {
-    check_number_of_points(n_points, error_location);
+    require_valid_point_count(n_points, error_location);
     if (n_points > text.size())
         throw DataError(fmt::format("{}: the file is truncated: found {} bytes of text, expected {} points",
                                     error_location, text.size(), n_points));
@@ -304,7 +306,7 @@ bool is_header_marked_deskewed(std::string_view file_bytes) {
 PointTable read_point_file_with_header(const fs::path& file,
                                        PointTable (*parse_points)(const SharedBytes& bytes,
                                                                   const std::string& where)) {
-    const SharedBytes bytes = move_to_shared_bytes(read_text_file(file));
+    const SharedBytes bytes = make_shared_bytes(read_text_file(file));
     PointTable table = parse_points(bytes, file.string());
     table.is_deskewed = is_header_marked_deskewed(bytes.bytes);
     return table;
@@ -319,9 +321,9 @@ PointTable read_point_file(const fs::path& file, const std::vector<std::string>&
     if (ending == ".npy") return read_npy_points(file, column_names.empty() ? kKitti : column_names);
     if (ending == ".pcd") return read_point_file_with_header(file, parse_pcd_points);
     if (ending == ".ply") return read_point_file_with_header(file, parse_ply_points);
-    if (ending == ".las") return parse_las_points(move_to_shared_bytes(read_file(file)), file.string());
+    if (ending == ".las") return parse_las_points(make_shared_bytes(read_file(file)), file.string());
     if (ending == ".csv" || ending == ".xyz")
-        return parse_text_points(move_to_shared_bytes(read_file(file)), column_names, file.string());
+        return parse_text_points(make_shared_bytes(read_file(file)), column_names, file.string());
     if (const std::string other = describe_unsupported_format(file); !other.empty())
         throw DataError(fmt::format("{}: {}", file.string(), other));
     throw DataError(

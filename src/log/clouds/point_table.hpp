@@ -26,9 +26,9 @@ enum class PointAttribute { x, y, z, intensity, ring, time, return_number, retur
 /// Returns the meaning of a field by its name. Ignores upper case and prefixes such as
 /// "scalar_". Returns nothing for fields that relidar does not read, such as colours and
 /// normals.
-std::optional<PointAttribute> find_field_meaning(std::string_view field_name);
+std::optional<PointAttribute> find_attribute_of_field_name(std::string_view field_name);
 inline bool is_known_point_field(std::string_view field_name) {
-    return find_field_meaning(field_name).has_value();
+    return find_attribute_of_field_name(field_name).has_value();
 }
 
 enum class ScalarType : std::uint8_t { f4, f8, i1, i2, i4, i8, u1, u2, u4, u8 };
@@ -109,12 +109,12 @@ public:
     /// Returns the field with a meaning such as "intensity", or nullptr if no field has
     /// this meaning. If several fields match, the order in the list of known names
     /// decides.
-    const PointFieldView* find_field(PointAttribute meaning) const;
+    const PointFieldView* find_field(PointAttribute attribute) const;
     /// Returns the field with a name, or nullptr if the table has no such field.
     const PointFieldView* find_field(const std::string& field_name) const;
     /// Returns the names of all fields with a meaning such as "intensity". find_field()
     /// returns the field with the first of these names.
-    std::vector<std::string> list_field_names(PointAttribute meaning) const;
+    std::vector<std::string> list_fields_with_attribute(PointAttribute attribute) const;
     /// Adds a field to the table.
     /// @param error_location  name of the file, for error messages
     /// @throws DataError if the field already exists
@@ -128,7 +128,7 @@ public:
         add_value_field(field_name, {type, reinterpret_cast<const char*>(memory->data()), sizeof(T)},
                         error_location);
     }
-    void remove_fields(PointAttribute meaning);
+    void remove_fields_with_attribute(PointAttribute attribute);
     /// Keeps the memory of field values allocated as long as the table exists.
     void keep_memory_alive(std::shared_ptr<const void> memory) { memory_.push_back(std::move(memory)); }
 
@@ -156,11 +156,11 @@ enum class PointMemoryLayout {
 
 /// Checks the number of points of a file.
 /// @throws DataError if there are no points, or too many for one scan
-void check_number_of_points(std::size_t n_points, const std::string& error_location);
+void require_valid_point_count(std::size_t n_points, const std::string& error_location);
 /// Returns a table of binary little-endian numbers, without copying them.
 /// @throws DataError if a number type does not exist or if the data is too short
 PointTable make_table_of_binary_points(const SharedBytes& data, const std::vector<PointField>& fields,
-                                       std::size_t n_points, PointMemoryLayout packing,
+                                       std::size_t n_points, PointMemoryLayout memory_layout,
                                        const std::string& error_location);
 /// Parses `n_points` lines of numbers that are separated by blanks, one line per point.
 PointTable parse_point_lines(std::string_view text, const std::vector<PointField>& fields,

@@ -20,7 +20,7 @@ constexpr std::size_t kNpyPrefix = 8;  // size of the magic string and the versi
 
 std::vector<PointField> parse_field_name_line(std::string_view line) {
     std::vector<PointField> fields;
-    for (line = trim_spaces(line); !line.empty(); line = trim_spaces(line)) {
+    for (line = trim_blanks_at_both_ends(line); !line.empty(); line = trim_blanks_at_both_ends(line)) {
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
         std::string name(line.substr(0, end));
         std::erase(name, '"');
@@ -60,34 +60,37 @@ public:
 
     std::vector<PointField> parse_field_list() {
         std::vector<PointField> fields;
-        expect('[');
-        while (!accept(']')) {
-            expect('(');
+        require_next_character('[');
+        while (!consume_character_if_next(']')) {
+            require_next_character('(');
             const std::string name = parse_quoted_text();
-            expect(',');
+            require_next_character(',');
             fields.push_back(parse_numpy_field(name, parse_quoted_text()));
-            if (accept(',') && skip_blanks_and_peek('(')) fields.back().count *= parse_shape_product();
-            expect(')');
-            if (!accept(',') && !skip_blanks_and_peek(']')) fail();
+            if (consume_character_if_next(',') && is_next_nonblank_character('('))
+                fields.back().count *= parse_shape_and_count_elements();
+            require_next_character(')');
+            if (!consume_character_if_next(',') && !is_next_nonblank_character(']')) fail();
             if (fields.size() > kMostTextFields) fail();
         }
         return fields;
     }
     /// Parses the shape of a field, which is a tuple of numbers. Returns the product of
     /// the numbers.
-    std::size_t parse_shape_product() {
+    std::size_t parse_shape_and_count_elements() {
         std::size_t n = 1;
-        expect('(');
-        while (!accept(')')) {
+        require_next_character('(');
+        while (!consume_character_if_next(')')) {
             std::size_t value = 0, n_digits = 0;
-            for (skip_blanks_and_peek(' '); !text_.empty() && text_[0] >= '0' && text_[0] <= '9';
+            for (is_next_nonblank_character(' '); !text_.empty() && text_[0] >= '0' && text_[0] <= '9';
                  ++n_digits) {
                 value = 10 * value + std::size_t(text_[0] - '0');
                 text_.remove_prefix(1);
             }
             if (n_digits == 0 || n_digits > 8) fail();
             n *= value;
-            if (n > std::size_t(1) << 32 || (!accept(',') && !skip_blanks_and_peek(')'))) fail();
+            if (n > std::size_t(1) << 32 ||
+                (!consume_character_if_next(',') && !is_next_nonblank_character(')')))
+                fail();
         }
         return n;
     }
@@ -99,24 +102,24 @@ private:
     [[noreturn]] void fail() const {
         throw DataError(fmt::format("{}: the npy header is malformed, expected fields of numbers", where_));
     }
-    bool skip_blanks_and_peek(char expected) {
+    bool is_next_nonblank_character(char expected_character) {
         while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n')) text_.remove_prefix(1);
-        return !text_.empty() && text_[0] == expected;
+        return !text_.empty() && text_[0] == expected_character;
     }
-    bool accept(char expected) {
-        if (!skip_blanks_and_peek(expected)) return false;
+    bool consume_character_if_next(char expected_character) {
+        if (!is_next_nonblank_character(expected_character)) return false;
         text_.remove_prefix(1);
         return true;
     }
-    void expect(char expected) {
-        if (!accept(expected)) fail();
+    void require_next_character(char expected_character) {
+        if (!consume_character_if_next(expected_character)) fail();
     }
     std::string parse_quoted_text() {
-        expect('\'');
+        require_next_character('\'');
         const std::size_t end = std::min(text_.find('\''), text_.size());
         const std::string text(text_.substr(0, end));
         text_.remove_prefix(end);
-        expect('\'');
+        require_next_character('\'');
         return text;
     }
     /// Converts a numpy type such as '<f4' to a field. Fields without a name, or with the
@@ -146,7 +149,7 @@ PointTable parse_text_points(const SharedBytes& file, const std::vector<std::str
             return character == ',' || character == ';' || character == '\r' || character == '\t';
         },
         ' ');
-    std::string_view rest = trim_spaces(text);
+    std::string_view rest = trim_blanks_at_both_ends(text);
     const auto first_line = [&] { return rest.substr(0, std::min(rest.find('\n'), rest.size())); };
     const auto skip_line = [&] { rest.remove_prefix(std::min(first_line().size() + 1, rest.size())); };
     std::vector<PointField> fields;
@@ -154,7 +157,7 @@ PointTable parse_text_points(const SharedBytes& file, const std::vector<std::str
     if (const auto numbers = parse_numbers(first_line()); numbers) {
         fields = make_default_fields(numbers->size(), column_names, error_location);
     } else {
-        std::string_view names = trim_spaces(first_line());
+        std::string_view names = trim_blanks_at_both_ends(first_line());
         names.remove_prefix(std::min(names.find_first_not_of("#/ "), names.size()));
         fields = parse_field_name_line(names);
         skip_line();
@@ -170,7 +173,7 @@ bool is_structured_npy(std::string_view bytes) {
     const std::string_view header = bytes.substr(0, 256);
     const std::size_t at = header.find("'descr':");
     return header.starts_with("\x93NUMPY") && at != header.npos &&
-           trim_spaces(header.substr(at + 8)).starts_with('[');
+           trim_blanks_at_both_ends(header.substr(at + 8)).starts_with('[');
 }
 
 PointTable parse_structured_npy_points(const SharedBytes& file, const std::string& error_location) {
@@ -191,9 +194,9 @@ PointTable parse_structured_npy_points(const SharedBytes& file, const std::strin
     const std::vector<PointField> fields =
         NumpyFieldListParser(header.substr(fields_at + 8), error_location).parse_field_list();
     const std::size_t n =
-        NumpyFieldListParser(header.substr(shape_at + 8), error_location).parse_shape_product();
-    return make_table_of_binary_points(file.make_shared_subview(bytes.substr(start + length)), fields, n,
-                                       PointMemoryLayout::by_point, error_location);
+        NumpyFieldListParser(header.substr(shape_at + 8), error_location).parse_shape_and_count_elements();
+    return make_table_of_binary_points(file.share_memory_with_subview(bytes.substr(start + length)), fields,
+                                       n, PointMemoryLayout::by_point, error_location);
 }
 
 }  // namespace relidar::folder

@@ -26,7 +26,7 @@ constexpr double kCell_m = 0.5;  // edge length of the cells in which the overla
 constexpr float kMinComparedRange_m = 3.0f,
                 kMaxComparedRange_m = 40.0f;  // only points in this interval of ranges are compared
 
-bool is_in_compared_range(const glm::vec3& point_m) {
+bool is_in_overlap_test_range(const glm::vec3& point_m) {
     const float range_m = glm::length(point_m);
     return range_m > kMinComparedRange_m && range_m < kMaxComparedRange_m;
 }
@@ -45,7 +45,7 @@ std::vector<glm::vec3> compute_points_in_vehicle_frame(const LidarSequence& sequ
 }
 
 /// Selects pairs of consecutive scans of the first LiDAR, evenly spread over the log.
-OverlapScanPairs select_scan_pairs(const LidarSequence& sequence) {
+OverlapScanPairs collect_consecutive_scan_pairs(const LidarSequence& sequence) {
     std::vector<const LidarFrame*> frames;
     for (const LidarFrame& frame : sequence.frames)
         if (frame.lidar == 0 && frame.scan.count_returns() > 0) frames.push_back(&frame);
@@ -63,8 +63,8 @@ OverlapScanPairs select_scan_pairs(const LidarSequence& sequence) {
 
 void OverlapScanPairs::add_scan_pair(double first_time_s, std::vector<glm::vec3> first_points_m,
                                      double second_time_s, std::vector<glm::vec3> second_points_m) {
-    std::erase_if(first_points_m, [](const glm::vec3& point) { return !is_in_compared_range(point); });
-    std::erase_if(second_points_m, [](const glm::vec3& point) { return !is_in_compared_range(point); });
+    std::erase_if(first_points_m, [](const glm::vec3& point) { return !is_in_overlap_test_range(point); });
+    std::erase_if(second_points_m, [](const glm::vec3& point) { return !is_in_overlap_test_range(point); });
     if (!first_points_m.empty() && !second_points_m.empty())
         pairs_.push_back(
             {first_time_s, second_time_s, std::move(first_points_m), std::move(second_points_m)});
@@ -86,7 +86,7 @@ double OverlapScanPairs::compute_scan_overlap(const PoseTrack& world_from_vehicl
 }
 
 std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& interpretations,
-                                       const OverlapScanPairReader& read_scan_pairs,
+                                       const OverlapScanPairReader& read_scan_pairs_or_null,
                                        const std::string& error_location, std::vector<std::string>& notes) {
     std::vector<double> forward;
     for (const PoseInterpretation& reading : interpretations) {
@@ -100,7 +100,7 @@ std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& in
     std::size_t n_possible = 0;
     for (std::size_t k = 1; k < interpretations.size(); ++k) n_possible += is_possible(k);
     if (n_possible == 0) return 0;
-    const OverlapScanPairs scans = read_scan_pairs ? read_scan_pairs() : OverlapScanPairs();
+    const OverlapScanPairs scans = read_scan_pairs_or_null ? read_scan_pairs_or_null() : OverlapScanPairs();
     std::size_t best = 0;
     double best_overlap = scans.compute_scan_overlap(interpretations[0].world_from_vehicle) + kMoreOverlap;
     for (std::size_t k = 1; k < interpretations.size(); ++k) {
@@ -120,7 +120,7 @@ std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& in
     return best;
 }
 
-void invert_poses_if_inverted(LidarSequence& sequence) {
+void correct_poses_if_stored_inverted(LidarSequence& sequence) {
     if (!sequence.has_poses) return;
     PoseTrack invert_track = sequence.world_from_vehicle;
     for (Pose& pose : invert_track.pose) {
@@ -130,11 +130,11 @@ void invert_poses_if_inverted(LidarSequence& sequence) {
     const std::vector<PoseInterpretation> readings = {
         {"world-from-sensor poses", sequence.world_from_vehicle},
         {"sensor-from-world poses", std::move(invert_track), true}};
-    const auto read_pairs = [&] { return select_scan_pairs(sequence); };
+    const auto read_pairs = [&] { return collect_consecutive_scan_pairs(sequence); };
     if (choose_pose_interpretation(readings, read_pairs, sequence.source, sequence.notes) == 0) return;
     set_vehicle_poses(sequence, readings[1].world_from_vehicle);
     sequence.world_offset_m = glm::dvec3(0.0);
-    recentre_sequence(sequence);
+    move_world_origin_of_log(sequence);
 }
 
 }  // namespace relidar::folder

@@ -48,16 +48,16 @@ using OverlapScanPairReader = std::function<OverlapScanPairs()>;
 /// best. Returns 0, the documented meaning, unless another meaning is clearly better.
 /// Adds a note if the result is not 0.
 /// @param interpretations  possible meanings, at least one
-/// @param read_scan_pairs  reads pairs of scans; called only if the motion contradicts
-/// the documented meaning; may be null
+/// @param read_scan_pairs_or_null  reads pairs of scans; called only if the motion
+/// contradicts the documented meaning; may be null
 /// @param error_location  name of the file, for the note
 std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& interpretations,
-                                       const OverlapScanPairReader& read_scan_pairs,
+                                       const OverlapScanPairReader& read_scan_pairs_or_null,
                                        const std::string& error_location, std::vector<std::string>& notes);
 
 /// Inverts the poses of a log if they are probably sensor-from-world poses, and adds a
 /// note. Condition: with the inverse, the vehicle drives forward and consecutive scans
 /// overlap better. The log must already contain the scans.
-void invert_poses_if_inverted(LidarSequence& sequence);
+void correct_poses_if_stored_inverted(LidarSequence& sequence);
 
 }  // namespace relidar::folder

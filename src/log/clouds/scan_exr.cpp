@@ -19,8 +19,9 @@ constexpr const char* kAxes[] = {".x", ".y", ".z"};
 
 /// Combines the channels x, y and z of an image into one array of vectors. Does nothing
 /// if all three are missing. Throws an error if only some are missing.
-void add_vector_array(const ExrImage& image, const std::string& channel_prefix, const std::string& array_name,
-                      const std::string& error_location, std::vector<NamedArray>& arrays) {
+void append_xyz_channels_as_array(const ExrImage& image, const std::string& channel_prefix,
+                                  const std::string& array_name, const std::string& error_location,
+                                  std::vector<NamedArray>& arrays) {
     const std::vector<float>* axis[3] = {};
     std::size_t n_axes_found = 0;
     for (std::size_t k = 0; k < 3; ++k) {
@@ -57,8 +58,8 @@ std::vector<NamedArray> convert_channels_to_arrays(const ExrImage& image, const 
         if (name.find('.') == std::string::npos)
             arrays.push_back(make_array(name, {std::size_t(image.rows), std::size_t(image.columns)},
                                         values.data(), values.size()));
-    add_vector_array(image, "direction", "directions", error_location, arrays);
-    add_vector_array(image, "origin", "origin", error_location, arrays);
+    append_xyz_channels_as_array(image, "direction", "directions", error_location, arrays);
+    append_xyz_channels_as_array(image, "origin", "origin", error_location, arrays);
     // name of the frame that the points are in; relidar writes it into the metadata of
     // rendered images
     const auto frame = image.notes.find("points_in");
@@ -71,7 +72,7 @@ std::vector<NamedArray> convert_channels_to_arrays(const ExrImage& image, const 
 
 /// If the beams of a LiDAR are unknown, sets them from the sensor name in the image.
 /// Accepts only built-in sensors. Otherwise an image could make relidar read any file.
-Lidar complete_sensor_from_image(Lidar lidar, const ExrImage& image) {
+Lidar set_sensor_named_in_image_if_unknown(Lidar lidar, const ExrImage& image) {
     const auto note = image.notes.find("sensor");
     if (note == image.notes.end() || !lidar.sensor.beams.empty() || lidar.pattern) return lidar;
     if (!find_built_in_sensor(note->second.substr(0, note->second.rfind(':')))) return lidar;
@@ -83,14 +84,15 @@ Lidar complete_sensor_from_image(Lidar lidar, const ExrImage& image) {
 
 }  // namespace
 
-Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& source) {
+Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& image_context) {
     const ExrImage image = read_exr(file);
     const std::string where = file.string();
     std::vector<NamedArray> arrays = convert_channels_to_arrays(image, where);
-    if (find_array(arrays, "directions")) return make_scan_from_arrays(where, std::move(arrays), source);
-    const Lidar lidar = complete_sensor_from_image(source.lidar, image);
+    if (find_array(arrays, "directions"))
+        return make_scan_from_arrays(where, std::move(arrays), image_context);
+    const Lidar lidar = set_sensor_named_in_image_if_unknown(image_context.lidar, image);
     return make_scan_from_arrays(where, std::move(arrays),
-                                 {source.head, source.of_head, lidar, source.time_s});
+                                 {image_context.head, image_context.of_head, lidar, image_context.time_s});
 }
 
 }  // namespace relidar::folder

@@ -24,7 +24,8 @@ public:
     ScanNpzArrays(const std::string& location, std::vector<NamedArray> arrays)
         : where_(location), arrays_(std::move(arrays)) {
         const std::vector<std::size_t>& shape = get_required_array("range").shape;
-        if (shape.empty() || shape.size() > 2 || get_required_array("range").count_elements() > kMaxRays)
+        if (shape.empty() || shape.size() > 2 ||
+            get_required_array("range").count_array_elements() > kMaxRays)
             throw DataError(
                 fmt::format("{}: the array range has the shape [{}], expected [rows, columns] or [rays] "
                             "with at most {} rays",
@@ -44,7 +45,7 @@ public:
     }
     /// Returns the value of an array that contains a single number.
     double get_single_number(const std::string& array_name) const {
-        if (get_required_array(array_name).count_elements() != 1)
+        if (get_required_array(array_name).count_array_elements() != 1)
             throw DataError(fmt::format("{}: the array {} has the shape [{}], expected one number", where_,
                                         array_name, fmt::join(get_required_array(array_name).shape, ", ")));
         return get_required_array(array_name).convert_to_doubles()[0];
@@ -58,7 +59,7 @@ public:
     /// Returns the values of an array with `n_values_per_ray` numbers per ray.
     /// @throws DataError if the file does not contain the array
     std::vector<double> get_ray_values(const std::string& array_name, std::size_t n_values_per_ray) const {
-        if (get_required_array(array_name).count_elements() != rows * columns * n_values_per_ray)
+        if (get_required_array(array_name).count_array_elements() != rows * columns * n_values_per_ray)
             throw DataError(fmt::format(
                 "{}: the array {} has the shape [{}], expected {} x {} x {} values", where_, array_name,
                 fmt::join(get_required_array(array_name).shape, ", "), rows, columns, n_values_per_ray));
@@ -124,8 +125,8 @@ std::vector<SurfaceClass> read_ray_classes(const ScanNpzArrays& arrays, const st
 }
 
 /// Returns the rays of the sensor model, for images that do not contain ray directions.
-RayTable make_rays_of_sensor(const ScanNpzArrays& arrays, const ScanImageContext& source) {
-    RayTable rays = make_nominal_rays(source.lidar, source.time_s);
+RayTable make_sensor_rays_of_array_shape(const ScanNpzArrays& arrays, const ScanImageContext& image_context) {
+    RayTable rays = make_nominal_rays(image_context.lidar, image_context.time_s);
     if (rays.size() == 0)
         throw DataError(fmt::format(
             "{}: the array of ray directions is missing; add it, or set the sensor of the LiDAR in "
@@ -156,14 +157,15 @@ void reverse_image_rows(std::vector<NamedArray>& arrays, std::size_t n_rows) {
 }
 
 /// Reads the times, rings and divergences of the rays, if the file contains them.
-void read_optional_ray_fields(const ScanNpzArrays& arrays, const ScanImageContext& source, RayTable& rays) {
-    const PointFileUnits& units = source.head.units;
+void set_ray_fields_that_exist(const ScanNpzArrays& arrays, const ScanImageContext& image_context,
+                               RayTable& rays) {
+    const PointFileUnits& units = image_context.head.units;
     const std::size_t n = rays.size();
     if (arrays.find_optional_array("time")) {
         const std::vector<double> time = arrays.get_ray_values("time", 1);
         for (std::size_t i = 0; i < n; ++i)
-            rays.time_offset_s[i] =
-                convert_time_offset(time[i], units, source.time_s, arrays.format_ray_location("time", i));
+            rays.time_offset_s[i] = convert_point_time_to_frame_offset_s(
+                time[i], units, image_context.time_s, arrays.format_ray_location("time", i));
     }
     if (arrays.find_optional_array("ring")) {
         const std::vector<double> ring = arrays.get_ray_values("ring", 1);
@@ -180,7 +182,7 @@ void read_optional_ray_fields(const ScanNpzArrays& arrays, const ScanImageContex
     }
 }
 
-RayTable make_rays_from_arrays(const ScanNpzArrays& arrays) {
+RayTable make_rays_from_stored_directions(const ScanNpzArrays& arrays) {
     RayTable rays;
     rays.rows = int(arrays.rows);
     rays.columns = int(arrays.columns);
@@ -194,9 +196,9 @@ RayTable make_rays_from_arrays(const ScanNpzArrays& arrays) {
 
 }  // namespace
 
-void check_deskew_is_declared(bool is_deskewed, const SequenceHeader& head,
-                              const std::string& error_location) {
-    if (is_deskewed && !head.motion_compensated)
+void require_header_to_declare_deskewing(bool is_deskewed, const SequenceHeader& sequence_header,
+                                         const std::string& error_location) {
+    if (is_deskewed && !sequence_header.motion_compensated)
         throw DataError(
             fmt::format("{}: the rays are motion-compensated or in the world frame, expected rays that start "
                         "at the position of the sensor at their firing times; render without --deskew and "
@@ -218,8 +220,8 @@ float normalise_file_intensity(double file_value, const PointFileUnits& units,
     return float(file_value);
 }
 
-float convert_time_offset(double file_value, const PointFileUnits& units, double frame_time_s,
-                          const std::string& error_location) {
+float convert_point_time_to_frame_offset_s(double file_value, const PointFileUnits& units,
+                                           double frame_time_s, const std::string& error_location) {
     const double offset_s =
         (file_value - units.time_zero) * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
     if (!(std::abs(offset_s) <= kLongestOffset_s))
@@ -238,20 +240,21 @@ std::uint16_t convert_ring_number(double file_value, const std::string& error_lo
 }
 
 Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedArray> stored_arrays,
-                           const ScanImageContext& source) {
-    const SequenceHeader& head = source.head;
+                           const ScanImageContext& image_context) {
+    const SequenceHeader& head = image_context.head;
     const bool has_rays = find_array(stored_arrays, "directions") != nullptr;
     const NamedArray* range = find_array(stored_arrays, "range");
-    if (!has_rays && source.of_head.lowest_first && range && range->shape.size() == 2)
+    if (!has_rays && image_context.of_head.lowest_first && range && range->shape.size() == 2)
         reverse_image_rows(stored_arrays, range->shape[0]);
     const ScanNpzArrays arrays(error_location, std::move(stored_arrays));
     const NamedArray* deskewed = arrays.find_optional_array("deskewed");
-    check_deskew_is_declared(
-        deskewed && deskewed->count_elements() == 1 && deskewed->convert_to_floats()[0] != 0.0f, head,
+    require_header_to_declare_deskewing(
+        deskewed && deskewed->count_array_elements() == 1 && deskewed->convert_to_floats()[0] != 0.0f, head,
         arrays.get_location());
     Scan scan;
-    scan.rays = has_rays ? make_rays_from_arrays(arrays) : make_rays_of_sensor(arrays, source);
-    read_optional_ray_fields(arrays, source, scan.rays);
+    scan.rays = has_rays ? make_rays_from_stored_directions(arrays)
+                         : make_sensor_rays_of_array_shape(arrays, image_context);
+    set_ray_fields_that_exist(arrays, image_context, scan.rays);
     // A rendered file contains a median and a mean range. The median is used, because the
     // mean can be between two surfaces.
     const std::vector<float> range_m =
@@ -269,8 +272,8 @@ Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedA
     return scan;
 }
 
-Scan read_scan_npz(const std::filesystem::path& file, const ScanImageContext& source) {
-    return make_scan_from_arrays(file.string(), read_npz(file), source);
+Scan read_scan_npz(const std::filesystem::path& file, const ScanImageContext& image_context) {
+    return make_scan_from_arrays(file.string(), read_npz(file), image_context);
 }
 
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated) {

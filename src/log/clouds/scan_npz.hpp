@@ -26,17 +26,17 @@ struct ScanImageContext {
 
 /// Reads a scan from an npz file.
 /// @throws DataError if the file is damaged, an array is missing, or array sizes differ
-Scan read_scan_npz(const std::filesystem::path& file, const ScanImageContext& source);
+Scan read_scan_npz(const std::filesystem::path& file, const ScanImageContext& image_context);
 /// Reads a scan from an EXR image. The channels are range, median_range, intensity,
 /// drop_prob, time, ring, range_2, intensity_2 and so on, and x, y and z of the direction
 /// and of the origin.
 /// @throws DataError if the file is damaged, a channel is missing, or channel sizes
 /// differ
-Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& source);
+Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& image_context);
 /// Creates a scan from the named arrays of an npz or EXR file.
 /// @param error_location  name of the file, for error messages
 Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedArray> arrays,
-                           const ScanImageContext& source);
+                           const ScanImageContext& image_context);
 
 /// Writes a scan to an npz file without loss. If the scan is motion-compensated, all rays
 /// get the time 0.
@@ -47,8 +47,8 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool mo
 /// @param is_deskewed  true if the points of the scan file are motion-compensated
 /// (deskewed) or in the world frame
 /// @throws DataError in this case
-void check_deskew_is_declared(bool is_deskewed, const SequenceHeader& head,
-                              const std::string& error_location);
+void require_header_to_declare_deskewing(bool is_deskewed, const SequenceHeader& sequence_header,
+                                         const std::string& error_location);
 
 /// Scales an intensity from a file to the range 0 to 1.
 /// @throws DataError if it is not a number, or if it is outside 0 to 1 and sequence.json
@@ -57,8 +57,8 @@ float normalise_file_intensity(double file_value, const PointFileUnits& units,
                                const std::string& error_location);
 /// Converts a point time from a file to seconds relative to the time of the frame.
 /// @throws DataError if the result is longer than any sweep can be
-float convert_time_offset(double file_value, const PointFileUnits& units, double frame_time_s,
-                          const std::string& error_location);
+float convert_point_time_to_frame_offset_s(double file_value, const PointFileUnits& units,
+                                           double frame_time_s, const std::string& error_location);
 /// Converts a ring number from a file to an integer.
 /// @throws DataError if the number is not a valid beam number
 std::uint16_t convert_ring_number(double file_value, const std::string& error_location);

@@ -32,13 +32,13 @@ struct RayPointIndices {
 };
 
 /// Returns the return number of a point. 0 is the first return of a ray.
-std::size_t get_return_index(const LidarPoints& points, std::size_t point_index) {
+std::size_t get_zero_based_return_number(const LidarPoints& points, std::size_t point_index) {
     return points.return_number.empty() ? 0 : std::size_t(points.return_number[point_index]) - 1;
 }
 
 /// Checks that all arrays have one entry per point and that the ring numbers are valid.
 /// @param n_beams  number of beams; 0 if rings are not needed
-void check_points(const LidarPoints& points, std::size_t n_beams) {
+void require_valid_point_arrays(const LidarPoints& points, std::size_t n_beams) {
     const auto check = [&](const char* field, std::size_t count, bool may_be_empty) {
         if (count != points.size() && !(may_be_empty && count == 0))
             throw UsageError(
@@ -57,7 +57,7 @@ void check_points(const LidarPoints& points, std::size_t n_beams) {
                 fmt::format("cannot make a scan: point {} has ring {}, expected the index of "
                             "one of {} beams",
                             i, points.ring[i], n_beams));
-        if (get_return_index(points, i) >= kMostReturns)
+        if (get_zero_based_return_number(points, i) >= kMostReturns)
             throw UsageError(
                 fmt::format("cannot make a scan: point {} has return number {}, expected 1 to "
                             "{}",
@@ -89,8 +89,8 @@ std::vector<int> assign_firings_to_columns(const SweepFirings& sweep, int n_colu
     int n_extra_columns = n_columns - static_cast<int>(n);
     const double step = 2.0 * kPi / n_columns;
     for (std::size_t f = 0; f + 1 < n && n_extra_columns > 0; ++f) {
-        const double gap = sweep.lattice.compute_tick_azimuth_rad(sweep.firings[f]) -
-                           sweep.lattice.compute_tick_azimuth_rad(sweep.firings[f + 1]);
+        const double gap = sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[f]) -
+                           sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[f + 1]);
         const int missing = std::min(static_cast<int>(std::lround(gap / step)) - 1, n_extra_columns);
         if (missing > 0) repeat[f] += missing, n_extra_columns -= missing;
     }
@@ -114,9 +114,9 @@ public:
         firing_of.reserve(points.size());
         if (points.firing.empty())
             nearest_ = find_nearest_firing_per_tick(sweep.firings, sweep.lattice.n_ticks);
-        get_cells_of_return(0);
+        get_or_add_image_of_return_number(0);
         for (std::size_t i = 0; i < points.size(); ++i) assign_point_to_ray(i);
-        for (std::size_t i = 0; i < points.size(); ++i) assign_point_beyond_max_range(i);
+        for (std::size_t i = 0; i < points.size(); ++i) assign_far_point_if_ray_is_free(i);
     }
     std::vector<RayPointIndices> by_return;
     /// [points] firing of each point; kEmpty if the range of the point is outside the
@@ -135,7 +135,7 @@ private:
         return glm::length(points_.position_m[static_cast<std::size_t>(point_index)]);
     }
 
-    RayPointIndices& get_cells_of_return(std::size_t return_index) {
+    RayPointIndices& get_or_add_image_of_return_number(std::size_t return_index) {
         while (by_return.size() <= return_index)
             by_return.push_back({sweep_.firings.size(),
                                  std::vector<int>(sensor_.beams.size() * sweep_.firings.size(), kEmpty)});
@@ -144,19 +144,19 @@ private:
 
     std::size_t find_nearest_firing(std::size_t point_index) const {
         return static_cast<std::size_t>(
-            nearest_[std::size_t(sweep_.lattice.find_nearest_tick(head_rad_[point_index]))]);
+            nearest_[std::size_t(sweep_.lattice.find_nearest_encoder_tick(head_rad_[point_index]))]);
     }
 
     void assign_point_to_ray(std::size_t point_index) {
         const std::size_t ring = points_.ring[point_index], n = sweep_.firings.size(),
-                          number = get_return_index(points_, point_index);
+                          number = get_zero_based_return_number(points_, point_index);
         const double range = compute_point_range(static_cast<int>(point_index));
         firing_of.push_back(kEmpty);
         if (range > sensor_.max_range_m || range < kLeastRange_m) return;
         const std::size_t firing =
             points_.firing.empty() ? find_nearest_firing(point_index) : points_.firing[point_index];
         firing_of.back() = static_cast<int>(firing);
-        RayPointIndices& cells = get_cells_of_return(number);
+        RayPointIndices& cells = get_or_add_image_of_return_number(number);
         int point = static_cast<int>(point_index);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
             // A second return must be on the ray of its first return, so it does not move
@@ -171,11 +171,11 @@ private:
 
     /// Assigns a point beyond the sensor's maximum range to its ray, if the ray has no
     /// point yet.
-    void assign_point_beyond_max_range(std::size_t point_index) {
+    void assign_far_point_if_ray_is_free(std::size_t point_index) {
         if (!(double(compute_point_range(static_cast<int>(point_index))) > sensor_.max_range_m)) return;
         const std::size_t firing =
             points_.firing.empty() ? find_nearest_firing(point_index) : points_.firing[point_index];
-        int& point = get_cells_of_return(get_return_index(points_, point_index))
+        int& point = get_or_add_image_of_return_number(get_zero_based_return_number(points_, point_index))
                          .get_point_index(points_.ring[point_index], firing);
         if (point == kEmpty) point = static_cast<int>(point_index);
     }
@@ -191,7 +191,7 @@ std::vector<double> compute_firing_times(const LidarPoints& points, const Spinni
     };
     std::vector<double> time_s(n), sum(n, 0.0), count(n, 0.0);
     for (std::size_t f = 0; f < n; ++f)
-        time_s[f] = turning_time(sweep.lattice.compute_tick_azimuth_rad(sweep.firings[f]));
+        time_s[f] = turning_time(sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[f]));
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i)
         if (firing_of_point[i] != kEmpty)
             sum[std::size_t(firing_of_point[i])] += double(points.time_offset_s[i]),
@@ -205,9 +205,10 @@ std::vector<double> compute_firing_times(const LidarPoints& points, const Spinni
             else if (f >= d) from = f - d;
         }
         if (count[from] == 0.0) return time_s;
-        const double step = std::remainder(sweep.lattice.compute_tick_azimuth_rad(sweep.firings[f]) -
-                                               sweep.lattice.compute_tick_azimuth_rad(sweep.firings[from]),
-                                           2.0 * kPi);
+        const double step =
+            std::remainder(sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[f]) -
+                               sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[from]),
+                           2.0 * kPi);
         measured[f] = sum[from] / count[from] + turning_time(step);
     }
     return measured;
@@ -229,10 +230,11 @@ void resize_scan_arrays(Scan& scan, int rows, int columns, std::size_t n_second_
 
 /// Marks a ray as dropped. Sets the origin and direction of the ideal beam; the range
 /// stays 0.
-void set_dropped_ray(Scan& scan, std::size_t ray, const BeamRayGenerator& beam, double head_azimuth_rad) {
+void set_dropped_ray(Scan& scan, std::size_t ray_index, const BeamRayGenerator& beam,
+                     double head_azimuth_rad) {
     const BeamRay model = beam.compute_ray(head_azimuth_rad);
-    scan.rays.origin[ray] = glm::vec3(model.origin_m);
-    scan.rays.direction[ray] = glm::vec3(model.direction);
+    scan.rays.origin[ray_index] = glm::vec3(model.origin_m);
+    scan.rays.direction[ray_index] = glm::vec3(model.direction);
 }
 
 /// Sets the direction and range of a ray with a return. The direction is from the beam's
@@ -240,59 +242,62 @@ void set_dropped_ray(Scan& scan, std::size_t ray, const BeamRayGenerator& beam, 
 /// origin.
 /// @param head_azimuth_rad  azimuth of the head at the time of the point. It gives the
 /// exact origin, even if the azimuths of the firings are rounded to regular steps.
-bool set_ray_with_return(Scan& scan, std::size_t ray, const BeamRayGenerator& beam, double head_azimuth_rad,
-                         const LidarPoints& points, std::size_t point_index) {
+bool set_ray_with_return(Scan& scan, std::size_t ray_index, const BeamRayGenerator& beam,
+                         double head_azimuth_rad, const LidarPoints& points, std::size_t point_index) {
     const glm::dvec3 p(points.position_m[point_index]);
     const glm::dvec3 origin = beam.compute_ray(head_azimuth_rad).origin_m;
     const double range = glm::length(p - origin);
     if (!(range > kLeastRange_m)) return false;
-    scan.rays.origin[ray] = glm::vec3(origin);
-    scan.rays.direction[ray] = glm::vec3((p - origin) / range);
-    scan.range_m[ray] = static_cast<float>(range);
-    scan.intensity[ray] = glm::clamp(points.intensity[point_index], 0.0f, 1.0f);
-    if (!points.time_offset_s.empty()) scan.rays.time_offset_s[ray] = points.time_offset_s[point_index];
-    if (!points.classes.empty()) scan.classes[ray] = points.classes[point_index];
+    scan.rays.origin[ray_index] = glm::vec3(origin);
+    scan.rays.direction[ray_index] = glm::vec3((p - origin) / range);
+    scan.range_m[ray_index] = static_cast<float>(range);
+    scan.intensity[ray_index] = glm::clamp(points.intensity[point_index], 0.0f, 1.0f);
+    if (!points.time_offset_s.empty()) scan.rays.time_offset_s[ray_index] = points.time_offset_s[point_index];
+    if (!points.classes.empty()) scan.classes[ray_index] = points.classes[point_index];
     return true;
 }
 
 /// Adds a second or later return of a ray, if the ray has a first return.
-void set_second_return(Scan& scan, std::size_t ray, const LidarPoints& points, std::size_t point_index) {
-    if (scan.range_m[ray] == 0.0f) return;
-    AdditionalReturns& echo = scan.second_returns[get_return_index(points, point_index) - 1];
-    echo.range_m[ray] = glm::distance(points.position_m[point_index], scan.rays.origin[ray]);
-    echo.intensity[ray] = glm::clamp(points.intensity[point_index], 0.0f, 1.0f);
+void set_second_return(Scan& scan, std::size_t ray_index, const LidarPoints& points,
+                       std::size_t point_index) {
+    if (scan.range_m[ray_index] == 0.0f) return;
+    AdditionalReturns& echo = scan.second_returns[get_zero_based_return_number(points, point_index) - 1];
+    echo.range_m[ray_index] = glm::distance(points.position_m[point_index], scan.rays.origin[ray_index]);
+    echo.intensity[ray_index] = glm::clamp(points.intensity[point_index], 0.0f, 1.0f);
 }
 
 }  // namespace
 
-Scan make_spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& sweep) {
-    check_points(points, sensor.beams.size());
+Scan assign_points_to_rays_of_spinning_scan(const LidarPoints& points, const SpinningSensor& sensor,
+                                            const SweepFirings& sweep_firings) {
+    require_valid_point_arrays(points, sensor.beams.size());
     if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
-        sweep.lattice.n_ticks > kMostTicks)
+        sweep_firings.lattice.n_ticks > kMostTicks)
         throw UsageError(fmt::format(
             "cannot make a scan: found {} beams, {} columns and {} firing positions per sweep, expected at "
             "most {} rays and {} firing positions",
-            sensor.beams.size(), sensor.columns, sweep.lattice.n_ticks, kMaxRays, kMostTicks));
-    if (sweep.firings.empty())
+            sensor.beams.size(), sensor.columns, sweep_firings.lattice.n_ticks, kMaxRays, kMostTicks));
+    if (sweep_firings.firings.empty())
         throw UsageError(
             fmt::format("cannot make a scan of {} points: the list of laser firings is empty, expected the "
                         "firings of a sweep",
                         points.size()));
     for (const std::uint32_t firing : points.firing)
-        if (firing >= sweep.firings.size())
+        if (firing >= sweep_firings.firings.size())
             throw UsageError(
                 fmt::format("cannot make a scan: a point has firing {}, expected the index of "
                             "one of {} firings",
-                            firing, sweep.firings.size()));
-    const std::vector<BeamRayGenerator> beams = make_beam_geometries(sensor.beams);
+                            firing, sweep_firings.firings.size()));
+    const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
     std::vector<double> head_rad(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
         head_rad[i] = beams[points.ring[i]].compute_head_azimuth(glm::dvec3(points.position_m[i]));
-    PointToRayAssignment assigned(points, sensor, sweep, head_rad);
-    const std::vector<double> times = compute_firing_times(points, sensor, sweep, assigned.firing_of);
-    const std::vector<int> slot = assign_firings_to_columns(sweep, sensor.columns);
+    PointToRayAssignment assigned(points, sensor, sweep_firings, head_rad);
+    const std::vector<double> times = compute_firing_times(points, sensor, sweep_firings, assigned.firing_of);
+    const std::vector<int> slot = assign_firings_to_columns(sweep_firings, sensor.columns);
     std::vector<double> firing_rad;
-    for (const int tick : sweep.firings) firing_rad.push_back(sweep.lattice.compute_tick_azimuth_rad(tick));
+    for (const int tick : sweep_firings.firings)
+        firing_rad.push_back(sweep_firings.lattice.compute_azimuth_of_encoder_tick_rad(tick));
     const int columns = sensor.columns;
     Scan scan;
     resize_scan_arrays(scan, static_cast<int>(sensor.beams.size()), columns, assigned.by_return.size() - 1,
@@ -300,7 +305,7 @@ Scan make_spinning_scan(const LidarPoints& points, const SpinningSensor& sensor,
     scan.rays.divergence_rad = static_cast<float>(sensor.divergence_rad);
     std::size_t at = 0;
     for (std::size_t ring = 0; ring < sensor.beams.size(); ++ring) {
-        const int shift = compute_column_shift(sensor.beams[ring], columns);
+        const int shift = compute_beam_azimuth_offset_columns(sensor.beams[ring], columns);
         for (int column = 0; column < columns; ++column, ++at) {
             const std::size_t firing = static_cast<std::size_t>(
                 slot[static_cast<std::size_t>(((column + shift) % columns + columns) % columns)]);
@@ -318,16 +323,17 @@ Scan make_spinning_scan(const LidarPoints& points, const SpinningSensor& sensor,
     return scan;
 }
 
-Scan make_unordered_scan(const LidarPoints& points) {
-    check_points(points, 0);
+Scan make_scan_with_one_ray_per_point(const LidarPoints& points) {
+    require_valid_point_arrays(points, 0);
     std::vector<std::size_t> first;  // [rays] index of the point that is the first return of each ray
     std::size_t n_second_returns = 0;
     if (points.size() > kMaxRays)
         throw UsageError(
             fmt::format("cannot make a scan: found {} points, expected at most {}", points.size(), kMaxRays));
     for (std::size_t i = 0; i < points.size(); ++i) {
-        n_second_returns = std::max(n_second_returns, get_return_index(points, i));
-        if (get_return_index(points, i) == 0 && glm::length(points.position_m[i]) > float(kLeastRange_m))
+        n_second_returns = std::max(n_second_returns, get_zero_based_return_number(points, i));
+        if (get_zero_based_return_number(points, i) == 0 &&
+            glm::length(points.position_m[i]) > float(kLeastRange_m))
             first.push_back(i);
     }
     Scan scan;
@@ -341,17 +347,18 @@ Scan make_unordered_scan(const LidarPoints& points) {
         scan.range_m[at] = range;
         scan.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
         if (!points.classes.empty()) scan.classes[at] = points.classes[i];
-        for (std::size_t k = i + 1; k < points.size() && get_return_index(points, k) > 0; ++k)
+        for (std::size_t k = i + 1; k < points.size() && get_zero_based_return_number(points, k) > 0; ++k)
             set_second_return(scan, at, points, k);
     }
     return scan;
 }
 
-void undo_motion_compensation(LidarPoints& points, const PoseTrack& world_from_sensor, double time_s) {
-    const Pose world_from_reference = world_from_sensor.interpolate_pose(time_s);
+void undo_motion_compensation(LidarPoints& points, const PoseTrack& world_from_sensor,
+                              double compensated_time_s) {
+    const Pose world_from_reference = world_from_sensor.interpolate_pose(compensated_time_s);
     for (std::size_t i = 0; i < points.size(); ++i) {
         const Pose world_from_firing =
-            world_from_sensor.interpolate_pose(time_s + double(points.time_offset_s[i]));
+            world_from_sensor.interpolate_pose(compensated_time_s + double(points.time_offset_s[i]));
         points.position_m[i] =
             glm::vec3(inverse(world_from_firing) * (world_from_reference * glm::dvec3(points.position_m[i])));
     }

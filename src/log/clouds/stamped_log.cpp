@@ -69,11 +69,11 @@ StampedPoseRow parse_stamped_row(const std::vector<std::string_view>& cells, std
     return row;
 }
 
-std::optional<Pose> find_pose_at_time(const StampedLog& log, double time_s) {
+std::optional<Pose> interpolate_pose_if_well_covered(const StampedLog& log, double time_s) {
     const PoseTrack& track = log.world_from_vehicle;
     if (!track.contains_time(time_s - log.reach_s) || !track.contains_time(time_s + log.reach_s))
         return std::nullopt;
-    const TrackInterpolation track_position = track.find_pose_segment(time_s);
+    const TrackInterpolation track_position = track.find_poses_before_and_after_time(time_s);
     const bool is_one = track_position.s < kSameTime || track_position.s > 1.0 - kSameTime;
     if (!is_one && track.time_s[track_position.left + 1] - track.time_s[track_position.left] > log.most_gap_s)
         return std::nullopt;
@@ -116,12 +116,12 @@ private:
 };
 
 /// Reads the points of a few scans. Skips scans that cannot be read.
-std::vector<LidarPoints> read_sample_scans(const StampedScanProvider& source, std::size_t n_scans) {
+std::vector<LidarPoints> read_sample_scans(const StampedScanProvider& scan_provider, std::size_t n_scans) {
     std::vector<LidarPoints> samples;
     const std::size_t n = std::min(kSamples, n_scans);
     for (std::size_t k = 0; k < n; ++k) {
         try {
-            samples.push_back(source.read_points_of_frame(k * n_scans / n));
+            samples.push_back(scan_provider.read_points_of_frame(k * n_scans / n));
             if (samples.back().size() == 0) samples.pop_back();
         } catch (const DataError&) {
             continue;  // the error is reported when the scan is read
@@ -132,7 +132,8 @@ std::vector<LidarPoints> read_sample_scans(const StampedScanProvider& source, st
 
 /// Returns true if most points are close to the nominal beams in elevation, compared with
 /// the beam spacing. Returns false for points of another LiDAR.
-bool are_points_near_beams(const std::vector<LidarPoints>& sample_scans, const FittedSensor& fitted_sensor) {
+bool do_points_match_fitted_beams(const std::vector<LidarPoints>& sample_scans,
+                                  const FittedSensor& fitted_sensor) {
     const std::vector<Beam>& beams = fitted_sensor.sensor.beams;
     // angle between each point and its beam, divided by the angle to the next beam
     std::vector<double> off;
@@ -158,11 +159,11 @@ std::optional<SpinningSensor> fit_nominal_sensor(const std::vector<LidarPoints>&
     if (sample_scans.empty()) return std::nullopt;
     FittedSensor fit;
     try {
-        fit = fit_sensor(sample_scans, format.sweep_duration_s);
+        fit = estimate_spinning_sensor(sample_scans, format.sweep_duration_s);
     } catch (const DataError&) {
         return std::nullopt;
     }
-    if (!are_points_near_beams(sample_scans, fit)) return std::nullopt;
+    if (!do_points_match_fitted_beams(sample_scans, fit)) return std::nullopt;
     const double step = 2.0 * kPi / fit.sensor.columns;
     std::vector<Beam> beams = format.beams;
     std::complex<double> sum = 0.0;
@@ -192,7 +193,7 @@ std::optional<std::int64_t> parse_integer_timestamp(std::string_view text) {
     return stamp;
 }
 
-std::vector<StampedScanFile> list_stamped_scans(const fs::path& folder) {
+std::vector<StampedScanFile> list_timestamped_scan_files(const fs::path& folder) {
     std::vector<StampedScanFile> scans;
     for (const fs::path& file : list_folder_entries(folder))
         if (const auto stamp = parse_integer_timestamp(file.stem().string());
@@ -209,11 +210,12 @@ std::vector<StampedScanFile> list_stamped_scans(const fs::path& folder) {
     return scans;
 }
 
-std::vector<StampedPoseRow> read_stamped_rows(const fs::path& file, std::size_t min_values_per_row) {
+std::vector<StampedPoseRow> read_timestamped_number_rows(const fs::path& file,
+                                                         std::size_t min_values_per_row) {
     const std::vector<std::string> lines = split_lines(read_text_file(file));
     std::vector<StampedPoseRow> rows;
     for (std::size_t l = 0; l < lines.size(); ++l) {
-        if (trim_spaces(lines[l]).empty()) continue;
+        if (trim_blanks_at_both_ends(lines[l]).empty()) continue;
         const std::vector<std::string_view> cells = split_csv_cells(lines[l]);
         if (l == 0 && !parse_number(cells[0])) continue;  // skips a first line with column names
         StampedPoseRow row =
@@ -266,15 +268,16 @@ void add_note_unless_driving_forward(std::vector<std::string>& notes, double for
                         forward_fraction));
 }
 
-std::vector<fs::path> add_requested_frames(LidarSequence& sequence, const StampedLog& log,
-                                           const DatasetOptions& options) {
+std::vector<fs::path> add_frames_and_get_scan_files(LidarSequence& sequence, const StampedLog& log,
+                                                    const DatasetOptions& options) {
     const FrameRange& range = options.frames;
     std::vector<fs::path> files;
     std::vector<const StampedScanFile*> without;
     for (const StampedScanFile& scan : log.scans) {
         if (scan.number < range.begin || (range.end >= 0 && scan.number >= range.end)) continue;
         const double time_s = log.convert_stamp_to_seconds(scan.stamp);
-        const std::optional<Pose> pose = options.poses_file.empty() ? find_pose_at_time(log, time_s) : Pose{};
+        const std::optional<Pose> pose =
+            options.poses_file.empty() ? interpolate_pose_if_well_covered(log, time_s) : Pose{};
         if (!pose) {
             without.push_back(&scan);
             continue;
@@ -301,11 +304,11 @@ std::vector<fs::path> add_requested_frames(LidarSequence& sequence, const Stampe
             without.size(), without.size() + files.size(), without.front()->number, without.back()->number,
             log.poses_file.filename().string()));
     kitti::replace_vehicle_poses_from_file(sequence, options.poses_file);
-    recentre_sequence(sequence);
+    move_world_origin_of_log(sequence);
     return files;
 }
 
-void check_pose_file_exists(const fs::path& pose_file, const DatasetOptions& options) {
+void require_pose_file_or_user_choice(const fs::path& pose_file, const DatasetOptions& options) {
     if (!options.poses_file.empty() || does_path_exist(pose_file)) return;
     throw DataError(
         fmt::format("{}: no such file; expected poses; use dataset.poses=FILE to name another file, or "
@@ -330,8 +333,8 @@ void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& 
                 "point is assigned to the nominal beam with the nearest elevation",
                 sensor.beams.size(), sensor.columns));
         } else {
-            // If `format` contains no beams, `source` returns points without rings.
-            // without rings.
+            // If `format` contains no beams, `scan_provider` returns points without
+            // rings. without rings.
             format.beams.clear();
         }
     }
@@ -343,8 +346,8 @@ void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& 
     folder::read_scans(sequence, head, source, options);
 }
 
-DatasetIntensityScale estimate_max_intensity(const std::vector<fs::path>& scan_files,
-                                             const std::vector<std::string>& column_names) {
+DatasetIntensityScale estimate_full_scale_file_intensity(const std::vector<fs::path>& scan_files,
+                                                         const std::vector<std::string>& column_names) {
     std::vector<folder::PointTable> samples;
     const std::size_t n = std::min(kSamples, scan_files.size());
     for (std::size_t k = 0; k < n; ++k) {

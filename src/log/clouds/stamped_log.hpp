@@ -30,7 +30,7 @@ std::optional<std::int64_t> parse_integer_timestamp(std::string_view text);
 /// Lists the scan files of a folder, sorted by time and numbered from 0. The name of a
 /// file is its time stamp with the extension .bin.
 /// @throws DataError if the folder contains no such file
-std::vector<StampedScanFile> list_stamped_scans(const std::filesystem::path& folder);
+std::vector<StampedScanFile> list_timestamped_scan_files(const std::filesystem::path& folder);
 
 /// One line of a table of poses.
 struct StampedPoseRow {
@@ -42,8 +42,8 @@ struct StampedPoseRow {
 /// and repeated lines with the same time stamp.
 /// @param min_values_per_row  minimum number of values per line
 /// @throws DataError with file and line, also if time stamps decrease
-std::vector<StampedPoseRow> read_stamped_rows(const std::filesystem::path& file,
-                                              std::size_t min_values_per_row);
+std::vector<StampedPoseRow> read_timestamped_number_rows(const std::filesystem::path& file,
+                                                         std::size_t min_values_per_row);
 
 /// Direction in which a vehicle drives, measured in the frame of its sensor.
 struct DrivingDirection {
@@ -80,12 +80,13 @@ struct StampedLog {
 /// @return files of the scans
 /// @throws UsageError if the range contains no scan
 /// @throws DataError if no scan in the range has a pose
-std::vector<std::filesystem::path> add_requested_frames(LidarSequence& sequence, const StampedLog& log,
-                                                        const DatasetOptions& options);
+std::vector<std::filesystem::path> add_frames_and_get_scan_files(LidarSequence& sequence,
+                                                                 const StampedLog& log,
+                                                                 const DatasetOptions& options);
 
 /// Checks that the log has a pose file, or that the user selects another source of poses.
 /// @throws DataError if there are no poses
-void check_pose_file_exists(const std::filesystem::path& pose_file, const DatasetOptions& options);
+void require_pose_file_or_user_choice(const std::filesystem::path& pose_file, const DatasetOptions& options);
 
 /// Format of the files that contain the points of a LiDAR.
 struct PointFileFormat {
@@ -117,7 +118,7 @@ struct DatasetIntensityScale {
 };
 /// Estimates the file value that becomes the intensity 1.
 /// @param scan_files  scan files. Reads only some of them, and skips unreadable files
-DatasetIntensityScale estimate_max_intensity(const std::vector<std::filesystem::path>& scan_files,
-                                             const std::vector<std::string>& column_names);
+DatasetIntensityScale estimate_full_scale_file_intensity(const std::vector<std::filesystem::path>& scan_files,
+                                                         const std::vector<std::string>& column_names);
 
 }  // namespace relidar::stamped

@@ -21,10 +21,10 @@ constexpr double kReach_m = 50.0;
 
 /// Returns the maximum distance by which a pose correction moves points up to kReach_m
 /// from the sensor.
-double compute_max_displacement_m(const Pose& correction) {
-    const double sine =
-        glm::length(glm::dvec3(correction.rotation.x, correction.rotation.y, correction.rotation.z));
-    return glm::length(correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
+double compute_max_displacement_m(const Pose& pose_correction) {
+    const double sine = glm::length(
+        glm::dvec3(pose_correction.rotation.x, pose_correction.rotation.y, pose_correction.rotation.z));
+    return glm::length(pose_correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
 }
 
 /// Computes the pose corrections during one sweep. They convert rays from the true sensor
@@ -49,7 +49,7 @@ PoseTrack compute_pose_corrections(const LidarSequence& sequence, const LidarFra
 
 /// Applies pose corrections to the origins and directions of all rays of a frame.
 /// @return maximum distance in metres by which a point is moved
-double correct_frame_rays(LidarFrame& frame, const PoseTrack& pose_corrections) {
+double move_rays_and_get_max_displacement_m(LidarFrame& frame, const PoseTrack& pose_corrections) {
     double farthest_m = 0.0;
     for (const Pose& pose : pose_corrections.pose)
         farthest_m = std::max(farthest_m, compute_max_displacement_m(pose));
@@ -74,7 +74,8 @@ std::string correct_rays_for_vehicle_motion(LidarSequence& sequence, const PoseL
         LidarFrame& frame = sequence.frames[std::size_t(index)];
         if (frame.scan.rays.size() == 0) return;
         const PoseTrack track = compute_pose_corrections(sequence, frame, find_vehicle_pose);
-        if (!track.pose.empty()) moved_m[std::size_t(index)] = correct_frame_rays(frame, track);
+        if (!track.pose.empty())
+            moved_m[std::size_t(index)] = move_rays_and_get_max_displacement_m(frame, track);
     });
     const auto n = std::ranges::count_if(moved_m, [](double m) { return m > 0.0; });
     return n == 0

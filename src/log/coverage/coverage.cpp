@@ -21,7 +21,7 @@ struct VoxelAddress {
     std::uint32_t bit;
 };
 
-VoxelAddress locate_cell_in_block(const glm::ivec3& cell) {
+VoxelAddress find_block_and_bit_of_cell(const glm::ivec3& cell) {
     const glm::ivec3 block = cell >> 3, within = cell & 7;
     return {block, std::uint32_t(within.x + kEdge * (within.y + kEdge * within.z))};
 }
@@ -73,12 +73,12 @@ void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, 
 
 }  // namespace
 
-void ObservedVoxelSet::add_segment(const glm::dvec3& start_m, const glm::dvec3& end_m) {
+void ObservedVoxelSet::add_voxels_on_line_segment(const glm::dvec3& start_m, const glm::dvec3& end_m) {
     // Block (group of cells) that was used last. The next cell is usually in the same
     // block.
     VoxelBlock* block = nullptr;
     visit_cells_on_segment(start_m, end_m, [&](const glm::ivec3& cell, double) {
-        const VoxelAddress cell_address = locate_cell_in_block(cell);
+        const VoxelAddress cell_address = find_block_and_bit_of_cell(cell);
         if (!block || block->grid_index != cell_address.block) {
             block = &blocks_[make_block_key(cell_address.block)];
             block->grid_index = cell_address.block;
@@ -88,23 +88,24 @@ void ObservedVoxelSet::add_segment(const glm::dvec3& start_m, const glm::dvec3& 
     });
 }
 
-void ObservedVoxelSet::add_block(const VoxelBlock& block) {
+void ObservedVoxelSet::add_voxels_of_block(const VoxelBlock& block) {
     VoxelBlock& target_block = blocks_[make_block_key(block.grid_index)];
     target_block.grid_index = block.grid_index;
     for (std::size_t w = 0; w < kWords; ++w)
         target_block.cells[w] = std::uint16_t(target_block.cells[w] | block.cells[w]);
 }
 
-void ObservedVoxelSet::add_coverage(const ObservedVoxelSet& other) {
-    for (const auto& [key, block] : other.blocks_) add_block(block);
+void ObservedVoxelSet::add_all_voxels_of_set(const ObservedVoxelSet& other_set) {
+    for (const auto& [key, block] : other_set.blocks_) add_voxels_of_block(block);
 }
 
-double ObservedVoxelSet::compute_observed_fraction(const glm::dvec3& start_m, const glm::dvec3& end_m) const {
+double ObservedVoxelSet::compute_observed_fraction_of_segment(const glm::dvec3& start_m,
+                                                              const glm::dvec3& end_m) const {
     double within_m = 0.0, length_m = 0.0;
     const VoxelBlock* block = nullptr;
     glm::ivec3 at(std::numeric_limits<int>::max());  // index of the block that `block` points to
     visit_cells_on_segment(start_m, end_m, [&](const glm::ivec3& cell, double crossed_m) {
-        const VoxelAddress cell_address = locate_cell_in_block(cell);
+        const VoxelAddress cell_address = find_block_and_bit_of_cell(cell);
         if (cell_address.block != at) {
             at = cell_address.block;
             const auto block_entry = blocks_.find(make_block_key(at));
@@ -116,7 +117,7 @@ double ObservedVoxelSet::compute_observed_fraction(const glm::dvec3& start_m, co
     return length_m > 0.0 ? within_m / length_m : 0.0;
 }
 
-std::vector<ObservedVoxelSet::VoxelBlock> ObservedVoxelSet::list_cell_blocks() const {
+std::vector<ObservedVoxelSet::VoxelBlock> ObservedVoxelSet::list_voxel_blocks() const {
     std::vector<VoxelBlock> all;
     for (const auto& [key, block] : blocks_) all.push_back(block);
     std::ranges::sort(all, {}, [](const VoxelBlock& b) {

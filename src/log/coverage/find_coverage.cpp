@@ -39,8 +39,8 @@ std::vector<double> compute_observed_lengths_m(const std::vector<double>& ranges
 }
 
 /// Marks the space between two neighbouring rays as observed.
-void add_space_between_rays(ObservedVoxelSet& coverage, const ObservedRaySegment& first_ray,
-                            const ObservedRaySegment& second_ray) {
+void mark_space_between_rays_observed(ObservedVoxelSet& coverage, const ObservedRaySegment& first_ray,
+                                      const ObservedRaySegment& second_ray) {
     const double length_m = std::min(first_ray.length_m, second_ray.length_m);
     const int n =
         static_cast<int>(length_m * glm::distance(first_ray.ray.direction, second_ray.ray.direction) /
@@ -48,27 +48,29 @@ void add_space_between_rays(ObservedVoxelSet& coverage, const ObservedRaySegment
     for (int k = 1; k <= n; ++k) {
         const double s = double(k) / (n + 1);
         const glm::dvec3 origin_m = glm::mix(first_ray.ray.origin_m, second_ray.ray.origin_m, s);
-        coverage.add_segment(origin_m,
-                             origin_m + length_m * glm::normalize(glm::mix(first_ray.ray.direction,
-                                                                           second_ray.ray.direction, s)));
+        coverage.add_voxels_on_line_segment(
+            origin_m, origin_m + length_m * glm::normalize(glm::mix(first_ray.ray.direction,
+                                                                    second_ray.ray.direction, s)));
     }
 }
 
 /// Returns n if it is enough to process every n-th column, because the columns in between
 /// cross the same cells.
-std::size_t choose_column_step(const Lidar& lidar, double max_range_m) {
+std::size_t choose_step_between_used_columns(const Lidar& lidar, double max_range_m) {
     const double step_m =
         lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : ObservedVoxelSet::kCell_m;
     return static_cast<std::size_t>(std::clamp(ObservedVoxelSet::kCell_m / step_m, 1.0, 16.0));
 }
 
-ObservedVoxelSet compute_frame_coverage(const LidarSequence& sequence, const PoseTrack& world_from_sensor,
-                                        const LidarFrame& frame, double max_range_m) {
+ObservedVoxelSet compute_voxels_observed_by_frame(const LidarSequence& sequence,
+                                                  const PoseTrack& world_from_sensor, const LidarFrame& frame,
+                                                  double max_range_m) {
     ObservedVoxelSet coverage;
     const Scan& scan = frame.scan;
     const std::size_t columns = std::size_t(std::max(scan.rays.columns, 1)),
                       rows = scan.range_m.size() / columns;
-    const std::size_t step = rows > 1 ? choose_column_step(sequence.get_lidar(frame), max_range_m) : 1;
+    const std::size_t step =
+        rows > 1 ? choose_step_between_used_columns(sequence.get_lidar(frame), max_range_m) : 1;
     std::vector<double> range_m(rows);
     std::vector<ObservedRaySegment> looks(rows);
     for (std::size_t column = 0; column < columns; column += step) {
@@ -80,9 +82,9 @@ ObservedVoxelSet compute_frame_coverage(const LidarSequence& sequence, const Pos
             if (!(length_m[row] > 0.0)) continue;
             looks[row].ray = make_world_ray(world_from_sensor, frame.time_s, scan.rays,
                                             row * columns + column, sequence.rolling_shutter);
-            coverage.add_segment(looks[row].ray.origin_m, looks[row].get_path_end_m());
+            coverage.add_voxels_on_line_segment(looks[row].ray.origin_m, looks[row].get_path_end_m());
             if (row > 0 && looks[row - 1].length_m > 0.0)
-                add_space_between_rays(coverage, looks[row - 1], looks[row]);
+                mark_space_between_rays_observed(coverage, looks[row - 1], looks[row]);
         }
     }
     return coverage;
@@ -99,10 +101,10 @@ ObservedVoxelSet compute_observed_coverage(const LidarSequence& sequence, const 
     std::mutex mutex;
     parallel_for(static_cast<int>(frame_indices.size()), [&](int index) {
         const LidarFrame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(index)])];
-        const ObservedVoxelSet one =
-            compute_frame_coverage(sequence, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);
+        const ObservedVoxelSet one = compute_voxels_observed_by_frame(
+            sequence, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);
         const std::lock_guard lock(mutex);
-        all.add_coverage(one);
+        all.add_all_voxels_of_set(one);
     });
     return all;
 }

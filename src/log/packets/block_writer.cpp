@@ -27,8 +27,8 @@ constexpr std::size_t kNoRing = std::size_t(-1);  ///< for a laser that does not
 /// compute points with the angles of the product, so other angles would give wrong
 /// points.
 /// @param product_beams  beams of the product
-void check_beams_match_product(const PacketLayout& layout, const std::vector<PacketBeam>& product_beams,
-                               const SpinningSensor& sensor) {
+void require_beams_of_product(const PacketLayout& layout, const std::vector<PacketBeam>& product_beams,
+                              const SpinningSensor& sensor) {
     const auto nominal = std::get<SpinningSensor>(find_built_in_sensor(layout.sensor)->pattern);
     const bool fits =
         product_beams.size() == sensor.beams.size() &&
@@ -53,15 +53,15 @@ const PacketLayout& find_packet_layout(const std::string& product_name) {
     return *std::ranges::find_if(kLayouts, [&](const PacketLayout& row) { return product_name == row.name; });
 }
 
-std::int64_t convert_to_unix_ns(double log_time_s, std::int64_t log_start_unix_ns) {
+std::int64_t convert_log_time_to_unix_ns(double log_time_s, std::int64_t log_start_unix_ns) {
     return log_start_unix_ns + std::llround(1e9 * log_time_s);
 }
 
-std::uint8_t convert_to_reflectivity_byte(const LaserReturn& laser_return) {
+std::uint8_t convert_intensity_to_byte(const LaserReturn& laser_return) {
     return std::uint8_t(std::lround(255.0 * std::clamp(double(laser_return.intensity), 0.0, 1.0)));
 }
 
-int count_columns_per_firing(const PacketLayout& layout, const SpinningSensor& sensor) {
+int count_scan_columns_per_firing(const PacketLayout& layout, const SpinningSensor& sensor) {
     return sensor.beams.size() == layout.count_lasers_per_firing() ? int(layout.count_firing_sequences()) : 1;
 }
 
@@ -69,7 +69,7 @@ BlockWriter::BlockWriter(const PacketLayout& layout, const SpinningSensor& senso
                          const PacketOptions& options)
     : layout_(layout),
       returns_(std::max(options.returns, 1)),
-      columns_per_firing_(count_columns_per_firing(layout, sensor)),
+      columns_per_firing_(count_scan_columns_per_firing(layout, sensor)),
       start_ns_(options.start_ns),
       sequence_deg_(360e-6 * layout.cycle_us / sensor.period_s),
       beams_(list_beams_of_packet_layout(layout)) {
@@ -79,7 +79,7 @@ BlockWriter::BlockWriter(const PacketLayout& layout, const SpinningSensor& senso
         return one.line == other.line;
     };
     if (columns_per_firing_ > 1) fired.erase(std::ranges::unique(fired, is_repeat).begin(), fired.end());
-    check_beams_match_product(layout, fired, sensor);
+    require_beams_of_product(layout, fired, sensor);
     if (layout.n_blocks % (layout.banks * std::size_t(returns_)) != 0)
         throw UsageError(fmt::format("cannot write packets of {}: found {} returns per ray, expected 1",
                                      layout.sensor, options.returns));
@@ -106,44 +106,45 @@ double BlockWriter::compute_mean_laser_delay_us(std::size_t laser) const {
     return sum_us / n;
 }
 
-int BlockWriter::packets_per_firing() const {
+int BlockWriter::get_packets_per_firing() const {
     return int(std::max<std::size_t>(count_blocks_per_firing() / layout_.n_blocks, 1));
 }
 
-int BlockWriter::firings_per_packet() const {
-    return int(layout_.n_blocks * std::size_t(packets_per_firing()) * layout_.firings /
+int BlockWriter::get_number_of_firings_per_packet() const {
+    return int(layout_.n_blocks * std::size_t(get_packets_per_firing()) * layout_.firings /
                count_blocks_per_firing());
 }
 
-std::vector<FiringColumn> BlockWriter::join_firing_sequences(std::vector<FiringColumn> columns) const {
-    if (columns_per_firing_ == 1) return columns;
+std::vector<FiringColumn> BlockWriter::join_scan_columns_to_firings(
+    std::vector<FiringColumn> scan_columns) const {
+    if (columns_per_firing_ == 1) return scan_columns;
     std::vector<FiringColumn> firings;
-    for (std::size_t c = 0; c < columns.size(); ++c) {
-        FiringColumn& firing = firings.emplace_back(std::move(columns[c]));
+    for (std::size_t c = 0; c < scan_columns.size(); ++c) {
+        FiringColumn& firing = firings.emplace_back(std::move(scan_columns[c]));
         // The returns of this firing sequence are stored in the next column. If that
         // column is missing, the sequence has no returns.
-        const bool has_next =
-            c + 1 < columns.size() && columns[c + 1].time_s - firing.time_s < 1.5e-6 * layout_.cycle_us;
+        const bool has_next = c + 1 < scan_columns.size() &&
+                              scan_columns[c + 1].time_s - firing.time_s < 1.5e-6 * layout_.cycle_us;
         const std::vector<std::array<LaserReturn, 2>> none(firing.returns.size());
         const std::vector<std::array<LaserReturn, 2>> of_part[] = {
-            firing.returns, has_next ? std::move(columns[c + 1].returns) : none};
+            firing.returns, has_next ? std::move(scan_columns[c + 1].returns) : none};
         firing.returns.clear();
         for (const PacketBeam& beam : beams_) firing.returns.push_back(of_part[beam.part][beam.line]);
         if (!has_next) continue;
-        firing.has_returns |= columns[c + 1].has_returns;
+        firing.has_returns |= scan_columns[c + 1].has_returns;
         ++c;
     }
     return firings;
 }
 
-void BlockWriter::append_block_returns(std::string& bytes, const FiringColumn& column,
+void BlockWriter::append_block_returns(std::string& bytes, const FiringColumn& firing,
                                        const PacketBlockIndex& block_position, double range_unit_m) const {
     for (std::size_t k = 0; k < layout_.block_lasers; ++k) {
         const std::size_t ring =
             ring_of_[block_position.part][block_position.bank * layout_.block_lasers + k];
         LaserReturn echo;
-        if (!column.returns.empty() && ring != kNoRing) {
-            const auto& [first, second] = column.returns[ring];
+        if (!firing.returns.empty() && ring != kNoRing) {
+            const auto& [first, second] = firing.returns[ring];
             const bool is_far = second.range_m > first.range_m;
             echo = has_dual_returns() && second.range_m > 0.0f && is_far == (block_position.number == 0)
                        ? second
@@ -152,42 +153,46 @@ void BlockWriter::append_block_returns(std::string& bytes, const FiringColumn& c
         const double range = std::round(double(echo.range_m) / range_unit_m);
         const bool is_valid = range > layout_.last_marker && range <= kMostRange;
         append_binary_value(bytes, is_valid ? std::uint16_t(range) : std::uint16_t(0));
-        append_binary_value(bytes, is_valid ? convert_to_reflectivity_byte(echo) : std::uint8_t(0));
+        append_binary_value(bytes, is_valid ? convert_intensity_to_byte(echo) : std::uint8_t(0));
         bytes.append(layout_.unit_bytes - 3, '\0');
     }
 }
 
-std::size_t BlockWriter::compute_firing_sequence_index(std::size_t block, std::uint32_t packet_number) const {
-    const auto n_packets = std::size_t(packets_per_firing()),
+std::size_t BlockWriter::compute_firing_sequence_index(std::size_t block_index,
+                                                       std::uint32_t packet_number) const {
+    const auto n_packets = std::size_t(get_packets_per_firing()),
                n_here = layout_.count_firing_sequences() / n_packets;
-    return packet_number % n_packets * n_here + block / (layout_.banks * std::size_t(returns_)) % n_here;
+    return packet_number % n_packets * n_here +
+           block_index / (layout_.banks * std::size_t(returns_)) % n_here;
 }
 
-void BlockWriter::append_blocks(std::string& bytes, std::span<const FiringColumn> columns,
+void BlockWriter::append_blocks(std::string& bytes, std::span<const FiringColumn> firings,
                                 std::uint32_t packet_number, double range_unit_m) const {
     const std::size_t n_returns = std::size_t(returns_);
-    const std::size_t n_joined = count_blocks_per_firing() / std::size_t(packets_per_firing());
+    const std::size_t n_joined = count_blocks_per_firing() / std::size_t(get_packets_per_firing());
     for (std::size_t block = 0; block < layout_.n_blocks; ++block) {
-        const auto firings = columns.subspan(block / n_joined * layout_.firings, layout_.firings);
+        const auto block_firings = firings.subspan(block / n_joined * layout_.firings, layout_.firings);
         const PacketBlockIndex block_index{compute_firing_sequence_index(block, packet_number),
                                            block / n_returns % layout_.banks, block % n_returns};
         if (layout_.flagged) append_binary_value(bytes, std::uint16_t(0xEEFF - 0x1100 * block_index.bank));
-        const double azimuth_deg = firings.front().azimuth_deg + double(block_index.part) * sequence_deg_;
+        const double azimuth_deg =
+            block_firings.front().azimuth_deg + double(block_index.part) * sequence_deg_;
         append_binary_value(bytes,
                             std::uint16_t(std::lround(100.0 * (azimuth_deg + layout_.forward_deg)) % 36000));
-        for (const FiringColumn& column : firings)
-            append_block_returns(bytes, column, block_index, range_unit_m);
+        for (const FiringColumn& firing : block_firings)
+            append_block_returns(bytes, firing, block_index, range_unit_m);
     }
 }
 
-std::int64_t BlockWriter::compute_packet_time_ns(std::span<const FiringColumn> columns,
+std::int64_t BlockWriter::compute_packet_time_ns(std::span<const FiringColumn> firings,
                                                  std::uint32_t packet_number,
-                                                 double FiringColumn::*time_member) const {
+                                                 double FiringColumn::*firing_time_member) const {
     const double shift_s = 1e-6 * layout_.shift_us;
-    if (!layout_.at_end) return convert_to_unix_ns(columns.front().*time_member - shift_s, start_ns_);
+    if (!layout_.at_end)
+        return convert_log_time_to_unix_ns(firings.front().*firing_time_member - shift_s, start_ns_);
     const double sequence_s =
         1e-6 * layout_.cycle_us * double(compute_firing_sequence_index(layout_.n_blocks - 1, packet_number));
-    return convert_to_unix_ns(columns.back().*time_member + sequence_s - shift_s, start_ns_);
+    return convert_log_time_to_unix_ns(firings.back().*firing_time_member + sequence_s - shift_s, start_ns_);
 }
 
 }  // namespace relidar::packets

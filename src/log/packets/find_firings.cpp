@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Groups the rays of a scan by firing (all lasers at one azimuth), because a packet
 // stores complete firings. In a range image, firing f of a beam is stored in the column f
-// - compute_column_shift(beam).
+// - compute_beam_azimuth_offset_columns(beam).
 #include <algorithm>
 #include <cmath>
 
@@ -29,7 +29,8 @@ public:
                 "cannot write packets of {}: the scan has {} rows, expected one row for each of the {} "
                 "beams",
                 sensor.name, scan.rays.rows, sensor.beams.size()));
-        for (const Beam& beam : sensor.beams) shift_.push_back(compute_column_shift(beam, columns_));
+        for (const Beam& beam : sensor.beams)
+            shift_.push_back(compute_beam_azimuth_offset_columns(beam, columns_));
     }
     std::size_t n_rings() const { return shift_.size(); }
     int n_firings() const { return columns_; }
@@ -46,13 +47,13 @@ private:
 /// Measures how well the delays of the lasers fit a scan. Subtracts the delays from the
 /// times of the returns. Then adds up, over all firings, the latest minus the earliest
 /// time. 0 is a perfect fit.
-double compute_firing_time_spread_us(const Scan& scan, const FiringRayTable& image,
+double compute_firing_time_spread_us(const Scan& scan, const FiringRayTable& firing_rays,
                                      const std::vector<double>& beam_delays_us) {
     double sum_us = 0.0;
-    for (int firing = 0; firing < image.n_firings(); ++firing) {
+    for (int firing = 0; firing < firing_rays.n_firings(); ++firing) {
         double first = INFINITY, last = -INFINITY;
-        for (std::size_t ring = 0; ring < image.n_rings(); ++ring) {
-            const std::size_t ray = image.get_ray_index(ring, firing);
+        for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
+            const std::size_t ray = firing_rays.get_ray_index(ring, firing);
             if (scan.range_m[ray] <= 0.0f) continue;
             const double time_us = 1e6 * double(scan.rays.time_offset_s[ray]) - beam_delays_us[ring];
             first = std::min(first, time_us), last = std::max(last, time_us);
@@ -64,14 +65,14 @@ double compute_firing_time_spread_us(const Scan& scan, const FiringRayTable& ima
 
 /// Computes time and azimuth of a firing as the mean over its rays. Uses only rays with a
 /// return, because their directions are measured. Uses all rays if none has a return.
-FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& image, int firing_index,
+FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& firing_rays, int firing_index,
                                    const std::vector<BeamRayGenerator>& beams,
                                    const std::vector<double>& beam_delays_us) {
     FiringColumn column{.is_measured = true, .returns = {}};
-    column.returns.resize(image.n_rings());
+    column.returns.resize(firing_rays.n_rings());
     std::size_t n_returned = 0, n_used = 0;
-    for (std::size_t ring = 0; ring < image.n_rings(); ++ring) {
-        const std::size_t ray = image.get_ray_index(ring, firing_index);
+    for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
+        const std::size_t ray = firing_rays.get_ray_index(ring, firing_index);
         auto& [first, second] = column.returns[ring];
         first = {scan.range_m[ray], scan.intensity[ray]};
         if (!scan.second_returns.empty())
@@ -79,8 +80,8 @@ FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& image
         n_returned += first.range_m > 0.0f;
     }
     double east = 0.0, north = 0.0;
-    for (std::size_t ring = 0; ring < image.n_rings(); ++ring) {
-        const std::size_t ray = image.get_ray_index(ring, firing_index);
+    for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
+        const std::size_t ray = firing_rays.get_ray_index(ring, firing_index);
         const double range_m = n_returned > 0 ? double(scan.range_m[ray]) : kFar_m;
         if (range_m <= 0.0) continue;
         const double head = beams[ring].compute_head_azimuth(glm::dvec3(scan.rays.origin[ray]) +
@@ -98,21 +99,21 @@ FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& image
 /// Computes the times of firings without returns, because a log has no measured time for
 /// them. Uses the nearest firing with a return, and the rotation of the head between the
 /// two firings.
-void correct_times_of_empty_firings(std::vector<FiringColumn>& columns, double rotation_period_s) {
-    const auto n = std::ptrdiff_t(columns.size());
-    std::vector<std::ptrdiff_t> before(columns.size(), -1), after(columns.size(), -1);
+void correct_times_of_empty_firings(std::vector<FiringColumn>& firings, double rotation_period_s) {
+    const auto n = std::ptrdiff_t(firings.size());
+    std::vector<std::ptrdiff_t> before(firings.size(), -1), after(firings.size(), -1);
     for (std::ptrdiff_t i = 0; i < n; ++i)
         before[std::size_t(i)] =
-            columns[std::size_t(i)].has_returns ? i : (i > 0 ? before[std::size_t(i - 1)] : -1);
+            firings[std::size_t(i)].has_returns ? i : (i > 0 ? before[std::size_t(i - 1)] : -1);
     for (std::ptrdiff_t i = n; i-- > 0;)
         after[std::size_t(i)] =
-            columns[std::size_t(i)].has_returns ? i : (i + 1 < n ? after[std::size_t(i + 1)] : -1);
+            firings[std::size_t(i)].has_returns ? i : (i + 1 < n ? after[std::size_t(i + 1)] : -1);
     for (std::ptrdiff_t i = 0; i < n; ++i) {
         const std::ptrdiff_t left = before[std::size_t(i)], right = after[std::size_t(i)];
         if (left == i || (left < 0 && right < 0)) continue;
         const bool is_right = left < 0 || (right >= 0 && right - i < i - left);
-        FiringColumn& column = columns[std::size_t(i)];
-        const FiringColumn& nearest_column = columns[std::size_t(is_right ? right : left)];
+        FiringColumn& column = firings[std::size_t(i)];
+        const FiringColumn& nearest_column = firings[std::size_t(is_right ? right : left)];
         double turned_deg = std::fmod(column.azimuth_deg - nearest_column.azimuth_deg + 720.0, 360.0);
         if (is_right) turned_deg -= 360.0;
         column.time_s = nearest_column.time_s + turned_deg / 360.0 * rotation_period_s;
@@ -121,13 +122,13 @@ void correct_times_of_empty_firings(std::vector<FiringColumn>& columns, double r
 
 /// Sorts firings by the rotation angle of the head. Times in a log are not exact, so they
 /// only decide in which turn a firing is.
-void sort_firings_by_head_angle(std::vector<FiringColumn>& columns, double rotation_period_s) {
-    const FiringColumn middle = columns[columns.size() / 2];
+void sort_firings_by_head_angle(std::vector<FiringColumn>& firings, double rotation_period_s) {
+    const FiringColumn middle = firings[firings.size() / 2];
     const auto turns_since = [&](const FiringColumn& column) {
         const double turned = (column.azimuth_deg - middle.azimuth_deg) / 360.0;
         return turned + std::round((column.time_s - middle.time_s) / rotation_period_s - turned);
     };
-    std::ranges::stable_sort(columns, {}, turns_since);
+    std::ranges::stable_sort(firings, {}, turns_since);
 }
 
 }  // namespace
@@ -146,7 +147,7 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
     const std::vector<double> no_offset(beam_delays_us.size(), 0.0);
     const bool has_laser_times = compute_firing_time_spread_us(scan, image, beam_delays_us) <
                                  compute_firing_time_spread_us(scan, image, no_offset);
-    const std::vector<BeamRayGenerator> beams = make_beam_geometries(sensor.beams);
+    const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
     std::vector<FiringColumn> columns;
     for (int firing = 0; firing < image.n_firings(); ++firing)
         columns.push_back(

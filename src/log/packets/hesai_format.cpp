@@ -67,7 +67,7 @@ void append_crc32(std::string& bytes, std::size_t first_byte) {
 }
 
 /// Appends the safety field of a sensor without faults.
-void append_safety_field(std::string& bytes) {
+void append_fault_free_safety_field(std::string& bytes) {
     const std::size_t begin = bytes.size();
     append_binary_value(bytes, std::uint8_t(1));  // version
     bytes.append(12, '\0');
@@ -80,11 +80,11 @@ public:
         : product_(product), sensor_(sensor), blocks_(find_packet_layout(product.layout), sensor, options) {}
 
     int get_udp_port() const override { return kHesaiPort; }
-    int firings_per_packet() const override { return blocks_.firings_per_packet(); }
-    int packets_per_firing() const override { return blocks_.packets_per_firing(); }
-    int columns_per_firing() const override { return blocks_.columns_per_firing(); }
-    std::vector<FiringColumn> join_firing_sequences(std::vector<FiringColumn> columns) const override {
-        return blocks_.join_firing_sequences(std::move(columns));
+    int firings_per_packet() const override { return blocks_.get_number_of_firings_per_packet(); }
+    int get_packets_per_firing() const override { return blocks_.get_packets_per_firing(); }
+    int get_scan_columns_per_firing() const override { return blocks_.get_scan_columns_per_firing(); }
+    std::vector<FiringColumn> join_scan_columns_to_firings(std::vector<FiringColumn> columns) const override {
+        return blocks_.join_scan_columns_to_firings(std::move(columns));
     }
     double get_firing_period_us() const override {
         return blocks_.layout().cycle_us * double(blocks_.layout().count_firing_sequences());
@@ -119,10 +119,11 @@ public:
         // The XT32 manual says that the first of two blocks stores the last return.
         if (product_.n_header == 12 && blocks_.has_dual_returns()) bytes[8] = 1, bytes[10] = 2;
         blocks_.append_blocks(bytes, columns, packet_number, 1e-3 * kUnit_mm);
-        if (product_.has_checksums) append_crc32(bytes, product_.n_header), append_safety_field(bytes);
+        if (product_.has_checksums)
+            append_crc32(bytes, product_.n_header), append_fault_free_safety_field(bytes);
         const std::size_t tail_offset = bytes.size();
         bytes.append(product_.reserved, '\0');
-        set_operation_mode(bytes, packet_number);
+        write_operation_mode_and_sequences(bytes, packet_number);
         const std::uint8_t mode = blocks_.has_dual_returns() ? kLastAndStrongest : kSingleReturn;
         const auto speed_rpm = std::uint16_t(std::lround(60.0 / sensor_.period_s));
         const std::int64_t time_us = (clock_ns + 500) / 1000, second_us = kSecond_ns / 1000;
@@ -146,7 +147,7 @@ private:
 
     /// Sets the operation mode, and the field that states which firing sequence each
     /// block contains.
-    void set_operation_mode(std::string& bytes, std::uint32_t packet_number) const {
+    void write_operation_mode_and_sequences(std::string& bytes, std::uint32_t packet_number) const {
         const PacketLayout& layout = blocks_.layout();
         bytes.back() = char(product_.operation_mode);
         if (layout.part_rule == FiringSequenceRule::mode_flag)
@@ -175,10 +176,10 @@ private:
 
 /// Measures how badly a packet layout fits a sensor: the relative difference between the
 /// times per column, plus 1 if the number of beams differs. 0 is a perfect fit.
-double compute_layout_misfit(const PacketLayout& layout, const SpinningSensor& sensor) {
+double compute_time_and_beam_count_misfit(const PacketLayout& layout, const SpinningSensor& sensor) {
     const double step_us = 1e6 * sensor.period_s / sensor.columns;
-    const double expected_us =
-        layout.cycle_us * double(layout.count_firing_sequences()) / count_columns_per_firing(layout, sensor);
+    const double expected_us = layout.cycle_us * double(layout.count_firing_sequences()) /
+                               count_scan_columns_per_firing(layout, sensor);
     const bool fits = sensor.beams.size() == layout.count_lasers_per_firing() ||
                       sensor.beams.size() == list_beams_of_packet_layout(layout).size();
     return std::abs(step_us / expected_us - 1.0) + (fits ? 0.0 : 1.0);
@@ -200,7 +201,7 @@ std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, co
     for (const HesaiProduct& product : kHesais) {
         const PacketLayout& layout = find_packet_layout(product.layout);
         if (sensor.name != layout.sensor) continue;
-        const double error = compute_layout_misfit(layout, sensor);
+        const double error = compute_time_and_beam_count_misfit(layout, sensor);
         if (!best || error < least_error) best = &product, least_error = error;
     }
     return best ? std::make_unique<HesaiFormat>(*best, sensor, options) : nullptr;

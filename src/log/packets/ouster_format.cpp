@@ -28,7 +28,7 @@ constexpr std::size_t kEndBytes = 32;  // size of the header and of the footer o
 constexpr std::uint32_t kEncoderTicks = 90112;
 
 /// Returns Ouster's name of a product line, such as "OS-1-64" for "OS1-64".
-std::string make_ouster_product_line(const std::string& sensor_name) {
+std::string format_ouster_product_line_name(const std::string& sensor_name) {
     return sensor_name.starts_with("OS") && sensor_name.size() > 3 && sensor_name[3] == '-'
                ? "OS-" + sensor_name.substr(2)
                : sensor_name;
@@ -61,7 +61,7 @@ std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string
         shift.push_back(int(std::lround(azimuth_deg.back() * sensor.columns / 360.0)));
     }
     const nlohmann::ordered_json json = {
-        {"prod_line", make_ouster_product_line(sensor.name)},
+        {"prod_line", format_ouster_product_line_name(sensor.name)},
         {"prod_sn", kSerial},
         {"status", "RUNNING"},
         {"lidar_mode", fmt::format("{}x{}", sensor.columns, std::lround(1.0 / sensor.period_s))},
@@ -98,9 +98,9 @@ public:
     int get_udp_port() const override { return kOusterPort; }
     int firings_per_packet() const override { return format_->columns_per_packet; }
     double get_firing_period_us() const override {
-        return 1e6 * format_->sensor.period_s / columns_per_revolution();
+        return 1e6 * format_->sensor.period_s / get_fixed_columns_per_revolution();
     }
-    int columns_per_revolution() const override { return format_->sensor.columns; }
+    int get_fixed_columns_per_revolution() const override { return format_->sensor.columns; }
     std::vector<double> get_beam_delays_us() const override {
         return std::vector<double>(format_->sensor.beams.size(), 0.0);
     }
@@ -118,15 +118,16 @@ public:
         SensorPacket packet;
         if (!is_legacy) append_packet_header(packet.bytes, frame);
         for (const FiringColumn& column : columns) {
-            const std::int64_t time_ns = convert_to_unix_ns(column.time_s, start_ns_);
+            const std::int64_t time_ns = convert_log_time_to_unix_ns(column.time_s, start_ns_);
             const int position = compute_column_index(column);
             append_binary_value(packet.bytes, std::uint64_t(std::max<std::int64_t>(time_ns, 0)));
             append_binary_value(packet.bytes, std::uint16_t(position));
             if (is_legacy) {
                 append_binary_value(packet.bytes, frame);
-                append_binary_value(packet.bytes,
-                                    std::uint32_t(position) *
-                                        (kEncoderTicks / std::uint32_t(this->columns_per_revolution())));
+                append_binary_value(
+                    packet.bytes,
+                    std::uint32_t(position) *
+                        (kEncoderTicks / std::uint32_t(this->get_fixed_columns_per_revolution())));
             } else {
                 append_binary_value(packet.bytes, std::uint16_t(column.is_measured));
             }
@@ -149,8 +150,10 @@ private:
     }
 
     int compute_column_index(const FiringColumn& column) const {
-        const double fractional_column = (column.azimuth_deg - 180.0) / 360.0 * columns_per_revolution();
-        return int((std::lround(fractional_column) + columns_per_revolution()) % columns_per_revolution());
+        const double fractional_column =
+            (column.azimuth_deg - 180.0) / 360.0 * get_fixed_columns_per_revolution();
+        return int((std::lround(fractional_column) + get_fixed_columns_per_revolution()) %
+                   get_fixed_columns_per_revolution());
     }
 
     /// Appends the packet type, the frame number, the initialization number of the sensor
@@ -188,7 +191,7 @@ private:
         const auto number = std::uint32_t(range);
         for (std::size_t k = 0; k < 4 && number >> (8 * k) != 0; ++k)
             pixel[byte_offset + k] = char(number >> (8 * k));
-        pixel[byte_offset + profile.reflectivity_at] = char(convert_to_reflectivity_byte(laser_return));
+        pixel[byte_offset + profile.reflectivity_at] = char(convert_intensity_to_byte(laser_return));
     }
 };
 

@@ -33,10 +33,10 @@ void append_uint16_big_endian(std::string& bytes, unsigned value) {
 }
 
 /// Returns the checksum of an IPv4 header (RFC 791).
-unsigned compute_ip_checksum(std::string_view header) {
+unsigned compute_ip_checksum(std::string_view ip_header) {
     unsigned sum = 0;
-    for (std::size_t i = 0; i + 1 < header.size(); i += 2)
-        sum += static_cast<unsigned char>(header[i]) * 256u + static_cast<unsigned char>(header[i + 1]);
+    for (std::size_t i = 0; i + 1 < ip_header.size(); i += 2)
+        sum += static_cast<unsigned char>(ip_header[i]) * 256u + static_cast<unsigned char>(ip_header[i + 1]);
     while (sum >> 16) sum = (sum & 0xFFFF) + (sum >> 16);
     return ~sum & 0xFFFF;
 }
@@ -57,7 +57,7 @@ std::string wrap_in_ethernet_frame(const std::string& payload, int udp_port, uns
     return frame + payload;
 }
 
-void check_write_succeeded(const std::ofstream& stream, const fs::path& file) {
+void require_successful_write(const std::ofstream& stream, const fs::path& file) {
     if (!stream) throw DataError(fmt::format("cannot write '{}'; the disk may be full", file.string()));
 }
 
@@ -92,7 +92,7 @@ PcapWriter::PcapWriter(const fs::path& file, int port)
     append_binary_value(head, std::int32_t(0)), append_binary_value(head, std::uint32_t(0));
     append_binary_value(head, kMostBytes), append_binary_value(head, kEthernetLink);
     out_ << head;
-    check_write_succeeded(out_, file_);
+    require_successful_write(out_, file_);
 }
 
 void PcapWriter::write_packets(const std::vector<SensorPacket>& packets) {
@@ -106,12 +106,12 @@ void PcapWriter::write_packets(const std::vector<SensorPacket>& packets) {
             append_binary_value(head, std::uint32_t(frame.size()));
         out_ << head << frame;
     }
-    check_write_succeeded(out_, file_);
+    require_successful_write(out_, file_);
 }
 
 void PcapWriter::close_file() {
     out_.close();
-    check_write_succeeded(out_, file_);
+    require_successful_write(out_, file_);
 }
 
 std::size_t save_packets(const LidarSequence& sequence, const fs::path& file,

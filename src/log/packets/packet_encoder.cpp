@@ -69,11 +69,11 @@ struct PacketEncoder::Impl {
     double get_firing_period_s() const { return 1e-6 * format->get_firing_period_us(); }
     double get_firing_step_deg() const { return 360.0 * get_firing_period_s() / sensor.period_s; }
     std::int64_t get_firings_per_packet() const { return format->firings_per_packet(); }
-    bool has_fixed_columns() const { return format->columns_per_revolution() > 0; }
+    bool has_fixed_columns() const { return format->get_fixed_columns_per_revolution() > 0; }
 
-    void check_firing_period() const {
+    void require_firing_period_of_product() const {
         const double step_us = 1e6 * sensor.period_s / sensor.columns;
-        const double expected_us = format->get_firing_period_us() / format->columns_per_firing();
+        const double expected_us = format->get_firing_period_us() / format->get_scan_columns_per_firing();
         if (has_fixed_columns() || std::abs(step_us / expected_us - 1.0) < kMostStepError) return;
         throw UsageError(fmt::format(
             "cannot write packets of {}: found {} columns in {} s, expected {:.0f} columns, "
@@ -84,14 +84,14 @@ struct PacketEncoder::Impl {
     /// Returns the column of a firing, for a sensor that fires at fixed azimuths.
     std::int64_t compute_firing_column(const FiringColumn& firing) const {
         const double fractional_column =
-            (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * format->columns_per_revolution();
+            (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * format->get_fixed_columns_per_revolution();
         if (std::abs(fractional_column - std::round(fractional_column)) > kMostColumnError)
             throw UsageError(fmt::format(
                 "cannot write packets of {}: found a column at an azimuth of {:.3f} degrees, expected a "
                 "multiple of {:.3f} degrees, because an Ouster fires at fixed azimuths",
-                sensor.name, firing.azimuth_deg, 360.0 / format->columns_per_revolution()));
-        return (std::llround(fractional_column) + format->columns_per_revolution()) %
-               format->columns_per_revolution();
+                sensor.name, firing.azimuth_deg, 360.0 / format->get_fixed_columns_per_revolution()));
+        return (std::llround(fractional_column) + format->get_fixed_columns_per_revolution()) %
+               format->get_fixed_columns_per_revolution();
     }
 
     /// Returns the number of firing periods from `anchor` to a firing, including periods
@@ -99,7 +99,7 @@ struct PacketEncoder::Impl {
     double count_firing_steps_between(const FiringClockAnchor& anchor, const FiringColumn& firing) const {
         const double by_time = (firing.time_s - anchor.time_s) / get_firing_period_s();
         if (has_fixed_columns()) {
-            const double n = format->columns_per_revolution();
+            const double n = format->get_fixed_columns_per_revolution();
             const double turned =
                 std::fmod(double(compute_firing_column(firing) - anchor.position) + n * 1e6, n);
             return turned + n * std::round((by_time - turned) / n);
@@ -127,7 +127,7 @@ struct PacketEncoder::Impl {
     /// Returns the position of the first firing within its packet. In a recorded log,
     /// times jump at the start of each original packet. The new packets start at the same
     /// firings.
-    std::int64_t find_first_index_in_packet(const std::vector<FiringColumn>& firings_of_scan) const {
+    std::int64_t find_packet_slot_of_first_firing(const std::vector<FiringColumn>& firings_of_scan) const {
         if (has_fixed_columns()) return compute_firing_column(firings_of_scan.front());
         if (!options.times_jitter) return 1;
         std::vector<int> n_jumps(std::size_t(get_firings_per_packet()), 0);
@@ -147,7 +147,7 @@ struct PacketEncoder::Impl {
     /// Returns the maximum number of consecutive firings that may be missing in a log.
     /// The encoder fills such gaps. They occur because logs leave out firings without
     /// returns at the end of a turn, and because frames can be more than a turn apart.
-    std::int64_t compute_max_gap_firings() const {
+    std::int64_t compute_max_missing_firings_to_fill() const {
         return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / get_firing_period_s());
     }
 
@@ -198,13 +198,14 @@ struct PacketEncoder::Impl {
         }
     }
 
-    void add_scan_firing(FiringColumn firing, std::int64_t first_firing_index) {
+    void add_firing_and_fill_gap(FiringColumn firing, std::int64_t first_firing_index) {
         std::int64_t position =
             last ? last->position + count_firing_steps_from_last(firing) : first_firing_index;
         if (last && position == last->position) return;
-        if (has_fixed_columns()) fired[std::size_t(position % format->columns_per_revolution())] = true;
-        else if (last && position - last->position > compute_max_gap_firings()) {
-            finish_packets();
+        if (has_fixed_columns())
+            fired[std::size_t(position % format->get_fixed_columns_per_revolution())] = true;
+        else if (last && position - last->position > compute_max_missing_firings_to_fill()) {
+            encode_final_packets();
             position = (packet + 1) * get_firings_per_packet() + 1;
         } else if (last) fill_gap_before_firing(firing, position);
         set_firing_clock_time(firing, position);
@@ -241,14 +242,14 @@ struct PacketEncoder::Impl {
 
     void write_pending_packet() {
         interpolate_missing_firings();
-        for (int k = 0; k < format->packets_per_firing(); ++k, ++n_written)
+        for (int k = 0; k < format->get_packets_per_firing(); ++k, ++n_written)
             complete.push_back(
                 format->encode_packet(pending, has_fixed_columns() ? std::uint32_t(packet) : n_written));
     }
 
     /// Writes the pending packet. For a sensor that fires at any azimuth, also writes one
     /// more packet without returns.
-    void finish_packets() {
+    void encode_final_packets() {
         if (pending.empty()) return;
         write_pending_packet();
         if (has_fixed_columns()) return;
@@ -263,22 +264,22 @@ PacketEncoder::PacketEncoder(const SpinningSensor& sensor, const PacketOptions& 
     impl_->options = options;
     impl_->format = make_packet_format(sensor, options);
     impl_->offsets_us = impl_->format->get_beam_delays_us();
-    impl_->fired.resize(std::size_t(impl_->format->columns_per_revolution()));
-    impl_->check_firing_period();
+    impl_->fired.resize(std::size_t(impl_->format->get_fixed_columns_per_revolution()));
+    impl_->require_firing_period_of_product();
 }
 
 PacketEncoder::~PacketEncoder() = default;
 
 std::vector<SensorPacket> PacketEncoder::encode_scan_as_packets(const Scan& scan, double time_s) {
-    std::vector<FiringColumn> firings = impl_->format->join_firing_sequences(
+    std::vector<FiringColumn> firings = impl_->format->join_scan_columns_to_firings(
         packets::extract_firings(scan, time_s, impl_->sensor, impl_->offsets_us));
-    const std::int64_t start = impl_->last ? 0 : impl_->find_first_index_in_packet(firings);
-    for (FiringColumn& firing : firings) impl_->add_scan_firing(std::move(firing), start);
+    const std::int64_t start = impl_->last ? 0 : impl_->find_packet_slot_of_first_firing(firings);
+    for (FiringColumn& firing : firings) impl_->add_firing_and_fill_gap(std::move(firing), start);
     return std::exchange(impl_->complete, {});
 }
 
 std::vector<SensorPacket> PacketEncoder::flush_remaining_packets() {
-    impl_->finish_packets();
+    impl_->encode_final_packets();
     impl_->pending.clear();
     return std::exchange(impl_->complete, {});
 }

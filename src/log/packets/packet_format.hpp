@@ -53,21 +53,22 @@ public:
     virtual int firings_per_packet() const = 0;
     /// Returns the time between two firings.
     virtual double get_firing_period_us() const = 0;
-    /// Returns the number of packets that contain firings_per_packet() firings. The
-    /// number is 2 if the lasers fire in two sequences and each sequence has a separate
-    /// packet.
-    virtual int packets_per_firing() const { return 1; }
+    /// Returns the number of packets that contain get_number_of_firings_per_packet()
+    /// firings. The number is 2 if the lasers fire in two sequences and each sequence has
+    /// a separate packet.
+    virtual int get_packets_per_firing() const { return 1; }
     /// Returns the number of columns of a scan per firing. The number is 2 if the lasers
     /// fire in two sequences, and the scan has a column for each sequence.
-    virtual int columns_per_firing() const { return 1; }
-    /// Joins columns_per_firing() columns of a scan to one firing. Removes the rays that
-    /// the real sensor does not fire.
-    virtual std::vector<FiringColumn> join_firing_sequences(std::vector<FiringColumn> columns) const {
-        return columns;
+    virtual int get_scan_columns_per_firing() const { return 1; }
+    /// Joins get_scan_columns_per_firing() columns of a scan to one firing. Removes the
+    /// rays that the real sensor does not fire.
+    virtual std::vector<FiringColumn> join_scan_columns_to_firings(
+        std::vector<FiringColumn> scan_columns) const {
+        return scan_columns;
     }
     /// Returns the number of azimuths per turn at which the sensor fires. Column 0 is at
     /// the back of the sensor. Returns 0 if the sensor can fire at any azimuth.
-    virtual int columns_per_revolution() const { return 0; }
+    virtual int get_fixed_columns_per_revolution() const { return 0; }
     /// Returns the delay in microseconds of each beam after the first laser of a column.
     virtual std::vector<double> get_beam_delays_us() const = 0;
     /// Returns the calibration file that other programs need to decode the packets.
@@ -78,9 +79,9 @@ public:
         return {};
     }
     /// Encodes one packet. Its bytes contain the time on the sensor's clock.
-    /// @param columns  firings of the packet
+    /// @param firings  firings of the packet
     /// @param packet_number  sequence number of the packet, from 0
-    virtual SensorPacket encode_packet(std::span<const FiringColumn> columns,
+    virtual SensorPacket encode_packet(std::span<const FiringColumn> firings,
                                        std::uint32_t packet_number) const = 0;
 };
 
@@ -94,7 +95,7 @@ std::unique_ptr<PacketFormat> make_ouster_format(const SpinningSensor& sensor, c
 /// Returns the number of columns of a scan per firing. The lasers of some products fire
 /// in two sequences. Scans of such a sensor have a column for each sequence. Scans that
 /// were decoded from packets have a row for each laser and sequence instead.
-int count_columns_per_firing(const PacketLayout& layout, const SpinningSensor& sensor);
+int count_scan_columns_per_firing(const PacketLayout& layout, const SpinningSensor& sensor);
 
 /// Writes the blocks of a packet. Velodyne and Hesai use the same kind of block.
 class BlockWriter {
@@ -104,23 +105,23 @@ public:
 
     const PacketLayout& layout() const { return layout_; }
     bool has_dual_returns() const { return returns_ == 2; }
-    int firings_per_packet() const;
-    int packets_per_firing() const;
-    int columns_per_firing() const { return columns_per_firing_; }
-    std::vector<FiringColumn> join_firing_sequences(std::vector<FiringColumn> columns) const;
+    int get_number_of_firings_per_packet() const;
+    int get_packets_per_firing() const;
+    int get_scan_columns_per_firing() const { return columns_per_firing_; }
+    std::vector<FiringColumn> join_scan_columns_to_firings(std::vector<FiringColumn> scan_columns) const;
     const std::vector<double>& get_beam_delays_us() const { return offsets_us_; }
     /// Returns the manufacturer's number of the laser that measures a ring (row) of the
     /// scans, from 0.
     std::size_t get_laser_of_ring(std::size_t ring) const { return laser_of_[ring]; }
     /// Returns the index of the firing sequence of a block.
     /// @param packet_number  number of the packet
-    std::size_t compute_firing_sequence_index(std::size_t block, std::uint32_t packet_number) const;
-    void append_blocks(std::string& bytes, std::span<const FiringColumn> columns, std::uint32_t packet_number,
+    std::size_t compute_firing_sequence_index(std::size_t block_index, std::uint32_t packet_number) const;
+    void append_blocks(std::string& bytes, std::span<const FiringColumn> firings, std::uint32_t packet_number,
                        double range_unit_m) const;
     /// Returns the time of a packet in nanoseconds since 1970.
-    /// @param time_member  FiringColumn::time_s or FiringColumn::clock_s
-    std::int64_t compute_packet_time_ns(std::span<const FiringColumn> columns, std::uint32_t packet_number,
-                                        double FiringColumn::*time_member) const;
+    /// @param firing_time_member  FiringColumn::time_s or FiringColumn::clock_s
+    std::int64_t compute_packet_time_ns(std::span<const FiringColumn> firings, std::uint32_t packet_number,
+                                        double FiringColumn::*firing_time_member) const;
 
 private:
     /// What a block contains: index of the firing sequence, of the group of lasers, and
@@ -144,7 +145,7 @@ private:
     std::size_t count_blocks_per_firing() const {
         return layout_.banks * std::size_t(returns_) * layout_.count_firing_sequences();
     }
-    void append_block_returns(std::string& bytes, const FiringColumn& column,
+    void append_block_returns(std::string& bytes, const FiringColumn& firing,
                               const PacketBlockIndex& block_position, double range_unit_m) const;
 };
 
@@ -155,8 +156,8 @@ std::vector<std::string> list_velodyne_sensor_names();
 std::vector<std::string> list_hesai_sensor_names();
 
 /// Converts a time of the log to nanoseconds since 1970.
-std::int64_t convert_to_unix_ns(double log_time_s, std::int64_t log_start_unix_ns);
+std::int64_t convert_log_time_to_unix_ns(double log_time_s, std::int64_t log_start_unix_ns);
 /// Converts the intensity of a return (0 to 1) to a one-byte reflectivity.
-std::uint8_t convert_to_reflectivity_byte(const LaserReturn& laser_return);
+std::uint8_t convert_intensity_to_byte(const LaserReturn& laser_return);
 
 }  // namespace relidar::packets

@@ -25,7 +25,7 @@ public:
         : code_(product.code), blocks_(find_packet_layout(product.sensor), sensor, options) {}
 
     int get_udp_port() const override { return kVelodynePort; }
-    int firings_per_packet() const override { return blocks_.firings_per_packet(); }
+    int firings_per_packet() const override { return blocks_.get_number_of_firings_per_packet(); }
     double get_firing_period_us() const override { return blocks_.layout().cycle_us; }
     std::vector<double> get_beam_delays_us() const override { return blocks_.get_beam_delays_us(); }
 

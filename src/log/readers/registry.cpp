@@ -83,15 +83,16 @@ const DatasetKind& find_dataset_kind(const std::string& kind_name) {
                                  fmt::join(list_dataset_kind_names(), ", ")));
 }
 
-bool has_marker_file(const fs::path& path, std::string_view marker) {
-    if (!marker.starts_with('.') && !marker.ends_with('*')) return does_path_exist(path / marker);
+bool matches_dataset_marker(const fs::path& path, std::string_view file_marker) {
+    if (!file_marker.starts_with('.') && !file_marker.ends_with('*'))
+        return does_path_exist(path / file_marker);
     const auto matches = [&](const fs::path& file) {
-        return marker.starts_with('.')
-                   ? file.filename().string().ends_with(marker)
-                   : file.filename().string().starts_with(marker.substr(0, marker.size() - 1));
+        return file_marker.starts_with('.')
+                   ? file.filename().string().ends_with(file_marker)
+                   : file.filename().string().starts_with(file_marker.substr(0, file_marker.size() - 1));
     };
     if (!does_path_exist(path)) return false;
-    if (!fs::is_directory(path)) return marker.starts_with('.') && matches(path);
+    if (!fs::is_directory(path)) return file_marker.starts_with('.') && matches(path);
     const std::vector<fs::path> files = list_folder_entries(path);
     return std::any_of(files.begin(), files.end(), matches);
 }
@@ -99,7 +100,7 @@ bool has_marker_file(const fs::path& path, std::string_view marker) {
 bool is_dataset_of_kind(const fs::path& path, const DatasetKind& kind) {
     for (std::string_view left = kind.marker; !left.empty();) {
         const std::size_t end = std::min(left.find(' '), left.size());
-        if (has_marker_file(path, left.substr(0, end))) return true;
+        if (matches_dataset_marker(path, left.substr(0, end))) return true;
         left.remove_prefix(std::min(end + 1, left.size()));
     }
     return false;
@@ -108,7 +109,7 @@ bool is_dataset_of_kind(const fs::path& path, const DatasetKind& kind) {
 /// Throws if a folder contains scans but no sequence.json. The message contains an
 /// example of a sequence.json.
 /// @throws DataError in this case
-void check_scans_have_sequence_json(const fs::path& path) {
+void throw_if_scans_lack_sequence_json(const fs::path& path) {
     std::error_code failed;
     if (!fs::is_directory(path, failed)) return;
     for (const char* scans : {"scans", "."}) {
@@ -221,7 +222,7 @@ void add_notes_about_dropped_returns(LidarSequence& sequence,
 
 /// Sets the range limits that the user requested for all LiDARs. Turns returns outside
 /// the limits into dropped rays.
-void drop_returns_outside_limits(LidarSequence& sequence, const RangeLimits& requested_limits) {
+void apply_range_limits_to_lidars_and_scans(LidarSequence& sequence, const RangeLimits& requested_limits) {
     set_unknown_max_ranges(sequence);
     for (Lidar& lidar : sequence.lidars) {
         const RangeLimits limits = intersect_range_limits(lidar.sensor.range_limits(), requested_limits);
@@ -267,7 +268,7 @@ void add_note_if_intensities_missing(LidarSequence& sequence) {
 
 /// Keeps only the named LiDARs. Removes the frames of all other LiDARs, and the poses
 /// that are then unused.
-void keep_named_lidars(LidarSequence& sequence, const std::vector<std::string>& lidar_names) {
+void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<std::string>& lidar_names) {
     std::vector<int> new_index_of_lidar(sequence.lidars.size(), -1);
     for (const std::string& name : lidar_names)
         new_index_of_lidar[std::size_t(find_lidar_index_by_name(sequence, name))] = 0;
@@ -313,7 +314,7 @@ std::pair<std::string, fs::path> split_kind_and_path(const std::string& dataset)
 /// Returns the reader for a dataset.
 /// @param requested_drive  name of the drive that the user requested; may be empty
 /// @throws UsageError if a drive is requested but the dataset contains only one drive
-const DatasetKind& find_dataset_reader(const std::string& dataset, const std::string& requested_drive) {
+const DatasetKind& find_dataset_kind_of_path(const std::string& dataset, const std::string& requested_drive) {
     const auto [kind, path] = split_kind_and_path(dataset);
     const std::string name = kind.empty() ? detect_dataset_kind(path) : kind;
     const DatasetKind& reader = find_dataset_kind(name);
@@ -324,7 +325,7 @@ const DatasetKind& find_dataset_reader(const std::string& dataset, const std::st
     return reader;
 }
 
-void check_frame_range(const FrameRange& range) {
+void require_nonempty_frame_range(const FrameRange& range) {
     if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end)) {
         throw UsageError(fmt::format("the frame range {}:{} is empty, expected a:b with 0 <= a < b",
                                      range.begin, range.end));
@@ -333,7 +334,7 @@ void check_frame_range(const FrameRange& range) {
 
 /// Estimates two values for each frame: the start of the sweep, and how much the head
 /// azimuths deviate from even rotation.
-void estimate_sweep_starts(LidarSequence& sequence) {
+void set_sweep_starts_and_azimuth_shifts(LidarSequence& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars)
         nominal.push_back(lidar.pattern ? RayTable{} : make_nominal_rays(lidar, 0.0));
@@ -358,20 +359,20 @@ bool is_dataset(const fs::path& path) {
 
 std::string detect_dataset_kind(const fs::path& path) {
     std::error_code failed;
-    if (!fs::is_regular_file(path, failed)) check_is_folder(path, "a dataset");
+    if (!fs::is_regular_file(path, failed)) require_existing_folder(path, "a dataset");
     std::string supported_formats;
     for (const DatasetKind& kind : kKinds) {
         if (is_dataset_of_kind(path, kind)) return kind.name;
         supported_formats +=
             fmt::format("{}{} ({})", supported_formats.empty() ? "" : ", ", kind.describe, kind.marker);
     }
-    check_scans_have_sequence_json(path);
+    throw_if_scans_lack_sequence_json(path);
     if (const std::string other = describe_unsupported_format(path); !other.empty())
         throw DataError(fmt::format("{}: {}", path.string(), other));
     if (const std::string other = describe_unsupported_file_in(path); !other.empty())
         throw DataError(fmt::format("{} is not a dataset: {}", path.string(), other));
     for (const DatasetKind& kind : kKinds) {
-        const std::string stranger = kitti::suggest_dataset_folder(path, kind.marker);
+        const std::string stranger = kitti::describe_mistaken_kitti_folder(path, kind.marker);
         if (!stranger.empty())
             throw DataError(fmt::format("{} is not a dataset: {}", path.string(), stranger));
     }
@@ -388,22 +389,22 @@ std::string make_dataset_path_absolute(const std::string& dataset) {
 }
 
 LidarSequence load_sequence(const std::string& dataset, const DatasetOptions& options) {
-    check_frame_range(options.frames);
+    require_nonempty_frame_range(options.frames);
     if (!(options.min_range_m >= 0.0 && options.max_range_m > options.min_range_m)) {
         throw UsageError(fmt::format(
             "the range limits are {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m",
             options.min_range_m, options.max_range_m));
     }
-    LidarSequence sequence =
-        find_dataset_reader(dataset, options.sequence).load(split_kind_and_path(dataset).second, options);
+    LidarSequence sequence = find_dataset_kind_of_path(dataset, options.sequence)
+                                 .load(split_kind_and_path(dataset).second, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
-    check_sequence(sequence);
-    check_time_gaps(sequence);
-    if (!options.lidars.empty()) keep_named_lidars(sequence, options.lidars);
-    folder::invert_poses_if_inverted(sequence);
-    estimate_sweep_starts(sequence);
-    drop_fake_max_range_returns(sequence);
-    drop_returns_outside_limits(sequence, {options.min_range_m, options.max_range_m});
+    require_valid_sequence(sequence);
+    add_notes_about_time_gaps(sequence);
+    if (!options.lidars.empty()) remove_all_except_named_lidars(sequence, options.lidars);
+    folder::correct_poses_if_stored_inverted(sequence);
+    set_sweep_starts_and_azimuth_shifts(sequence);
+    remove_returns_that_mark_dropped_rays(sequence);
+    apply_range_limits_to_lidars_and_scans(sequence, {options.min_range_m, options.max_range_m});
     add_note_if_intensities_missing(sequence);
     return sequence;
 }

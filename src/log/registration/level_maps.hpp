@@ -29,7 +29,7 @@ public:
     }
     bool empty() const { return maps_.front().empty(); }
     RegistrationRound get_level_settings(int level) const {
-        return interpolate_rounds(first_, last_, level / double(kLevels - 1));
+        return interpolate_round_settings(first_, last_, level / double(kLevels - 1));
     }
     /// Adds points to the maps of all levels.
     /// @param travelled_distance_m distance that the sensor had driven when it measured
@@ -40,7 +40,7 @@ public:
                 maps_[std::size_t(level)].add_point_to_cell(point_m, travelled_distance_m);
         });
     }
-    void remove_cells_before(double min_travelled_distance_m) {
+    void remove_cells_last_seen_before(double min_travelled_distance_m) {
         for (VoxelPlaneMap& map : maps_) map.remove_cells_before(min_travelled_distance_m);
     }
     /// Returns the plane at a point. Searches map `finest_level` first, then the coarser

@@ -79,7 +79,7 @@ public:
             const std::optional<std::size_t> earlier = find_nearest_earlier_key_pose(later);
             if (!earlier) continue;
             if (before && before->later + 3 < later) before.reset();
-            const std::optional<LoopClosure> closure = find_loop_closure(*earlier, later, before);
+            const std::optional<LoopClosure> closure = register_scan_as_loop_closure(*earlier, later, before);
             if (!closure) continue;
             closures_.push_back(*closure);
             before = closure;
@@ -141,7 +141,7 @@ private:
 
     /// Returns the points of a scan in the frame of its key pose. Each point has the
     /// position from which the vehicle measured it.
-    std::vector<WorldPointWithOrigin> transform_scan_to_key_pose(std::size_t key_index) const {
+    std::vector<WorldPointWithOrigin> transform_scan_to_key_pose_frame(std::size_t key_index) const {
         const Pose pose_from_world = inverse(get_key_pose(key_index));
         std::vector<WorldPointWithOrigin> points;
         for (const SubsampledPoint& point : scans_[keys_[key_index]]) {
@@ -195,12 +195,13 @@ private:
                                   double& fraction_on_planes) const {
         const double scale_m = maps_.get_level_settings(level).scale_m;
         const SinglePoseEquations equations =
-            parallel_reduce(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+            parallel_sum_over_ranges(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 SinglePoseEquations part;
                 for (const WorldPointWithOrigin& point : std::span(points).subspan(begin, end - begin)) {
                     const glm::dvec3 p = pose * point.point_m;
                     if (const LocalPlane* plane = maps_.find_finest_plane_at(p, level))
-                        part.add_residual(compute_plane_residual({p, pose.translation}, *plane, scale_m));
+                        part.add_plane_residual(
+                            compute_plane_residual({p, pose.translation}, *plane, scale_m));
                 }
                 return part;
             });
@@ -211,7 +212,8 @@ private:
         return compute_pose_change_m(x);
     }
 
-    double refine_loop_pose(const std::vector<WorldPointWithOrigin>& points, Pose& pose) const {
+    double refine_pose_and_get_plane_fraction(const std::vector<WorldPointWithOrigin>& points,
+                                              Pose& pose) const {
         double share = 0.0;
         for (int level = 0; level < MultiScalePlaneMaps::kLevels; ++level)
             for (int i = 0;
@@ -220,22 +222,23 @@ private:
         return share;
     }
 
-    std::optional<LoopClosure> find_loop_closure(std::size_t earlier_key_index, std::size_t later_key_index,
-                                                 const std::optional<LoopClosure>& previous_closure) {
+    std::optional<LoopClosure> register_scan_as_loop_closure(
+        std::size_t earlier_key_index, std::size_t later_key_index,
+        const std::optional<LoopClosure>& previous_closure) {
         build_map_around_key_pose(earlier_key_index);
-        const std::vector<WorldPointWithOrigin> points = transform_scan_to_key_pose(later_key_index);
+        const std::vector<WorldPointWithOrigin> points = transform_scan_to_key_pose_frame(later_key_index);
         const double reach_m = 1.0 + kLoopDistanceGrowth * (get_path_length_to_key_pose_m(later_key_index) -
                                                             get_path_length_to_key_pose_m(earlier_key_index));
-        Pose at = previous_closure ? apply_correction_to_other_pose(previous_closure->off,
-                                                                    get_key_pose(previous_closure->later),
-                                                                    get_key_pose(later_key_index))
+        Pose at = previous_closure ? move_pose_rigidly_with_reference(previous_closure->off,
+                                                                      get_key_pose(previous_closure->later),
+                                                                      get_key_pose(later_key_index))
                                    : find_best_start_pose(points, get_key_pose(later_key_index), reach_m);
-        double share = refine_loop_pose(points, at);
+        double share = refine_pose_and_get_plane_fraction(points, at);
         // The pose predicted from the previous loop closure did not match, so this tries
         // the grid of start positions.
         if (previous_closure && share < kLeastShare) {
             at = find_best_start_pose(points, get_key_pose(later_key_index), reach_m);
-            share = refine_loop_pose(points, at);
+            share = refine_pose_and_get_plane_fraction(points, at);
         }
         if (share < kLeastShare) return std::nullopt;
         return LoopClosure{earlier_key_index, later_key_index,
@@ -244,22 +247,22 @@ private:
 
     /// Moves `other_pose` together with `reference_pose` like one rigid body, if
     /// `correction` is applied to `reference_pose`.
-    static Pose apply_correction_to_other_pose(const Twist& correction, const Pose& reference_pose,
-                                               const Pose& other_pose) {
+    static Pose move_pose_rigidly_with_reference(const Twist& correction, const Pose& reference_pose,
+                                                 const Pose& other_pose) {
         const Pose world_from_world = apply_twist(reference_pose, correction) * inverse(reference_pose);
         return world_from_world * other_pose;
     }
 
     /// Least-squares equations for the corrections x of all key poses.
-    /// add_pose_constraint() adds a term that pulls x_second towards x_first (converted
-    /// to the second pose) plus `expected_difference`.
+    /// add_relative_correction_constraint() adds a term that pulls x_second towards
+    /// x_first (converted to the second pose) plus `expected_difference`.
     struct LoopClosureEquations {
         std::vector<Eigen::Triplet<double>> h;
         Eigen::VectorXd g;
 
-        void add_pose_constraint(std::size_t first_pose, std::size_t second_pose,
-                                 const glm::dvec3& first_to_second_m, const Twist& expected_difference,
-                                 const Vector6& weight) {
+        void add_relative_correction_constraint(std::size_t first_key_index, std::size_t second_key_index,
+                                                const glm::dvec3& first_to_second_m,
+                                                const Twist& expected_difference, const Vector6& weights) {
             const Matrix6 ja = -make_twist_transfer_matrix(first_to_second_m);
             const Matrix6 jb = Matrix6::Identity();
             const Vector6 target = Eigen::Map<const Vector6>(expected_difference.data());
@@ -269,20 +272,21 @@ private:
                         if (matrix(r, c) != 0.0)
                             h.emplace_back(int(6 * index) + r, int(6 * j) + c, matrix(r, c));
             };
-            const Matrix6 wa = weight.asDiagonal() * ja, wb = weight.asDiagonal() * jb;
-            block(first_pose, first_pose, ja.transpose() * wa);
-            block(first_pose, second_pose, ja.transpose() * wb);
-            block(second_pose, first_pose, jb.transpose() * wa);
-            block(second_pose, second_pose, jb.transpose() * wb);
-            g.segment<6>(6 * Eigen::Index(first_pose)) += wa.transpose() * target;
-            g.segment<6>(6 * Eigen::Index(second_pose)) += wb.transpose() * target;
+            const Matrix6 wa = weights.asDiagonal() * ja, wb = weights.asDiagonal() * jb;
+            block(first_key_index, first_key_index, ja.transpose() * wa);
+            block(first_key_index, second_key_index, ja.transpose() * wb);
+            block(second_key_index, first_key_index, jb.transpose() * wa);
+            block(second_key_index, second_key_index, jb.transpose() * wb);
+            g.segment<6>(6 * Eigen::Index(first_key_index)) += wa.transpose() * target;
+            g.segment<6>(6 * Eigen::Index(second_key_index)) += wb.transpose() * target;
         }
     };
 
-    static Vector6 make_pose_weights(double sigma_m, double sigma_rad, double factor) {
+    static Vector6 make_translation_rotation_weights(double translation_sigma_m, double rotation_sigma_rad,
+                                                     double weight_factor) {
         Vector6 w;
-        w << Eigen::Vector3d::Constant(factor / (sigma_m * sigma_m)),
-            Eigen::Vector3d::Constant(factor / (sigma_rad * sigma_rad));
+        w << Eigen::Vector3d::Constant(weight_factor / (translation_sigma_m * translation_sigma_m)),
+            Eigen::Vector3d::Constant(weight_factor / (rotation_sigma_rad * rotation_sigma_rad));
         return w;
     }
 
@@ -293,15 +297,16 @@ private:
             return get_key_pose(second).translation - get_key_pose(first).translation;
         };
         for (std::size_t k = 0; k + 1 < n; ++k)
-            equations.add_pose_constraint(k, k + 1, between_keys(k, k + 1), Twist{},
-                                          make_pose_weights(kOdometrySigma_m, kOdometrySigma_rad,
-                                                            kKey_m / (get_path_length_to_key_pose_m(k + 1) -
-                                                                      get_path_length_to_key_pose_m(k))));
+            equations.add_relative_correction_constraint(
+                k, k + 1, between_keys(k, k + 1), Twist{},
+                make_translation_rotation_weights(
+                    kOdometrySigma_m, kOdometrySigma_rad,
+                    kKey_m / (get_path_length_to_key_pose_m(k + 1) - get_path_length_to_key_pose_m(k))));
         for (std::size_t i = 0; i < closures_.size(); ++i)
-            equations.add_pose_constraint(
+            equations.add_relative_correction_constraint(
                 closures_[i].earlier, closures_[i].later,
                 between_keys(closures_[i].earlier, closures_[i].later), closures_[i].off,
-                make_pose_weights(kClosureSigma_m, kClosureSigma_rad, closure_weights[i]));
+                make_translation_rotation_weights(kClosureSigma_m, kClosureSigma_rad, closure_weights[i]));
         for (int i = 0; i < 6; ++i) equations.h.emplace_back(i, i, 1e9);  // fixes the first pose
         Eigen::SparseMatrix<double> h(6 * Eigen::Index(n), 6 * Eigen::Index(n));
         h.setFromTriplets(equations.h.begin(), equations.h.end());

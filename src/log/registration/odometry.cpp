@@ -85,7 +85,7 @@ public:
 
     /// Estimates a pose and adds its scan to the map. Must be called for each pose in
     /// order.
-    void estimate_next_pose(std::size_t pose_index, const std::vector<SubsampledPoint>& scan) {
+    void estimate_pose_and_add_scan_to_map(std::size_t pose_index, const std::vector<SubsampledPoint>& scan) {
         const std::vector<Pose> starts = pose_index == begin_ ? std::vector<Pose>{track_.pose[pose_index]}
                                                               : list_predicted_poses(pose_index);
         PoseCandidate best{starts.front(), 0.0};
@@ -94,7 +94,7 @@ public:
             if (candidate.share > best.share) best = candidate;
         }
         const bool is_lost = !scan.empty() && !maps_.empty() && best.share < kFewestShare;
-        set_pose(pose_index, is_lost ? starts.front() : best.pose);
+        set_pose_and_predict_next(pose_index, is_lost ? starts.front() : best.pose);
         if (pose_index > begin_)
             travelled_m_ +=
                 glm::distance(track_.pose[pose_index].translation, track_.pose[pose_index - 1].translation);
@@ -132,7 +132,7 @@ private:
         maps_.add_points_to_maps(points_m, travelled_m_);
         if (travelled_m_ - kMemory_m < forgotten_m_ + kForgotten_m) return;
         forgotten_m_ = travelled_m_ - kMemory_m;
-        maps_.remove_cells_before(forgotten_m_);
+        maps_.remove_cells_last_seen_before(forgotten_m_);
     }
 
     /// Predicts the motion from the previous pose to pose `pose_index`. Assumes the
@@ -145,7 +145,7 @@ private:
             (t[pose_index] - t[pose_index - 1]) / (t[pose_index - 1] - t[pose_index - 2]));
     }
 
-    Pose predict_motion_from_given_poses(std::size_t pose_index) const {
+    Pose get_relative_motion_of_initial_track(std::size_t pose_index) const {
         return inverse(initial_track_.pose[pose_index - 1]) * initial_track_.pose[pose_index];
     }
 
@@ -155,7 +155,7 @@ private:
         const Pose constant_motion_pose = track_.pose[pose_index - 1] * predict_constant_motion(pose_index);
         if (!options_.use_pose_motion) return {constant_motion_pose};
         const Pose pose_file_prediction =
-            track_.pose[pose_index - 1] * predict_motion_from_given_poses(pose_index);
+            track_.pose[pose_index - 1] * get_relative_motion_of_initial_track(pose_index);
         if (pose_index < begin_ + 2 ||
             glm::distance(pose_file_prediction.translation, constant_motion_pose.translation) < kSame_m)
             return {pose_file_prediction};
@@ -163,11 +163,11 @@ private:
     }
 
     /// Sets pose `pose_index`. Sets the next pose to its prediction.
-    void set_pose(std::size_t pose_index, const Pose& pose) {
+    void set_pose_and_predict_next(std::size_t pose_index, const Pose& pose) {
         track_.pose[pose_index] = pose;
         if (pose_index + 1 < track_.pose.size())
             track_.pose[pose_index + 1] =
-                pose * (options_.use_pose_motion ? predict_motion_from_given_poses(pose_index + 1)
+                pose * (options_.use_pose_motion ? get_relative_motion_of_initial_track(pose_index + 1)
                                                  : predict_constant_motion(pose_index + 1));
     }
 
@@ -175,7 +175,7 @@ private:
     /// @return the aligned pose, and the share of the scan's points that lie on planes
     PoseCandidate align_scan(std::size_t pose_index, const Pose& start_pose,
                              const std::vector<SubsampledPoint>& scan) {
-        set_pose(pose_index, start_pose);
+        set_pose_and_predict_next(pose_index, start_pose);
         if (maps_.empty() || scan.empty()) return {start_pose, 0.0};
         double share = 0.0;
         for (int level = 0; level < MultiScalePlaneMaps::kLevels; ++level) {
@@ -193,13 +193,14 @@ private:
                                   const std::vector<SubsampledPoint>& scan, int level, double kernel_scale_m,
                                   double& fraction_on_planes) {
         const SinglePoseEquations equations =
-            parallel_reduce(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+            parallel_sum_over_ranges(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 SinglePoseEquations part;
                 for (const SubsampledPoint& point : std::span(scan).subspan(begin, end - begin)) {
                     const WorldPointWithOrigin at = transform_point_to_world(track_, point);
                     const double moves_along = point.left + 1 == pose_index ? double(point.s) : 1.0;
                     if (const LocalPlane* plane = maps_.find_finest_plane_at(at.point_m, level))
-                        part.add_residual(compute_plane_residual(at, *plane, kernel_scale_m), moves_along);
+                        part.add_plane_residual(compute_plane_residual(at, *plane, kernel_scale_m),
+                                                moves_along);
                 }
                 return part;
             });
@@ -207,7 +208,7 @@ private:
         if (equations.empty()) return 0.0;
         const Twist x =
             equations.solve_for_pose_step(kPrior, compute_twist(start_pose, track_.pose[pose_index]));
-        set_pose(pose_index, apply_twist(track_.pose[pose_index], x));
+        set_pose_and_predict_next(pose_index, apply_twist(track_.pose[pose_index], x));
         return compute_pose_change_m(x);
     }
 };
@@ -215,9 +216,9 @@ private:
 /// Estimates the motion between the first two poses of a section, for logs without given
 /// poses. Tries several forward speeds. Returns the motion for which the first scans
 /// match best.
-Pose estimate_first_motion(const PoseTrack& initial_track,
-                           const std::vector<std::vector<SubsampledPoint>>& scans,
-                           const OdometryOptions& options, const LogSection& section) {
+Pose estimate_initial_forward_motion(const PoseTrack& initial_track,
+                                     const std::vector<std::vector<SubsampledPoint>>& scans,
+                                     const OdometryOptions& options, const LogSection& section) {
     Pose best;
     double best_share = -1.0;
     for (double step_m = -kBackwards_m; step_m <= kFastest_m; step_m += kTrialStep_m) {
@@ -225,7 +226,7 @@ Pose estimate_first_motion(const PoseTrack& initial_track,
         SectionOdometry follower(initial_track, options, section.begin, motion);
         int n = 0;
         for (std::size_t k = section.begin; k < section.end && n < kTrialScans; n += !scans[k++].empty())
-            follower.estimate_next_pose(k, scans[k]);
+            follower.estimate_pose_and_add_scan_to_map(k, scans[k]);
         if (follower.get_sum_of_plane_fractions() <= best_share) continue;
         best_share = follower.get_sum_of_plane_fractions();
         best = motion;
@@ -234,19 +235,19 @@ Pose estimate_first_motion(const PoseTrack& initial_track,
 }
 
 /// Estimates the poses of a section. The first pose stays unchanged.
-/// @param proceed called before each scan
-/// @return poses of the section; empty if proceed() returned false
+/// @param should_continue called before each scan
+/// @return poses of the section; empty if should_continue() returned false
 std::vector<Pose> estimate_section_poses(const PoseTrack& initial_track,
                                          const std::vector<std::vector<SubsampledPoint>>& scans,
                                          const OdometryOptions& options, const LogSection& section,
-                                         const std::function<bool()>& proceed) {
+                                         const std::function<bool()>& should_continue) {
     SectionOdometry follower(initial_track, options, section.begin,
                              options.use_pose_motion ? std::nullopt
-                                                     : std::optional(estimate_first_motion(
+                                                     : std::optional(estimate_initial_forward_motion(
                                                            initial_track, scans, options, section)));
     for (std::size_t k = section.begin; k < section.end; ++k) {
-        if (!proceed()) return {};
-        follower.estimate_next_pose(k, scans[k]);
+        if (!should_continue()) return {};
+        follower.estimate_pose_and_add_scan_to_map(k, scans[k]);
     }
     const auto first = follower.track().pose.begin();
     return {first + std::ptrdiff_t(section.begin), first + std::ptrdiff_t(section.end)};
@@ -280,7 +281,7 @@ PoseTrack estimate_odometry_poses(const PoseTrack& initial_track,
                                   const std::vector<std::vector<SubsampledPoint>>& scans,
                                   const OdometryOptions& options) {
     const std::vector<LogSection> stretches = divide_into_overlapping_sections(scans.size());
-    const ProcessGroup::PartRange share = options.group.compute_assigned_range(stretches.size());
+    const ProcessGroup::PartRange share = options.group.get_range_of_process(stretches.size());
     std::size_t n = 0;
     for (std::size_t i = share.begin; i < share.end; ++i) n += stretches[i].end - stretches[i].begin;
     const std::thread::id caller = std::this_thread::get_id();

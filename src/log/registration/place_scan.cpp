@@ -29,8 +29,9 @@ struct SelectedFrameRays {
     std::vector<SubsampledPoint> points;
 };
 
-std::vector<SelectedFrameRays> select_rays_at_pose(const LidarSequence& sequence, std::size_t pose_index,
-                                                   const RegistrationOptions& options) {
+std::vector<SelectedFrameRays> select_rays_of_frames_at_pose(const LidarSequence& sequence,
+                                                             std::size_t pose_index,
+                                                             const RegistrationOptions& options) {
     std::vector<SelectedFrameRays> frames;
     for (std::size_t i = 0; i < sequence.frames.size(); ++i)
         if (sequence.frames[i].time_s == sequence.world_from_vehicle.time_s[pose_index])
@@ -41,8 +42,8 @@ std::vector<SelectedFrameRays> select_rays_at_pose(const LidarSequence& sequence
     for (SelectedFrameRays& f : frames) {
         f.points.resize(f.rays.size());
         parallel_for_in_blocks(f.rays.size(), [&](std::size_t index) {
-            f.points[index] = make_point_on_track(sequence, sequence.world_from_vehicle, pose_index,
-                                                  f.position, f.rays[index]);
+            f.points[index] = make_subsampled_point(sequence, sequence.world_from_vehicle, pose_index,
+                                                    f.position, f.rays[index]);
         });
     }
     return frames;
@@ -55,7 +56,8 @@ ScanAlignment align_scan_with_scene(const LidarSequence& sequence, std::size_t p
     PoseTrack track = sequence.world_from_vehicle;
     const Pose before = track.pose[pose_index];
     ScanAlignment result{before, 0.0, 0.0, false};
-    const std::vector<SelectedFrameRays> frames = select_rays_at_pose(sequence, pose_index, options);
+    const std::vector<SelectedFrameRays> frames =
+        select_rays_of_frames_at_pose(sequence, pose_index, options);
     std::size_t n = 0;
     for (const SelectedFrameRays& f : frames) n += f.rays.size();
     if (n == 0) return result;
@@ -64,16 +66,16 @@ ScanAlignment align_scan_with_scene(const LidarSequence& sequence, std::size_t p
         SinglePoseEquations equations;
         for (const SelectedFrameRays& f : frames) {
             const std::vector<SurfaceHit> surfaces = scene_view(f.position, f.rays, track);
-            equations +=
-                parallel_reduce(surfaces.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+            equations += parallel_sum_over_ranges(
+                surfaces.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                     SinglePoseEquations part;
                     for (std::size_t k = begin; k < end; ++k) {
                         const SubsampledPoint& point = f.points[k];
                         if (surfaces[k].normal == glm::dvec3(0.0)) continue;
-                        part.add_residual(
+                        part.add_plane_residual(
                             compute_plane_residual(transform_point_to_world(track, point),
                                                    {surfaces[k].point_m, surfaces[k].normal}, kScale_m),
-                            get_pose_weight(point, pose_index));
+                            get_interpolation_weight_of_pose(point, pose_index));
                     }
                     return part;
                 });

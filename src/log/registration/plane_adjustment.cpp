@@ -29,7 +29,7 @@ constexpr double kFewestOnPlanes = 0.05;
 /// Splits the indices 0 to `count` into kChunks parts. Calls task(begin, end, chunk) in
 /// parallel.
 template <class Task>
-void run_in_chunks(std::size_t count, const Task& task) {
+void process_ranges_in_parallel_chunks(std::size_t count, const Task& task) {
     const std::size_t size = count / kChunks + 1;
     parallel_for(kChunks, [&](int c) {
         task(std::min(count, std::size_t(c) * size), std::min(count, (std::size_t(c) + 1) * size),
@@ -40,13 +40,13 @@ void run_in_chunks(std::size_t count, const Task& task) {
 std::vector<WorldPointWithOrigin> transform_points_to_world(const PoseTrack& track,
                                                             const std::vector<SubsampledPoint>& points) {
     std::vector<WorldPointWithOrigin> placed(points.size());
-    run_in_chunks(points.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
+    process_ranges_in_parallel_chunks(points.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
         for (std::size_t i = begin; i < end; ++i) placed[i] = transform_point_to_world(track, points[i]);
     });
     return placed;
 }
 
-Twist get_twist_of_pose(const Eigen::VectorXd& stacked_twists, std::size_t pose_index) {
+Twist get_twist_from_stacked_vector(const Eigen::VectorXd& stacked_twists, std::size_t pose_index) {
     Twist twist;
     for (std::size_t i = 0; i < 6; ++i) twist[i] = stacked_twists[Eigen::Index(6 * pose_index + i)];
     return twist;
@@ -66,9 +66,9 @@ std::vector<std::optional<LocalPlane>> fit_plane_in_each_cell(
     const PointCellGrid& cells, const std::vector<SubsampledPoint>& points,
     const std::vector<WorldPointWithOrigin>& world_points, const RegistrationRound& round) {
     std::vector<std::optional<LocalPlane>> planes(cells.size());
-    run_in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
+    process_ranges_in_parallel_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t) {
         for (std::size_t c = begin; c < end; ++c) {
-            const std::span<const std::uint32_t> members = cells.get_point_indices(c);
+            const std::span<const std::uint32_t> members = cells.get_point_indices_in_cell(c);
             if (points[members.front()].pose != points[members.back()].pose)
                 planes[c] = fit_plane_robustly(world_points, members, round.cell_m, round.scale_m);
         }
@@ -90,37 +90,39 @@ PlanePoseAdjustment::PlanePoseAdjustment(const PoseTrack& initial_track, const P
     start_ = track_;
 }
 
-std::vector<RegistrationRound> PlanePoseAdjustment::run_adjustment_rounds(
-    const RegistrationRound& first_round, const RegistrationRound& last_round,
+std::vector<RegistrationRound> PlanePoseAdjustment::adjust_poses_in_rounds(
+    const RegistrationRound& first_round_settings, const RegistrationRound& last_round_settings,
     const std::function<bool(double done)>& proceed) {
     constexpr int kRounds = kShrinking + kLastRounds;
     std::vector<RegistrationRound> rounds;
     for (int i = 0; i < kRounds && proceed(i / double(kRounds)); ++i)
-        rounds.push_back(run_adjustment_round(
-            interpolate_rounds(first_round, last_round, std::min(1.0, i / double(kShrinking - 1))),
-            kShift * i));
+        rounds.push_back(
+            adjust_poses_in_one_round(interpolate_round_settings(first_round_settings, last_round_settings,
+                                                                 std::min(1.0, i / double(kShrinking - 1))),
+                                      kShift * i));
     return rounds;
 }
 
-PlaneMap PlanePoseAdjustment::fit_plane_map(const RegistrationRound& round) const {
+PlaneMap PlanePoseAdjustment::fit_planes_to_all_points(const RegistrationRound& round_settings) const {
     const std::vector<WorldPointWithOrigin> placed = transform_points_to_world(track_, points_);
-    PlaneMap map{PointCellGrid(placed, round.cell_m, 0.0), {}};
-    map.planes = fit_plane_in_each_cell(map.cells, points_, placed, round);
+    PlaneMap map{PointCellGrid(placed, round_settings.cell_m, 0.0), {}};
+    map.planes = fit_plane_in_each_cell(map.cells, points_, placed, round_settings);
     return map;
 }
 
-RegistrationRound PlanePoseAdjustment::run_adjustment_round(RegistrationRound round,
-                                                            double grid_shift_cells) {
+RegistrationRound PlanePoseAdjustment::adjust_poses_in_one_round(RegistrationRound round_settings,
+                                                                 double grid_shift_cells) {
     const std::vector<WorldPointWithOrigin> placed = transform_points_to_world(track_, points_);
-    const PointCellGrid cells(placed, round.cell_m, grid_shift_cells);
+    const PointCellGrid cells(placed, round_settings.cell_m, grid_shift_cells);
     const std::vector<std::optional<LocalPlane>> planes =
-        fit_plane_in_each_cell(cells, points_, placed, round);
+        fit_plane_in_each_cell(cells, points_, placed, round_settings);
     std::vector<PoseEquations> parts(kChunks, PoseEquations(track_.pose.size()));
-    run_in_chunks(cells.size(), [&](std::size_t begin, std::size_t end, std::size_t chunk) {
+    process_ranges_in_parallel_chunks(cells.size(), [&](std::size_t begin, std::size_t end,
+                                                        std::size_t chunk) {
         for (std::size_t c = begin; c < end; ++c)
             if (planes[c])
-                parts[chunk].add_cell_residuals(points_, placed, cells.get_point_indices(c), *planes[c],
-                                                round.scale_m);
+                parts[chunk].add_plane_residuals_of_cell(points_, placed, cells.get_point_indices_in_cell(c),
+                                                         *planes[c], round_settings.scale_m);
     });
     for (std::size_t c = 1; c < kChunks; ++c) parts[0].add_equations(std::move(parts[c]));
     if (prior_) add_correction_prior(parts[0]);
@@ -128,14 +130,14 @@ RegistrationRound PlanePoseAdjustment::run_adjustment_round(RegistrationRound ro
     const Eigen::VectorXd step = parts[0].solve_for_all_pose_steps(
         track_, compute_twists_between_tracks(start_, track_), kAdjustmentPrior);
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
-        track_.pose[k] = apply_twist(track_.pose[k], get_twist_of_pose(step, k));
+        track_.pose[k] = apply_twist(track_.pose[k], get_twist_from_stacked_vector(step, k));
     remove_mean_correction();
-    round.planes = parts[0].n_planes();
-    round.residual_m = parts[0].compute_rms_residual_m();
+    round_settings.planes = parts[0].n_planes();
+    round_settings.residual_m = parts[0].compute_rms_residual_m();
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
-        round.step_m =
-            std::max(round.step_m, glm::length(track_.pose[k].translation - before.pose[k].translation));
-    return round;
+        round_settings.step_m = std::max(
+            round_settings.step_m, glm::length(track_.pose[k].translation - before.pose[k].translation));
+    return round_settings;
 }
 
 void PlanePoseAdjustment::add_correction_prior(PoseEquations& equations) const {
@@ -148,7 +150,7 @@ void PlanePoseAdjustment::add_correction_prior(PoseEquations& equations) const {
         equations.add_zero_correction_prior(k, prior_->pull, of_pose(k));
         if (k + 1 == track_.pose.size()) break;
         const double share = kLinkTime_s / (track_.time_s[k + 1] - track_.time_s[k]);
-        equations.add_neighbour_pose_prior(k, share * prior_->link, of_pose(k + 1) - of_pose(k));
+        equations.add_equal_neighbour_correction_prior(k, share * prior_->link, of_pose(k + 1) - of_pose(k));
     }
 }
 
@@ -171,7 +173,7 @@ void PlanePoseAdjustment::remove_mean_correction() {
     }
 }
 
-std::pair<std::size_t, std::size_t> PlanePoseAdjustment::find_neighbour_poses(
+std::pair<std::size_t, std::size_t> PlanePoseAdjustment::find_nearest_selected_poses(
     std::size_t pose_index, const std::vector<bool>& is_selected) {
     std::size_t before = pose_index, after = pose_index;
     for (std::size_t k = pose_index; k-- > 0 && before == pose_index;)
@@ -191,14 +193,14 @@ void PlanePoseAdjustment::interpolate_corrections(const std::vector<bool>& is_co
     const Eigen::VectorXd corrections = compute_twists_between_tracks(start_, track_);
     for (std::size_t k = 0; k < is_correction_known.size(); ++k) {
         if (is_correction_known[k]) continue;
-        auto [before, after] = find_neighbour_poses(k, is_correction_known);
+        auto [before, after] = find_nearest_selected_poses(k, is_correction_known);
         if (before == k && after == k) continue;  // no known pose exists
         if (before == k) before = after;
         if (after == k) after = before;
         const double s = before == after ? 0.0 : compute_time_fraction(before, k, after);
-        Twist twist = get_twist_of_pose(corrections, before);
+        Twist twist = get_twist_from_stacked_vector(corrections, before);
         for (std::size_t i = 0; i < 6; ++i)
-            twist[i] += s * (get_twist_of_pose(corrections, after)[i] - twist[i]);
+            twist[i] += s * (get_twist_from_stacked_vector(corrections, after)[i] - twist[i]);
         track_.pose[k] = apply_twist(start_.pose[k], twist);
     }
 }
@@ -220,9 +222,9 @@ bool PlanePoseAdjustment::has_enough_points_on_planes(double fraction_on_planes,
            fraction_on_planes * double(n_points) >= double(kFewestPlaced);
 }
 
-double PlanePoseAdjustment::compute_correction_deviation_m(std::size_t pose_index,
-                                                           const std::vector<bool>& is_neighbour) const {
-    const auto [before, after] = find_neighbour_poses(pose_index, is_neighbour);
+double PlanePoseAdjustment::compute_deviation_from_neighbours_m(std::size_t pose_index,
+                                                                const std::vector<bool>& is_neighbour) const {
+    const auto [before, after] = find_nearest_selected_poses(pose_index, is_neighbour);
     if (before == pose_index || after == pose_index) return 0.0;
     const auto correction = [&](std::size_t index) {
         return track_.pose[index].translation - initial_track_.pose[index].translation;
@@ -237,11 +239,10 @@ double PlanePoseAdjustment::compute_correction_deviation_m(std::size_t pose_inde
     return least;
 }
 
-std::vector<std::size_t> PlanePoseAdjustment::replace_lost_poses(const PlaneMap& map,
-                                                                 const std::vector<bool>& is_candidate,
-                                                                 double kernel_scale_m,
-                                                                 double max_deviation_m) {
-    std::vector<std::span<const SubsampledPoint>> scans(is_candidate.size());
+std::vector<std::size_t> PlanePoseAdjustment::interpolate_unregistered_poses(
+    const PlaneMap& map, const std::vector<bool>& has_pose_points, double kernel_scale_m,
+    double max_deviation_m) {
+    std::vector<std::span<const SubsampledPoint>> scans(has_pose_points.size());
     for (std::size_t k = 0, begin = 0, end = 0; k < scans.size(); ++k, begin = end) {
         while (end < points_.size() && points_[end].pose == k) ++end;
         scans[k] = std::span(points_).subspan(begin, end - begin);
@@ -251,10 +252,11 @@ std::vector<std::size_t> PlanePoseAdjustment::replace_lost_poses(const PlaneMap&
         shares[std::size_t(k)] = compute_fraction_on_planes(map, scans[std::size_t(k)], kernel_scale_m);
     });
     std::vector<std::size_t> lost;
-    std::vector<bool> is_registered = is_candidate;
+    std::vector<bool> is_registered = has_pose_points;
     for (std::size_t k = 0; k < is_registered.size(); ++k) {
-        if (!is_candidate[k] || (has_enough_points_on_planes(shares[k], scans[k].size()) &&
-                                 compute_correction_deviation_m(k, is_candidate) <= max_deviation_m))
+        if (!has_pose_points[k] ||
+            (has_enough_points_on_planes(shares[k], scans[k].size()) &&
+             compute_deviation_from_neighbours_m(k, has_pose_points) <= max_deviation_m))
             continue;
         lost.push_back(k);
         is_registered[k] = false;
@@ -267,13 +269,13 @@ void PlanePoseAdjustment::align_pose_to_planes(const PlaneMap& map, std::size_t 
                                                const std::vector<SubsampledPoint>& points,
                                                double kernel_scale_m) {
     const SinglePoseEquations equations =
-        parallel_reduce(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+        parallel_sum_over_ranges(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
             SinglePoseEquations part;
             for (const SubsampledPoint& point : std::span(points).subspan(begin, end - begin)) {
                 const WorldPointWithOrigin placed = transform_point_to_world(track_, point);
                 if (const LocalPlane* plane = map.find_plane_at(placed.point_m))
-                    part.add_residual(compute_plane_residual(placed, *plane, kernel_scale_m),
-                                      get_pose_weight(point, pose_index));
+                    part.add_plane_residual(compute_plane_residual(placed, *plane, kernel_scale_m),
+                                            get_interpolation_weight_of_pose(point, pose_index));
             }
             return part;
         });

@@ -42,25 +42,27 @@ public:
                         std::vector<SubsampledPoint> points, std::vector<bool> gauge);
 
     /// Runs several rounds. Cell size and scale of the robust kernel decrease from
-    /// `first_round` to `last_round`. Two more rounds with `last_round` follow.
+    /// `first_round_settings` to `last_round_settings`. Two more rounds with
+    /// `last_round_settings` follow.
     /// @return statistics of the rounds; fewer rounds if the callback `proceed` returned
     /// false
-    std::vector<RegistrationRound> run_adjustment_rounds(const RegistrationRound& first_round,
-                                                         const RegistrationRound& last_round,
-                                                         const std::function<bool(double done)>& proceed);
+    std::vector<RegistrationRound> adjust_poses_in_rounds(const RegistrationRound& first_round_settings,
+                                                          const RegistrationRound& last_round_settings,
+                                                          const std::function<bool(double done)>& proceed);
     /// Sets the prior for the pose corrections of the next rounds.
-    void set_prior(const PoseCorrectionPrior& prior) { prior_ = prior; }
-    PlaneMap fit_plane_map(const RegistrationRound& round) const;
+    void set_pose_correction_prior(const PoseCorrectionPrior& prior) { prior_ = prior; }
+    PlaneMap fit_planes_to_all_points(const RegistrationRound& round_settings) const;
     const PoseTrack& track() const { return track_; }
 
     /// Finds the candidates whose registration failed. Either too few points of the pose
     /// lie on planes, or its correction differs from the neighbouring corrections by more
     /// than `max_deviation_m`. Replaces these corrections by interpolation between the
     /// nearest valid poses. Poses that are not candidates are interpolated too.
-    /// @param is_candidate  [poses] true for the poses that have points
+    /// @param has_pose_points  [poses] true for the poses that have points
     /// @return indices of the failed candidates
-    std::vector<std::size_t> replace_lost_poses(const PlaneMap& map, const std::vector<bool>& is_candidate,
-                                                double kernel_scale_m, double max_deviation_m);
+    std::vector<std::size_t> interpolate_unregistered_poses(const PlaneMap& map,
+                                                            const std::vector<bool>& has_pose_points,
+                                                            double kernel_scale_m, double max_deviation_m);
     /// Moves one pose by a Gauss-Newton step that moves its points towards fixed planes.
     /// All other poses stay unchanged.
     void align_pose_to_planes(const PlaneMap& map, std::size_t pose_index,
@@ -75,8 +77,8 @@ public:
     /// the later neighbour, and their interpolation. Returns the smallest distance in
     /// metres. Returns 0 at an end of the track.
     /// @param is_neighbour  [poses] true for the poses that count as neighbours
-    double compute_correction_deviation_m(std::size_t pose_index,
-                                          const std::vector<bool>& is_neighbour) const;
+    double compute_deviation_from_neighbours_m(std::size_t pose_index,
+                                               const std::vector<bool>& is_neighbour) const;
     void set_pose(std::size_t pose_index, const Pose& new_pose) { track_.pose[pose_index] = new_pose; }
 
 private:
@@ -85,14 +87,14 @@ private:
     std::vector<bool> gauge_;
     std::optional<PoseCorrectionPrior> prior_;
 
-    RegistrationRound run_adjustment_round(RegistrationRound round, double grid_shift_cells);
+    RegistrationRound adjust_poses_in_one_round(RegistrationRound round_settings, double grid_shift_cells);
     void add_correction_prior(PoseEquations& equations) const;
     void remove_mean_correction();
     void interpolate_corrections(const std::vector<bool>& is_correction_known);
     /// Returns the nearest earlier and the nearest later pose with `is_selected`. If no
     /// pose on one side is selected, returns `pose_index` for this side.
-    static std::pair<std::size_t, std::size_t> find_neighbour_poses(std::size_t pose_index,
-                                                                    const std::vector<bool>& is_selected);
+    static std::pair<std::size_t, std::size_t> find_nearest_selected_poses(
+        std::size_t pose_index, const std::vector<bool>& is_selected);
     double compute_time_fraction(std::size_t before_index, std::size_t pose_index,
                                  std::size_t after_index) const;
 };

@@ -15,11 +15,14 @@
 namespace relidar {
 
 /// Interpolates cell size and robust-kernel scale geometrically between two rounds.
-/// `fraction` 0 gives `first`, 1 gives `last`.
-inline RegistrationRound interpolate_rounds(const RegistrationRound& first, const RegistrationRound& last,
-                                            double fraction) {
-    return {first.cell_m * std::pow(last.cell_m / first.cell_m, fraction),
-            first.scale_m * std::pow(last.scale_m / first.scale_m, fraction)};
+/// `fraction` 0 gives `first_round_settings`, 1 gives `last_round_settings`.
+inline RegistrationRound interpolate_round_settings(const RegistrationRound& first_round_settings,
+                                                    const RegistrationRound& last_round_settings,
+                                                    double fraction) {
+    return {first_round_settings.cell_m *
+                std::pow(last_round_settings.cell_m / first_round_settings.cell_m, fraction),
+            first_round_settings.scale_m *
+                std::pow(last_round_settings.scale_m / first_round_settings.scale_m, fraction)};
 }
 
 /// Plane n . (p - point) = 0. u and v are two directions in the plane.
@@ -49,8 +52,8 @@ public:
 
     std::size_t size() const { return first_.size() - 1; }
     /// Returns the indices of a cell's points, ascending.
-    std::span<const std::uint32_t> get_point_indices(std::size_t cell) const {
-        return {order_.data() + first_[cell], first_[cell + 1] - first_[cell]};
+    std::span<const std::uint32_t> get_point_indices_in_cell(std::size_t cell_index) const {
+        return {order_.data() + first_[cell_index], first_[cell_index + 1] - first_[cell_index]};
     }
     /// Returns the index of the cell that contains a point, or nothing if the cell is
     /// empty.

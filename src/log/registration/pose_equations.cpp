@@ -29,7 +29,7 @@ Eigen::Vector3d to_eigen(const glm::dvec3& vector) { return {vector.x, vector.y,
 
 /// Returns the indices of the two poses between which a point was measured, each with its
 /// interpolation weight.
-std::array<std::pair<std::size_t, double>, 2> get_interpolation_weights(const SubsampledPoint& point) {
+std::array<std::pair<std::size_t, double>, 2> get_poses_and_weights_of_point(const SubsampledPoint& point) {
     return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
 }
 
@@ -51,10 +51,12 @@ PlaneResidual compute_plane_residual(const WorldPointWithOrigin& point, const Lo
     return row;
 }
 
-void SinglePoseEquations::add_residual(const PlaneResidual& row, double motion_fraction) {
-    stiffness_ += row.weight * motion_fraction * motion_fraction * row.j * row.j.transpose();
-    gradient_ += row.weight * motion_fraction * row.residual_m * row.j;
-    n_on_planes_ += row.is_on_plane();
+void SinglePoseEquations::add_plane_residual(const PlaneResidual& plane_residual,
+                                             double pose_motion_fraction) {
+    stiffness_ += plane_residual.weight * pose_motion_fraction * pose_motion_fraction * plane_residual.j *
+                  plane_residual.j.transpose();
+    gradient_ += plane_residual.weight * pose_motion_fraction * plane_residual.residual_m * plane_residual.j;
+    n_on_planes_ += plane_residual.is_on_plane();
 }
 
 SinglePoseEquations& SinglePoseEquations::operator+=(const SinglePoseEquations& other) {
@@ -95,23 +97,25 @@ PoseEquations::PoseEquations(std::size_t n_poses)
       next_(n_poses, Matrix6::Zero()),
       gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
 
-void PoseEquations::add_point_residual(const SubsampledPoint& point, const PlaneResidual& row) {
-    const auto [a, b] = get_interpolation_weights(point);
-    const Matrix6 square = row.weight * row.j * row.j.transpose();
+void PoseEquations::add_plane_residual_of_point(const SubsampledPoint& point,
+                                                const PlaneResidual& plane_residual) {
+    const auto [a, b] = get_poses_and_weights_of_point(point);
+    const Matrix6 square = plane_residual.weight * plane_residual.j * plane_residual.j.transpose();
     for (const auto& [pose, share] : {a, b}) {
         if (share == 0.0) continue;
-        gradient_.segment<6>(6 * Eigen::Index(pose)) += row.weight * row.residual_m * share * row.j;
+        gradient_.segment<6>(6 * Eigen::Index(pose)) +=
+            plane_residual.weight * plane_residual.residual_m * share * plane_residual.j;
         diagonal_[pose] += share * share * square;
     }
     next_[a.first] += a.second * b.second * square;
-    cost_ += row.weight * row.residual_m * row.residual_m;
-    weight_ += row.weight;
+    cost_ += plane_residual.weight * plane_residual.residual_m * plane_residual.residual_m;
+    weight_ += plane_residual.weight;
 }
 
-void PoseEquations::add_cell_residuals(const std::vector<SubsampledPoint>& points,
-                                       const std::vector<WorldPointWithOrigin>& world_points,
-                                       std::span<const std::uint32_t> point_indices, const LocalPlane& plane,
-                                       double kernel_scale_m) {
+void PoseEquations::add_plane_residuals_of_cell(const std::vector<SubsampledPoint>& points,
+                                                const std::vector<WorldPointWithOrigin>& world_points,
+                                                std::span<const std::uint32_t> point_indices,
+                                                const LocalPlane& plane, double kernel_scale_m) {
     const std::size_t begin = couplings_.size();
     // Searches backwards, because points are almost sorted by pose.
     const auto coupling = [&](std::size_t pose) -> PlanePoseCoupling& {
@@ -137,9 +141,9 @@ void PoseEquations::add_cell_residuals(const std::vector<SubsampledPoint>& point
     };
     for (const std::uint32_t i : point_indices) {
         const PlaneResidual row = compute_plane_residual(world_points[i], plane, kernel_scale_m);
-        add_point_residual(points[i], row);
+        add_plane_residual_of_point(points[i], row);
         const Eigen::Vector3d b = whitened(compute_plane_derivatives(world_points[i], plane));
-        for (const auto& [pose, share] : get_interpolation_weights(points[i]))
+        for (const auto& [pose, share] : get_poses_and_weights_of_point(points[i]))
             if (share != 0.0) coupling(pose).c += (share * row.weight * row.j * b.transpose()).cast<float>();
     }
     for (std::size_t k = begin; k < couplings_.size(); ++k)
@@ -163,22 +167,22 @@ void PoseEquations::add_equations(PoseEquations&& other) {
     other = PoseEquations(0);  // frees the memory of `other`
 }
 
-void PoseEquations::add_zero_correction_prior(std::size_t pose_index, const Vector6& stiffness,
-                                              const Vector6& correction) {
-    diagonal_[pose_index].diagonal() += stiffness;
-    gradient_.segment<6>(6 * Eigen::Index(pose_index)) += stiffness.cwiseProduct(correction);
+void PoseEquations::add_zero_correction_prior(std::size_t pose_index, const Vector6& weights,
+                                              const Vector6& current_correction) {
+    diagonal_[pose_index].diagonal() += weights;
+    gradient_.segment<6>(6 * Eigen::Index(pose_index)) += weights.cwiseProduct(current_correction);
 }
 
-void PoseEquations::add_neighbour_pose_prior(std::size_t pose_index, const Vector6& stiffness,
-                                             const Vector6& difference) {
-    diagonal_[pose_index].diagonal() += stiffness;
-    diagonal_[pose_index + 1].diagonal() += stiffness;
-    next_[pose_index].diagonal() -= stiffness;
-    gradient_.segment<6>(6 * Eigen::Index(pose_index)) -= stiffness.cwiseProduct(difference);
-    gradient_.segment<6>(6 * Eigen::Index(pose_index + 1)) += stiffness.cwiseProduct(difference);
+void PoseEquations::add_equal_neighbour_correction_prior(std::size_t pose_index, const Vector6& weights,
+                                                         const Vector6& correction_difference) {
+    diagonal_[pose_index].diagonal() += weights;
+    diagonal_[pose_index + 1].diagonal() += weights;
+    next_[pose_index].diagonal() -= weights;
+    gradient_.segment<6>(6 * Eigen::Index(pose_index)) -= weights.cwiseProduct(correction_difference);
+    gradient_.segment<6>(6 * Eigen::Index(pose_index + 1)) += weights.cwiseProduct(correction_difference);
 }
 
-Eigen::VectorXd PoseEquations::multiply_by_matrix(const Eigen::VectorXd& x) const {
+Eigen::VectorXd PoseEquations::multiply_normal_matrix_by(const Eigen::VectorXd& x) const {
     Eigen::VectorXd y = Eigen::VectorXd::Zero(x.size());
     const auto block = [](auto& vector, std::size_t pose) {
         return vector.template segment<6>(6 * Eigen::Index(pose));
@@ -190,7 +194,7 @@ Eigen::VectorXd PoseEquations::multiply_by_matrix(const Eigen::VectorXd& x) cons
         block(y, k + 1) += next_[k].transpose() * block(x, k);
     }
     if (n_planes_ == 0) return y;
-    y -= parallel_reduce(
+    y -= parallel_sum_over_ranges(
         n_planes_, std::max(kPlanesOfPart, n_planes_ / kParts + 1), [&](std::size_t first, std::size_t last) {
             Eigen::VectorXd part = Eigen::VectorXd::Zero(x.size());
             for (std::size_t plane = first; plane < last; ++plane) {
@@ -222,10 +226,10 @@ public:
             carry_.push_back(make_twist_transfer_matrix(track.pose[k].translation -
                                                         track.pose[k / kGroup * kGroup].translation));
         for (std::size_t k = 0; k < n_; ++k) {
-            get_or_add_block(k / kGroup, k / kGroup) +=
+            get_or_add_matrix_block(k / kGroup, k / kGroup) +=
                 carry_[k].transpose() * (equations.diagonal_[k] + Matrix6(pull.asDiagonal())) * carry_[k];
             if (k + 1 < n_)
-                add_pose_pair(k, k + 1, carry_[k].transpose() * equations.next_[k] * carry_[k + 1]);
+                add_pose_pair_block(k, k + 1, carry_[k].transpose() * equations.next_[k] * carry_[k + 1]);
         }
         std::size_t begin = 0;
         for (const std::size_t end : equations.plane_end_) {
@@ -236,7 +240,7 @@ public:
     }
 
     /// Computes the group motions that reduce a residual, and adds them to `pose_steps`.
-    void add_group_motions(const Eigen::VectorXd& residual, Eigen::VectorXd& pose_steps) const {
+    void add_group_motions_for_residual(const Eigen::VectorXd& residual, Eigen::VectorXd& pose_steps) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
         for (std::size_t k = 0; k < n_; ++k)
@@ -258,13 +262,13 @@ private:
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;
 
     std::size_t n_groups() const { return (n_ + kGroup - 1) / kGroup; }
-    Matrix6& get_or_add_block(std::size_t row, std::size_t column) {
+    Matrix6& get_or_add_matrix_block(std::size_t row, std::size_t column) {
         return blocks_.try_emplace({row, column}, Matrix6::Zero()).first->second;
     }
 
-    void add_pose_pair(std::size_t first_pose, std::size_t second_pose, const Matrix6& matrix) {
-        get_or_add_block(first_pose / kGroup, second_pose / kGroup) += matrix;
-        get_or_add_block(second_pose / kGroup, first_pose / kGroup) += matrix.transpose();
+    void add_pose_pair_block(std::size_t first_pose, std::size_t second_pose, const Matrix6& pair_matrix) {
+        get_or_add_matrix_block(first_pose / kGroup, second_pose / kGroup) += pair_matrix;
+        get_or_add_matrix_block(second_pose / kGroup, first_pose / kGroup) += pair_matrix.transpose();
     }
 
     void add_plane_couplings(std::span<const PoseEquations::PlanePoseCoupling> couplings) {
@@ -278,7 +282,7 @@ private:
             group_entry->second += carry_[coupling.pose].transpose() * coupling.c.cast<double>();
         }
         for (const auto& [row, a] : groups)
-            for (const auto& [column, b] : groups) get_or_add_block(row, column) -= a * b.transpose();
+            for (const auto& [column, b] : groups) get_or_add_matrix_block(row, column) -= a * b.transpose();
     }
 
     void factorise_matrix() {
@@ -306,7 +310,7 @@ Eigen::VectorXd PoseEquations::solve_for_all_pose_steps(const PoseTrack& track,
         Eigen::VectorXd z(r.size());
         for (std::size_t k = 0; k < n; ++k)
             z.segment<6>(6 * Eigen::Index(k)) = inverse[k].solve(r.segment<6>(6 * Eigen::Index(k)));
-        groups.add_group_motions(r, z);
+        groups.add_group_motions_for_residual(r, z);
         return z;
     };
     const Eigen::VectorXd pulls = pull.replicate(Eigen::Index(n), 1);
@@ -315,7 +319,7 @@ Eigen::VectorXd PoseEquations::solve_for_all_pose_steps(const PoseTrack& track,
     const double start = r.dot(z);
     double rz = start;
     for (int i = 0; i < kMostIterations && rz > kTolerance * kTolerance * start && rz > 0.0; ++i) {
-        const Eigen::VectorXd q = multiply_by_matrix(p) + pulls.cwiseProduct(p);
+        const Eigen::VectorXd q = multiply_normal_matrix_by(p) + pulls.cwiseProduct(p);
         const double step = rz / p.dot(q);
         x += step * p;
         r -= step * q;

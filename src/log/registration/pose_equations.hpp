@@ -38,9 +38,9 @@ PlaneResidual compute_plane_residual(const WorldPointWithOrigin& point, const Lo
 class SinglePoseEquations {
 public:
     /// Adds the residual of a point.
-    /// @param motion_fraction  share of the pose's motion by which the point moves, 0 to
-    /// 1
-    void add_residual(const PlaneResidual& row, double motion_fraction = 1.0);
+    /// @param pose_motion_fraction  share of the pose's motion by which the point moves,
+    /// 0 to 1
+    void add_plane_residual(const PlaneResidual& plane_residual, double pose_motion_fraction = 1.0);
     SinglePoseEquations& operator+=(const SinglePoseEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
     std::size_t count_points_on_planes() const { return n_on_planes_; }
@@ -73,22 +73,23 @@ class PoseEquations {
 public:
     explicit PoseEquations(std::size_t n_poses);
 
-    void add_point_residual(const SubsampledPoint& point, const PlaneResidual& row);
+    void add_plane_residual_of_point(const SubsampledPoint& point, const PlaneResidual& plane_residual);
     /// Adds the residuals of all points in a cell, and eliminates the unknowns of the
     /// cell's plane (Schur complement).
-    void add_cell_residuals(const std::vector<SubsampledPoint>& points,
-                            const std::vector<WorldPointWithOrigin>& world_points,
-                            std::span<const std::uint32_t> point_indices, const LocalPlane& plane,
-                            double kernel_scale_m);
+    void add_plane_residuals_of_cell(const std::vector<SubsampledPoint>& points,
+                                     const std::vector<WorldPointWithOrigin>& world_points,
+                                     std::span<const std::uint32_t> point_indices, const LocalPlane& plane,
+                                     double kernel_scale_m);
     void add_equations(PoseEquations&& other);
     /// Adds a prior that pulls the correction of one pose to zero.
-    void add_zero_correction_prior(std::size_t pose_index, const Vector6& stiffness,
-                                   const Vector6& correction);
+    void add_zero_correction_prior(std::size_t pose_index, const Vector6& weights,
+                                   const Vector6& current_correction);
     /// Adds a prior that pulls the corrections of `pose_index` and of the next pose
     /// towards each other.
-    /// @param difference  correction of the next pose minus correction of `pose_index`
-    void add_neighbour_pose_prior(std::size_t pose_index, const Vector6& stiffness,
-                                  const Vector6& difference);
+    /// @param correction_difference  correction of the next pose minus correction of
+    /// `pose_index`
+    void add_equal_neighbour_correction_prior(std::size_t pose_index, const Vector6& weights,
+                                              const Vector6& correction_difference);
 
     /// Solves for the step of all poses, [n_poses,6], by conjugate gradients. The
     /// preconditioner consists of the diagonal blocks and a direct solution for rigid
@@ -118,7 +119,7 @@ private:
     std::size_t n_planes_ = 0;
     double cost_ = 0.0, weight_ = 0.0;
 
-    Eigen::VectorXd multiply_by_matrix(const Eigen::VectorXd& input_vector) const;
+    Eigen::VectorXd multiply_normal_matrix_by(const Eigen::VectorXd& input_vector) const;
     /// Returns the six diagonal terms of the prior that pulls corrections to zero.
     Vector6 make_prior_diagonal(double prior_weight) const;
     friend class PoseGroupEquations;

@@ -34,7 +34,7 @@ constexpr double kLongestGap_s = 1.0;
 /// Returns the prior for pose corrections of labelled boxes. Labels are assumed to have
 /// errors of 0.15 m and 2 degrees, which change by 0.05 m and 1 degree within 0.1 s.
 /// Points are assumed to have errors of 0.05 m.
-PoseCorrectionPrior make_correction_prior() {
+PoseCorrectionPrior make_actor_pose_correction_prior() {
     const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
     const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
     PoseCorrectionPrior prior;
@@ -52,40 +52,41 @@ struct BoxFramePoints {
 /// Collects the training returns inside each labelled box. The outer loop is over
 /// returns, so that each return is converted to the world frame only once.
 /// @return [boxes] points in the order of frames and rays, sorted by pose
-std::vector<BoxFramePoints> collect_actor_points(const LidarSequence& sequence,
-                                                 const std::vector<int>& train_frame_indices,
-                                                 const std::vector<BoxTrack*>& boxes) {
+std::vector<BoxFramePoints> collect_points_in_boxes(const LidarSequence& sequence,
+                                                    const std::vector<int>& train_frame_indices,
+                                                    const std::vector<BoxTrack*>& actor_boxes) {
     std::vector<std::vector<std::vector<SubsampledPoint>>> of_frame(
         train_frame_indices.size());  // [frames][boxes]
     parallel_for(static_cast<int>(train_frame_indices.size()), [&](int index) {
         const LidarFrame& frame = sequence.frames[std::size_t(train_frame_indices[std::size_t(index)])];
-        of_frame[std::size_t(index)].resize(boxes.size());
+        of_frame[std::size_t(index)].resize(actor_boxes.size());
         std::vector<std::size_t> present;
-        for (std::size_t b = 0; b < boxes.size(); ++b)
-            if (boxes[b]->is_present(frame.time_s)) present.push_back(b);
+        for (std::size_t b = 0; b < actor_boxes.size(); ++b)
+            if (actor_boxes[b]->is_observed_at_time(frame.time_s)) present.push_back(b);
         for (std::size_t ray = 0; ray < frame.scan.range_m.size() && !present.empty(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
             const WorldReturn measured = compute_world_return(sequence, frame, ray);
             for (const std::size_t b : present) {
-                const BoxTrack& box = *boxes[b];
+                const BoxTrack& box = *actor_boxes[b];
                 if (!box.contains_point(measured.point_m, measured.time_s, kMoverMargin_m)) continue;
                 const glm::dvec3 local_m =
                     inverse(box.world_from_box.interpolate_pose(measured.time_s)) * measured.point_m;
                 if (local_m.z < -0.5 * box.size_m.z + kAboveGround_m) continue;
-                const TrackInterpolation at = box.world_from_box.find_pose_segment(measured.time_s);
+                const TrackInterpolation at =
+                    box.world_from_box.find_poses_before_and_after_time(measured.time_s);
                 of_frame[std::size_t(index)][b].push_back(
                     {glm::vec3(local_m), static_cast<float>(at.s), static_cast<std::uint32_t>(at.left),
                      static_cast<std::uint32_t>(at.s < 0.5 ? at.left : at.left + 1)});
             }
         }
     });
-    std::vector<BoxFramePoints> actors(boxes.size());
-    for (std::size_t b = 0; b < boxes.size(); ++b) {
+    std::vector<BoxFramePoints> actors(actor_boxes.size());
+    for (std::size_t b = 0; b < actor_boxes.size(); ++b) {
         BoxFramePoints& actor = actors[b];
         for (const auto& frame : of_frame)
             actor.points.insert(actor.points.end(), frame[b].begin(), frame[b].end());
         std::ranges::stable_sort(actor.points, {}, &SubsampledPoint::pose);
-        actor.n_of_pose.assign(boxes[b]->world_from_box.pose.size(), 0);
+        actor.n_of_pose.assign(actor_boxes[b]->world_from_box.pose.size(), 0);
         for (const SubsampledPoint& point : actor.points) ++actor.n_of_pose[point.pose];
     }
     return actors;
@@ -94,9 +95,9 @@ std::vector<BoxFramePoints> collect_actor_points(const LidarSequence& sequence,
 /// Fits a parabola to up to three poses with points on each side of `pose_index`. Returns
 /// the pose on the parabola at the time of `pose_index`. Returns nothing if one side has
 /// no such pose within a second.
-std::optional<Pose> interpolate_pose_from_neighbours(const PoseTrack& track,
-                                                     const std::vector<bool>& has_points,
-                                                     std::size_t pose_index) {
+std::optional<Pose> fit_pose_to_neighbours_with_points(const PoseTrack& track,
+                                                       const std::vector<bool>& pose_has_points,
+                                                       std::size_t pose_index) {
     const double time_s = track.time_s[pose_index];
     std::vector<std::size_t> used;
     for (const int step : {-1, 1}) {
@@ -104,7 +105,7 @@ std::optional<Pose> interpolate_pose_from_neighbours(const PoseTrack& track,
         for (auto k = std::ptrdiff_t(pose_index) + step;
              k >= 0 && k < std::ptrdiff_t(track.pose.size()) && n < kNeighbours; k += step) {
             if (std::abs(track.time_s[std::size_t(k)] - time_s) > kLongestGap_s) break;
-            if (has_points[std::size_t(k)]) used.push_back(std::size_t(k)), ++n;
+            if (pose_has_points[std::size_t(k)]) used.push_back(std::size_t(k)), ++n;
         }
         if (n == 0) return std::nullopt;
     }
@@ -127,26 +128,26 @@ std::optional<Pose> interpolate_pose_from_neighbours(const PoseTrack& track,
 /// count.
 double compute_actor_fraction_on_planes(const PlanePoseAdjustment& adjustment,
                                         const std::vector<SubsampledPoint>& points) {
-    return adjustment.compute_fraction_on_planes(adjustment.fit_plane_map(kLastActorRound), points,
+    return adjustment.compute_fraction_on_planes(adjustment.fit_planes_to_all_points(kLastActorRound), points,
                                                  kLastActorRound.scale_m);
 }
 
 PlanePoseAdjustment make_actor_adjustment(const PoseTrack& track, std::vector<SubsampledPoint> points,
-                                          const std::vector<bool>& has_points) {
-    PlanePoseAdjustment adjustment(track, track, std::move(points), has_points);
-    adjustment.set_prior(make_correction_prior());
+                                          const std::vector<bool>& pose_has_points) {
+    PlanePoseAdjustment adjustment(track, track, std::move(points), pose_has_points);
+    adjustment.set_pose_correction_prior(make_actor_pose_correction_prior());
     return adjustment;
 }
 
 /// Returns a track of identity poses, with the times of the given track. They mean zero
 /// correction.
-PoseTrack make_identity_track(const PoseTrack& track) {
+PoseTrack make_identity_poses_at_track_times(const PoseTrack& track) {
     return {track.time_s, std::vector<Pose>(track.pose.size())};
 }
 
 /// Returns true if the points fit a box at rest as well as they fit the registered track.
 bool is_stationary_actor(const BoxTrack& box, const BoxFramePoints& actor_points,
-                         const std::vector<bool>& has_points, double registered_fraction) {
+                         const std::vector<bool>& pose_has_points, double registered_fraction) {
     const PoseTrack& track = box.world_from_box;
     const Pose middle = track.pose[track.pose.size() / 2];
     for (const Pose& pose : track.pose)
@@ -155,39 +156,41 @@ bool is_stationary_actor(const BoxTrack& box, const BoxFramePoints& actor_points
     for (SubsampledPoint& point : still)
         point.point_m = glm::vec3(inverse(middle) * transform_point_to_world(track, point).point_m);
     const PlanePoseAdjustment adjustment =
-        make_actor_adjustment(make_identity_track(track), still, has_points);
+        make_actor_adjustment(make_identity_poses_at_track_times(track), still, pose_has_points);
     return compute_actor_fraction_on_planes(adjustment, still) >= registered_fraction - kGain;
 }
 
 /// Corrects the poses of a track. The corrections are in the frame of the box.
 /// Interpolates the poses that have no points.
 void apply_corrections_in_box_frame(PoseTrack& track, const PoseTrack& corrections,
-                                    const std::vector<bool>& has_points) {
+                                    const std::vector<bool>& pose_has_points) {
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         track.pose[k] = track.pose[k] * inverse(corrections.pose[k]);
         track.pose[k].rotation = glm::normalize(track.pose[k].rotation);
     }
     const PoseTrack registered = track;
     for (std::size_t k = 0; k < track.pose.size(); ++k)
-        if (!has_points[k])
-            if (const std::optional<Pose> pose = interpolate_pose_from_neighbours(registered, has_points, k))
+        if (!pose_has_points[k])
+            if (const std::optional<Pose> pose =
+                    fit_pose_to_neighbours_with_points(registered, pose_has_points, k))
                 track.pose[k] = *pose;
 }
 
 /// Registers the track of one box. Keeps the old track if the new poses do not fit the
 /// points better.
-void register_actor_track(BoxTrack& box, const BoxFramePoints& actor_points, ActorRegistrationResult& result,
-                          std::vector<double>& moved_distances_m) {
+void refine_actor_track_by_registration(BoxTrack& box, const BoxFramePoints& actor_points,
+                                        ActorRegistrationResult& result,
+                                        std::vector<double>& moved_distances_m) {
     std::vector<bool> has_points(actor_points.n_of_pose.size());
     for (std::size_t k = 0; k < has_points.size(); ++k)
         has_points[k] = actor_points.n_of_pose[k] >= kFewestPosePoints;
     if (actor_points.points.size() < kFewestActorPoints ||
         std::ranges::count(has_points, true) < std::ptrdiff_t(kFewestPoses))
         return;
-    PlanePoseAdjustment adjustment =
-        make_actor_adjustment(make_identity_track(box.world_from_box), actor_points.points, has_points);
+    PlanePoseAdjustment adjustment = make_actor_adjustment(
+        make_identity_poses_at_track_times(box.world_from_box), actor_points.points, has_points);
     const double labelled_share = compute_actor_fraction_on_planes(adjustment, actor_points.points);
-    adjustment.run_adjustment_rounds(kFirstActorRound, kLastActorRound, [](double) { return true; });
+    adjustment.adjust_poses_in_rounds(kFirstActorRound, kLastActorRound, [](double) { return true; });
     const double registered_share = compute_actor_fraction_on_planes(adjustment, actor_points.points);
     std::vector<double> lengths_m;
     for (std::size_t k = 0; k < has_points.size(); ++k) {
@@ -219,11 +222,11 @@ ActorRegistrationResult register_actors(LidarSequence& sequence, const std::vect
     std::vector<BoxTrack*> boxes;
     for (BoxTrack& box : sequence.boxes)
         if (box.is_moving() && std::max(box.size_m.x, box.size_m.y) >= kSmallest_m) boxes.push_back(&box);
-    const std::vector<BoxFramePoints> actors = collect_actor_points(sequence, train_frame_indices, boxes);
+    const std::vector<BoxFramePoints> actors = collect_points_in_boxes(sequence, train_frame_indices, boxes);
     result.n_actors = boxes.size();
     for (std::size_t i = 0; i < boxes.size(); ++i) {
         if (progress) progress("registering actors", double(i) / double(boxes.size()));
-        register_actor_track(*boxes[i], actors[i], result, moved_m);
+        refine_actor_track_by_registration(*boxes[i], actors[i], result, moved_m);
     }
     result.moved_m = moved_m.empty() ? 0.0 : compute_median(std::move(moved_m));
     return result;

@@ -33,7 +33,7 @@ constexpr RegistrationRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 
 /// Returns the size of the cells in which one point of a scan is kept.
-double choose_thinning_cell_size_m(std::size_t n_scans) {
+double choose_downsampling_cell_size_m(std::size_t n_scans) {
     return std::clamp(kThinned_m * std::sqrt(double(n_scans) / kScansOnACell), kThinnest_m, kThinned_m);
 }
 
@@ -46,28 +46,29 @@ std::vector<SubsampledPoint> concatenate_scan_points(const std::vector<std::vect
 
 /// Aligns the held-out (test) scans with planes that were fitted to the training scans,
 /// from coarse to fine.
-/// @param scans  [sweeps] points of the held-out scans; empty for other sweeps
+/// @param test_scans  [sweeps] points of the held-out scans; empty for other sweeps
 /// @return indices of the scans that could not be aligned
-std::vector<std::size_t> align_held_out_sweeps(PlanePoseAdjustment& adjustment,
-                                               const std::vector<bool>& is_test,
-                                               const std::vector<bool>& is_train,
-                                               const std::vector<std::vector<SubsampledPoint>>& scans,
-                                               const RegistrationRound& first_round, double max_deviation_m) {
+std::vector<std::size_t> align_test_sweeps_to_training_planes(
+    PlanePoseAdjustment& adjustment, const std::vector<bool>& is_test_sweep,
+    const std::vector<bool>& is_training_sweep, const std::vector<std::vector<SubsampledPoint>>& test_scans,
+    const RegistrationRound& first_round, double max_deviation_m) {
     std::vector<std::size_t> lost;
     const std::vector<Pose> as_neighbours = adjustment.track().pose;
-    if (std::ranges::count(is_test, true) == 0) return lost;
+    if (std::ranges::count(is_test_sweep, true) == 0) return lost;
     for (int level = 0; level < kLevels; ++level) {
-        const RegistrationRound round = interpolate_rounds(first_round, kLast, level / double(kLevels - 1));
+        const RegistrationRound round =
+            interpolate_round_settings(first_round, kLast, level / double(kLevels - 1));
         const double scale_m = round.scale_m;
-        const PlaneMap map = adjustment.fit_plane_map({round.cell_m, kLast.scale_m});
-        for (std::size_t k = 0; k < scans.size(); ++k) {
-            if (!is_test[k]) continue;
+        const PlaneMap map = adjustment.fit_planes_to_all_points({round.cell_m, kLast.scale_m});
+        for (std::size_t k = 0; k < test_scans.size(); ++k) {
+            if (!is_test_sweep[k]) continue;
             for (int step = 0; step < kStepsALevel; ++step)
-                adjustment.align_pose_to_planes(map, k, scans[k], scale_m);
+                adjustment.align_pose_to_planes(map, k, test_scans[k], scale_m);
             if (level + 1 < kLevels) continue;
             const bool is_registered = PlanePoseAdjustment::has_enough_points_on_planes(
-                adjustment.compute_fraction_on_planes(map, scans[k], scale_m), scans[k].size());
-            if (is_registered && adjustment.compute_correction_deviation_m(k, is_train) <= max_deviation_m)
+                adjustment.compute_fraction_on_planes(map, test_scans[k], scale_m), test_scans[k].size());
+            if (is_registered &&
+                adjustment.compute_deviation_from_neighbours_m(k, is_training_sweep) <= max_deviation_m)
                 continue;
             adjustment.set_pose(k, as_neighbours[k]);
             lost.push_back(k);
@@ -77,8 +78,9 @@ std::vector<std::size_t> align_held_out_sweeps(PlanePoseAdjustment& adjustment,
 }
 
 /// Returns for each sweep whether one of the given frames belongs to it.
-std::vector<bool> mark_sweeps_with_frames(const SweepsToRegister& sweeps,
-                                          const std::vector<int>& frame_indices, std::size_t n_frames) {
+std::vector<bool> flag_sweeps_with_any_of_frames(const SweepsToRegister& sweeps,
+                                                 const std::vector<int>& frame_indices,
+                                                 std::size_t n_frames) {
     std::vector<bool> among(n_frames, false), is(sweeps.frames.size(), false);
     for (const int position : frame_indices) among[std::size_t(position)] = true;
     for (std::size_t k = 0; k < is.size(); ++k)
@@ -88,7 +90,7 @@ std::vector<bool> mark_sweeps_with_frames(const SweepsToRegister& sweeps,
 }
 
 /// Returns one flag per sweep. Only the flag of the middle selected sweep is true.
-std::vector<bool> mark_middle_of_selected_sweeps(const std::vector<bool>& is_selected) {
+std::vector<bool> flag_middle_selected_sweep(const std::vector<bool>& is_selected) {
     std::vector<bool> is(is_selected.size(), false);
     auto to_go = std::ranges::count(is_selected, true) / 2;
     for (std::size_t k = 0; k < is_selected.size(); ++k)
@@ -97,17 +99,17 @@ std::vector<bool> mark_middle_of_selected_sweeps(const std::vector<bool>& is_sel
 }
 
 /// Returns the share of a scan's points that lie on planes, as the median over sweeps.
-/// @param is_selected [sweeps] sweeps that are included
+/// @param is_sweep_selected [sweeps] sweeps that are included
 double compute_median_fraction_on_planes(const PlanePoseAdjustment& adjustment, const PlaneMap& map,
                                          const std::vector<std::vector<SubsampledPoint>>& scans,
-                                         const std::vector<bool>& is_selected) {
+                                         const std::vector<bool>& is_sweep_selected) {
     std::vector<double> all(scans.size()), shares;
     parallel_for(static_cast<int>(scans.size()), [&](int index) {
         all[std::size_t(index)] =
             adjustment.compute_fraction_on_planes(map, scans[std::size_t(index)], kLast.scale_m);
     });
     for (std::size_t k = 0; k < all.size(); ++k)
-        if (is_selected[k]) shares.push_back(all[k]);
+        if (is_sweep_selected[k]) shares.push_back(all[k]);
     return compute_median(std::move(shares));
 }
 
@@ -118,11 +120,13 @@ RegistrationResult register_scans(const LidarSequence& sequence, const TrainTest
     RegistrationResult result;
     result.world_from_vehicle = sequence.world_from_vehicle;
     const SweepsToRegister sweeps = group_frames_into_sweeps(sequence);
-    const std::vector<bool> is_train = mark_sweeps_with_frames(sweeps, split.train, sequence.frames.size()),
-                            is_test = mark_sweeps_with_frames(sweeps, split.test, sequence.frames.size());
+    const std::vector<bool> is_train =
+                                flag_sweeps_with_any_of_frames(sweeps, split.train, sequence.frames.size()),
+                            is_test =
+                                flag_sweeps_with_any_of_frames(sweeps, split.test, sequence.frames.size());
     const auto n_train = static_cast<std::size_t>(std::ranges::count(is_train, true));
     if (n_train < 2) return result;
-    const double thin_m = choose_thinning_cell_size_m(n_train);
+    const double thin_m = choose_downsampling_cell_size_m(n_train);
     const auto proceed = [&](const char* description) {
         return [&, description](double done) {
             if (options.progress) options.progress(description, done);
@@ -133,7 +137,7 @@ RegistrationResult register_scans(const LidarSequence& sequence, const TrainTest
                                   std::max(0.5 * options.largest_m, kLast.scale_m)};
 
     const std::vector<std::vector<SubsampledPoint>> scans =
-        downsample_scans(sequence, sweeps, is_train, options, thin_m);
+        downsample_selected_sweeps(sequence, sweeps, is_train, options, thin_m);
     const PoseTrack followed = estimate_odometry_poses(
         sweeps.track, scans,
         {first, kLastFollowed, options.use_pose_motion, proceed("tracking the scans"), options.group});
@@ -144,28 +148,27 @@ RegistrationResult register_scans(const LidarSequence& sequence, const TrainTest
     result.n_loop_closures = closed.n_closures;
     result.largest_loop_error_m = closed.largest_m;
 
-    PlanePoseAdjustment adjustment(
-        sweeps.track, closed.track, concatenate_scan_points(scans),
-        options.use_pose_motion ? is_train : mark_middle_of_selected_sweeps(is_train));
-    result.rounds = adjustment.run_adjustment_rounds(first, kLast, proceed("registering all scans jointly"));
+    PlanePoseAdjustment adjustment(sweeps.track, closed.track, concatenate_scan_points(scans),
+                                   options.use_pose_motion ? is_train : flag_middle_selected_sweep(is_train));
+    result.rounds = adjustment.adjust_poses_in_rounds(first, kLast, proceed("registering all scans jointly"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)
         throw DataError(fmt::format(
             "cannot register the scans of {}: no surface is visible in two of its {} training scans; "
             "use train.refine_poses=none to keep the poses of the log",
             sequence.name, split.train.size()));
-    const PlaneMap map = adjustment.fit_plane_map(kLast);
+    const PlaneMap map = adjustment.fit_planes_to_all_points(kLast);
     result.on_planes = compute_median_fraction_on_planes(adjustment, map, scans, is_train);
-    result.lost = adjustment.replace_lost_poses(map, is_train, kLast.scale_m, options.largest_m);
+    result.lost = adjustment.interpolate_unregistered_poses(map, is_train, kLast.scale_m, options.largest_m);
     const std::vector<std::vector<SubsampledPoint>> held_out =
-        downsample_scans(sequence, sweeps, is_test, options, thin_m);
-    const std::vector<std::size_t> lost =
-        align_held_out_sweeps(adjustment, is_test, is_train, held_out, first, options.largest_m);
+        downsample_selected_sweeps(sequence, sweeps, is_test, options, thin_m);
+    const std::vector<std::size_t> lost = align_test_sweeps_to_training_planes(
+        adjustment, is_test, is_train, held_out, first, options.largest_m);
     result.lost.insert(result.lost.end(), lost.begin(), lost.end());
     std::sort(result.lost.begin(), result.lost.end());
     for (std::size_t& k : result.lost) k = sweeps.pose[k];
     result.world_from_vehicle =
-        apply_correction_to_track(sequence.world_from_vehicle, sweeps, adjustment.track());
+        apply_sweep_corrections_to_track(sequence.world_from_vehicle, sweeps, adjustment.track());
     result.done = true;
     return result;
 }

@@ -13,7 +13,7 @@ namespace {
 
 bool is_return_in_mover_box(const RegistrationOptions& options, const WorldReturn& world_return) {
     return std::any_of(options.movers.begin(), options.movers.end(), [&](const BoxTrack& box) {
-        return box.is_present(world_return.time_s) &&
+        return box.is_observed_at_time(world_return.time_s) &&
                box.contains_point(world_return.point_m, world_return.time_s, options.mover_margin_m);
     });
 }
@@ -33,7 +33,7 @@ std::vector<SubsampledPoint> downsample_sweep_points(const LidarSequence& sequen
     std::vector<SubsampledPoint> points;
     for (const int position : sweeps.frames[sweep_index])
         for (const std::size_t ray : select_one_return_per_cell(sequence, position, options, cell_size_m))
-            points.push_back(make_point_on_track(sequence, sweeps.track, sweep_index, position, ray));
+            points.push_back(make_subsampled_point(sequence, sweeps.track, sweep_index, position, ray));
     return points;
 }
 
@@ -45,7 +45,7 @@ SweepsToRegister group_frames_into_sweeps(const LidarSequence& sequence) {
     std::vector<bool> leads(vehicle_track.pose.size(), false);
     const int leader = find_lidar_with_most_returns(sequence);
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
-        const std::size_t pose = sequence.get_pose_index(sequence.frames[i]);
+        const std::size_t pose = sequence.get_vehicle_pose_index_of_frame(sequence.frames[i]);
         frames[pose].push_back(static_cast<int>(i));
         if (sequence.frames[i].lidar == leader) leads[pose] = true;
     }
@@ -60,8 +60,8 @@ SweepsToRegister group_frames_into_sweeps(const LidarSequence& sequence) {
     return sweeps;
 }
 
-PoseTrack apply_correction_to_track(const PoseTrack& initial_track, const SweepsToRegister& sweeps,
-                                    const PoseTrack& corrected_track) {
+PoseTrack apply_sweep_corrections_to_track(const PoseTrack& initial_track, const SweepsToRegister& sweeps,
+                                           const PoseTrack& corrected_track) {
     PoseTrack all = initial_track;
     for (std::size_t pose = 0; pose < all.pose.size(); ++pose) {
         const double t_s = all.time_s[pose];
@@ -81,7 +81,8 @@ std::vector<std::size_t> select_one_return_per_cell(const LidarSequence& sequenc
     std::vector<std::size_t> rays;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
-        const std::uint64_t cell = compute_grid_cell_key(scan.compute_end_point(ray), cell_size_m);
+        const std::uint64_t cell =
+            compute_grid_cell_key(scan.compute_return_point_in_sensor_frame(ray), cell_size_m);
         if (occupied_cells.contains(cell) ||
             is_return_in_mover_box(options, compute_world_return(sequence, frame, ray)))
             continue;
@@ -91,13 +92,15 @@ std::vector<std::size_t> select_one_return_per_cell(const LidarSequence& sequenc
     return rays;
 }
 
-SubsampledPoint make_point_on_track(const LidarSequence& sequence, const PoseTrack& track,
-                                    std::size_t pose_index, int frame_index, std::size_t ray) {
+SubsampledPoint make_subsampled_point(const LidarSequence& sequence, const PoseTrack& track,
+                                      std::size_t pose_index, int frame_index, std::size_t ray_index) {
     const LidarFrame& frame = sequence.frames[std::size_t(frame_index)];
     const RayTable& rays = frame.scan.rays;
-    const TrackInterpolation at = track.find_pose_segment(compute_world_return(sequence, frame, ray).time_s);
+    const TrackInterpolation at =
+        track.find_poses_before_and_after_time(compute_world_return(sequence, frame, ray_index).time_s);
     const glm::vec3 in_sensor_m =
-        rays.origin[ray] + compute_surface_return(sequence, frame, ray).range_m * rays.direction[ray];
+        rays.origin[ray_index] +
+        compute_surface_return(sequence, frame, ray_index).range_m * rays.direction[ray_index];
     return {glm::vec3(sequence.get_lidar(frame).vehicle_from_sensor * glm::dvec3(in_sensor_m)),
             static_cast<float>(at.s), static_cast<std::uint32_t>(at.left),
             static_cast<std::uint32_t>(pose_index)};
@@ -110,17 +113,15 @@ WorldPointWithOrigin transform_point_to_world(const PoseTrack& track, const Subs
     return {pose * glm::dvec3(point.point_m), pose.translation};
 }
 
-double get_pose_weight(const SubsampledPoint& point, std::size_t pose_index) {
+double get_interpolation_weight_of_pose(const SubsampledPoint& point, std::size_t pose_index) {
     return point.left == pose_index       ? 1.0 - double(point.s)
            : point.left + 1 == pose_index ? double(point.s)
                                           : 0.0;
 }
 
-std::vector<std::vector<SubsampledPoint>> downsample_scans(const LidarSequence& sequence,
-                                                           const SweepsToRegister& sweeps,
-                                                           const std::vector<bool>& is_sweep_selected,
-                                                           const RegistrationOptions& options,
-                                                           double cell_size_m) {
+std::vector<std::vector<SubsampledPoint>> downsample_selected_sweeps(
+    const LidarSequence& sequence, const SweepsToRegister& sweeps, const std::vector<bool>& is_sweep_selected,
+    const RegistrationOptions& options, double cell_size_m) {
     std::vector<std::vector<SubsampledPoint>> scans(is_sweep_selected.size());
     parallel_for(static_cast<int>(scans.size()), [&](int index) {
         const auto sweep = std::size_t(index);

@@ -21,8 +21,8 @@ struct SweepsToRegister {
 SweepsToRegister group_frames_into_sweeps(const LidarSequence& sequence);
 /// Corrects all poses of a log. Between registered sweeps, interpolates their
 /// corrections.
-PoseTrack apply_correction_to_track(const PoseTrack& initial_track, const SweepsToRegister& sweeps,
-                                    const PoseTrack& corrected_track);
+PoseTrack apply_sweep_corrections_to_track(const PoseTrack& initial_track, const SweepsToRegister& sweeps,
+                                           const PoseTrack& corrected_track);
 
 /// A measured point. It refers to the two poses of the track between which it was
 /// measured.
@@ -43,7 +43,7 @@ struct WorldPointWithOrigin {
 };
 WorldPointWithOrigin transform_point_to_world(const PoseTrack& track, const SubsampledPoint& point);
 /// Returns the share of the motion of a pose by which a point moves, 0 to 1.
-double get_pose_weight(const SubsampledPoint& point, std::size_t pose_index);
+double get_interpolation_weight_of_pose(const SubsampledPoint& point, std::size_t pose_index);
 
 /// Selects returns of a frame, at most one in each cell of size `cell_size_m` in the
 /// sensor frame. Skips returns in moving boxes.
@@ -54,17 +54,15 @@ std::vector<std::size_t> select_one_return_per_cell(const LidarSequence& sequenc
 /// beam.
 /// @param track poses of the sensor; the pose of the ray is interpolated
 /// @param pose_index index in `track` of the pose of this frame
-SubsampledPoint make_point_on_track(const LidarSequence& sequence, const PoseTrack& track,
-                                    std::size_t pose_index, int frame_index, std::size_t ray);
+SubsampledPoint make_subsampled_point(const LidarSequence& sequence, const PoseTrack& track,
+                                      std::size_t pose_index, int frame_index, std::size_t ray_index);
 /// Selects points of some sweeps, at most one per scan in each cell of size `cell_size_m`
 /// in the sensor frame.
 /// @param is_sweep_selected  [sweeps] true for the sweeps to use
 /// @return [sweeps] points frame by frame in the order of the scan; empty for other
 /// sweeps
-std::vector<std::vector<SubsampledPoint>> downsample_scans(const LidarSequence& sequence,
-                                                           const SweepsToRegister& sweeps,
-                                                           const std::vector<bool>& is_sweep_selected,
-                                                           const RegistrationOptions& options,
-                                                           double cell_size_m);
+std::vector<std::vector<SubsampledPoint>> downsample_selected_sweeps(
+    const LidarSequence& sequence, const SweepsToRegister& sweeps, const std::vector<bool>& is_sweep_selected,
+    const RegistrationOptions& options, double cell_size_m);
 
 }  // namespace relidar

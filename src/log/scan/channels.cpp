@@ -139,30 +139,32 @@ std::vector<ChannelColumn> list_channel_columns(const std::vector<ScanChannel>& 
     return numbers;
 }
 
-void append_channel_values(std::string& bytes, const std::vector<ScanChannel>& channels,
+void append_channel_values(std::string& output_bytes, const std::vector<ScanChannel>& channels,
                            std::size_t element_index) {
     for (const ScanChannel& channel : channels)
-        std::visit([&](const auto& values) { append_binary_value(bytes, values[element_index]); },
+        std::visit([&](const auto& values) { append_binary_value(output_bytes, values[element_index]); },
                    channel.values);
 }
 
-void append_return_value(ScanChannel& point_channel, const ScanChannel& ray_channel, std::size_t ray,
-                         int return_number) {
+void append_value_of_one_return(ScanChannel& point_channel, const ScanChannel& ray_channel,
+                                std::size_t index_of_ray, int return_number_from_1) {
     const ChannelInfo& channel = ray_channel.info;
     const auto append_one = [&]<class T>(const std::vector<T>& values) {
-        const auto* second = return_number == 2 && count_channel_values(ray_channel.second) > 0
+        const auto* second = return_number_from_1 == 2 && count_channel_values(ray_channel.second) > 0
                                  ? std::get_if<std::vector<T>>(&ray_channel.second)
                                  : nullptr;
-        const T other = second           ? (*second)[ray]
-                        : channel.of_ray ? values[ray]
-                                         : get_missing_value<T>(channel);
-        std::get<std::vector<T>>(point_channel.values).push_back(return_number == 1 ? values[ray] : other);
+        const T other = second           ? (*second)[index_of_ray]
+                        : channel.of_ray ? values[index_of_ray]
+                                         : get_value_of_rays_without_hit<T>(channel);
+        std::get<std::vector<T>>(point_channel.values)
+            .push_back(return_number_from_1 == 1 ? values[index_of_ray] : other);
     };
     std::visit(append_one, ray_channel.values);
 }
 
-void check_channel_names_and_sizes(const std::vector<ScanChannel>& channels, std::size_t expected_size,
-                                   const std::string& element_name) {
+void require_valid_channel_names_and_sizes(const std::vector<ScanChannel>& channels,
+                                           std::size_t expected_size,
+                                           const std::string& element_name_for_errors) {
     std::set<std::string> used_names = {"range_2", "intensity_2", "return", "points", "x", "y", "z"};
     for (const ChannelInfo& basic : list_channels_written_to_files()) used_names.insert(basic.name);
     for (const auto& [info, values, second] : channels) {
@@ -173,22 +175,23 @@ void check_channel_names_and_sizes(const std::vector<ScanChannel>& channels, std
         if (!is_word)
             throw DataError(fmt::format(
                 "channels of {}: the name \"{}\" is invalid, expected lower case letters, digits and _",
-                element_name, shorten_for_error_message(info.name)));
+                element_name_for_errors, shorten_for_error_message(info.name)));
         if (!used_names.insert(info.name).second)
             throw DataError(fmt::format("channels of {}: the name {} occurs twice, expected different names",
-                                        element_name, info.name));
+                                        element_name_for_errors, info.name));
         if (count_channel_values(second) > 0 && !used_names.insert(info.name + "_2").second)
             throw DataError(
                 fmt::format("channels of {}: the name {}_2 occurs twice, expected different names",
-                            element_name, info.name));
+                            element_name_for_errors, info.name));
         if (count_channel_values(values) != expected_size)
-            throw DataError(fmt::format("channels of {}: found {} values of {}, expected {}", element_name,
-                                        count_channel_values(values), info.name, expected_size));
+            throw DataError(fmt::format("channels of {}: found {} values of {}, expected {}",
+                                        element_name_for_errors, count_channel_values(values), info.name,
+                                        expected_size));
         if (count_channel_values(second) > 0 &&
             (count_channel_values(second) != expected_size || second.index() != values.index()))
             throw DataError(fmt::format(
                 "channels of {}: found {} values of {} for second returns, expected {} of the same type",
-                element_name, count_channel_values(second), info.name, expected_size));
+                element_name_for_errors, count_channel_values(second), info.name, expected_size));
     }
 }
 

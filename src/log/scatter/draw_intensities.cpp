@@ -22,11 +22,12 @@ constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has 
 static_assert(scatter_detail::kAhead <= kTileColumns);
 
 const IntensityScatterModel::DecisionTreeNode& find_tree_leaf(
-    const IntensityScatterModel& scatter, const scatter_detail::RayFeatureExtractor& feature_context, int row,
-    int column) {
+    const IntensityScatterModel& scatter, const scatter_detail::RayFeatureExtractor& feature_extractor,
+    int row, int column) {
     const IntensityScatterModel::DecisionTreeNode* node = &scatter.nodes.front();
     while (node->feature >= 0) {
-        const float feature_value = feature_context.compute_feature(std::size_t(node->feature), row, column);
+        const float feature_value =
+            feature_extractor.compute_feature(std::size_t(node->feature), row, column);
         node = &scatter.nodes[std::size_t(node->child) + (feature_value <= node->at ? 0 : 1)];
     }
     return *node;
@@ -36,9 +37,9 @@ const IntensityScatterModel::DecisionTreeNode& find_tree_leaf(
 
 std::size_t count_intensity_features() { return scatter_detail::kFeatures; }
 
-std::vector<float> draw_random_intensities(const IntensityScatterModel& scatter,
-                                           const RenderedIntensityImage& rendered,
-                                           std::span<const std::uint8_t> return_flags, std::uint64_t seed) {
+std::vector<float> sample_random_intensities(const IntensityScatterModel& scatter,
+                                             const RenderedIntensityImage& rendered,
+                                             std::span<const std::uint8_t> return_flags, std::uint64_t seed) {
     RELIDAR_ASSERT_EQ(return_flags.size(), std::size_t(rendered.rows) * std::size_t(rendered.columns));
     std::vector<float> drawn(return_flags.size(), kNoIntensity);
     const scatter_detail::RayFeatureExtractor context(rendered, drawn);
@@ -49,9 +50,9 @@ std::vector<float> draw_random_intensities(const IntensityScatterModel& scatter,
             if (return_flags[i] == 0) continue;
             const IntensityScatterModel::DecisionTreeNode& leaf =
                 find_tree_leaf(scatter, context, row, column);
-            drawn[i] =
-                scatter.values[leaf.first + std::size_t(Random(hash_integer_pair(seed, i)).draw_uniform() *
-                                                        double(leaf.count))];
+            drawn[i] = scatter.values[leaf.first +
+                                      std::size_t(Random(hash_integer_pair(seed, i)).sample_uniform_number() *
+                                                  double(leaf.count))];
         }
     };
     const int n_tiles = (rendered.columns + kTileColumns - 1) / kTileColumns;

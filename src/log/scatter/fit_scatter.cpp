@@ -69,45 +69,45 @@ struct ImageRayIndex {
     std::uint32_t image, ray;
 };
 
-bool is_measured_and_rendered_return(const PairedIntensities& image, std::size_t ray) {
-    return image.measured[ray] != kNoIntensity && image.rendered.range_m[ray] > 0.0f;
+bool is_measured_and_rendered_return(const PairedIntensities& paired_image, std::size_t ray_index) {
+    return paired_image.measured[ray_index] != kNoIntensity &&
+           paired_image.rendered.range_m[ray_index] > 0.0f;
 }
 
 /// Returns the measured returns whose rays also hit a rendered surface. If there are more
-/// than `max_count`, selects about `max_count` of them at random.
+/// than `max_returns`, selects about `max_returns` of them at random.
 std::vector<ImageRayIndex> sample_return_locations(std::span<const PairedIntensities> images,
-                                                   std::size_t max_count) {
+                                                   std::size_t max_returns) {
     std::size_t n = 0;
     for (const PairedIntensities& image : images)
         for (std::size_t i = 0; i < image.measured.size(); ++i)
             n += is_measured_and_rendered_return(image, i);
-    const double share = double(max_count) / double(std::max<std::size_t>(n, 1));
+    const double share = double(max_returns) / double(std::max<std::size_t>(n, 1));
     std::vector<std::vector<ImageRayIndex>> of_images(images.size());
     parallel_for(int(images.size()), [&](int image) {
         const auto k = std::size_t(image);
         for (std::size_t i = 0; i < images[k].measured.size(); ++i)
             if (is_measured_and_rendered_return(images[k], i) &&
-                Random(hash_integer_pair(k, i)).draw_uniform() < share)
+                Random(hash_integer_pair(k, i)).sample_uniform_number() < share)
                 of_images[k].push_back({std::uint32_t(k), std::uint32_t(i)});
     });
     return concatenate_vectors(std::move(of_images));
 }
 
-RayFeatures compute_return_features(std::span<const PairedIntensities> images,
-                                    ImageRayIndex return_location) {
-    const PairedIntensities& image = images[return_location.image];
-    const int columns = image.rendered.columns, ray = int(return_location.ray);
+RayFeatures compute_return_features(std::span<const PairedIntensities> images, ImageRayIndex return_index) {
+    const PairedIntensities& image = images[return_index.image];
+    const int columns = image.rendered.columns, ray = int(return_index.ray);
     return RayFeatureExtractor(image.rendered, image.measured)
         .compute_all_features(ray / columns, ray % columns);
 }
 
-ScatterSampleSet make_binned_returns(std::span<const PairedIntensities> images,
-                                     const std::vector<ImageRayIndex>& return_locations) {
-    ScatterSampleSet result{std::vector<ScatterSample>(return_locations.size())};
-    const std::size_t stride = return_locations.size() / kQuantileReturns + 1;
-    std::vector<RayFeatures> some((return_locations.size() + stride - 1) / stride);
+ScatterSampleSet make_returns_with_binned_features(std::span<const PairedIntensities> images,
+                                                   const std::vector<ImageRayIndex>& return_indices) {
+    ScatterSampleSet result{std::vector<ScatterSample>(return_indices.size())};
+    const std::size_t stride = return_indices.size() / kQuantileReturns + 1;
+    std::vector<RayFeatures> some((return_indices.size() + stride - 1) / stride);
     parallel_for_in_blocks(some.size(), [&](std::size_t index) {
-        some[index] = compute_return_features(images, return_locations[index * stride]);
+        some[index] = compute_return_features(images, return_indices[index * stride]);
     });
     parallel_for(int(kFeatures), [&](int f) {
         std::vector<float> values;
@@ -115,11 +115,11 @@ ScatterSampleSet make_binned_returns(std::span<const PairedIntensities> images,
         result.cuts[std::size_t(f)] = compute_unique_quantiles(std::move(values), kBins);
     });
     std::vector<float> values;
-    for (const ImageRayIndex& location : return_locations)
+    for (const ImageRayIndex& location : return_indices)
         values.push_back(images[location.image].measured[location.ray]);
     const std::vector<float> classes = compute_unique_quantiles(values, kClasses);
-    parallel_for_in_blocks(return_locations.size(), [&](std::size_t index) {
-        const RayFeatures features = compute_return_features(images, return_locations[index]);
+    parallel_for_in_blocks(return_indices.size(), [&](std::size_t index) {
+        const RayFeatures features = compute_return_features(images, return_indices[index]);
         ScatterSample& one = result.all[index];
         for (std::size_t f = 0; f < kFeatures; ++f)
             one.bins[f] = find_quantile_bin(result.cuts[f], features[f]);
@@ -145,19 +145,19 @@ private:
 struct ClassCounts {
     std::array<std::uint32_t, kClasses> of{};
 
-    std::uint32_t get_total_count() const { return std::accumulate(of.begin(), of.end(), 0u); }
+    std::uint32_t count_returns_of_all_classes() const { return std::accumulate(of.begin(), of.end(), 0u); }
     void add_counts(const ClassCounts& other) {
         for (std::size_t c = 0; c < kClasses; ++c) of[c] += other.of[c];
     }
-    ClassCounts subtract_counts(const ClassCounts& other) const {
+    ClassCounts compute_class_count_difference(const ClassCounts& other) const {
         ClassCounts rest = *this;
         for (std::size_t c = 0; c < kClasses; ++c) rest.of[c] -= other.of[c];
         return rest;
     }
     /// Returns the sum of n_c ln(n_c / n).
-    double compute_log_likelihood(const EntropyTermTable& k_log_k) const {
-        double sum = -k_log_k(get_total_count());
-        for (const std::uint32_t k : of) sum += k_log_k(k);
+    double compute_log_likelihood(const EntropyTermTable& k_log_k_table) const {
+        double sum = -k_log_k_table(count_returns_of_all_classes());
+        for (const std::uint32_t k : of) sum += k_log_k_table(k);
         return sum;
     }
 };
@@ -178,22 +178,23 @@ using ClassCountsByBin = std::array<ClassCounts, kBins>;
 /// Returns the best split of a tree node by one feature.
 /// @param class_counts_by_bin  number of returns of each class in each bin of the feature
 TreeNodeSplit find_best_feature_split(const ClassCountsByBin& class_counts_by_bin, std::size_t feature,
-                                      std::size_t n_cuts, const EntropyTermTable& k_log_k) {
+                                      std::size_t n_bin_borders, const EntropyTermTable& k_log_k_table) {
     TreeNodeSplit best;
     ClassCounts all, low;
     for (const ClassCounts& of_bin : class_counts_by_bin) all.add_counts(of_bin);
-    const std::uint32_t n = all.get_total_count();
-    const double before = all.compute_log_likelihood(k_log_k);
+    const std::uint32_t n = all.count_returns_of_all_classes();
+    const double before = all.compute_log_likelihood(k_log_k_table);
     std::uint32_t n_low = 0;
-    for (std::size_t b = 0; b < n_cuts; ++b) {
-        const std::uint32_t of_bin = class_counts_by_bin[b].get_total_count();
+    for (std::size_t b = 0; b < n_bin_borders; ++b) {
+        const std::uint32_t of_bin = class_counts_by_bin[b].count_returns_of_all_classes();
         // A split before an empty bin equals a split after it, so one of them is skipped.
         if (of_bin == 0) continue;
         low.add_counts(class_counts_by_bin[b]);
         n_low += of_bin;
         if (n_low < kFewestOfLeaf || n - n_low < kFewestOfLeaf) continue;
-        const double gain = low.compute_log_likelihood(k_log_k) +
-                            all.subtract_counts(low).compute_log_likelihood(k_log_k) - before;
+        const double gain = low.compute_log_likelihood(k_log_k_table) +
+                            all.compute_class_count_difference(low).compute_log_likelihood(k_log_k_table) -
+                            before;
         if (gain > best.gain) best = {gain, int(feature), b};
     }
     return best;
@@ -203,7 +204,7 @@ TreeNodeSplit find_best_feature_split(const ClassCountsByBin& class_counts_by_bi
 /// `first_feature + kTogether - 1`.
 TreeNodeSplit find_best_split_of_features(const ScatterSampleSet& returns,
                                           std::span<const ScatterSample> node_returns,
-                                          std::size_t first_feature, const EntropyTermTable& k_log_k) {
+                                          std::size_t first_feature, const EntropyTermTable& k_log_k_table) {
     const std::size_t n = std::min(kTogether, kFeatures - first_feature);
     std::array<ClassCountsByBin, kTogether> counts{};
     for (const ScatterSample& one : node_returns)
@@ -211,7 +212,7 @@ TreeNodeSplit find_best_split_of_features(const ScatterSampleSet& returns,
     TreeNodeSplit best;
     for (std::size_t f = 0; f < n; ++f)
         if (const TreeNodeSplit cut = find_best_feature_split(
-                counts[f], first_feature + f, returns.cuts[first_feature + f].size(), k_log_k);
+                counts[f], first_feature + f, returns.cuts[first_feature + f].size(), k_log_k_table);
             cut.gain > best.gain)
             best = cut;
     return best;
@@ -219,17 +220,17 @@ TreeNodeSplit find_best_split_of_features(const ScatterSampleSet& returns,
 
 /// Returns the best split of a tree node. If two splits are equally good, returns the one
 /// with the lower feature index.
-/// @param for_each_index  function that runs a task for 0, 1, ..., n - 1
+/// @param run_for_each_index  function that runs a task for 0, 1, ..., n - 1
 template <class Each>
 TreeNodeSplit find_best_node_split(const ScatterSampleSet& returns,
                                    std::span<const ScatterSample> node_returns,
-                                   const EntropyTermTable& k_log_k, const Each& for_each_index) {
+                                   const EntropyTermTable& k_log_k_table, const Each& run_for_each_index) {
     TreeNodeSplit best;
     if (node_returns.size() < 2 * kFewestOfLeaf) return best;
     std::array<TreeNodeSplit, (kFeatures + kTogether - 1) / kTogether> cuts;
-    for_each_index(int(cuts.size()), [&](int k) {
+    run_for_each_index(int(cuts.size()), [&](int k) {
         cuts[std::size_t(k)] =
-            find_best_split_of_features(returns, node_returns, std::size_t(k) * kTogether, k_log_k);
+            find_best_split_of_features(returns, node_returns, std::size_t(k) * kTogether, k_log_k_table);
     });
     for (const TreeNodeSplit& cut : cuts)
         if (cut.gain > best.gain) best = cut;
@@ -259,10 +260,10 @@ std::vector<TreeNodeSplit> find_best_layer_splits(
 
 /// Splits the tree nodes from index `first_node` on. A node without enough gain stays a
 /// leaf. Reorders the returns so that the returns of each child are contiguous.
-void split_tree_layer(ScatterSampleSet& returns, const EntropyTermTable& k_log_k,
+void split_tree_layer(ScatterSampleSet& returns, const EntropyTermTable& k_log_k_table,
                       std::vector<IntensityScatterModel::DecisionTreeNode>& nodes, std::size_t first_node) {
     const std::vector<TreeNodeSplit> cuts =
-        find_best_layer_splits(returns, k_log_k, std::span(nodes).subspan(first_node));
+        find_best_layer_splits(returns, k_log_k_table, std::span(nodes).subspan(first_node));
     std::vector<std::uint32_t> n_low(cuts.size(), 0);
     parallel_for(int(cuts.size()), [&](int k) {
         const TreeNodeSplit& cut = cuts[std::size_t(k)];
@@ -287,7 +288,7 @@ void split_tree_layer(ScatterSampleSet& returns, const EntropyTermTable& k_log_k
     }
 }
 
-void check_image_sizes(std::span<const PairedIntensities> images) {
+void require_equal_image_array_sizes(std::span<const PairedIntensities> images) {
     for (const auto& [r, measured] : images) {
         const std::size_t n = std::size_t(r.rows) * std::size_t(r.columns);
         for (const std::size_t size : {r.intensity.size(), r.range_m.size(), r.spread_m.size(),
@@ -338,11 +339,11 @@ float IntensityScatterModel::quantise_intensity(float intensity) const {
 }
 
 IntensityScatterModel fit_intensity_scatter(std::span<const PairedIntensities> images) {
-    check_image_sizes(images);
+    require_equal_image_array_sizes(images);
     const std::vector<ImageRayIndex> return_locations = sample_return_locations(images, kMostReturns);
     IntensityScatterModel result;
     if (return_locations.size() < kFewestReturns) return result;
-    ScatterSampleSet returns = make_binned_returns(images, return_locations);
+    ScatterSampleSet returns = make_returns_with_binned_features(images, return_locations);
     result.nodes = {{.first = 0, .count = std::uint32_t(return_locations.size())}};
     const EntropyTermTable terms(return_locations.size());
     for (std::size_t first = 0; first < result.nodes.size();) {

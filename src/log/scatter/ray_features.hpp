@@ -105,12 +105,13 @@ public:
         if (is_of(kBeside.size()))
             return compute_log_range_ratio(at(kBeside[feature_index]), get_pixel_index(row, column));
         if (is_of(kSmoothed.size()))
-            return compute_window_mean(kSmoothed[feature_index],
-                                       [&](RayOffset s) { return scan_.intensity[at(s)]; });
+            return compute_mean_of_known_values_in_window(
+                kSmoothed[feature_index], [&](RayOffset s) { return scan_.intensity[at(s)]; });
         if (is_of(kResiduals.size())) return residual(kResiduals[feature_index]);
         if (is_of(kLevels.size())) return level(kLevels[feature_index]);
-        if (is_of(kMeans.size())) return compute_window_mean(kMeans[feature_index], residual);
-        return compute_window_mean(kSizes[feature_index], size);
+        if (is_of(kMeans.size()))
+            return compute_mean_of_known_values_in_window(kMeans[feature_index], residual);
+        return compute_mean_of_known_values_in_window(kSizes[feature_index], size);
     }
 
 private:
@@ -138,7 +139,7 @@ private:
     /// Returns the mean of the known values in a window, or kNoIntensity if there are
     /// none.
     template <class Value>
-    static float compute_window_mean(const RayWindow& window, const Value& get_value) {
+    static float compute_mean_of_known_values_in_window(const RayWindow& window, const Value& get_value) {
         float sum = 0.0f;
         int n = 0;
         for (int row = window.first.rows; row <= window.last.rows; ++row)

@@ -46,7 +46,7 @@ private:
     double left_of_axis_m_;  ///< horizontal distance between the beam and the axis of rotation
 };
 
-inline std::vector<BeamRayGenerator> make_beam_geometries(const std::vector<Beam>& beams) {
+inline std::vector<BeamRayGenerator> make_beam_ray_generators(const std::vector<Beam>& beams) {
     return {beams.begin(), beams.end()};
 }
 

@@ -72,28 +72,27 @@ BeamTableRow parse_beam_cells(const std::vector<std::string_view>& cells,
 /// Adds the beam in one line of a beam table to a sensor.
 /// @throws DataError if the beam is higher than the beam in the previous line, or if its
 /// range limits differ from the first line
-void append_beam(SpinningSensor& sensor, const BeamTableRow& field_values,
-                 const std::string& error_location) {
+void append_beam(SpinningSensor& sensor, const BeamTableRow& row_values, const std::string& error_location) {
     // The rotation is negative, because the head turns clockwise.
-    const double turned_rad = -2.0 * kPi / sensor.period_s * field_values[kFiring] * 1e-6;
-    const Beam beam{field_values[kElevation] * kPi / 180.0,
-                    field_values[kAzimuthOffset] * kPi / 180.0 + turned_rad, field_values[kOriginOffset],
-                    field_values[kOriginUp], field_values[kOriginLeft]};
+    const double turned_rad = -2.0 * kPi / sensor.period_s * row_values[kFiring] * 1e-6;
+    const Beam beam{row_values[kElevation] * kPi / 180.0,
+                    row_values[kAzimuthOffset] * kPi / 180.0 + turned_rad, row_values[kOriginOffset],
+                    row_values[kOriginUp], row_values[kOriginLeft]};
     if (sensor.beams.empty()) {
-        sensor.min_range_m = field_values[kMinRange];
-        sensor.max_range_m = field_values[kMaxRange];
+        sensor.min_range_m = row_values[kMinRange];
+        sensor.max_range_m = row_values[kMaxRange];
     }
-    if (field_values[kMinRange] != sensor.min_range_m || field_values[kMaxRange] != sensor.max_range_m) {
+    if (row_values[kMinRange] != sensor.min_range_m || row_values[kMaxRange] != sensor.max_range_m) {
         throw DataError(
             fmt::format("{}: found range limits of {} to {} m, expected {} to {} m like in the first line, "
                         "because all beams have the same limits",
-                        error_location, field_values[kMinRange], field_values[kMaxRange], sensor.min_range_m,
+                        error_location, row_values[kMinRange], row_values[kMaxRange], sensor.min_range_m,
                         sensor.max_range_m));
     }
-    if (!(field_values[kMinRange] < field_values[kMaxRange])) {
+    if (!(row_values[kMinRange] < row_values[kMaxRange])) {
         throw DataError(
             fmt::format("{}: found range limits of {} to {} m, expected min_range_m below max_range_m",
-                        error_location, field_values[kMinRange], field_values[kMaxRange]));
+                        error_location, row_values[kMinRange], row_values[kMaxRange]));
     }
     if (!sensor.beams.empty() && beam.elevation_rad > sensor.beams.back().elevation_rad) {
         throw DataError(
@@ -106,7 +105,7 @@ void append_beam(SpinningSensor& sensor, const BeamTableRow& field_values,
 }  // namespace
 
 SpinningSensor parse_beam_table(const std::string& text, const std::string& error_location, int n_columns,
-                                double rate_hz) {
+                                double rotation_rate_hz) {
     const std::vector<std::string> lines = split_lines(text);
     const auto first = static_cast<std::size_t>(
         std::find_if(lines.begin(), lines.end(),
@@ -124,10 +123,10 @@ SpinningSensor parse_beam_table(const std::string& text, const std::string& erro
 
     SpinningSensor sensor;
     sensor.columns = n_columns;
-    sensor.period_s = 1.0 / rate_hz;
+    sensor.period_s = 1.0 / rotation_rate_hz;
     sensor.first_azimuth_rad = kPi - kPi / n_columns;
     for (std::size_t l = first + 1; l < lines.size(); ++l) {
-        if (trim_spaces(lines[l]).empty() || lines[l].starts_with('#')) continue;
+        if (trim_blanks_at_both_ends(lines[l]).empty() || lines[l].starts_with('#')) continue;
         const std::string line = fmt::format("{} line {}", error_location, l + 1);
         const auto cells = split_csv_cells(lines[l]);
         if (cells.size() != header.size()) {

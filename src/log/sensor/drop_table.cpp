@@ -9,7 +9,8 @@
 
 namespace relidar {
 
-std::size_t RayDropTable::compute_entry_index(std::uint16_t channel, const glm::vec3& direction) const {
+std::size_t RayDropTable::compute_drop_table_index_of_ray(std::uint16_t channel,
+                                                          const glm::vec3& direction) const {
     // Bin 0 begins at an azimuth of +180 degrees. The bins continue clockwise, like the
     // columns of a range image.
     const double revolution_fraction =
@@ -19,7 +20,8 @@ std::size_t RayDropTable::compute_entry_index(std::uint16_t channel, const glm::
 }
 
 float RayDropTable::get_drop_probability(std::uint16_t channel, const glm::vec3& direction) const {
-    return empty() || channel >= channels ? 0.0f : probability[compute_entry_index(channel, direction)];
+    return empty() || channel >= channels ? 0.0f
+                                          : probability[compute_drop_table_index_of_ray(channel, direction)];
 }
 
 }  // namespace relidar

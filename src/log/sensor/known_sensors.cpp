@@ -62,12 +62,12 @@ constexpr BeamTableSensor kTabled[] = {
     {"waymo-top", 2650, 0.0, 75.0, 0.0},
 };
 
-SpinningSensor make_spinning_sensor(const std::string& name, int columns, double rate_hz) {
+SpinningSensor make_spinning_sensor_without_beams(const std::string& name, int n_columns, double rate_hz) {
     SpinningSensor sensor;
     sensor.name = name;
-    sensor.columns = columns;
+    sensor.columns = n_columns;
     sensor.period_s = 1.0 / rate_hz;
-    sensor.first_azimuth_rad = kPi - kPi / columns;
+    sensor.first_azimuth_rad = kPi - kPi / n_columns;
     return sensor;
 }
 
@@ -85,8 +85,9 @@ SensorModel make_sensor_model(SpinningSensor sensor, const std::string& descript
 /// Returns the HDL-64E as described in its data sheet. The upper 32 beams start at +2
 /// degrees, with steps of 1/3 degree. The lower 32 beams end at -24.33 degrees, with
 /// steps of 1/2 degree.
-SensorModel make_hdl64e_sensor(int columns, double rate_hz) {
-    SpinningSensor sensor = make_spinning_sensor("HDL-64E", columns ? columns : 2083, rate_hz);
+SensorModel make_hdl64e_sensor(int columns_or_zero, double rate_hz) {
+    SpinningSensor sensor =
+        make_spinning_sensor_without_beams("HDL-64E", columns_or_zero ? columns_or_zero : 2083, rate_hz);
     append_evenly_spaced_beams(sensor, 32, 2.0, 2.0 - 31.0 / 3.0);
     append_evenly_spaced_beams(sensor, 32, -24.33 + 31.0 * 0.5, -24.33);
     sensor.max_range_m = 120.0;
@@ -96,8 +97,9 @@ SensorModel make_hdl64e_sensor(int columns, double rate_hz) {
 
 /// Returns one of Waymo's four short-range LiDARs. The beams are evenly spaced, because
 /// Waymo publishes only the highest and the lowest elevation.
-SensorModel make_waymo_side_sensor(int columns, double rate_hz) {
-    SpinningSensor sensor = make_spinning_sensor("waymo-side", columns ? columns : 600, rate_hz);
+SensorModel make_waymo_side_sensor(int columns_or_zero, double rate_hz) {
+    SpinningSensor sensor =
+        make_spinning_sensor_without_beams("waymo-side", columns_or_zero ? columns_or_zero : 600, rate_hz);
     constexpr double step_deg = 120.0 / 200.0;
     append_evenly_spaced_beams(sensor, 200, 30.0 - 0.5 * step_deg, -90.0 + 0.5 * step_deg);
     sensor.max_range_m = 20.0;
@@ -109,9 +111,10 @@ SensorModel make_waymo_side_sensor(int columns, double rate_hz) {
 
 /// Returns a spinning sensor whose rays are the pixels of the KITTI-360 range images that
 /// publications use.
-SensorModel make_kitti360_sensor(int columns, double rate_hz) {
+SensorModel make_kitti360_sensor(int columns_or_zero, double rate_hz) {
     const RangeImageGrid grid = make_kitti360_grid();
-    SpinningSensor sensor = make_spinning_sensor(grid.name, columns ? columns : grid.columns, rate_hz);
+    SpinningSensor sensor = make_spinning_sensor_without_beams(
+        grid.name, columns_or_zero ? columns_or_zero : grid.columns, rate_hz);
     sensor.first_azimuth_rad = kPi;
     sensor.max_range_m = grid.max_range_m;
     for (int row = 0; row < grid.rows; ++row) {
@@ -132,21 +135,23 @@ std::string get_beam_table_text(const std::string& name) {
 
 /// Returns the source of the values in a beam table, which follows the # in the first
 /// line.
-std::string parse_table_source(const std::string& table_text) {
+std::string parse_source_line_of_beam_table(const std::string& table_text) {
     return table_text.substr(2, table_text.find('\n') - 2);
 }
 
-SensorModel make_sensor_from_table(const BeamTableSensor& data_sheet_values, int columns, double rate_hz) {
+SensorModel make_built_in_beam_table_sensor(const BeamTableSensor& data_sheet_values, int columns_or_zero,
+                                            double rate_hz) {
     const std::string table = get_beam_table_text(data_sheet_values.name);
-    SpinningSensor sensor = parse_beam_table(table, data_sheet_values.name,
-                                             columns ? columns : data_sheet_values.columns, rate_hz);
+    SpinningSensor sensor =
+        parse_beam_table(table, data_sheet_values.name,
+                         columns_or_zero ? columns_or_zero : data_sheet_values.columns, rate_hz);
     sensor.name = data_sheet_values.name;
     // Ousters fire at fixed azimuths, first exactly backward.
     if (sensor.name.starts_with("OS")) sensor.first_azimuth_rad = kPi;
     sensor.min_range_m = data_sheet_values.min_range_m;
     sensor.max_range_m = data_sheet_values.max_range_m;
     sensor.divergence_rad = data_sheet_values.divergence_rad;
-    return make_sensor_model(std::move(sensor), parse_table_source(table));
+    return make_sensor_model(std::move(sensor), parse_source_line_of_beam_table(table));
 }
 
 /// Returns Hesai's AT128, whose mirrors scan 120 degrees from left to right in 0.1 s.
@@ -171,7 +176,7 @@ SensorModel make_at128_sensor() {
             rays.time_offset_s.push_back(float(-left_of_middle / kColumns * period_s));
             rays.channel.push_back(std::uint16_t(row));
         }
-    return {"AT128", parse_table_source(table), {0.5, 200.0}, std::move(rays)};
+    return {"AT128", parse_source_line_of_beam_table(table), {0.5, 200.0}, std::move(rays)};
 }
 
 /// Returns a scanning-window sensor with the data-sheet values of Hesai's AT128: 128
@@ -246,7 +251,7 @@ std::optional<SensorModel> find_built_in_sensor(const std::string& name, int col
     if (*sensor_name == "AT128") return make_at128_sensor();
     if (*sensor_name == "window-128") return make_window_128_sensor();
     if (*sensor_name == "rosette") return make_rosette_sensor();
-    return make_sensor_from_table(
+    return make_built_in_beam_table_sensor(
         *std::ranges::find(kTabled, *sensor_name,
                            [](const BeamTableSensor& row) { return std::string(row.name); }),
         columns, rate);

@@ -14,15 +14,15 @@
 namespace relidar {
 
 // Defined in src/log/sensor/kinds.
-PatternKind make_window_kind();
-PatternKind make_rosette_kind();
+PatternKind make_window_pattern_kind();
+PatternKind make_rosette_pattern_kind();
 
 const std::vector<PatternKind>& list_pattern_kinds() {
     static const std::vector<PatternKind> kinds{
-        make_spinning_kind(),
-        make_window_kind(),
-        make_rosette_kind(),
-        make_rays_kind(),
+        make_spinning_pattern_kind(),
+        make_window_pattern_kind(),
+        make_rosette_pattern_kind(),
+        make_ray_table_pattern_kind(),
     };
     return kinds;
 }
@@ -76,7 +76,7 @@ SensorModel read_sensor_json(const JsonField& field, const std::string& default_
         field.throw_field_error("found no scanning pattern",
                                 fmt::format("expected one of {}", fmt::join(names, ", ")));
     }
-    field.check_no_unknown_members({kind->name});
+    field.require_only_known_members({kind->name});
     return kind->parse(field.at(kind->name), default_name);
 }
 
@@ -91,59 +91,61 @@ std::string format_sensor_json(const SensorModel& sensor) {
 
 namespace pattern_detail {
 
-double read_angle_rad(const JsonField& field, const std::string& name, double max_deg) {
+double read_angle_member_as_rad(const JsonField& field, const std::string& name, double max_abs_deg) {
     const std::string in_rad = name + "_rad", in_deg = name + "_deg";
-    if (!field.has_member(in_rad)) return field.at(in_deg).get_number(-max_deg, max_deg) * kPi / 180.0;
+    if (!field.has_member(in_rad))
+        return field.at(in_deg).get_number_in_range(-max_abs_deg, max_abs_deg) * kPi / 180.0;
     if (field.has_member(in_deg))
         field.throw_field_error("found " + in_deg + " and " + in_rad, "expected one of them");
-    const double most_rad = max_deg * kPi / 180.0 * (1.0 + 1e-12);
-    return field.at(in_rad).get_number(-most_rad, most_rad);
+    const double most_rad = max_abs_deg * kPi / 180.0 * (1.0 + 1e-12);
+    return field.at(in_rad).get_number_in_range(-most_rad, most_rad);
 }
 
-double read_angle_rad_or(const JsonField& field, const std::string& name, double default_rad,
-                         double max_deg) {
+double read_angle_member_or_default_rad(const JsonField& field, const std::string& name, double default_rad,
+                                        double max_abs_deg) {
     const bool has = field.has_member(name + "_rad") || field.has_member(name + "_deg");
-    return has ? read_angle_rad(field, name, max_deg) : default_rad;
+    return has ? read_angle_member_as_rad(field, name, max_abs_deg) : default_rad;
 }
 
-double read_number_or(const JsonField& field, const char* key, double default_value, double min_value,
-                      double max_value) {
-    return field.has_member(key) ? field.at(key).get_number(min_value, max_value) : default_value;
+double read_number_member_or_default(const JsonField& field, const char* key, double default_value,
+                                     double min_value, double max_value) {
+    return field.has_member(key) ? field.at(key).get_number_in_range(min_value, max_value) : default_value;
 }
 
-double read_divergence_rad(const JsonField& field) {
+double read_divergence_rad_or_zero(const JsonField& field) {
     if (field.has_member("divergence_rad") && field.has_member("divergence_mrad"))
         field.throw_field_error("found divergence_rad and divergence_mrad", "expected one of them");
-    if (field.has_member("divergence_rad")) return field.at("divergence_rad").get_number(0.0, 1.0);
-    return 1e-3 * read_number_or(field, "divergence_mrad", 0.0, 0.0, 1000.0);
+    if (field.has_member("divergence_rad")) return field.at("divergence_rad").get_number_in_range(0.0, 1.0);
+    return 1e-3 * read_number_member_or_default(field, "divergence_mrad", 0.0, 0.0, 1000.0);
 }
 
-CommonSensorMembers read_common_members(const JsonField& field, const std::string& default_name,
-                                        double min_period_s) {
+CommonSensorMembers read_members_of_all_sensor_kinds(const JsonField& field, const std::string& default_name,
+                                                     double min_period_s) {
     const CommonSensorMembers common{
         field.has_member("name") ? field.at("name").get_string() : default_name,
-        {read_number_or(field, "min_range_m", 0.0, 0.0, kLargestRange_m),
-         read_number_or(field, "max_range_m", RangeLimits{}.max_m, 0.0, kLargestRange_m)},
-        read_number_or(field, "period_s", 0.1, min_period_s, kLongestPeriod_s),
-        read_divergence_rad(field)};
+        {read_number_member_or_default(field, "min_range_m", 0.0, 0.0, kLargestRange_m),
+         read_number_member_or_default(field, "max_range_m", RangeLimits{}.max_m, 0.0, kLargestRange_m)},
+        read_number_member_or_default(field, "period_s", 0.1, min_period_s, kLongestPeriod_s),
+        read_divergence_rad_or_zero(field)};
     if (!(common.limits.min_m < common.limits.max_m))
         field.throw_field_error(fmt::format("found {} to {} m", common.limits.min_m, common.limits.max_m),
                                 "expected min_range_m < max_range_m");
     return common;
 }
 
-void check_known_members(const JsonField& field, std::vector<std::string> member_names,
-                         const std::vector<std::string>& angle_names) {
-    for (const std::string& angle : angle_names)
-        for (const char* unit : {"_deg", "_rad"}) member_names.push_back(angle + unit);
+void require_only_known_sensor_members(const JsonField& field, std::vector<std::string> allowed_member_names,
+                                       const std::vector<std::string>& allowed_angle_names) {
+    for (const std::string& angle : allowed_angle_names)
+        for (const char* unit : {"_deg", "_rad"}) allowed_member_names.push_back(angle + unit);
     for (const char* common :
          {"name", "period_s", "divergence_mrad", "divergence_rad", "min_range_m", "max_range_m"})
-        member_names.emplace_back(common);
-    field.check_no_unknown_members(member_names);
+        allowed_member_names.emplace_back(common);
+    field.require_only_known_members(allowed_member_names);
 }
 
-double interpolate_evenly(double first, double last, int index, int count) {
-    return count > 1 ? first + (last - first) * index / (count - 1) : 0.5 * (first + last);
+double compute_evenly_spaced_value(double first_value, double last_value, int index, int count) {
+    return count > 1 ? first_value + (last_value - first_value) * index / (count - 1)
+                     : 0.5 * (first_value + last_value);
 }
 
 void append_ray_from_sensor_origin(RayTable& rays, const glm::dvec3& direction, double time_s, int channel) {
@@ -153,13 +155,14 @@ void append_ray_from_sensor_origin(RayTable& rays, const glm::dvec3& direction, 
     rays.channel.push_back(static_cast<std::uint16_t>(channel));
 }
 
-void check_ray_count(const std::string& sensor_name, double n_rays) {
+void require_allowed_ray_count(const std::string& sensor_name, double n_rays) {
     if (!(n_rays >= 1.0 && n_rays <= double(kMaxRays)))
         throw UsageError(fmt::format("sensor '{}': found {} rays per scan, expected 1 to {}", sensor_name,
                                      n_rays, kMaxRays));
 }
 
-void check_finite_and_period(const std::string& sensor_name, double sum_of_values, double period_s) {
+void require_finite_values_and_valid_period(const std::string& sensor_name, double sum_of_values,
+                                            double period_s) {
     if (!std::isfinite(sum_of_values))
         throw UsageError(
             fmt::format("sensor '{}': an angle or rate is not finite, expected finite numbers", sensor_name));

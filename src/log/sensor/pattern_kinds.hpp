@@ -22,7 +22,7 @@ struct PatternKind {
     const char* members;  ///< names of the members of the JSON object, for the command-line help
     bool (*holds)(const SensorPattern& pattern);
     /// Creates a sensor from its JSON object.
-    /// @param name  name of the sensor if the object contains none
+    /// @param kind_name  name of the sensor if the object contains none
     /// @throws DataError naming the member that is wrong
     SensorModel (*parse)(const JsonField& field, const std::string& name);
     /// Returns the JSON object without name and range limits. Reading the object back
@@ -36,10 +36,10 @@ struct PatternKind {
 /// @tparam Functions  struct with the static functions parse, write, make_rays and
 /// describe
 template <class Functions>
-PatternKind make_pattern_kind(const char* name, const char* member_names) {
+PatternKind make_pattern_kind(const char* kind_name, const char* json_member_names) {
     using Pattern = typename Functions::Pattern;
-    return {name,
-            member_names,
+    return {kind_name,
+            json_member_names,
             [](const SensorPattern& p) { return std::holds_alternative<Pattern>(p); },
             [](const JsonField& field, const std::string& of) { return Functions::parse(field, of); },
             [](const SensorPattern& p) { return Functions::write(std::get<Pattern>(p)); },
@@ -51,8 +51,8 @@ PatternKind make_pattern_kind(const char* name, const char* member_names) {
 const std::vector<PatternKind>& list_pattern_kinds();
 /// Return the kinds "spinning" and "rays". Readers need them for JSON files that do not
 /// name the kind.
-PatternKind make_spinning_kind();
-PatternKind make_rays_kind();
+PatternKind make_spinning_pattern_kind();
+PatternKind make_ray_table_pattern_kind();
 /// Returns the kind of sensor that a JSON object names, or null if it names none.
 const PatternKind* find_pattern_kind(const JsonField& field);
 
@@ -60,17 +60,18 @@ namespace pattern_detail {
 
 /// Reads an angle from the JSON member NAME_rad in radians or NAME_deg in degrees.
 /// @return radians
-/// @throws DataError if both members are missing, or the angle is outside +-max_deg
-double read_angle_rad(const JsonField& field, const std::string& name, double max_deg);
+/// @throws DataError if both members are missing, or the angle is outside +-max_abs_deg
+double read_angle_member_as_rad(const JsonField& field, const std::string& name, double max_abs_deg);
 /// Reads an angle from the JSON member NAME_rad or NAME_deg. Returns `default_rad` if
 /// both are missing.
-double read_angle_rad_or(const JsonField& field, const std::string& name, double default_rad, double max_deg);
+double read_angle_member_or_default_rad(const JsonField& field, const std::string& name, double default_rad,
+                                        double max_abs_deg);
 /// Returns the number in a JSON member, or `default_value` if the member is missing.
-double read_number_or(const JsonField& field, const char* key, double default_value, double min_value,
-                      double max_value);
+double read_number_member_or_default(const JsonField& field, const char* key, double default_value,
+                                     double min_value, double max_value);
 /// Reads a beam divergence from the JSON member divergence_rad or divergence_mrad.
 /// Returns 0 if both are missing.
-double read_divergence_rad(const JsonField& field);
+double read_divergence_rad_or_zero(const JsonField& field);
 
 /// JSON members of all kinds of sensors: name, period_s, divergence_rad or
 /// divergence_mrad, min_range_m, max_range_m. A missing max_range_m means infinity.
@@ -81,26 +82,28 @@ struct CommonSensorMembers {
 };
 /// Reads the JSON members that all kinds of sensors can have.
 /// @param min_period_s  smallest allowed period
-CommonSensorMembers read_common_members(const JsonField& field, const std::string& default_name,
-                                        double min_period_s = 1e-6);
+CommonSensorMembers read_members_of_all_sensor_kinds(const JsonField& field, const std::string& default_name,
+                                                     double min_period_s = 1e-6);
 /// Throws if a sensor's JSON object has an unknown member. Known members are those of all
-/// sensors, and `member_names`. An angle NAME is stored as NAME_rad or NAME_deg.
+/// sensors, and `allowed_member_names`. An angle NAME is stored as NAME_rad or NAME_deg.
 /// @throws DataError for an unknown member
-void check_known_members(const JsonField& field, std::vector<std::string> member_names,
-                         const std::vector<std::string>& angle_names);
+void require_only_known_sensor_members(const JsonField& field, std::vector<std::string> allowed_member_names,
+                                       const std::vector<std::string>& allowed_angle_names);
 
-/// Returns value number `index` of `count` evenly spaced values from `first` to `last`.
-double interpolate_evenly(double first, double last, int index, int count);
+/// Returns value number `index` of `count` evenly spaced values from `first_value` to
+/// `last_value`.
+double compute_evenly_spaced_value(double first_value, double last_value, int index, int count);
 /// Appends a ray that starts at the sensor origin.
 void append_ray_from_sensor_origin(RayTable& rays, const glm::dvec3& direction, double time_s, int channel);
 /// Checks the number of rays of a sensor.
 /// @throws UsageError if the number is not in the range 1 to kMaxRays
-void check_ray_count(const std::string& sensor_name, double n_rays);
+void require_allowed_ray_count(const std::string& sensor_name, double n_rays);
 /// Checks that the values of a sensor pattern are finite and that its period is positive.
 /// @param sum_of_values  sum of all angles and rates; it is not finite if one of them is
 /// not finite
 /// @throws UsageError if a check fails
-void check_finite_and_period(const std::string& sensor_name, double sum_of_values, double period_s);
+void require_finite_values_and_valid_period(const std::string& sensor_name, double sum_of_values,
+                                            double period_s);
 
 }  // namespace pattern_detail
 }  // namespace relidar

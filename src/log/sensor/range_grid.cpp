@@ -24,7 +24,7 @@ RangeImageGrid make_kitti360_grid() {
             .max_range_m = 80.0};
 }
 
-RangeImageGrid find_range_grid(const std::string& name) {
+RangeImageGrid get_range_image_grid_by_name(const std::string& name) {
     if (find_name_ignoring_case(name, {"kitti360"})) return make_kitti360_grid();
     throw UsageError(fmt::format("the grid '{}' is unknown, expected kitti360", name));
 }

@@ -14,14 +14,14 @@ double RayTable::find_max_divergence_rad() const {
     return ray_divergence_rad.empty() ? divergence_rad : *std::ranges::max_element(ray_divergence_rad);
 }
 
-void RayTable::append_ray(const RayTable& source_table, std::size_t ray) {
-    origin.push_back(source_table.origin[ray]);
-    direction.push_back(source_table.direction[ray]);
-    time_offset_s.push_back(source_table.time_offset_s[ray]);
-    channel.push_back(source_table.channel[ray]);
+void RayTable::append_ray(const RayTable& source_table, std::size_t ray_index) {
+    origin.push_back(source_table.origin[ray_index]);
+    direction.push_back(source_table.direction[ray_index]);
+    time_offset_s.push_back(source_table.time_offset_s[ray_index]);
+    channel.push_back(source_table.channel[ray_index]);
     divergence_rad = source_table.divergence_rad;
     if (!source_table.ray_divergence_rad.empty())
-        ray_divergence_rad.push_back(source_table.ray_divergence_rad[ray]);
+        ray_divergence_rad.push_back(source_table.ray_divergence_rad[ray_index]);
 }
 
 std::vector<glm::dvec2> make_footprint_offsets(int n_sub_rays) {

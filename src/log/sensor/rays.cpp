@@ -32,7 +32,7 @@ RayTable make_empty_ray_table(int rows, int columns, double divergence_rad) {
     return rays;
 }
 
-void check_spinning_sensor(const SpinningSensor& sensor) {
+void require_valid_spinning_sensor(const SpinningSensor& sensor) {
     const auto fail = [&](const std::string& description) {
         throw UsageError(fmt::format("sensor '{}': found {}", sensor.name, description));
     };
@@ -78,23 +78,23 @@ BeamRay compute_beam_ray(const Beam& beam, double head_azimuth_rad) {
     return BeamRayGenerator(beam).compute_ray(head_azimuth_rad);
 }
 
-double compute_head_azimuth(const Beam& beam, const glm::dvec3& point_m) {
+double compute_head_azimuth_facing_point_rad(const Beam& beam, const glm::dvec3& point_m) {
     return BeamRayGenerator(beam).compute_head_azimuth(point_m);
 }
 
-int compute_column_shift(const Beam& beam, int n_columns) {
+int compute_beam_azimuth_offset_columns(const Beam& beam, int n_columns) {
     return static_cast<int>(std::lround(beam.azimuth_offset_rad / (2.0 * kPi) * n_columns));
 }
 
 RayTable make_rays(const SpinningSensor& sensor) {
-    check_spinning_sensor(sensor);
+    require_valid_spinning_sensor(sensor);
     const int rows = static_cast<int>(sensor.beams.size()), columns = sensor.columns;
     RayTable rays = make_empty_ray_table(rows, columns, sensor.divergence_rad);
     const double seconds_per_rad = (sensor.clockwise ? -1.0 : 1.0) * sensor.period_s / (2.0 * kPi);
     parallel_for(rows, [&](int row) {
         const Beam& beam = sensor.beams[static_cast<std::size_t>(row)];
         const BeamRayGenerator geometry(beam);
-        const int shift = compute_column_shift(beam, columns);
+        const int shift = compute_beam_azimuth_offset_columns(beam, columns);
         std::size_t at = std::size_t(row) * std::size_t(columns);
         for (int column = 0; column < columns; ++column, ++at) {
             const int firing = ((column + shift) % columns + columns) % columns;

@@ -73,7 +73,7 @@ public:
     MappedFile(const MappedFile&) = delete;
     MappedFile& operator=(const MappedFile&) = delete;
 
-    void* allocate(std::size_t bytes) {
+    void* allocate_block_in_file(std::size_t bytes) {
         const std::size_t size = round_up_to_page_size(bytes);
         const std::lock_guard lock(mutex_);
         const auto free_range =
@@ -96,7 +96,7 @@ public:
         return address >= begin_ && address < begin_ + kReserved;
     }
 
-    void free(void* array, std::size_t bytes) noexcept {
+    void free_block_of_file(void* array, std::size_t bytes) noexcept {
         const std::size_t size = round_up_to_page_size(bytes),
                           offset = std::size_t(static_cast<std::byte*>(array) - begin_);
         // Returns the disk space of the pages to the file system, if it supports this.
@@ -150,7 +150,7 @@ ScanMemoryState& get_scan_memory_state() {
     return *all;
 }
 
-std::uint64_t get_available_memory_bytes() {
+std::uint64_t get_physical_or_cgroup_memory_bytes() {
     std::uint64_t bytes = std::uint64_t(::sysconf(_SC_PHYS_PAGES)) * std::uint64_t(::sysconf(_SC_PAGESIZE)),
                   limit = 0;
     // Files with the memory limit of the control group: cgroup version 2, then version 1.
@@ -162,11 +162,12 @@ std::uint64_t get_available_memory_bytes() {
 
 }  // namespace
 
-void limit_scan_memory(std::uint64_t max_bytes, const fs::path& overflow_folder) {
+void store_scans_above_limit_in_file(std::uint64_t max_bytes, const fs::path& overflow_folder) {
     ScanMemoryState& m = get_scan_memory_state();
     const std::lock_guard lock(m.mutex);
     m.folder = overflow_folder;
-    m.limit = max_bytes > 0 ? max_bytes : get_available_memory_bytes() / 2 / std::uint64_t(m.processes);
+    m.limit =
+        max_bytes > 0 ? max_bytes : get_physical_or_cgroup_memory_bytes() / 2 / std::uint64_t(m.processes);
 }
 
 void set_scan_process_count(int n_processes) { get_scan_memory_state().processes = std::max(n_processes, 1); }
@@ -181,7 +182,7 @@ void* allocate_scan_array(std::size_t bytes) {
     ScanMemoryState& m = get_scan_memory_state();
     if (m.used.fetch_add(bytes) + bytes > m.limit) {
         m.used -= bytes;
-        return m.get_or_create_mapped_file().allocate(bytes);
+        return m.get_or_create_mapped_file().allocate_block_in_file(bytes);
     }
     try {
         return ::operator new(bytes);
@@ -194,7 +195,8 @@ void* allocate_scan_array(std::size_t bytes) {
 void free_scan_array(void* array, std::size_t bytes) noexcept {
     ScanMemoryState& m = get_scan_memory_state();
     MappedFile* file = m.file;
-    if (bytes >= kSmall && file && file->contains_address(array)) return file->free(array, bytes);
+    if (bytes >= kSmall && file && file->contains_address(array))
+        return file->free_block_of_file(array, bytes);
     if (bytes >= kSmall) m.used -= bytes;
     ::operator delete(array);
 }

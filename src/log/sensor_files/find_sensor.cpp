@@ -31,24 +31,24 @@ struct SensorSpecifier {
 /// Parses a sensor text such as "OS1-64:1024x20": name, columns and rate in Hz. Columns
 /// and rate are optional.
 /// @throws UsageError if the columns or the rate are out of range
-SensorSpecifier parse_sensor_name(const std::string& text) {
-    const std::size_t colon = text.rfind(':');
-    if (colon == std::string::npos || colon == 0) return {text};
-    const std::string_view suffix = std::string_view(text).substr(colon + 1);
+SensorSpecifier parse_sensor_name_columns_and_rate(const std::string& specifier_text) {
+    const std::size_t colon = specifier_text.rfind(':');
+    if (colon == std::string::npos || colon == 0) return {specifier_text};
+    const std::string_view suffix = std::string_view(specifier_text).substr(colon + 1);
     const std::size_t x = std::min(suffix.find('x'), suffix.size());
     const auto columns = parse_number(suffix.substr(0, x));
     const auto rate_hz =
         x < suffix.size() ? parse_number(suffix.substr(x + 1)) : std::optional<double>(kTableRate_hz);
     // If no valid numbers follow the colon, the colon belongs to a file path.
-    if (!columns || !rate_hz) return {text};
+    if (!columns || !rate_hz) return {specifier_text};
     if (!(*columns >= 1.0 && *columns <= kMaxColumns) || *columns != std::floor(*columns) ||
         !(*rate_hz > 0.0 && *rate_hz <= kMaxRate_hz)) {
         throw UsageError(fmt::format(
             "sensor '{}': found {} columns at {} Hz, expected 1 to {} columns and a rate above 0 and "
             "up to {} Hz",
-            text, *columns, *rate_hz, kMaxColumns, kMaxRate_hz));
+            specifier_text, *columns, *rate_hz, kMaxColumns, kMaxRate_hz));
     }
-    return {text.substr(0, colon), static_cast<int>(*columns), *rate_hz};
+    return {specifier_text.substr(0, colon), static_cast<int>(*columns), *rate_hz};
 }
 
 /// Returns true if a CSV file is a table of rays, and false if it is a table of beams.
@@ -58,32 +58,33 @@ bool is_ray_csv(const std::string& csv_text) {
     return header.find("azimuth_deg") != std::string::npos;
 }
 
-SensorModel parse_beam_table_sensor(const std::string& csv_text, const SensorSpecifier& sensor_name) {
-    const int columns = sensor_name.columns > 0 ? sensor_name.columns : kTableColumns;
-    SpinningSensor sensor = parse_beam_table(csv_text, sensor_name.name, columns,
-                                             sensor_name.rate_hz > 0.0 ? sensor_name.rate_hz : kTableRate_hz);
-    sensor.name = fs::path(sensor_name.name).stem().string();
+SensorModel parse_beam_table_sensor(const std::string& csv_text, const SensorSpecifier& sensor_specifier) {
+    const int columns = sensor_specifier.columns > 0 ? sensor_specifier.columns : kTableColumns;
+    SpinningSensor sensor =
+        parse_beam_table(csv_text, sensor_specifier.name, columns,
+                         sensor_specifier.rate_hz > 0.0 ? sensor_specifier.rate_hz : kTableRate_hz);
+    sensor.name = fs::path(sensor_specifier.name).stem().string();
     return {sensor.name, "", sensor.range_limits(), std::move(sensor)};
 }
 
-SensorModel read_sensor_file(const SensorSpecifier& sensor_name, double default_max_range_m) {
-    const fs::path path = sensor_name.name;
+SensorModel read_sensor_file(const SensorSpecifier& sensor_specifier, double default_max_range_m) {
+    const fs::path path = sensor_specifier.name;
     const std::string stem = path.stem().string();
     SensorModel sensor = [&] {
-        if (path.extension() == ".npz") return sensor_files::read_ray_npz(sensor_name.name, stem);
+        if (path.extension() == ".npz") return sensor_files::read_ray_npz(sensor_specifier.name, stem);
         const std::string text = read_text_file(path);
         if (path.extension() == ".json")
-            return sensor_files::parse_sensor_json(text, stem, sensor_name.name, sensor_name.columns,
-                                                   sensor_name.rate_hz);
-        return is_ray_csv(text) ? sensor_files::parse_ray_csv(text, stem, sensor_name.name)
-                                : parse_beam_table_sensor(text, sensor_name);
+            return sensor_files::parse_sensor_json(text, stem, sensor_specifier.name,
+                                                   sensor_specifier.columns, sensor_specifier.rate_hz);
+        return is_ray_csv(text) ? sensor_files::parse_ray_csv(text, stem, sensor_specifier.name)
+                                : parse_beam_table_sensor(text, sensor_specifier);
     }();
-    if (sensor_name.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
+    if (sensor_specifier.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
         throw UsageError(fmt::format(
             "sensor '{}:{}': found columns for a table of rays, but such a sensor does not spin; use "
             "only the file name",
-            sensor_name.name, sensor_name.columns));
-    sensor_files::set_missing_max_range(sensor, default_max_range_m, sensor_name.name);
+            sensor_specifier.name, sensor_specifier.columns));
+    sensor_files::set_missing_max_range(sensor, default_max_range_m, sensor_specifier.name);
     return sensor;
 }
 
@@ -108,7 +109,7 @@ SensorModel parse_sensor_json_text(const std::string& text, const std::string& n
 
 SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& other_known_names,
                         double default_max_range_m) {
-    const SensorSpecifier name = parse_sensor_name(name_or_file);
+    const SensorSpecifier name = parse_sensor_name_columns_and_rate(name_or_file);
     if (const auto built_in_sensor = find_built_in_sensor(name.name, name.columns, name.rate_hz))
         return *built_in_sensor;
     const std::string extension = fs::path(name.name).extension().string();

@@ -20,15 +20,15 @@ constexpr double kUnit = 1e-3;  // Maximum difference between the length of a di
 constexpr double kFarthestOrigin_m = 100.0, kLongestScan_s = 100.0, kMostRange_m = 10'000.0,
                  kWidestBeam_rad = 1.0;
 
-void check_array_length(const std::vector<double>& values, std::size_t expected_length,
-                        const char* description, const std::string& error_location) {
+void require_empty_or_length(const std::vector<double>& values, std::size_t expected_length,
+                             const char* description, const std::string& error_location) {
     if (!values.empty() && values.size() != expected_length)
         throw DataError(fmt::format("{}: {} has {} numbers, expected {}", error_location, description,
                                     values.size(), expected_length));
 }
 
-void check_value_range(const std::vector<double>& values, double min_value, double max_value,
-                       const char* description, const std::string& error_location) {
+void require_values_in_range(const std::vector<double>& values, double min_value, double max_value,
+                             const char* description, const std::string& error_location) {
     const auto bad = std::find_if(values.begin(), values.end(),
                                   [&](double value) { return !(value >= min_value && value <= max_value); });
     if (bad != values.end()) {
@@ -38,35 +38,37 @@ void check_value_range(const std::vector<double>& values, double min_value, doub
     }
 }
 
-glm::dvec3 get_vector_at(const std::vector<double>& values, std::size_t index) {
+glm::dvec3 get_xyz_or_zero_if_empty(const std::vector<double>& values, std::size_t index) {
     return values.empty() ? glm::dvec3(0.0)
                           : glm::dvec3(values[3 * index], values[3 * index + 1], values[3 * index + 2]);
 }
 
-void check_ray_columns(const RayFileArrays& columns, const std::string& error_location) {
-    const std::size_t n = columns.direction.size() / 3;
-    if (n == 0 || n > kMaxRays || n * 3 != columns.direction.size())
+void require_valid_ray_arrays(const RayFileArrays& ray_arrays, const std::string& error_location) {
+    const std::size_t n = ray_arrays.direction.size() / 3;
+    if (n == 0 || n > kMaxRays || n * 3 != ray_arrays.direction.size())
         throw DataError(fmt::format("{}: found {} rays, expected 1 to {}", error_location, n, kMaxRays));
-    if (columns.rows < 1 || columns.columns < 1 ||
-        std::size_t(columns.rows) * std::size_t(columns.columns) != n)
+    if (ray_arrays.rows < 1 || ray_arrays.columns < 1 ||
+        std::size_t(ray_arrays.rows) * std::size_t(ray_arrays.columns) != n)
         throw DataError(fmt::format("{}: found {} rays, expected {} rows of {} rays", error_location, n,
-                                    columns.rows, columns.columns));
-    check_array_length(columns.origin, 3 * n, "origin", error_location);
-    check_array_length(columns.time_s, n, "time", error_location);
-    check_array_length(columns.channel, n, "ring", error_location);
-    if (columns.divergence_rad.size() != 1)
-        check_array_length(columns.divergence_rad, n, "divergence", error_location);
-    check_value_range(columns.origin, -kFarthestOrigin_m, kFarthestOrigin_m, "origin", error_location);
-    check_value_range(columns.time_s, -kLongestScan_s, kLongestScan_s, "time", error_location);
-    check_value_range(columns.channel, 0.0, 65535.0, "ring", error_location);
-    check_value_range(columns.divergence_rad, 0.0, kWidestBeam_rad, "divergence (radians)", error_location);
-    check_value_range(
-        {columns.limits.min_m, std::isinf(columns.limits.max_m) ? kMostRange_m : columns.limits.max_m}, 0.0,
-        kMostRange_m, "range limits", error_location);
-    if (!(columns.limits.min_m < columns.limits.max_m))
+                                    ray_arrays.rows, ray_arrays.columns));
+    require_empty_or_length(ray_arrays.origin, 3 * n, "origin", error_location);
+    require_empty_or_length(ray_arrays.time_s, n, "time", error_location);
+    require_empty_or_length(ray_arrays.channel, n, "ring", error_location);
+    if (ray_arrays.divergence_rad.size() != 1)
+        require_empty_or_length(ray_arrays.divergence_rad, n, "divergence", error_location);
+    require_values_in_range(ray_arrays.origin, -kFarthestOrigin_m, kFarthestOrigin_m, "origin",
+                            error_location);
+    require_values_in_range(ray_arrays.time_s, -kLongestScan_s, kLongestScan_s, "time", error_location);
+    require_values_in_range(ray_arrays.channel, 0.0, 65535.0, "ring", error_location);
+    require_values_in_range(ray_arrays.divergence_rad, 0.0, kWidestBeam_rad, "divergence (radians)",
+                            error_location);
+    require_values_in_range({ray_arrays.limits.min_m,
+                             std::isinf(ray_arrays.limits.max_m) ? kMostRange_m : ray_arrays.limits.max_m},
+                            0.0, kMostRange_m, "range limits", error_location);
+    if (!(ray_arrays.limits.min_m < ray_arrays.limits.max_m))
         throw DataError(
             fmt::format("{}: found range limits of {} to {} m, expected min_range_m below max_range_m",
-                        error_location, columns.limits.min_m, columns.limits.max_m));
+                        error_location, ray_arrays.limits.min_m, ray_arrays.limits.max_m));
 }
 
 /// Sets the beam divergences of rays. If all are equal, stores a single number.
@@ -79,9 +81,9 @@ void set_divergence(RayTable& rays, const std::vector<double>& divergence_rad) {
 
 }  // namespace
 
-std::vector<double> choose_divergence_rad(std::vector<double> ray_divergence_rad,
-                                          std::optional<double> common_divergence_mrad,
-                                          const std::string& error_location) {
+std::vector<double> combine_per_ray_and_common_divergence(std::vector<double> ray_divergence_rad,
+                                                          std::optional<double> common_divergence_mrad,
+                                                          const std::string& error_location) {
     if (!ray_divergence_rad.empty() && common_divergence_mrad)
         throw DataError(fmt::format("{}: found both divergence and divergence_mrad, expected one of them",
                                     error_location));
@@ -89,31 +91,31 @@ std::vector<double> choose_divergence_rad(std::vector<double> ray_divergence_rad
     return ray_divergence_rad;
 }
 
-SensorModel make_ray_sensor(const RayFileArrays& ray_columns, const std::string& sensor_name,
+SensorModel make_ray_sensor(const RayFileArrays& ray_arrays, const std::string& sensor_name,
                             const std::string& error_location) {
-    check_ray_columns(ray_columns, error_location);
-    const std::size_t n = ray_columns.direction.size() / 3;
+    require_valid_ray_arrays(ray_arrays, error_location);
+    const std::size_t n = ray_arrays.direction.size() / 3;
     RayTable rays;
-    rays.rows = ray_columns.rows;
-    rays.columns = ray_columns.columns;
-    set_divergence(rays, ray_columns.divergence_rad);
+    rays.rows = ray_arrays.rows;
+    rays.columns = ray_arrays.columns;
+    set_divergence(rays, ray_arrays.divergence_rad);
     for (std::size_t i = 0; i < n; ++i) {
-        const glm::dvec3 direction = get_vector_at(ray_columns.direction, i);
+        const glm::dvec3 direction = get_xyz_or_zero_if_empty(ray_arrays.direction, i);
         const double length = glm::length(direction);
         if (!(std::abs(length - 1.0) <= kUnit))
             throw DataError(fmt::format("{}: entry {} of directions has length {}, expected 1",
                                         error_location, i, length));
-        const bool is_exact = ray_columns.keeps_floats && std::abs(length - 1.0) < 1e-6 &&
+        const bool is_exact = ray_arrays.keeps_floats && std::abs(length - 1.0) < 1e-6 &&
                               glm::dvec3(glm::vec3(direction)) == direction;
         rays.direction.emplace_back(is_exact ? direction : direction / length);
-        rays.origin.emplace_back(get_vector_at(ray_columns.origin, i));
-        rays.time_offset_s.push_back(ray_columns.time_s.empty() ? 0.0f
-                                                                : static_cast<float>(ray_columns.time_s[i]));
-        rays.channel.push_back(ray_columns.channel.empty()
+        rays.origin.emplace_back(get_xyz_or_zero_if_empty(ray_arrays.origin, i));
+        rays.time_offset_s.push_back(ray_arrays.time_s.empty() ? 0.0f
+                                                               : static_cast<float>(ray_arrays.time_s[i]));
+        rays.channel.push_back(ray_arrays.channel.empty()
                                    ? std::uint16_t(0)
-                                   : static_cast<std::uint16_t>(ray_columns.channel[i]));
+                                   : static_cast<std::uint16_t>(ray_arrays.channel[i]));
     }
-    return {sensor_name, "", ray_columns.limits, std::move(rays)};
+    return {sensor_name, "", ray_arrays.limits, std::move(rays)};
 }
 
 SensorModel read_ray_npz(const std::string& path, const std::string& sensor_name) {
@@ -145,7 +147,8 @@ SensorModel read_ray_npz(const std::string& path, const std::string& sensor_name
                     .channel = values("ring")};
     c.rows = shape.size() == 3 ? static_cast<int>(shape[0]) : 1;
     c.columns = static_cast<int>(shape[shape.size() - 2]);
-    c.divergence_rad = choose_divergence_rad(values("divergence"), one("divergence_mrad"), path);
+    c.divergence_rad =
+        combine_per_ray_and_common_divergence(values("divergence"), one("divergence_mrad"), path);
     c.limits = {one("min_range_m").value_or(c.limits.min_m), one("max_range_m").value_or(c.limits.max_m)};
     return make_ray_sensor(c, sensor_name, path);
 }

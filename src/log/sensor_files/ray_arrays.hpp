@@ -30,16 +30,16 @@ struct RayFileArrays {
 /// @param error_location  name of the file in error messages
 /// @throws DataError if the arrays have different lengths, values are not finite or out
 /// of range, or directions do not have unit length
-SensorModel make_ray_sensor(const RayFileArrays& ray_columns, const std::string& sensor_name,
+SensorModel make_ray_sensor(const RayFileArrays& ray_arrays, const std::string& sensor_name,
                             const std::string& error_location);
 
 /// Returns the beam divergences in radians. A file may contain one number per ray or one
 /// number for all rays.
 /// @param ray_divergence_rad  [n] divergence of each ray, or empty
 /// @throws DataError if the file contains both forms
-std::vector<double> choose_divergence_rad(std::vector<double> ray_divergence_rad,
-                                          std::optional<double> common_divergence_mrad,
-                                          const std::string& error_location);
+std::vector<double> combine_per_ray_and_common_divergence(std::vector<double> ray_divergence_rad,
+                                                          std::optional<double> common_divergence_mrad,
+                                                          const std::string& error_location);
 
 /// Parses the text of a ray table in CSV format.
 /// @throws DataError naming the line and the value that is wrong
@@ -50,11 +50,11 @@ SensorModel parse_ray_csv(const std::string& csv_text, const std::string& sensor
 SensorModel read_ray_npz(const std::string& path, const std::string& sensor_name);
 /// Parses a sensor in JSON format: a sensor pattern, a ray table, or the metadata of an
 /// Ouster sensor.
-/// @param columns  if above 0, replaces the number of columns in Ouster metadata
-/// @param rate_hz  if above 0, replaces the rate in Ouster metadata
+/// @param columns_or_zero  if above 0, replaces the number of columns in Ouster metadata
+/// @param rate_hz_or_zero  if above 0, replaces the rate in Ouster metadata
 /// @throws DataError naming the key that is wrong
 SensorModel parse_sensor_json(const std::string& json_text, const std::string& sensor_name,
-                              const std::string& error_location, int columns, double rate_hz);
+                              const std::string& error_location, int columns_or_zero, double rate_hz_or_zero);
 
 /// Sets the maximum range if the sensor has no maximum range.
 /// @throws DataError if the maximum range is not above the minimum range

@@ -59,16 +59,15 @@ RayCsvRow parse_ray_line(const std::string& line, const std::vector<int>& column
     return value;
 }
 
-void append_ray_row(RayFileArrays& rays, const RayCsvRow& field_values) {
-    const double azimuth = field_values[kAzimuth] * kPi / 180.0,
-                 elevation = field_values[kElevation] * kPi / 180.0, c = std::cos(elevation);
+void append_ray_row(RayFileArrays& rays, const RayCsvRow& row_values) {
+    const double azimuth = row_values[kAzimuth] * kPi / 180.0,
+                 elevation = row_values[kElevation] * kPi / 180.0, c = std::cos(elevation);
     rays.direction.insert(rays.direction.end(),
                           {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)});
-    rays.origin.insert(rays.origin.end(),
-                       {field_values[kOriginX], field_values[kOriginY], field_values[kOriginZ]});
-    rays.time_s.push_back(field_values[kTime]);
-    rays.channel.push_back(field_values[kChannel]);
-    rays.divergence_rad.push_back(field_values[kDivergence] * 1e-3);
+    rays.origin.insert(rays.origin.end(), {row_values[kOriginX], row_values[kOriginY], row_values[kOriginZ]});
+    rays.time_s.push_back(row_values[kTime]);
+    rays.channel.push_back(row_values[kChannel]);
+    rays.divergence_rad.push_back(row_values[kDivergence] * 1e-3);
 }
 
 }  // namespace
@@ -87,7 +86,7 @@ SensorModel parse_ray_csv(const std::string& csv_text, const std::string& sensor
     RayFileArrays rays;
     RayCsvRow first{};
     for (std::size_t l = 1; l < lines.size(); ++l) {
-        if (trim_spaces(lines[l]).empty()) continue;
+        if (trim_blanks_at_both_ends(lines[l]).empty()) continue;
         const std::string line = fmt::format("{} line {}", error_location, l + 1);
         const RayCsvRow v = parse_ray_line(lines[l], at, header.size(), line);
         if (rays.time_s.empty()) first = v;

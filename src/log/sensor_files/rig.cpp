@@ -63,7 +63,7 @@ int read_return_count(const Json& sensor_json, const std::string& error_location
 
 /// If `sensor_name` is a file in the folder of the rig file, returns its path. Otherwise
 /// returns `sensor_name` unchanged, because it is the name of a sensor or another path.
-std::string find_file_beside_rig(const std::string& sensor_name, const std::string& rig_file) {
+std::string resolve_sensor_file_beside_rig(const std::string& sensor_name, const std::string& rig_file) {
     const fs::path path = fs::path(rig_file).parent_path() / sensor_name;
     const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
     return !find_name_ignoring_case(sensor_name, list_sensor_names()) &&
@@ -77,16 +77,16 @@ std::string find_file_beside_rig(const std::string& sensor_name, const std::stri
 SensorModel read_sensor_model(const Json& sensor_json, const std::string& sensor_name,
                               const std::string& rig_file, const std::string& error_location) {
     if (!sensor_json.contains("sensor") || !sensor_json.at("sensor").is_object())
-        return find_sensor(
-            find_file_beside_rig(read_required_text(sensor_json, "sensor", error_location), rig_file));
+        return find_sensor(resolve_sensor_file_beside_rig(
+            read_required_text(sensor_json, "sensor", error_location), rig_file));
     const std::string object = error_location + ": sensor";
     SensorModel model = parse_sensor_json_text(sensor_json.at("sensor").dump(), sensor_name, object);
     sensor_files::set_missing_max_range(model, kDefaultMaxRange_m, object);
     return model;
 }
 
-void check_sensor_name(const std::string& name, const std::set<std::string>& used_names,
-                       const std::string& error_location) {
+void require_valid_new_sensor_name(const std::string& name, const std::set<std::string>& used_names,
+                                   const std::string& error_location) {
     const auto allowed = [](char character) {
         return std::isalnum(static_cast<unsigned char>(character)) || character == '-' || character == '_' ||
                character == '.';
@@ -101,8 +101,8 @@ void check_sensor_name(const std::string& name, const std::set<std::string>& use
 
 /// Throws for unknown keys. Otherwise a misspelt "translation" would mount the sensor at
 /// the origin of the rig.
-void check_known_keys(const Json& object, const std::vector<std::string>& known_keys,
-                      const std::string& error_location) {
+void require_only_known_json_keys(const Json& object, const std::vector<std::string>& known_keys,
+                                  const std::string& error_location) {
     for (const auto& [key, value] : object.items())
         if (std::find(known_keys.begin(), known_keys.end(), key) == known_keys.end())
             throw DataError(fmt::format(
@@ -122,7 +122,7 @@ std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& pat
         return {};
     }
     if (!json.is_object() || !json.contains("sensors")) return {};
-    check_known_keys(json, {"sensors"}, path);
+    require_only_known_json_keys(json, {"sensors"}, path);
     if (!json.at("sensors").is_array() || json.at("sensors").empty() ||
         json.at("sensors").size() > kMostSensors)
         throw DataError(fmt::format(
@@ -132,9 +132,10 @@ std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& pat
     for (const Json& sensor : json.at("sensors")) {
         const std::string where = fmt::format("{}: sensor {}", path, rig.size());
         const std::string name = read_required_text(sensor, "name", where);
-        check_sensor_name(name, names, where);
+        require_valid_new_sensor_name(name, names, where);
         names.insert(name);
-        check_known_keys(sensor, {"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"}, where);
+        require_only_known_json_keys(
+            sensor, {"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"}, where);
         rig.push_back({name, read_sensor_model(sensor, name, path, where), read_mounting_pose(sensor, where),
                        read_return_count(sensor, where)});
     }

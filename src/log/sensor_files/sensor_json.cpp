@@ -27,20 +27,21 @@ using Json = nlohmann::json;
 
 constexpr std::size_t kMostBeams = 1024;
 
-/// Searches a key in a JSON object and in its members `object_names`. Returns the value,
-/// or null if the key is missing.
+/// Searches a key in a JSON object and in its members `member_object_names`. Returns the
+/// value, or null if the key is missing.
 const Json* find_json_value(const Json& json, const std::string& key,
-                            std::initializer_list<const char*> object_names) {
+                            std::initializer_list<const char*> member_object_names) {
     if (json.contains(key)) return &json.at(key);
-    for (const char* part : object_names)
+    for (const char* part : member_object_names)
         if (json.contains(part) && json.at(part).is_object() && json.at(part).contains(key))
             return &json.at(part).at(key);
     return nullptr;
 }
 
 /// Returns the numbers of a JSON list, or an empty vector if the list is missing.
-std::vector<double> read_optional_number_list(const Json* json, const std::string& error_location) {
-    return json ? JsonField(*json, error_location, "").get_nested_numbers(1) : std::vector<double>{};
+std::vector<double> read_optional_number_list(const Json* json_or_null, const std::string& error_location) {
+    return json_or_null ? JsonField(*json_or_null, error_location, "").get_flattened_numbers(1)
+                        : std::vector<double>{};
 }
 
 double read_optional_number(const Json* json, double default_value, const std::string& error_location) {
@@ -78,7 +79,8 @@ std::pair<int, double> parse_ouster_columns_and_rate(const Json& metadata,
 }
 
 SensorModel parse_ouster_sensor(const Json& metadata, const std::string& name,
-                                const std::string& error_location, int columns, double rate_hz) {
+                                const std::string& error_location, int columns_or_zero,
+                                double rate_hz_or_zero) {
     const auto list = [&](const char* key) {
         return read_optional_number_list(find_json_value(metadata, key, {"beam_intrinsics"}),
                                          fmt::format("{}: {}", error_location, key));
@@ -95,8 +97,9 @@ SensorModel parse_ouster_sensor(const Json& metadata, const std::string& name,
         read_optional_number(find_json_value(metadata, "lidar_origin_to_beam_origin_mm", {"beam_intrinsics"}),
                              0.0, error_location + ": lidar_origin_to_beam_origin_mm");
     SpinningSensor sensor;
-    const auto [mode_columns, mode_rate_hz] =
-        columns > 0 ? std::pair(columns, rate_hz) : parse_ouster_columns_and_rate(metadata, error_location);
+    const auto [mode_columns, mode_rate_hz] = columns_or_zero > 0
+                                                  ? std::pair(columns_or_zero, rate_hz_or_zero)
+                                                  : parse_ouster_columns_and_rate(metadata, error_location);
     sensor.name = name;
     sensor.columns = mode_columns;
     sensor.period_s = 1.0 / mode_rate_hz;
@@ -121,7 +124,8 @@ SensorModel parse_ouster_sensor(const Json& metadata, const std::string& name,
 }  // namespace
 
 SensorModel parse_sensor_json(const std::string& json_text, const std::string& sensor_name,
-                              const std::string& error_location, int columns, double rate_hz) {
+                              const std::string& error_location, int columns_or_zero,
+                              double rate_hz_or_zero) {
     Json json;
     try {
         json = Json::parse(json_text);
@@ -132,7 +136,7 @@ SensorModel parse_sensor_json(const std::string& json_text, const std::string& s
     const JsonField root(json, error_location, "");
     // An object with "directions" is a sensor of the kind "rays", although it does not
     // name the kind.
-    if (root.has_member("directions")) return make_rays_kind().parse(root, sensor_name);
+    if (root.has_member("directions")) return make_ray_table_pattern_kind().parse(root, sensor_name);
     if (find_pattern_kind(root)) {
         SensorModel sensor = read_sensor_json(root, sensor_name);
         const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
@@ -141,7 +145,7 @@ SensorModel parse_sensor_json(const std::string& json_text, const std::string& s
         return sensor;
     }
     if (json.is_object() && find_json_value(json, "beam_altitude_angles", {"beam_intrinsics"}))
-        return parse_ouster_sensor(json, sensor_name, error_location, columns, rate_hz);
+        return parse_ouster_sensor(json, sensor_name, error_location, columns_or_zero, rate_hz_or_zero);
     std::string kinds;
     for (const PatternKind& kind : list_pattern_kinds()) kinds += fmt::format("\"{}\", ", kind.name);
     throw DataError(

@@ -22,7 +22,7 @@ constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding err
 constexpr double kAgree_columns = 0.1;
 
 /// Returns the difference of two directions in azimuth, positive to the left.
-double compute_azimuth_difference(const glm::vec3& first_direction, const glm::vec3& second_direction) {
+double compute_azimuth_difference_rad(const glm::vec3& first_direction, const glm::vec3& second_direction) {
     return std::atan2(
         double(first_direction.x) * second_direction.y - double(first_direction.y) * second_direction.x,
         double(first_direction.x) * second_direction.x + double(first_direction.y) * second_direction.y);
@@ -35,7 +35,8 @@ void visit_rays_with_firing(const SpinningSensor& sensor, const Visit& visit_ray
     const auto columns = std::size_t(sensor.columns);
     for (std::size_t row = 0; row < sensor.beams.size(); ++row) {
         const int shift =
-            compute_column_shift(sensor.beams[row], sensor.columns) % sensor.columns + sensor.columns;
+            compute_beam_azimuth_offset_columns(sensor.beams[row], sensor.columns) % sensor.columns +
+            sensor.columns;
         for (std::size_t column = 0; column < columns; ++column)
             visit_ray(row * columns + column, (column + std::size_t(shift)) % columns);
     }
@@ -43,14 +44,15 @@ void visit_rays_with_firing(const SpinningSensor& sensor, const Visit& visit_ray
 
 /// Replaces unknown azimuth shifts (NAN) by interpolation between the nearest known ones.
 /// Clears the list if all are unknown.
-void interpolate_unknown_shifts(std::vector<float>& shift_rad) {
+void interpolate_nan_azimuth_shifts(std::vector<float>& azimuth_shifts_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
-    auto last = std::ranges::find_if(shift_rad, is_known);
-    if (last == shift_rad.end()) return shift_rad.clear();
-    std::fill(shift_rad.begin(), last, *last);
-    for (auto next = last; next != shift_rad.end(); last = next) {
-        next = std::find_if(last + 1, shift_rad.end(), is_known);
-        const float step = next == shift_rad.end() ? 0.0f : (*next - *last) / static_cast<float>(next - last);
+    auto last = std::ranges::find_if(azimuth_shifts_rad, is_known);
+    if (last == azimuth_shifts_rad.end()) return azimuth_shifts_rad.clear();
+    std::fill(azimuth_shifts_rad.begin(), last, *last);
+    for (auto next = last; next != azimuth_shifts_rad.end(); last = next) {
+        next = std::find_if(last + 1, azimuth_shifts_rad.end(), is_known);
+        const float step =
+            next == azimuth_shifts_rad.end() ? 0.0f : (*next - *last) / static_cast<float>(next - last);
         for (auto gap = last + 1; gap != next; ++gap) *gap = *(gap - 1) + step;
     }
 }
@@ -66,8 +68,8 @@ std::vector<float> measure_azimuth_shifts_rad(const Scan& scan, const SpinningSe
     std::vector<std::vector<float>> shifts_by_firing(std::size_t(sensor.columns));
     visit_rays_with_firing(sensor, [&](std::size_t ray, std::size_t firing) {
         if (!(scan.range_m[ray] > 0.0f)) return;
-        shifts_by_firing[firing].push_back(
-            static_cast<float>(compute_azimuth_difference(nominal_rays.direction[ray], rays.direction[ray])));
+        shifts_by_firing[firing].push_back(static_cast<float>(
+            compute_azimuth_difference_rad(nominal_rays.direction[ray], rays.direction[ray])));
     });
     std::vector<float> shift_rad(shifts_by_firing.size(), NAN), off;
     for (std::size_t firing = 0; firing < shifts_by_firing.size(); ++firing) {
@@ -75,22 +77,24 @@ std::vector<float> measure_azimuth_shifts_rad(const Scan& scan, const SpinningSe
         shift_rad[firing] = compute_median(shifts_by_firing[firing]);
         for (const float shift : shifts_by_firing[firing]) off.push_back(std::abs(shift - shift_rad[firing]));
     }
-    interpolate_unknown_shifts(shift_rad);
+    interpolate_nan_azimuth_shifts(shift_rad);
     if (shift_rad.empty() || compute_median(off) > kAgree_columns * 2.0 * kPi / sensor.columns) return {};
     if (std::ranges::all_of(shift_rad, [](float shift) { return std::abs(shift) < kExact_rad; })) return {};
     return shift_rad;
 }
 
-RayTable shift_azimuths(RayTable rays, const SpinningSensor& sensor, const std::vector<float>& shift_rad) {
-    if (shift_rad.empty()) return rays;
+RayTable rotate_firings_by_azimuth_shifts(RayTable nominal_rays, const SpinningSensor& sensor,
+                                          const std::vector<float>& azimuth_shifts_rad) {
+    if (azimuth_shifts_rad.empty()) return nominal_rays;
     visit_rays_with_firing(sensor, [&](std::size_t ray, std::size_t firing) {
-        const double cosine = std::cos(double(shift_rad[firing])), sine = std::sin(double(shift_rad[firing]));
-        for (glm::vec3* v : {&rays.direction[ray], &rays.origin[ray]}) {
+        const double cosine = std::cos(double(azimuth_shifts_rad[firing])),
+                     sine = std::sin(double(azimuth_shifts_rad[firing]));
+        for (glm::vec3* v : {&nominal_rays.direction[ray], &nominal_rays.origin[ray]}) {
             *v = {static_cast<float>(cosine * v->x - sine * v->y),
                   static_cast<float>(sine * v->x + cosine * v->y), v->z};
         }
     });
-    return rays;
+    return nominal_rays;
 }
 
 }  // namespace relidar

@@ -34,8 +34,8 @@ inline std::vector<Beam*> list_beams_of_all_lidars(LidarSequence& sequence) {
 /// Calls process_frame(frame) for frames and returns the results. If all frames together
 /// have more than max_rays rays, processes only every n-th frame.
 template <class Read>
-auto collect_from_frames(const LidarSequence& sequence, const std::vector<int>& frame_indices,
-                         std::size_t max_rays, const Read& process_frame) {
+auto process_frames_in_parallel(const LidarSequence& sequence, const std::vector<int>& frame_indices,
+                                std::size_t max_rays, const Read& process_frame) {
     std::size_t rays = 0;
     for (const int position : frame_indices)
         rays += sequence.frames[std::size_t(position)].scan.range_m.size();

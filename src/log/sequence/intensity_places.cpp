@@ -51,7 +51,7 @@ std::vector<ReturnWithPoint> collect_frame_returns(const LidarSequence& sequence
 /// @param returns returns of all frames
 /// @param cell_size_m edge length of a cell
 ItemCellIndices assign_returns_to_cells(const std::vector<ReturnWithPoint>& returns, double cell_size_m) {
-    return assign_cell_numbers(returns.size(), [&](std::size_t index) {
+    return number_cells_and_assign_items(returns.size(), [&](std::size_t index) {
         return compute_grid_cell_key(returns[index].point_m, cell_size_m);
     });
 }
@@ -63,9 +63,9 @@ std::vector<glm::vec3> estimate_cell_normals(const std::vector<ReturnWithPoint>&
     const CellItemLists items(cells);
     std::vector<glm::vec3> normals(cells.n_cells, glm::vec3(0.0f));
     parallel_for_in_blocks(cells.n_cells, [&](std::size_t cell) {
-        if (double(items.get_items_of_cell(cell).size()) < kMinPoints) return;
+        if (double(items.get_item_indices_of_cell(cell).size()) < kMinPoints) return;
         PointMomentSums sums;
-        for (const std::uint32_t i : items.get_items_of_cell(cell))
+        for (const std::uint32_t i : items.get_item_indices_of_cell(cell))
             sums.add_point(returns[i].point_m - kSurface_m * glm::floor(returns[i].point_m / kSurface_m));
         const PlaneFit fit = sums.fit_plane();
         if (fit.variance[0] <= kMaxThickness * kMaxThickness * fit.variance[1])
@@ -76,11 +76,11 @@ std::vector<glm::vec3> estimate_cell_normals(const std::vector<ReturnWithPoint>&
 
 }  // namespace
 
-RepeatedCellReturns collect_returns_by_cell(const LidarSequence& sequence,
-                                            const std::vector<int>& frame_indices) {
-    std::vector<ReturnWithPoint> returns = concatenate_vectors(
-        collect_from_frames(sequence, frame_indices, kMostCompared,
-                            [&](const LidarFrame& frame) { return collect_frame_returns(sequence, frame); }));
+RepeatedCellReturns collect_repeatedly_hit_cells(const LidarSequence& sequence,
+                                                 const std::vector<int>& frame_indices) {
+    std::vector<ReturnWithPoint> returns = concatenate_vectors(process_frames_in_parallel(
+        sequence, frame_indices, kMostCompared,
+        [&](const LidarFrame& frame) { return collect_frame_returns(sequence, frame); }));
     {
         const ItemCellIndices cells = assign_returns_to_cells(returns, kSurface_m);
         const std::vector<glm::vec3> normals = estimate_cell_normals(returns, cells);
@@ -97,8 +97,8 @@ RepeatedCellReturns collect_returns_by_cell(const LidarSequence& sequence,
     const CellItemLists items(cell_numbers);
     std::vector<CellReturn> returns_by_cell;  // sorted by place; places with a single return are left out
     for (std::uint32_t cell = 0; cell < cell_numbers.n_cells; ++cell) {
-        if (items.get_items_of_cell(cell).size() < 2) continue;
-        for (const std::uint32_t i : items.get_items_of_cell(cell)) {
+        if (items.get_item_indices_of_cell(cell).size() < 2) continue;
+        for (const std::uint32_t i : items.get_item_indices_of_cell(cell)) {
             returns_by_cell.push_back(returns[i].cell_return);
             returns_by_cell.back().cell = cell;
         }

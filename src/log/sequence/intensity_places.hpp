@@ -26,7 +26,7 @@ struct RepeatedCellReturns {
     std::vector<CellReturn> sorted_returns;
     std::size_t n_cells = 0;
 };
-RepeatedCellReturns collect_returns_by_cell(const LidarSequence& sequence,
-                                            const std::vector<int>& frame_indices);
+RepeatedCellReturns collect_repeatedly_hit_cells(const LidarSequence& sequence,
+                                                 const std::vector<int>& frame_indices);
 
 }  // namespace relidar

@@ -56,7 +56,7 @@ struct FittedIntensityTerms {
 
 /// Returns the index of the last knot (sampled range) before a range. Also returns the
 /// position of the range between this knot and the next, clamped to 0 .. 1.
-std::pair<std::size_t, double> find_range_knot(double range_m) {
+std::pair<std::size_t, double> find_range_knot_and_fraction(double range_m) {
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t left = std::size_t(
         std::clamp<std::ptrdiff_t>(after - kKnots_m.begin() - 1, 0, std::ptrdiff_t(kKnots_m.size()) - 2));
@@ -65,43 +65,50 @@ std::pair<std::size_t, double> find_range_knot(double range_m) {
 
 /// Divides returns into chunks for parallel sums. All returns of a place (small cell) are
 /// in the same chunk. Returns the first index of each chunk, and the number of returns.
-std::vector<std::size_t> divide_returns_into_chunks(const std::vector<CellReturn>& returns) {
+std::vector<std::size_t> find_chunk_bounds_between_cells(
+    const std::vector<CellReturn>& returns_sorted_by_cell) {
     std::vector<std::size_t> bounds{0};
     for (std::size_t c = 1; c < kChunks; ++c) {
-        std::size_t at = std::max(returns.size() * c / kChunks, bounds.back());
-        while (at > 0 && at < returns.size() && returns[at].cell == returns[at - 1].cell) ++at;
+        std::size_t at = std::max(returns_sorted_by_cell.size() * c / kChunks, bounds.back());
+        while (at > 0 && at < returns_sorted_by_cell.size() &&
+               returns_sorted_by_cell[at].cell == returns_sorted_by_cell[at - 1].cell)
+            ++at;
         bounds.push_back(at);
     }
-    bounds.push_back(returns.size());
+    bounds.push_back(returns_sorted_by_cell.size());
     return bounds;
 }
 
 /// Calls task(returns, chunk) for the returns of each place (small cell). Chunks of
 /// places run in parallel.
 template <class Task>
-void for_each_cell_in_parallel(const std::vector<CellReturn>& returns, const Task& task) {
-    const std::vector<std::size_t> bounds = divide_returns_into_chunks(returns);
+void group_returns_by_cell_in_parallel(const std::vector<CellReturn>& returns_sorted_by_cell,
+                                       const Task& process_cell_returns) {
+    const std::vector<std::size_t> bounds = find_chunk_bounds_between_cells(returns_sorted_by_cell);
     parallel_for(static_cast<int>(kChunks), [&](int chunk) {
         const std::size_t last = bounds[std::size_t(chunk) + 1];
         for (std::size_t begin = bounds[std::size_t(chunk)], end = begin; begin < last; begin = end) {
-            while (end < last && returns[end].cell == returns[begin].cell) ++end;
-            task(std::span(returns).subspan(begin, end - begin), std::size_t(chunk));
+            while (end < last && returns_sorted_by_cell[end].cell == returns_sorted_by_cell[begin].cell)
+                ++end;
+            process_cell_returns(std::span(returns_sorted_by_cell).subspan(begin, end - begin),
+                                 std::size_t(chunk));
         }
     });
 }
 
 void fit_albedo_of_each_cell(IntensityFit& model, const RepeatedCellReturns& returns) {
-    for_each_cell_in_parallel(returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t) {
-        double sum = 0.0, weight = 0.0;
-        for (const CellReturn& r : place) {
-            const BeamGainOffset& beam = model.beams[r.beam];
-            const double x = beam.gain * model.shared.compute_range_factor(r.range_m) *
-                             model.shared.compute_incidence_factor(r.cosine);
-            sum += x * (double(r.intensity) - beam.offset);
-            weight += x * x;
-        }
-        model.albedo[place.front().cell] = std::max(sum / std::max(weight, 1e-12), 0.0);
-    });
+    group_returns_by_cell_in_parallel(
+        returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t) {
+            double sum = 0.0, weight = 0.0;
+            for (const CellReturn& r : place) {
+                const BeamGainOffset& beam = model.beams[r.beam];
+                const double x = beam.gain * model.shared.compute_intensity_factor_at_range(r.range_m) *
+                                 model.shared.compute_intensity_factor_at_incidence(r.cosine);
+                sum += x * (double(r.intensity) - beam.offset);
+                weight += x * x;
+            }
+            model.albedo[place.front().cell] = std::max(sum / std::max(weight, 1e-12), 0.0);
+        });
 }
 
 /// Index of each unknown in the linear system: the range factors rho at the knots, the
@@ -109,13 +116,17 @@ void fit_albedo_of_each_cell(IntensityFit& model, const RepeatedCellReturns& ret
 struct UnknownIndices {
     FittedIntensityTerms parts;
     std::size_t n_beams;
-    Eigen::Index get_range_factor_index(std::size_t knot) const { return Eigen::Index(knot); }
-    Eigen::Index get_incidence_index() const { return Eigen::Index(kKnots_m.size()); }
-    Eigen::Index get_gain_index(std::size_t beam) const {
-        return (parts.shared ? get_incidence_index() + 1 : 0) + 2 * Eigen::Index(beam);
+    Eigen::Index get_unknown_index_of_range_factor(std::size_t range_knot) const {
+        return Eigen::Index(range_knot);
     }
-    Eigen::Index get_offset_index(std::size_t beam) const { return get_gain_index(beam) + 1; }
-    Eigen::Index size() const { return get_gain_index(parts.beams ? n_beams : 0); }
+    Eigen::Index get_unknown_index_of_incidence() const { return Eigen::Index(kKnots_m.size()); }
+    Eigen::Index get_unknown_index_of_beam_gain(std::size_t beam_index) const {
+        return (parts.shared ? get_unknown_index_of_incidence() + 1 : 0) + 2 * Eigen::Index(beam_index);
+    }
+    Eigen::Index get_unknown_index_of_beam_offset(std::size_t beam_index) const {
+        return get_unknown_index_of_beam_gain(beam_index) + 1;
+    }
+    Eigen::Index size() const { return get_unknown_index_of_beam_gain(parts.beams ? n_beams : 0); }
 };
 
 /// Nonzero derivatives of the expected intensity of one return with respect to the
@@ -126,31 +137,36 @@ struct IntensityJacobianRow {
     /// derivative with respect to the albedo of the place (small cell), and measured
     /// minus expected intensity
     double by_albedo, error;
-    void add_derivative(Eigen::Index unknown_index, double derivative) {
+    void append_derivative_by_unknown(Eigen::Index unknown_index, double derivative) {
         by[n++] = {unknown_index, derivative};
     }
 };
 
-IntensityJacobianRow compute_response_derivatives(const IntensityFit& model, const UnknownIndices& layout,
-                                                  const CellReturn& measured_return) {
+IntensityJacobianRow compute_intensity_jacobian_row(const IntensityFit& model,
+                                                    const UnknownIndices& unknown_indices,
+                                                    const CellReturn& measured_return) {
     const BeamGainOffset& beam = model.beams[measured_return.beam];
-    const auto [knot, s] = find_range_knot(measured_return.range_m);
-    const double rho = model.shared.compute_range_factor(measured_return.range_m),
-                 kappa = model.shared.compute_incidence_factor(measured_return.cosine),
+    const auto [knot, s] = find_range_knot_and_fraction(measured_return.range_m);
+    const double rho = model.shared.compute_intensity_factor_at_range(measured_return.range_m),
+                 kappa = model.shared.compute_intensity_factor_at_incidence(measured_return.cosine),
                  albedo = model.albedo[measured_return.cell], mean_beam = albedo * rho * kappa;
     IntensityJacobianRow row{{},
                              0,
                              beam.gain * rho * kappa,
                              double(measured_return.intensity) - beam.gain * mean_beam - beam.offset};
-    if (layout.parts.shared) {
-        row.add_derivative(layout.get_range_factor_index(knot), beam.gain * albedo * kappa * (1.0 - s));
-        row.add_derivative(layout.get_range_factor_index(knot + 1), beam.gain * albedo * kappa * s);
-        row.add_derivative(layout.get_incidence_index(),
-                           -beam.gain * albedo * rho * (1.0 - double(measured_return.cosine)));
+    if (unknown_indices.parts.shared) {
+        row.append_derivative_by_unknown(unknown_indices.get_unknown_index_of_range_factor(knot),
+                                         beam.gain * albedo * kappa * (1.0 - s));
+        row.append_derivative_by_unknown(unknown_indices.get_unknown_index_of_range_factor(knot + 1),
+                                         beam.gain * albedo * kappa * s);
+        row.append_derivative_by_unknown(unknown_indices.get_unknown_index_of_incidence(),
+                                         -beam.gain * albedo * rho * (1.0 - double(measured_return.cosine)));
     }
-    if (layout.parts.beams) {
-        row.add_derivative(layout.get_gain_index(measured_return.beam), mean_beam);
-        row.add_derivative(layout.get_offset_index(measured_return.beam), 1.0);
+    if (unknown_indices.parts.beams) {
+        row.append_derivative_by_unknown(unknown_indices.get_unknown_index_of_beam_gain(measured_return.beam),
+                                         mean_beam);
+        row.append_derivative_by_unknown(
+            unknown_indices.get_unknown_index_of_beam_offset(measured_return.beam), 1.0);
     }
     return row;
 }
@@ -176,12 +192,12 @@ struct alignas(64) Sums {
     explicit Sums(Eigen::Index n)
         : system{Eigen::MatrixXd::Zero(n, n), Eigen::VectorXd::Zero(n)}, coupling(std::size_t(n), 0.0) {}
 
-    void add_cell_returns(const IntensityFit& model, const UnknownIndices& layout,
-                          std::span<const CellReturn> cell_returns) {
+    void add_equations_of_cell_returns(const IntensityFit& model, const UnknownIndices& unknown_indices,
+                                       std::span<const CellReturn> cell_returns) {
         double cc = 0.0, ce = 0.0;
         touched.clear();
         for (const CellReturn& r : cell_returns) {
-            const IntensityJacobianRow row = compute_response_derivatives(model, layout, r);
+            const IntensityJacobianRow row = compute_intensity_jacobian_row(model, unknown_indices, r);
             for (std::size_t i = 0; i < row.n; ++i) {
                 const auto [unknown, derivative] = row.by[i];
                 if (coupling[std::size_t(unknown)] == 0.0) touched.push_back(unknown);
@@ -203,13 +219,13 @@ struct alignas(64) Sums {
     }
 };
 
-NormalEquations build_normal_equations(const IntensityFit& model, const UnknownIndices& layout,
+NormalEquations build_normal_equations(const IntensityFit& model, const UnknownIndices& unknown_indices,
                                        const RepeatedCellReturns& returns) {
-    std::vector<Sums> sums(kChunks, Sums(layout.size()));
-    for_each_cell_in_parallel(returns.sorted_returns,
-                              [&](std::span<const CellReturn> place, std::size_t chunk) {
-                                  sums[chunk].add_cell_returns(model, layout, place);
-                              });
+    std::vector<Sums> sums(kChunks, Sums(unknown_indices.size()));
+    group_returns_by_cell_in_parallel(
+        returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t chunk) {
+            sums[chunk].add_equations_of_cell_returns(model, unknown_indices, place);
+        });
     for (std::size_t c = 1; c < kChunks; ++c) {
         sums[0].system.h += sums[c].system.h, sums[0].system.g += sums[c].system.g;
         sums[0].sum += sums[c].sum, sums[0].squares += sums[c].squares;
@@ -221,7 +237,8 @@ NormalEquations build_normal_equations(const IntensityFit& model, const UnknownI
     return sys;
 }
 
-void add_priors(NormalEquations& equations, const IntensityFit& model, const UnknownIndices& layout) {
+void add_intensity_priors_to_equations(NormalEquations& equations, const IntensityFit& model,
+                                       const UnknownIndices& unknown_indices) {
     const auto pull = [&](Eigen::Index i, double weight, double error) {
         equations.h(i, i) += weight, equations.g[i] += weight * error;
     };
@@ -229,53 +246,65 @@ void add_priors(NormalEquations& equations, const IntensityFit& model, const Unk
         kResponsePrior * (equations.mean * equations.mean + equations.spread * equations.spread);
     // If a knot (sampled range) has few returns, the prior pulls its factor rho to the
     // line through the neighbouring knots.
-    for (std::size_t k = 1; layout.parts.shared && k + 1 < kKnots_m.size(); ++k) {
+    for (std::size_t k = 1; unknown_indices.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
                               now(model.shared.factor[k - 1], model.shared.factor[k],
                                   model.shared.factor[k + 1]);
-        equations.h.block<3, 3>(layout.get_range_factor_index(k - 1), layout.get_range_factor_index(k - 1)) +=
+        equations.h.block<3, 3>(unknown_indices.get_unknown_index_of_range_factor(k - 1),
+                                unknown_indices.get_unknown_index_of_range_factor(k - 1)) +=
             prior * bend * bend.transpose();
-        equations.g.segment<3>(layout.get_range_factor_index(k - 1)) -= prior * bend * bend.dot(now);
+        equations.g.segment<3>(unknown_indices.get_unknown_index_of_range_factor(k - 1)) -=
+            prior * bend * bend.dot(now);
     }
-    if (layout.parts.shared) {
+    if (unknown_indices.parts.shared) {
         // A scale that all albedos share cannot be observed, so rho is fixed to 1 at one
         // knot.
-        pull(layout.get_range_factor_index(kReference), 1e3 * prior, 1.0 - model.shared.factor[kReference]);
+        pull(unknown_indices.get_unknown_index_of_range_factor(kReference), 1e3 * prior,
+             1.0 - model.shared.factor[kReference]);
         for (std::size_t k = 0; k < kKnots_m.size(); ++k)
-            pull(layout.get_range_factor_index(k), 1e-3 * prior, 1.0 - model.shared.factor[k]);
-        pull(layout.get_incidence_index(), 1e-3 * prior, -model.shared.incidence);
+            pull(unknown_indices.get_unknown_index_of_range_factor(k), 1e-3 * prior,
+                 1.0 - model.shared.factor[k]);
+        pull(unknown_indices.get_unknown_index_of_incidence(), 1e-3 * prior, -model.shared.incidence);
     }
-    for (std::size_t b = 0; layout.parts.beams && b < model.beams.size(); ++b)
+    for (std::size_t b = 0; unknown_indices.parts.beams && b < model.beams.size(); ++b)
         for (const double x : {equations.mean - equations.spread, equations.mean + equations.spread}) {
             const double weight = 0.5 * kResponsePrior,
                          error = x - model.beams[b].gain * x - model.beams[b].offset;
-            equations.h(layout.get_gain_index(b), layout.get_gain_index(b)) += weight * x * x,
-                equations.h(layout.get_offset_index(b), layout.get_offset_index(b)) += weight;
-            equations.h(layout.get_offset_index(b), layout.get_gain_index(b)) += weight * x;
-            equations.g[layout.get_gain_index(b)] += weight * x * error,
-                equations.g[layout.get_offset_index(b)] += weight * error;
+            equations.h(unknown_indices.get_unknown_index_of_beam_gain(b),
+                        unknown_indices.get_unknown_index_of_beam_gain(b)) += weight * x * x,
+                equations.h(unknown_indices.get_unknown_index_of_beam_offset(b),
+                            unknown_indices.get_unknown_index_of_beam_offset(b)) += weight;
+            equations.h(unknown_indices.get_unknown_index_of_beam_offset(b),
+                        unknown_indices.get_unknown_index_of_beam_gain(b)) += weight * x;
+            equations.g[unknown_indices.get_unknown_index_of_beam_gain(b)] += weight * x * error,
+                equations.g[unknown_indices.get_unknown_index_of_beam_offset(b)] += weight * error;
         }
 }
 
-void apply_solver_step(IntensityFit& model, const UnknownIndices& layout, const Eigen::VectorXd& step) {
-    if (layout.parts.shared) {
+void add_solver_step_to_model(IntensityFit& model, const UnknownIndices& unknown_indices,
+                              const Eigen::VectorXd& step) {
+    if (unknown_indices.parts.shared) {
         for (std::size_t k = 0; k < model.shared.factor.size(); ++k)
             model.shared.factor[k] = std::clamp(
-                model.shared.factor[k] + step[layout.get_range_factor_index(k)], kMinFactor, kMaxFactor);
+                model.shared.factor[k] + step[unknown_indices.get_unknown_index_of_range_factor(k)],
+                kMinFactor, kMaxFactor);
         model.shared.incidence =
-            std::clamp(model.shared.incidence + step[layout.get_incidence_index()], 0.0, kMaxIncidence);
+            std::clamp(model.shared.incidence + step[unknown_indices.get_unknown_index_of_incidence()], 0.0,
+                       kMaxIncidence);
     }
-    for (std::size_t b = 0; layout.parts.beams && b < model.beams.size(); ++b) {
+    for (std::size_t b = 0; unknown_indices.parts.beams && b < model.beams.size(); ++b) {
         model.beams[b].gain =
-            std::clamp(model.beams[b].gain + step[layout.get_gain_index(b)], kMinGain, kMaxGain);
-        model.beams[b].offset += step[layout.get_offset_index(b)];
+            std::clamp(model.beams[b].gain + step[unknown_indices.get_unknown_index_of_beam_gain(b)],
+                       kMinGain, kMaxGain);
+        model.beams[b].offset += step[unknown_indices.get_unknown_index_of_beam_offset(b)];
     }
 }
 
 /// Normalises the beams so that their mean, weighted by numbers of returns, has gain 1
 /// and offset 0. A scale and a shift that all albedos share cannot be observed.
-void normalise_beam_responses(std::vector<BeamGainOffset>& beams, const RepeatedCellReturns& returns) {
+void normalise_mean_beam_gain_and_offset(std::vector<BeamGainOffset>& beams,
+                                         const RepeatedCellReturns& returns) {
     std::vector<double> n(beams.size(), kResponsePrior);
     for (const CellReturn& r : returns.sorted_returns) n[r.beam] += 1.0;
     double all = 0.0, gain = 0.0, offset = 0.0;
@@ -287,17 +316,18 @@ void normalise_beam_responses(std::vector<BeamGainOffset>& beams, const Repeated
     }
 }
 
-double compute_rms_error(const IntensityFit& model, const RepeatedCellReturns& returns) {
+double compute_rms_intensity_error(const IntensityFit& model, const RepeatedCellReturns& returns) {
     struct alignas(64) Sum {  // one cache line per sum, because threads write to neighbouring elements
         double of = 0.0;
     };
     std::array<Sum, kChunks> squares;
-    for_each_cell_in_parallel(
+    group_returns_by_cell_in_parallel(
         returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t chunk) {
             for (const CellReturn& r : place) {
                 const BeamGainOffset& beam = model.beams[r.beam];
-                const double mean_beam = model.albedo[r.cell] * model.shared.compute_range_factor(r.range_m) *
-                                         model.shared.compute_incidence_factor(r.cosine),
+                const double mean_beam = model.albedo[r.cell] *
+                                         model.shared.compute_intensity_factor_at_range(r.range_m) *
+                                         model.shared.compute_intensity_factor_at_incidence(r.cosine),
                              error = beam.gain * mean_beam + beam.offset - double(r.intensity);
                 squares[chunk].of += error * error;
             }
@@ -307,29 +337,29 @@ double compute_rms_error(const IntensityFit& model, const RepeatedCellReturns& r
     return std::sqrt(all / double(returns.sorted_returns.size()));
 }
 
-IntensityFit fit_response_model(const RepeatedCellReturns& returns, std::size_t n_beams,
-                                FittedIntensityTerms fitted_parts) {
+IntensityFit fit_intensity_model(const RepeatedCellReturns& returns, std::size_t n_beams,
+                                 FittedIntensityTerms terms_to_fit) {
     IntensityFit m;
     m.albedo.resize(returns.n_cells);
     m.beams.resize(n_beams);
     fit_albedo_of_each_cell(m, returns);
-    m.rms = compute_rms_error(m, returns);
-    const UnknownIndices at{fitted_parts, n_beams};
+    m.rms = compute_rms_intensity_error(m, returns);
+    const UnknownIndices at{terms_to_fit, n_beams};
     double damping = kDamping;
     for (int i = 0; i < kSteps && at.size() > 0; ++i) {  // Levenberg-Marquardt
         NormalEquations sys = build_normal_equations(m, at, returns);
-        add_priors(sys, m, at);
+        add_intensity_priors_to_equations(sys, m, at);
         sys.h.diagonal() *= 1.0 + damping;
         IntensityFit next = m;
-        apply_solver_step(next, at, sys.h.ldlt().solve(sys.g));
+        add_solver_step_to_model(next, at, sys.h.ldlt().solve(sys.g));
         fit_albedo_of_each_cell(next, returns);
-        next.rms = compute_rms_error(next, returns);
+        next.rms = compute_rms_intensity_error(next, returns);
         const bool is_better = next.rms < m.rms;
         damping *= is_better ? 0.1 : 10.0;
         if (is_better) m = std::move(next);
     }
-    if (fitted_parts.beams) {
-        normalise_beam_responses(m.beams, returns);
+    if (terms_to_fit.beams) {
+        normalise_mean_beam_gain_and_offset(m.beams, returns);
         fit_albedo_of_each_cell(m, returns);
     }
     return m;
@@ -337,7 +367,7 @@ IntensityFit fit_response_model(const RepeatedCellReturns& returns, std::size_t 
 
 }  // namespace
 
-double IntensityResponse::compute_range_factor(double distance_m) const {
+double IntensityResponse::compute_intensity_factor_at_range(double distance_m) const {
     if (factor.empty()) return 1.0;
     const auto after = std::upper_bound(range_m.begin(), range_m.end(), distance_m);
     if (after == range_m.begin()) return factor.front();
@@ -347,12 +377,12 @@ double IntensityResponse::compute_range_factor(double distance_m) const {
     return (1.0 - s) * factor[right - 1] + s * factor[right];
 }
 
-IntensityCalibrationResult calibrate_intensity(LidarSequence& sequence,
-                                               const std::vector<int>& frame_indices) {
+IntensityCalibrationResult fit_and_set_intensity_calibration(LidarSequence& sequence,
+                                                             const std::vector<int>& frame_indices) {
     sequence.intensity_response = {};
     const std::vector<Beam*> beams = list_beams_of_all_lidars(sequence);
     for (Beam* beam : beams) beam->intensity_gain = 1.0, beam->intensity_offset = 0.0;
-    const RepeatedCellReturns returns = collect_returns_by_cell(sequence, frame_indices);
+    const RepeatedCellReturns returns = collect_repeatedly_hit_cells(sequence, frame_indices);
     IntensityCalibrationResult result;
     result.returns = returns.sorted_returns.size();
     if (returns.sorted_returns.empty()) return result;
@@ -360,11 +390,11 @@ IntensityCalibrationResult calibrate_intensity(LidarSequence& sequence,
     const auto better = [](const IntensityFit& first, const IntensityFit& second) {
         return first.rms < kLeastResponseGain * second.rms;
     };
-    IntensityFit best = fit_response_model(returns, n, {false, false});
+    IntensityFit best = fit_intensity_model(returns, n, {false, false});
     result.rms_before = best.rms;
-    const IntensityFit shared = fit_response_model(returns, n, {true, false}),
-                       each_beam = fit_response_model(returns, n, {false, true}),
-                       both = fit_response_model(returns, n, {true, true});
+    const IntensityFit shared = fit_intensity_model(returns, n, {true, false}),
+                       each_beam = fit_intensity_model(returns, n, {false, true}),
+                       both = fit_intensity_model(returns, n, {true, true});
     const bool first_shared = shared.rms <= each_beam.rms;
     const IntensityFit& single = first_shared ? shared : each_beam;
     if (better(single, best)) best = single, result.shared = first_shared, result.beams = !first_shared;

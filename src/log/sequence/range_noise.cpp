@@ -30,13 +30,14 @@ constexpr double kOfMedian = 1.4826;
 
 using DifferencesByBin = std::array<std::vector<float>, kBins>;
 
-std::size_t find_clamped_bin(const auto& upper_ends, double value) {
+std::size_t find_bin_clamped_to_last(const auto& bin_upper_ends, double value) {
     return std::min<std::size_t>(
-        std::size_t(std::lower_bound(upper_ends.begin(), upper_ends.end(), value) - upper_ends.begin()),
-        upper_ends.size() - 1);
+        std::size_t(std::lower_bound(bin_upper_ends.begin(), bin_upper_ends.end(), value) -
+                    bin_upper_ends.begin()),
+        bin_upper_ends.size() - 1);
 }
 
-DifferencesByBin collect_range_differences(const LidarFrame& frame) {
+DifferencesByBin collect_neighbour_range_differences(const LidarFrame& frame) {
     DifferencesByBin result;
     const Scan& scan = frame.scan;
     const RangeImageRays image{scan.rays.rows, scan.rays.columns, scan.rays.origin, scan.rays.direction,
@@ -50,21 +51,21 @@ DifferencesByBin collect_range_differences(const LidarFrame& frame) {
         const float difference_m =
             std::abs(scan.range_m[left] - 2.0f * scan.range_m[i] + scan.range_m[right]);
         if (difference_m > kEdge_m) continue;
-        const std::size_t b = find_clamped_bin(kRanges_m, double(scan.range_m[i])) * kCosines.size() +
-                              find_clamped_bin(kCosines, cosine);
+        const std::size_t b = find_bin_clamped_to_last(kRanges_m, double(scan.range_m[i])) * kCosines.size() +
+                              find_bin_clamped_to_last(kCosines, cosine);
         result[b].push_back(difference_m);
     }
     return result;
 }
 
-double estimate_noise_sigma_m(const std::vector<float>& differences_m) {
-    return kOfMedian * double(compute_median(differences_m)) / std::sqrt(6.0);
+double estimate_noise_sigma_from_differences_m(const std::vector<float>& neighbour_differences_m) {
+    return kOfMedian * double(compute_median(neighbour_differences_m)) / std::sqrt(6.0);
 }
 
 /// Fills bins that have too few returns. Uses the noise at the same incidence in the next
 /// nearer range, or else in the next farther range. If neither exists, uses the maximum
 /// over all bins.
-void fill_empty_noise_bins(RangeNoiseTable& noise) {
+void fill_empty_bins_from_neighbour_ranges(RangeNoiseTable& noise) {
     const std::size_t n_cosines = kCosines.size();
     for (std::size_t i = 0; i < noise.sigma_m.size(); ++i)
         if (noise.sigma_m[i] == 0.0 && i >= n_cosines) noise.sigma_m[i] = noise.sigma_m[i - n_cosines];
@@ -89,30 +90,30 @@ std::pair<RangeNoiseTable, std::size_t> estimate_range_noise(
         for (const DifferencesByBin& frame : differences_by_frame)
             all.insert(all.end(), frame[b].begin(), frame[b].end());
         n += all.size();
-        if (all.size() >= kFewestOfBin) noise.sigma_m[b] = estimate_noise_sigma_m(all);
+        if (all.size() >= kFewestOfBin) noise.sigma_m[b] = estimate_noise_sigma_from_differences_m(all);
     }
     if (*std::max_element(noise.sigma_m.begin(), noise.sigma_m.end()) == 0.0) return {};
-    fill_empty_noise_bins(noise);
+    fill_empty_bins_from_neighbour_ranges(noise);
     return {std::move(noise), n};
 }
 
 }  // namespace
 
-double RangeNoiseTable::get_noise_sigma_m(double measured_range_m, double incidence_cosine) const {
+double RangeNoiseTable::get_range_noise_sigma_m(double measured_range_m, double incidence_cosine) const {
     if (sigma_m.empty()) return 0.0;
-    return sigma_m[find_clamped_bin(range_m, measured_range_m) * cosine.size() +
-                   find_clamped_bin(cosine, incidence_cosine)];
+    return sigma_m[find_bin_clamped_to_last(range_m, measured_range_m) * cosine.size() +
+                   find_bin_clamped_to_last(cosine, incidence_cosine)];
 }
 
-std::size_t measure_range_noise(LidarSequence& sequence, const std::vector<int>& frame_indices) {
+std::size_t measure_and_set_range_noise(LidarSequence& sequence, const std::vector<int>& frame_indices) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < sequence.lidars.size(); ++i) {
         std::vector<int> lidar_frame_indices;
         for (const int position : frame_indices)
             if (sequence.frames[std::size_t(position)].lidar == int(i))
                 lidar_frame_indices.push_back(position);
-        const auto [noise, n_returns] = estimate_range_noise(
-            collect_from_frames(sequence, lidar_frame_indices, kMostNoiseReturns, collect_range_differences));
+        const auto [noise, n_returns] = estimate_range_noise(process_frames_in_parallel(
+            sequence, lidar_frame_indices, kMostNoiseReturns, collect_neighbour_range_differences));
         sequence.lidars[i].range_noise = noise;
         n += n_returns;
     }

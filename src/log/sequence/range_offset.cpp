@@ -46,7 +46,8 @@ struct UncorrectedReturn {
     std::uint32_t beam;
 };
 
-std::vector<UncorrectedReturn> collect_world_returns(const LidarSequence& sequence, const LidarFrame& frame) {
+std::vector<UncorrectedReturn> collect_frame_returns_in_world(const LidarSequence& sequence,
+                                                              const LidarFrame& frame) {
     std::vector<UncorrectedReturn> result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         const auto beam = find_beam_of_return(sequence, frame, ray, kMaxRange_m);
@@ -70,26 +71,26 @@ struct ReturnsByCell {
 };
 
 ReturnsByCell group_returns_by_cell(const LidarSequence& sequence, const std::vector<int>& frame_indices) {
-    const std::vector<UncorrectedReturn> all = concatenate_vectors(
-        collect_from_frames(sequence, frame_indices, kMostOffsetReturns,
-                            [&](const LidarFrame& frame) { return collect_world_returns(sequence, frame); }));
-    const CellItemLists items(assign_cell_numbers(all.size(), [&](std::size_t index) {
+    const std::vector<UncorrectedReturn> all = concatenate_vectors(process_frames_in_parallel(
+        sequence, frame_indices, kMostOffsetReturns,
+        [&](const LidarFrame& frame) { return collect_frame_returns_in_world(sequence, frame); }));
+    const CellItemLists items(number_cells_and_assign_items(all.size(), [&](std::size_t index) {
         return compute_grid_cell_key(glm::dvec3(all[index].point_m), kCell_m);
     }));
     ReturnsByCell cells{std::vector<UncorrectedReturn>(all.size()), {0}};
     for (std::size_t cell = 0; cell < items.size(); ++cell)
-        cells.first.push_back(cells.first.back() + items.get_items_of_cell(cell).size());
+        cells.first.push_back(cells.first.back() + items.get_item_indices_of_cell(cell).size());
     parallel_for_in_blocks(items.size(), [&](std::size_t cell) {
-        for (std::size_t k = 0; k < items.get_items_of_cell(cell).size(); ++k)
-            cells.returns[cells.first[cell] + k] = all[items.get_items_of_cell(cell)[k]];
+        for (std::size_t k = 0; k < items.get_item_indices_of_cell(cell).size(); ++k)
+            cells.returns[cells.first[cell] + k] = all[items.get_item_indices_of_cell(cell)[k]];
     });
     return cells;
 }
 
-glm::dvec3 correct_by_range_offset(const UncorrectedReturn& observation,
-                                   const std::vector<double>& beam_offsets_m) {
-    return glm::dvec3(observation.point_m) -
-           beam_offsets_m[observation.beam] * glm::dvec3(observation.direction);
+glm::dvec3 compute_offset_corrected_point(const UncorrectedReturn& uncorrected_return,
+                                          const std::vector<double>& beam_offsets_m) {
+    return glm::dvec3(uncorrected_return.point_m) -
+           beam_offsets_m[uncorrected_return.beam] * glm::dvec3(uncorrected_return.direction);
 }
 
 struct CellPlane {
@@ -100,10 +101,10 @@ struct CellPlane {
 std::optional<CellPlane> fit_plane_to_returns(std::span<const UncorrectedReturn> cell_returns,
                                               const std::vector<double>& beam_offsets_m) {
     if (cell_returns.size() < std::size_t(kMinReturns)) return std::nullopt;
-    const glm::dvec3 about = correct_by_range_offset(cell_returns[0], beam_offsets_m);
+    const glm::dvec3 about = compute_offset_corrected_point(cell_returns[0], beam_offsets_m);
     PointMomentSums sums;
     for (const UncorrectedReturn& o : cell_returns)
-        sums.add_point(correct_by_range_offset(o, beam_offsets_m) - about);
+        sums.add_point(compute_offset_corrected_point(o, beam_offsets_m) - about);
     const PlaneFit fit = sums.fit_plane();
     if (fit.variance[0] > kMaxThickness_m * kMaxThickness_m ||
         fit.variance[1] < kMaxThickness_m * kMaxThickness_m)
@@ -124,18 +125,20 @@ struct BeamResiduals {
     std::size_t n = 0;
     double squares = 0.0;
 
-    void add_residual(const UncorrectedReturn& observation, const CellPlane& plane,
-                      const std::vector<double>& beam_offsets_m) {
-        const double facing = glm::dot(plane.normal, glm::dvec3(observation.direction)),
-                     residual = glm::dot(plane.normal,
-                                         correct_by_range_offset(observation, beam_offsets_m) - plane.point);
+    void add_return_plane_residual(const UncorrectedReturn& uncorrected_return, const CellPlane& plane,
+                                   const std::vector<double>& beam_offsets_m) {
+        const double facing = glm::dot(plane.normal, glm::dvec3(uncorrected_return.direction)),
+                     residual = glm::dot(
+                         plane.normal,
+                         compute_offset_corrected_point(uncorrected_return, beam_offsets_m) - plane.point);
         if (facing == 0.0 || std::abs(residual) > kMaxResidual_m) return;
         ++n;
         squares += residual * residual;
-        fits[observation.beam].weight += facing * facing;
+        fits[uncorrected_return.beam].weight += facing * facing;
         // Adds the full offset and not only its change, because the prior pulls the full
         // offset to zero.
-        fits[observation.beam].sum += facing * (residual + beam_offsets_m[observation.beam] * facing);
+        fits[uncorrected_return.beam].sum +=
+            facing * (residual + beam_offsets_m[uncorrected_return.beam] * facing);
     }
     BeamResiduals& operator+=(const BeamResiduals& other) {
         n += other.n;
@@ -150,17 +153,19 @@ struct BeamResiduals {
 
 /// Computes the distances of all returns from the planes of their cells with the current
 /// offsets. Runs in parallel, but adds the sums in a fixed order.
-BeamResiduals compute_plane_residuals(const ReturnsByCell& cells, const std::vector<double>& beam_offsets_m) {
+BeamResiduals sum_plane_residuals_by_beam(const ReturnsByCell& cells,
+                                          const std::vector<double>& beam_offsets_m) {
     constexpr std::size_t kBlock = 2048;
     BeamResiduals all{
         .fits = std::vector<BeamOffsetSums>(beam_offsets_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
-    all += parallel_reduce(cells.size(), kBlock, [&](std::size_t begin, std::size_t end) {
+    all += parallel_sum_over_ranges(cells.size(), kBlock, [&](std::size_t begin, std::size_t end) {
         BeamResiduals block{.fits = std::vector<BeamOffsetSums>(beam_offsets_m.size())};
         for (std::size_t cell = begin; cell < end; ++cell) {
             const std::span<const UncorrectedReturn> cell_returns = cells.get_cell_returns(cell);
             const std::optional<CellPlane> plane = fit_plane_to_returns(cell_returns, beam_offsets_m);
             if (!plane) continue;
-            for (const UncorrectedReturn& o : cell_returns) block.add_residual(o, *plane, beam_offsets_m);
+            for (const UncorrectedReturn& o : cell_returns)
+                block.add_return_plane_residual(o, *plane, beam_offsets_m);
         }
         return block;
     });
@@ -169,9 +174,9 @@ BeamResiduals compute_plane_residuals(const ReturnsByCell& cells, const std::vec
 
 /// Improves the range offsets of all beams by one iteration.
 /// @return number and mean square of the residuals before the iteration
-std::pair<std::size_t, double> update_range_offsets(const ReturnsByCell& cells,
-                                                    std::vector<double>& beam_offsets_m) {
-    const BeamResiduals r = compute_plane_residuals(cells, beam_offsets_m);
+std::pair<std::size_t, double> refine_beam_range_offsets_once(const ReturnsByCell& cells,
+                                                              std::vector<double>& beam_offsets_m) {
+    const BeamResiduals r = sum_plane_residuals_by_beam(cells, beam_offsets_m);
     double mean = 0.0, weight = 0.0;
     for (std::size_t b = 0; b < beam_offsets_m.size(); ++b) {
         beam_offsets_m[b] = r.fits[b].sum / r.fits[b].weight;
@@ -186,7 +191,8 @@ std::pair<std::size_t, double> update_range_offsets(const ReturnsByCell& cells,
 
 }  // namespace
 
-RangeCalibrationResult calibrate_beam_ranges(LidarSequence& sequence, const std::vector<int>& frame_indices) {
+RangeCalibrationResult fit_and_set_range_offset_of_beams(LidarSequence& sequence,
+                                                         const std::vector<int>& frame_indices) {
     const std::vector<Beam*> beams = list_beams_of_all_lidars(sequence);
     for (Beam* beam : beams) beam->range_offset_m = 0.0;
     const ReturnsByCell cells = group_returns_by_cell(sequence, frame_indices);
@@ -194,7 +200,7 @@ RangeCalibrationResult calibrate_beam_ranges(LidarSequence& sequence, const std:
     if (cells.returns.empty()) return result;
     std::vector<double> offset_m(beams.size(), 0.0);
     for (int round = 0; round < kRounds; ++round) {
-        const auto [n, mean_square] = update_range_offsets(cells, offset_m);
+        const auto [n, mean_square] = refine_beam_range_offsets_once(cells, offset_m);
         result.returns = n;
         result.rms_after = std::sqrt(mean_square);
         if (round == 0) result.rms_before = result.rms_after;

@@ -19,7 +19,7 @@
 namespace relidar {
 namespace {
 
-TrackInterpolation find_track_position(const std::vector<double>& track_times_s, double t_s) {
+TrackInterpolation find_pose_segment_at_time(const std::vector<double>& track_times_s, double t_s) {
     const auto after = std::upper_bound(track_times_s.begin(), track_times_s.end(), t_s);
     const std::ptrdiff_t last = static_cast<std::ptrdiff_t>(track_times_s.size()) - 2;
     const std::size_t left =
@@ -30,7 +30,7 @@ TrackInterpolation find_track_position(const std::vector<double>& track_times_s,
 
 }  // namespace
 
-bool BoxTrack::is_present(double t_s) const {
+bool BoxTrack::is_observed_at_time(double t_s) const {
     const PoseTrack& track = world_from_box;
     if (track.pose.size() < 2) return track.contains_time(t_s);
     const double half_step =
@@ -38,7 +38,7 @@ bool BoxTrack::is_present(double t_s) const {
     return t_s >= track.time_s.front() - half_step && t_s <= track.time_s.back() + half_step;
 }
 
-BoxTrack BoxTrack::copy_labelled_poses() const {
+BoxTrack BoxTrack::copy_track_of_labelled_poses() const {
     BoxTrack part = *this;
     part.n_before = part.n_after = 0;
     const auto first = std::ptrdiff_t(n_before), last = std::ptrdiff_t(world_from_box.pose.size() - n_after);
@@ -54,7 +54,7 @@ bool BoxTrack::contains_point(const glm::dvec3& point_m, double t_s, double marg
     // First compares the distance from the centre of the box. This fast test rejects most
     // points, so the rotation is interpolated only for the remaining points.
     if (track.pose.size() > 1) {
-        const TrackInterpolation at = find_track_position(track.time_s, t_s);
+        const TrackInterpolation at = find_pose_segment_at_time(track.time_s, t_s);
         const glm::dvec3 centre =
             glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
         const glm::dvec3 d = point_m - centre;
@@ -64,23 +64,23 @@ bool BoxTrack::contains_point(const glm::dvec3& point_m, double t_s, double marg
     return local.x <= half.x && local.y <= half.y && local.z <= half.z;
 }
 
-TrackInterpolation PoseTrack::find_pose_segment(double t_s) const {
+TrackInterpolation PoseTrack::find_poses_before_and_after_time(double t_s) const {
     if (pose.empty() || pose.size() != time_s.size()) {
         throw DataError(
             fmt::format("found a pose track with {} poses at {} times, expected at least one of each and the "
                         "same number",
                         pose.size(), time_s.size()));
     }
-    return pose.size() == 1 ? TrackInterpolation{} : find_track_position(time_s, t_s);
+    return pose.size() == 1 ? TrackInterpolation{} : find_pose_segment_at_time(time_s, t_s);
 }
 
 Pose PoseTrack::interpolate_pose(double t_s) const {
-    const auto [left, s] = find_pose_segment(t_s);
+    const auto [left, s] = find_poses_before_and_after_time(t_s);
     return pose.size() == 1 ? pose.front() : interpolate(pose[left], pose[left + 1], s);
 }
 
 Pose PoseTrack::interpolate_mounted_pose(double t_s, const Pose& carrier_from_mounted) const {
-    const auto [left, s] = find_pose_segment(t_s);
+    const auto [left, s] = find_poses_before_and_after_time(t_s);
     return pose.size() == 1
                ? pose.front() * carrier_from_mounted
                : interpolate(pose[left] * carrier_from_mounted, pose[left + 1] * carrier_from_mounted, s);
@@ -103,7 +103,7 @@ void remove_returns_outside_limits(Scan& scan, const RangeLimits& limits) {
     }
 }
 
-std::size_t LidarSequence::get_pose_index(const LidarFrame& frame) const {
+std::size_t LidarSequence::get_vehicle_pose_index_of_frame(const LidarFrame& frame) const {
     const std::vector<double>& times = world_from_vehicle.time_s;
     const auto at = std::ranges::lower_bound(times, frame.time_s);
     if (at == times.end() || *at != frame.time_s || times.size() != world_from_vehicle.pose.size())
@@ -130,7 +130,7 @@ int find_lidar_index_by_name(const LidarSequence& sequence, const std::string& n
     return name.empty() ? 0 : static_cast<int>(it - lidar_names.begin());
 }
 
-std::size_t LidarSequence::count_beams() const {
+std::size_t LidarSequence::count_beams_of_all_lidars() const {
     return std::accumulate(
         lidars.begin(), lidars.end(), std::size_t(0),
         [](std::size_t count, const Lidar& lidar) { return count + lidar.sensor.beams.size(); });
@@ -144,9 +144,9 @@ std::optional<std::uint16_t> LidarSequence::find_global_beam_number(int lidar_in
     return static_cast<std::uint16_t>(number);
 }
 
-const BoxTrack* find_box(const LidarSequence& sequence, const std::string& id) {
-    if (id.empty()) return nullptr;
-    const auto box = std::ranges::find(sequence.boxes, id, &BoxTrack::id);
+const BoxTrack* find_box_track_by_id(const LidarSequence& sequence, const std::string& box_id) {
+    if (box_id.empty()) return nullptr;
+    const auto box = std::ranges::find(sequence.boxes, box_id, &BoxTrack::id);
     return box == sequence.boxes.end() ? nullptr : &*box;
 }
 
@@ -193,7 +193,7 @@ PoseTrack subdivide_turning_segments(const PoseTrack& track) {
     return fine;
 }
 
-PoseTrack shift_track(PoseTrack track, const glm::dvec3& offset_m) {
+PoseTrack add_offset_to_track_positions(PoseTrack track, const glm::dvec3& offset_m) {
     for (Pose& pose : track.pose) pose.translation += offset_m;
     return track;
 }
@@ -301,17 +301,18 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningS
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
     const std::size_t step = 1 + rays.size() / 4096, n = (rays.size() + step - 1) / step;
-    const HeadRotation head_rotation = parallel_reduce(n, 256, [&](std::size_t begin, std::size_t end) {
-        HeadRotation part;
-        const std::size_t last = std::min(end * step, rays.size());
-        for (std::size_t i = begin * step; i < last; i += step) {
-            const double azimuth = std::atan2(double(rays.direction[i].y), double(rays.direction[i].x));
-            part.at_zero += std::polar(1.0, azimuth - rad_per_s * double(rays.time_offset_s[i]));
-        }
-        for (std::size_t i = begin * step; i < last; ++i)
-            part.first_s = std::min(part.first_s, rays.time_offset_s[i]);
-        return part;
-    });
+    const HeadRotation head_rotation =
+        parallel_sum_over_ranges(n, 256, [&](std::size_t begin, std::size_t end) {
+            HeadRotation part;
+            const std::size_t last = std::min(end * step, rays.size());
+            for (std::size_t i = begin * step; i < last; i += step) {
+                const double azimuth = std::atan2(double(rays.direction[i].y), double(rays.direction[i].x));
+                part.at_zero += std::polar(1.0, azimuth - rad_per_s * double(rays.time_offset_s[i]));
+            }
+            for (std::size_t i = begin * step; i < last; ++i)
+                part.first_s = std::min(part.first_s, rays.time_offset_s[i]);
+            return part;
+        });
     const float first_s = head_rotation.first_s;
     if (std::abs(head_rotation.at_zero) < kTogether * double(n)) return {};
     const double at_zero = std::arg(head_rotation.at_zero);
@@ -323,7 +324,7 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningS
 
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar) {
     if (!lidar.pattern) return find_sweep_start(rays, lidar.sensor);
-    const double period_s = lidar.period_s();
+    const double period_s = lidar.get_sweep_period_s();
     if (!(period_s > 0.0) || rays.size() == 0) return {};
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
     // In a motion-compensated scan, all rays have the same time, so the start is unknown.
@@ -358,8 +359,8 @@ namespace {
 
 /// Returns the time at which a LiDAR that does not spin measures an azimuth, relative to
 /// the time of the frame.
-double compute_measurement_offset_s(const SensorPattern& pattern, double azimuth_rad,
-                                    const std::optional<SweepStart>& sweep_start) {
+double compute_azimuth_time_offset_s(const SensorPattern& pattern, double azimuth_rad,
+                                     const std::optional<SweepStart>& sweep_start) {
     const auto [n_rays, period_s, by_time, sweep] = summarise_scan_pattern(pattern);
     const double middle_s = sweep_start ? sweep_start->time_s + 0.5 * period_s : 0.0;
     if (!sweep || sweep->columns < 2) return middle_s;
@@ -370,14 +371,14 @@ double compute_measurement_offset_s(const SensorPattern& pattern, double azimuth
 
 }  // namespace
 
-double compute_point_scan_time_s(const LidarSequence& sequence, const glm::dvec3& point_m,
-                                 const SweepTiming& sweep) {
+double compute_time_when_lidar_faces_point_s(const LidarSequence& sequence, const glm::dvec3& point_m,
+                                             const SweepTiming& sweep) {
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
     const SpinningSensor& sensor = lidar.sensor;
     if (!sequence.rolling_shutter) return sweep.time_s;
     const double azimuth = std::atan2(point_m.y, point_m.x);
     if (lidar.pattern)
-        return sweep.time_s + compute_measurement_offset_s(*lidar.pattern, azimuth, sweep.start);
+        return sweep.time_s + compute_azimuth_time_offset_s(*lidar.pattern, azimuth, sweep.start);
     if (sweep.start) {
         const double turned =
             (sensor.clockwise ? -1.0 : 1.0) * (azimuth - sweep.start->azimuth_rad) / (2.0 * kPi);
@@ -390,14 +391,15 @@ double compute_point_scan_time_s(const LidarSequence& sequence, const glm::dvec3
 SurfaceReturn compute_surface_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,
                                      std::size_t return_index) {
     const Scan& scan = frame.scan;
-    const Beam& beam = find_beam(sequence.get_lidar(frame).sensor.beams, scan.rays.channel[ray]);
+    const Beam& beam = find_beam_of_channel(sequence.get_lidar(frame).sensor.beams, scan.rays.channel[ray]);
     const double measured_m = return_index == 0 ? scan.range_m[ray]
                                                 : scan.second_returns[return_index - 1].range_m[ray],
                  measured = return_index == 0 ? scan.intensity[ray]
                                               : scan.second_returns[return_index - 1].intensity[ray];
-    const float range_m = static_cast<float>(beam.to_surface_range(measured_m));
-    return {range_m, static_cast<float>(beam.to_surface_intensity(
-                         measured, sequence.intensity_response.compute_range_factor(double(range_m))))};
+    const float range_m = static_cast<float>(beam.convert_measured_to_surface_range_m(measured_m));
+    return {range_m,
+            static_cast<float>(beam.convert_measured_to_surface_intensity(
+                measured, sequence.intensity_response.compute_intensity_factor_at_range(double(range_m))))};
 }
 
 WorldReturn compute_world_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,
@@ -414,7 +416,7 @@ WorldReturn compute_world_return(const LidarSequence& sequence, const LidarFrame
 bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                       double margin_m) {
     return std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& box) {
-        return box.is_present(t_s) && box.contains_point(point_m, t_s, margin_m) && box.is_moving();
+        return box.is_observed_at_time(t_s) && box.contains_point(point_m, t_s, margin_m) && box.is_moving();
     });
 }
 

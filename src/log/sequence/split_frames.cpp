@@ -18,8 +18,8 @@
 namespace relidar {
 namespace {
 
-// If `test_every` has this value, the published split of the dataset is used, if one
-// exists.
+// If `test_every_nth_frame` has this value, the published split of the dataset is used,
+// if one exists.
 constexpr int kPublishedEvery = 10;
 constexpr const char* kSetting = "dataset.test_frames";
 
@@ -55,7 +55,7 @@ std::vector<int> list_unique_frame_numbers(const LidarSequence& sequence) {
 }
 
 /// Selects every n-th frame for testing, but not the first frame.
-/// @throws UsageError if `test_every` is 1 or negative
+/// @throws UsageError if `test_every_nth_frame` is 1 or negative
 std::set<int> select_every_nth_frame(int test_every, const std::vector<int>& frame_numbers) {
     if (test_every < 0 || test_every == 1)
         throw UsageError(fmt::format(
@@ -68,26 +68,28 @@ std::set<int> select_every_nth_frame(int test_every, const std::vector<int>& fra
 }
 
 /// Returns the test frames of a published split that exist in the log.
-std::set<int> select_published_frames(const std::vector<int>& test_frames,
-                                      const std::vector<int>& frame_numbers) {
+std::set<int> select_test_frames_in_log(const std::vector<int>& published_test_frames,
+                                        const std::vector<int>& log_frame_numbers) {
     std::set<int> held_out;
-    for (const int index : frame_numbers)
-        if (std::ranges::find(test_frames, index) != test_frames.end()) held_out.insert(index);
+    for (const int index : log_frame_numbers)
+        if (std::ranges::find(published_test_frames, index) != published_test_frames.end())
+            held_out.insert(index);
     return held_out;
 }
 
 /// Parses a list of frame indices and ranges, for example "13,26,40:45".
 /// @throws UsageError if the log does not have an index, or if an index occurs twice
-std::set<int> parse_frame_list(const std::string& list, const std::vector<int>& frame_numbers) {
-    const std::set<int> log_frames(frame_numbers.begin(), frame_numbers.end());
+std::set<int> parse_test_frame_list(const std::string& frame_list_text,
+                                    const std::vector<int>& log_frame_numbers) {
+    const std::set<int> log_frames(log_frame_numbers.begin(), log_frame_numbers.end());
     std::set<int> held_out;
-    for (const std::string_view cell : split_csv_cells(list)) {
+    for (const std::string_view cell : split_csv_cells(frame_list_text)) {
         const IndexRange range = parse_frame_range(cell);
         for (int index = range.first; index < range.end; ++index) {
             if (!log_frames.contains(index))
                 throw UsageError(
                     fmt::format("{}: found frame {}, expected only frames that are read from the log: {}",
-                                kSetting, index, format_number_list(frame_numbers)));
+                                kSetting, index, format_number_list(log_frame_numbers)));
             if (!held_out.insert(index).second)
                 throw UsageError(fmt::format("{}: frame {} occurs twice, expected it once", kSetting, index));
         }
@@ -95,19 +97,21 @@ std::set<int> parse_frame_list(const std::string& list, const std::vector<int>& 
     if (held_out.size() == log_frames.size())
         throw UsageError(fmt::format(
             "{}: all frames of the log are held out, expected at least one frame for training: {}", kSetting,
-            format_number_list(frame_numbers)));
+            format_number_list(log_frame_numbers)));
     return held_out;
 }
 
 }  // namespace
 
-TrainTestSplit split_frames(const LidarSequence& sequence, int test_every, const std::string& test_frames) {
+TrainTestSplit split_frames_into_train_and_test(const LidarSequence& sequence, int test_every_nth_frame,
+                                                const std::string& test_frame_list) {
     const std::vector<int> sweeps = list_unique_frame_numbers(sequence);
     const bool as_published =
-        test_frames.empty() && test_every == kPublishedEvery && !sequence.test_frames.empty();
-    const std::set<int> held_out = as_published ? select_published_frames(sequence.test_frames, sweeps)
-                                   : test_frames.empty() ? select_every_nth_frame(test_every, sweeps)
-                                                         : parse_frame_list(test_frames, sweeps);
+        test_frame_list.empty() && test_every_nth_frame == kPublishedEvery && !sequence.test_frames.empty();
+    const std::set<int> held_out = as_published ? select_test_frames_in_log(sequence.test_frames, sweeps)
+                                   : test_frame_list.empty()
+                                       ? select_every_nth_frame(test_every_nth_frame, sweeps)
+                                       : parse_test_frame_list(test_frame_list, sweeps);
     TrainTestSplit split;
     for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i)
         (held_out.contains(sequence.frames[std::size_t(i)].index) ? split.test : split.train).push_back(i);

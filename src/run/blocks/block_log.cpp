@@ -18,7 +18,7 @@ namespace {
 constexpr double kMaxBoxDistance_m = 100.0;
 
 /// Returns the training and test frames of one block of the log, in the order of the log.
-std::vector<int> list_frame_indices_of_block(const TrajectoryBlock& block, const TrainTestSplit& split) {
+std::vector<int> list_block_train_and_test_frames(const TrajectoryBlock& block, const TrainTestSplit& split) {
     std::vector<int> frames = block.train;
     for (const int position : block.recorded_frames)
         if (std::find(split.test.begin(), split.test.end(), position) != split.test.end())
@@ -46,17 +46,18 @@ PoseTrack select_poses_around_frames(const LidarSequence& sequence, const std::v
     return track;
 }
 
-bool is_box_near_any_frame(const BoxTrack& box, const LidarSequence& sequence,
-                           const std::vector<int>& frame_indices) {
+bool is_box_near_vehicle_in_any_frame(const BoxTrack& box, const LidarSequence& sequence,
+                                      const std::vector<int>& frame_indices) {
     return std::any_of(frame_indices.begin(), frame_indices.end(), [&](int position) {
-        return is_box_within_distance(box, sequence, position, kMaxBoxDistance_m);
+        return is_box_within_distance_of_vehicle(box, sequence, position, kMaxBoxDistance_m);
     });
 }
 
 /// Removes actors that have no box in this part of the log from the user's list of
 /// actors. If the list becomes empty, also clears the actor classes. Otherwise the empty
 /// list would select actors by class.
-void remove_tracks_without_boxes(SceneInitialisationOptions& options, const std::vector<BoxTrack>& boxes) {
+void remove_actor_tracks_without_boxes(SceneInitialisationOptions& options,
+                                       const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;
     std::vector<std::string> remaining_tracks;
     for (const std::string& track : split_comma_separated_list(options.actor_tracks))
@@ -68,9 +69,9 @@ void remove_tracks_without_boxes(SceneInitialisationOptions& options, const std:
 
 }  // namespace
 
-BlockTrainingLog extract_block_log(const LidarSequence& sequence, const TrainTestSplit& split,
-                                   const TrajectoryBlock& block, const Config& config) {
-    const std::vector<int> frames = list_frame_indices_of_block(block, split);
+BlockTrainingLog copy_frames_and_boxes_of_block(const LidarSequence& sequence, const TrainTestSplit& split,
+                                                const TrajectoryBlock& block, const Config& config) {
+    const std::vector<int> frames = list_block_train_and_test_frames(block, split);
     BlockTrainingLog log{copy_without_frames(sequence), {}, config};
     LidarSequence& part = log.sequence;
     part.name = fmt::format("{}, metres {:.0f} to {:.0f}", sequence.name, block.begin_m, block.end_m);
@@ -81,10 +82,11 @@ BlockTrainingLog extract_block_log(const LidarSequence& sequence, const TrainTes
         (trains ? log.split.train : log.split.test).push_back(static_cast<int>(part.frames.size()));
         part.frames.push_back(sequence.frames[std::size_t(position)]);
     }
-    std::copy_if(sequence.boxes.begin(), sequence.boxes.end(), std::back_inserter(part.boxes),
-                 [&](const BoxTrack& box) { return is_box_near_any_frame(box, sequence, frames); });
+    std::copy_if(
+        sequence.boxes.begin(), sequence.boxes.end(), std::back_inserter(part.boxes),
+        [&](const BoxTrack& box) { return is_box_near_vehicle_in_any_frame(box, sequence, frames); });
     log.config.blocks.length_m = 0.0;
-    remove_tracks_without_boxes(log.config.init, part.boxes);
+    remove_actor_tracks_without_boxes(log.config.init, part.boxes);
     return log;
 }
 

@@ -16,7 +16,7 @@ std::vector<glm::dvec3> compute_vehicle_position_per_frame(const LidarSequence& 
 
 /// Returns true if a labelled box exists at the time of a frame and the distance between
 /// box and vehicle is at most `max_distance_m`.
-bool is_box_within_distance(const BoxTrack& box, const LidarSequence& sequence, int frame_index,
-                            double max_distance_m);
+bool is_box_within_distance_of_vehicle(const BoxTrack& box, const LidarSequence& sequence, int frame_index,
+                                       double max_distance_m);
 
 }  // namespace relidar

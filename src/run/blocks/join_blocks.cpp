@@ -25,12 +25,12 @@ constexpr double kMaxActorDistance_m = 60.0;
 std::size_t count_training_frames_near_box(const BoxTrack& box, const LidarSequence& sequence,
                                            const TrajectoryBlock& block) {
     return std::size_t(std::count_if(block.train.begin(), block.train.end(), [&](int position) {
-        return is_box_within_distance(box, sequence, position, kMaxActorDistance_m);
+        return is_box_within_distance_of_vehicle(box, sequence, position, kMaxActorDistance_m);
     }));
 }
 
 /// Returns the background surfels of a block and their bounding box.
-SceneBlock make_background_block(const Scene& scene, const fs::path& model_file) {
+SceneBlock make_block_from_background_surfels(const Scene& scene, const fs::path& model_file) {
     SceneBlock block{model_file, scene.models.front().count, glm::vec3(0.0f), glm::vec3(0.0f)};
     for (std::uint32_t i = 0; i < block.count; ++i) {
         const glm::vec2 log_scale = scene.surfels.log_scale[i];
@@ -76,12 +76,12 @@ struct ActorModelCandidate {
 
 /// Adds the actors of a block to `best_actors`. If another block has trained the same
 /// actor, keeps the model with more training frames near this actor.
-void update_best_actors(const TrainedRun& block_run, const LidarSequence& full_sequence,
-                        const TrajectoryBlock& block,
-                        std::map<std::string, ActorModelCandidate>& best_actors) {
+void keep_most_observed_actor_models(const TrainedRun& block_run, const LidarSequence& full_sequence,
+                                     const TrajectoryBlock& block,
+                                     std::map<std::string, ActorModelCandidate>& best_actors) {
     for (const ModelInstance& instance : block_run.scene.instances) {
         if (instance.track.empty()) continue;
-        const BoxTrack* box = find_box(block_run.sequence, instance.track);
+        const BoxTrack* box = find_box_track_by_id(block_run.sequence, instance.track);
         if (!box)
             throw DataError(
                 fmt::format("{}: the scene has an instance of track \"{}\", but the log has no box with this "
@@ -96,8 +96,8 @@ void update_best_actors(const TrainedRun& block_run, const LidarSequence& full_s
 }
 
 /// Copies the vehicle poses of a block's sweeps to the track of the full log.
-void copy_block_poses_to_track(const TrainedRun& block_run, const LidarSequence& full_sequence,
-                               const TrajectoryBlock& block, PoseTrack& full_track) {
+void copy_block_vehicle_poses_to_track(const TrainedRun& block_run, const LidarSequence& full_sequence,
+                                       const TrajectoryBlock& block, PoseTrack& full_track) {
     for (const int position : block.recorded_frames) {
         const double time_s = full_sequence.frames[std::size_t(position)].time_s;
         const PoseTrack& part_track = block_run.sequence.world_from_vehicle;
@@ -122,12 +122,12 @@ void join_trained_blocks(TrainedRun& run, const std::vector<TrajectoryBlock>& bl
     PoseTrack poses = run.sequence.world_from_vehicle;
     for (std::size_t k = 0; k < blocks.size(); ++k) {
         const TrainedRun part = load_run(run_folders[k]);
-        scene.blocks.push_back(make_background_block(part.scene, run_folders[k] / kModelFile));
+        scene.blocks.push_back(make_block_from_background_surfels(part.scene, run_folders[k] / kModelFile));
         drop.add_weighted_table(part.scene.sensor_drop, blocks[k].train.size());
-        update_best_actors(part, run.sequence, blocks[k], actors);
-        copy_block_poses_to_track(part, run.sequence, blocks[k], poses);
-        run.coverage.add_coverage(part.coverage);
-        merge_class_map(run.classes, part.classes);
+        keep_most_observed_actor_models(part, run.sequence, blocks[k], actors);
+        copy_block_vehicle_poses_to_track(part, run.sequence, blocks[k], poses);
+        run.coverage.add_all_voxels_of_set(part.coverage);
+        add_missing_cells_of_class_map(run.classes, part.classes);
         if (!part.refined_poses.empty()) run.refined_poses = part.refined_poses;
     }
     scene.sensor_drop = drop.compute_mean_table();
@@ -141,7 +141,7 @@ void join_trained_blocks(TrainedRun& run, const std::vector<TrajectoryBlock>& bl
         actor.model.first = static_cast<std::uint32_t>(scene.surfels.size());
         scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
         scene.models.push_back(actor.model);
-        scene.surfels.append(actor.surfels);
+        scene.surfels.append_surfels(actor.surfels);
         box = std::move(actor.box);
     }
     run.scene = std::move(scene);

@@ -82,7 +82,7 @@ void remove_surfels_of_other_blocks(Scene& scene, const LidarSequence& sequence,
     std::vector<glm::vec3> means;
     std::vector<std::uint32_t> remaining_surfels;
     for (std::uint32_t i = 0; i < n; ++i) {
-        if (!is_block_frame[nearest.find_nearest_index(glm::dvec3(scene.surfels.mean[i]))]) continue;
+        if (!is_block_frame[nearest.find_nearest_point_index(glm::dvec3(scene.surfels.mean[i]))]) continue;
         remaining_surfels.push_back(i);
         means.push_back(scene.surfels.mean[i]);
     }

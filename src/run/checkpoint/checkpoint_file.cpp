@@ -95,7 +95,7 @@ Checkpoint parse_checkpoint(Texts metadata, std::vector<NamedArray> arrays) {
     for (const char* key : {"format", "version", "relidar"}) pop_metadata_value(metadata, key);
     const int iteration = parse_iteration_number(pop_metadata_value(metadata, "iteration"));
     Checkpoint checkpoint{iteration, std::move(metadata), std::move(arrays)};
-    check_finite(checkpoint);
+    require_finite_checkpoint_arrays(checkpoint);
     return checkpoint;
 }
 

@@ -16,7 +16,7 @@ namespace relidar {
 namespace {
 
 template <class T>
-void check_finite(const NamedArray& array) {
+void require_finite_array_values(const NamedArray& array) {
     const std::size_t n = array.bytes.size() / sizeof(T);
     for (std::size_t i = 0; i < n; ++i) {
         T value;
@@ -50,23 +50,23 @@ const std::string& Checkpoint::get_text(const std::string& name) const {
     return it->second;
 }
 
-void CheckpointWriter::store_array(const std::string& name, const char* dtype, std::vector<std::size_t> shape,
-                                   const void* values) {
+void CheckpointWriter::copy_array_into_checkpoint(const std::string& name, const char* dtype,
+                                                  std::vector<std::size_t> shape, const void* values) {
     NamedArray& array = checkpoint_.arrays.emplace_back(NamedArray{name, dtype, std::move(shape), {}});
-    array.bytes.resize(array.count_elements() * static_cast<std::size_t>(dtype[1] - '0'));
+    array.bytes.resize(array.count_array_elements() * static_cast<std::size_t>(dtype[1] - '0'));
     if (!array.bytes.empty()) std::memcpy(array.bytes.data(), values, array.bytes.size());
 }
 
 void CheckpointWriter::operator()(const std::string& name, const SurfelArrays& surfels) {
     const Surfels host = surfels.download();
     for (const SurfelParameterGroup& group : list_parameter_groups(surfels.get_parameter_set()))
-        store_array(name + "/" + group.name, "f4", group.get_array_shape(host.size()),
-                    group.values(host).data());
+        copy_array_into_checkpoint(name + "/" + group.name, "f4", group.get_array_shape(host.size()),
+                                   group.values(host).data());
     checkpoint_.texts[name + "/" + kPrimitiveKey] = get_primitive_kind(surfels.primitive).name;
 }
 
-const NamedArray& CheckpointReader::get_checked_array(const std::string& name, const char* dtype,
-                                                      const std::vector<std::size_t>& shape) const {
+const NamedArray& CheckpointReader::get_array_of_type_and_shape(const std::string& name, const char* dtype,
+                                                                const std::vector<std::size_t>& shape) const {
     const NamedArray& array = checkpoint_.get_array(name);
     if (array.dtype != dtype || array.shape != shape)
         throw DataError(fmt::format("checkpoint of iteration {}: array {}: found {} [{}], expected {} [{}]",
@@ -77,7 +77,7 @@ const NamedArray& CheckpointReader::get_checked_array(const std::string& name, c
 
 const NamedArray& CheckpointReader::get_array_of_any_length(const std::string& name,
                                                             const char* dtype) const {
-    return get_checked_array(name, dtype, {checkpoint_.get_array(name).count_elements()});
+    return get_array_of_type_and_shape(name, dtype, {checkpoint_.get_array(name).count_array_elements()});
 }
 
 Surfels CheckpointReader::read_all_surfels(const std::string& name) const {
@@ -91,7 +91,7 @@ Surfels CheckpointReader::read_surfels(const std::string& name, std::size_t n_su
         [&](const char* group) { return find_array(checkpoint_.arrays, name + "/" + group) != nullptr; });
     // Checks the shapes of all arrays before memory is allocated.
     for (const SurfelParameterGroup& group : list_parameter_groups(parameters))
-        get_checked_array(name + "/" + group.name, "f4", group.get_array_shape(n_surfels));
+        get_array_of_type_and_shape(name + "/" + group.name, "f4", group.get_array_shape(n_surfels));
     Surfels host;
     host.resize(n_surfels, parameters);
     for (const SurfelParameterGroup& group : list_parameter_groups(parameters))
@@ -103,10 +103,10 @@ void CheckpointReader::copy_array_bytes(const NamedArray& array, void* destinati
     if (!array.bytes.empty()) std::memcpy(destination, array.bytes.data(), array.bytes.size());
 }
 
-void check_finite(const Checkpoint& checkpoint) {
+void require_finite_checkpoint_arrays(const Checkpoint& checkpoint) {
     for (const NamedArray& array : checkpoint.arrays) {
-        if (array.dtype == "f4") check_finite<float>(array);
-        if (array.dtype == "f8") check_finite<double>(array);
+        if (array.dtype == "f4") require_finite_array_values<float>(array);
+        if (array.dtype == "f8") require_finite_array_values<double>(array);
     }
 }
 

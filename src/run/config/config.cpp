@@ -81,7 +81,7 @@ void apply_setting(Config& config, const std::string& key, const ParsedValue& va
             assign_setting_value(field, key, accepts, value);
         });
     if (!is_valid_key) throw UsageError(make_unknown_key_message(key));
-    if (key == "preset") config = make_preset(config.preset);
+    if (key == "preset") config = make_preset_config(config.preset);
 }
 
 /// Converts a TOML scalar to text.
@@ -113,7 +113,7 @@ void flatten_toml_table(const toml::table& table, const std::string& key_prefix,
 /// Checks that a settings file contains every setting and no unknown key. Files from
 /// to_toml() fulfil this.
 /// @throws UsageError if a setting is missing or a key is unknown
-void check_settings_complete(const std::map<std::string, ParsedValue>& settings) {
+void require_complete_and_known_settings(const std::map<std::string, ParsedValue>& settings) {
     constexpr const char* kAdvice =
         "the run was probably written by another version of relidar, so it must be trained again";
     const std::vector<std::string> keys = list_all_setting_keys();
@@ -170,7 +170,7 @@ namespace {
 template <class Check>
 void read_config_file(Config& config, const std::filesystem::path& path, const Check& check_file_settings) {
     const std::string text = read_text_file(path);
-    check_toml_nesting_depth(text, path.string());
+    require_toml_nesting_within_limit(text, path.string());
     Config result = config;  // changes a copy, so that `config` stays unchanged if an error is thrown
     try {
         const toml::table table = toml::parse(text, path.string());
@@ -190,14 +190,14 @@ void read_config_file(Config& config, const std::filesystem::path& path, const C
 
 }  // namespace
 
-void load_config(Config& config, const std::filesystem::path& path) {
+void apply_config_file(Config& config, const std::filesystem::path& path) {
     read_config_file(config, path, [](const std::map<std::string, ParsedValue>&) {});
 }
 
 Config load_saved_config(const std::filesystem::path& path) {
     Config config;
     try {
-        read_config_file(config, path, check_settings_complete);
+        read_config_file(config, path, require_complete_and_known_settings);
     } catch (const UsageError& error) {
         throw DataError(error.what());
     }
@@ -235,7 +235,7 @@ std::string to_toml(const Config& config) {
 std::string to_toml_without_defaults(const Config& config) {
     std::set<std::string> left_out;
     const std::vector<ConfigKey> keys = list_config_keys(config),
-                                 preset = list_config_keys(make_preset(config.preset));
+                                 preset = list_config_keys(make_preset_config(config.preset));
     for (std::size_t i = 0; i < keys.size(); ++i)
         if (keys[i].expert && keys[i].value == preset[i].value) left_out.insert(keys[i].key);
     return format_config_as_toml(config, [&](const std::string& key) { return !left_out.contains(key); }) +

@@ -84,8 +84,7 @@ Config make_default_preset_config() {
     // median would be learned.
     config.loss.intensity = 0.3f;
     config.loss.intensity_delta = 0.2f;  // lowers the RMSE of held-out intensities
-    // Divides the range by the sum of the blending weights. Without this division, a sum
-    // of 0.97 would move every surface by 3 %.
+    // Without division by the sum of weights, a sum of 0.97 would move surfaces by 3 %.
     config.loss.normalised_depth = true;
     config.loss.chamfer = 0.0f;      // off, because it changes metrics by less than 1 % and takes time
     config.loss.opacity = 0.1f;      // closes holes that remain with the normalised range
@@ -107,8 +106,7 @@ Config make_default_preset_config() {
     config.refine.enabled = true;          // the network improves the accuracy of ray-drop
     config.refine.frames = 200;  // limited because the images of all these frames are in memory together
     config.render.range = "normalised";
-    // Uses the measured azimuths of each sweep, because LiDAR heads rotate at varying
-    // speed.
+    // LiDAR heads rotate at varying speed, so the measured azimuths of a sweep are used.
     config.render.follow_sweeps = true;
     // With 64 hits per chunk, nearly every ray becomes opaque within its first chunk.
     config.trace.chunk = 64;
@@ -163,14 +161,14 @@ constexpr Preset kPresets[] = {{"paper", make_paper_preset_config},
 
 }  // namespace
 
-Config make_preset(const std::string& name) {
+Config make_preset_config(const std::string& preset_name) {
     std::vector<std::string> preset_names;
     for (const Preset& preset : kPresets) {
-        if (name == preset.name) return preset.make();
+        if (preset_name == preset.name) return preset.make();
         preset_names.emplace_back(preset.name);
     }
-    throw UsageError(fmt::format("preset '{}': unknown{} (known: {})", name,
-                                 format_name_suggestion(name, preset_names, "'"),
+    throw UsageError(fmt::format("preset '{}': unknown{} (known: {})", preset_name,
+                                 format_name_suggestion(preset_name, preset_names, "'"),
                                  fmt::join(preset_names, ", ")));
 }
 

@@ -4,28 +4,28 @@
 
 namespace relidar {
 
-Config resolve_max_range(Config config, const LidarSequence& sequence) {
+Config replace_automatic_max_range(Config config, const LidarSequence& sequence) {
     if (config.dataset.max_range_m > 0.0) return config;
     for (const Lidar& lidar : sequence.lidars)
         config.dataset.max_range_m = std::max(config.dataset.max_range_m, lidar.sensor.max_range_m);
     return config;
 }
 
-TraceOptions make_base_trace_options(const Config& config) {
+TraceOptions make_common_trace_options(const Config& config) {
     TraceOptions options;
     options.chunk = config.trace.chunk;
     return options;
 }
 
 TraceOptions make_training_trace_options(const Config& config) {
-    TraceOptions options = make_base_trace_options(config);
+    TraceOptions options = make_common_trace_options(config);
     if (config.loss.likelihood > 0.0f)
         options.likelihood = RangeLikelihoodKernel{config.loss.likelihood_scale_m};
     return options;
 }
 
 TraceOptions make_rendering_trace_options(const Config& config) {
-    TraceOptions options = make_base_trace_options(config);
+    TraceOptions options = make_common_trace_options(config);
     // Always computes normals, because output channels and ray-drop networks can use
     // them.
     options.normals = get_primitive_kind(config.image.primitive).has_normals;

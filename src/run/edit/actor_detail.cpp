@@ -44,10 +44,10 @@ bool is_sphere_hit_by_ray(const glm::vec3& ray_origin_m, const glm::vec3& ray_di
 
 }  // namespace
 
-ActorModelResolution measure_actor_resolution(std::span<const glm::vec3> ray_origins,
-                                              std::span<const glm::vec3> ray_directions,
-                                              const Pose& box_from_sensor, const glm::dvec3& size_m,
-                                              std::size_t n_surfels) {
+ActorModelResolution compare_ray_and_surfel_count_of_actor(std::span<const glm::vec3> ray_origins,
+                                                           std::span<const glm::vec3> ray_directions,
+                                                           const Pose& box_from_sensor,
+                                                           const glm::dvec3& size_m, std::size_t n_surfels) {
     ActorModelResolution detail{glm::length(box_from_sensor.translation), 0.0, 0, n_surfels};
     const glm::vec3 centre_m(inverse(box_from_sensor).translation);
     const float radius_m = float(0.5 * glm::length(size_m)) * 1.001f + 0.01f;
@@ -59,21 +59,21 @@ ActorModelResolution measure_actor_resolution(std::span<const glm::vec3> ray_ori
     return detail;
 }
 
-ActorModelResolution measure_actor_resolution(const SceneWithLog& driving, const std::string& track,
-                                              int lidar_index) {
-    const LidarSequence& log = driving.sequence;
-    const auto instance = std::ranges::find_if(driving.scene.instances,
+ActorModelResolution compare_ray_and_surfel_count_of_actor(const SceneWithLog& scene_and_log,
+                                                           const std::string& track, int lidar_index) {
+    const LidarSequence& log = scene_and_log.sequence;
+    const auto instance = std::ranges::find_if(scene_and_log.scene.instances,
                                                [&](const ModelInstance& i) { return i.track == track; });
     const auto box = std::ranges::find_if(log.boxes, [&](const BoxTrack& b) { return b.id == track; });
-    if (instance == driving.scene.instances.end() || box == log.boxes.end())
+    if (instance == scene_and_log.scene.instances.end() || box == log.boxes.end())
         throw UsageError(
             fmt::format("cannot inspect actor \"{}\": the scene has no actor with this track id", track));
     ActorModelResolution detail{std::numeric_limits<double>::infinity(), 0.0, 0,
-                                driving.scene.models[instance->model].count};
+                                scene_and_log.scene.models[instance->model].count};
     const PoseTrack world_from_sensor = log.get_world_from_sensor(lidar_index);
     Pose box_from_sensor;
     for (const LidarFrame& frame : log.frames) {
-        if (frame.lidar != lidar_index || !box->is_present(frame.time_s)) continue;
+        if (frame.lidar != lidar_index || !box->is_observed_at_time(frame.time_s)) continue;
         const Pose nearer = inverse(box->world_from_box.interpolate_pose(frame.time_s)) *
                             world_from_sensor.interpolate_pose(frame.time_s);
         if (const double distance_m = glm::length(nearer.translation); distance_m < detail.nearest_m)
@@ -81,9 +81,9 @@ ActorModelResolution measure_actor_resolution(const SceneWithLog& driving, const
     }
     if (detail.nearest_m == std::numeric_limits<double>::infinity()) return detail;
     const RayTable rays = make_nominal_rays(log.lidars[std::size_t(lidar_index)], detail.time_s);
-    detail.rays =
-        measure_actor_resolution(rays.origin, rays.direction, box_from_sensor, box->size_m, detail.surfels)
-            .rays;
+    detail.rays = compare_ray_and_surfel_count_of_actor(rays.origin, rays.direction, box_from_sensor,
+                                                        box->size_m, detail.surfels)
+                      .rays;
     return detail;
 }
 

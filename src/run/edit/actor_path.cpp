@@ -32,8 +32,8 @@ using FieldColumnIndices = std::vector<int>;
 
 /// Reads the header of a file and returns the column index of each field.
 /// @throws DataError for an unknown name, a missing field, or an angle in both units
-FieldColumnIndices find_columns_in_header(const std::vector<std::string_view>& header,
-                                          const std::string& error_location) {
+FieldColumnIndices find_trajectory_columns_in_header(const std::vector<std::string_view>& header,
+                                                     const std::string& error_location) {
     FieldColumnIndices at = find_column_indices(header, kNames, error_location);
     for (const ActorPathField field : {kTime, kX, kY, kZ})
         if (at[field] < 0)
@@ -103,13 +103,13 @@ PoseTrack read_trajectory_csv(const std::filesystem::path& path) {
     FieldColumnIndices at;
     std::size_t n_cells = 0;
     for (std::size_t i = 0; i < lines.size(); ++i) {
-        if (trim_spaces(lines[i]).empty()) continue;
+        if (trim_blanks_at_both_ends(lines[i]).empty()) continue;
         const std::vector<std::string_view> cells = split_csv_cells(lines[i]);
         const std::string where = fmt::format("{}: line {}", path.string(), i + 1);
         if (at.empty()) {
             const bool is_header = !parse_number(cells[0]);
             n_cells = is_header ? cells.size() : kUnnamed;
-            at = is_header ? find_columns_in_header(cells, where)
+            at = is_header ? find_trajectory_columns_in_header(cells, where)
                            : make_default_column_indices(cells.size(), where);
             if (is_header) continue;
         }

@@ -30,14 +30,14 @@ std::string format_missing_model_message(const std::string& track_id, std::vecto
 }
 
 /// Returns the index of the instance that moves along a track.
-std::size_t get_actor_instance_index(const SceneWithLog& driving, const std::string& track_id) {
+std::size_t get_actor_instance_index(const SceneWithLog& scene_and_log, const std::string& track_id) {
     std::vector<std::string> actor_ids;
-    for (std::size_t i = 0; i < driving.scene.instances.size(); ++i) {
-        const std::string& name = driving.scene.instances[i].track;
+    for (std::size_t i = 0; i < scene_and_log.scene.instances.size(); ++i) {
+        const std::string& name = scene_and_log.scene.instances[i].track;
         if (!name.empty() && name == track_id) return i;
         if (!name.empty()) actor_ids.push_back(name);
     }
-    if (find_box(driving.sequence, track_id))
+    if (find_box_track_by_id(scene_and_log.sequence, track_id))
         throw UsageError(format_missing_model_message(track_id, actor_ids));
     const std::string message = fmt::format("cannot edit track \"{}\": the run has no such track", track_id);
     if (actor_ids.empty()) throw UsageError(message + ", and its scene has no actors");
@@ -46,10 +46,10 @@ std::size_t get_actor_instance_index(const SceneWithLog& driving, const std::str
                                  fmt::join(actor_ids, ", ")));
 }
 
-BoxTrack& get_actor_box_track(SceneWithLog& driving, const std::string& track_id) {
-    get_actor_instance_index(driving, track_id);
-    std::vector<BoxTrack>& boxes = driving.sequence.boxes;
-    if (const BoxTrack* box = find_box(driving.sequence, track_id))
+BoxTrack& get_actor_box_track(SceneWithLog& scene_and_log, const std::string& track_id) {
+    get_actor_instance_index(scene_and_log, track_id);
+    std::vector<BoxTrack>& boxes = scene_and_log.sequence.boxes;
+    if (const BoxTrack* box = find_box_track_by_id(scene_and_log.sequence, track_id))
         return boxes[std::size_t(box - boxes.data())];
     throw DataError(fmt::format(
         "cannot edit track \"{}\": the scene has an instance of it, but the log has no box for it",
@@ -69,7 +69,7 @@ void remove_unused_models(Scene& scene) {
         moved_to[m] = static_cast<std::uint32_t>(models.size());
         models.push_back(model);
         models.back().first = static_cast<std::uint32_t>(surfels.size());
-        surfels.append(scene.surfels.slice(model.first, model.count));
+        surfels.append_surfels(scene.surfels.slice(model.first, model.count));
     }
     for (ModelInstance& instance : scene.instances) instance.model = moved_to[instance.model];
     scene.models = std::move(models);
@@ -78,31 +78,33 @@ void remove_unused_models(Scene& scene) {
 
 /// Removes the actors for which `should_keep_track` returns false, and their boxes.
 template <class Keep>
-void remove_unselected_actors(SceneWithLog& driving, const Keep& should_keep_track) {
+void remove_unselected_actors(SceneWithLog& scene_and_log, const Keep& should_keep_track) {
     std::vector<ModelInstance> remaining_instances;
-    for (const ModelInstance& instance : driving.scene.instances) {
+    for (const ModelInstance& instance : scene_and_log.scene.instances) {
         if (instance.track.empty() || should_keep_track(instance.track))
             remaining_instances.push_back(instance);
-        else std::erase_if(driving.sequence.boxes, [&](const BoxTrack& b) { return b.id == instance.track; });
+        else
+            std::erase_if(scene_and_log.sequence.boxes,
+                          [&](const BoxTrack& b) { return b.id == instance.track; });
     }
-    driving.scene.instances = std::move(remaining_instances);
-    remove_unused_models(driving.scene);
+    scene_and_log.scene.instances = std::move(remaining_instances);
+    remove_unused_models(scene_and_log.scene);
 }
 
-bool is_track_id_used(const SceneWithLog& driving, const std::string& id) {
-    return std::any_of(driving.sequence.boxes.begin(), driving.sequence.boxes.end(),
+bool is_track_id_used(const SceneWithLog& scene_and_log, const std::string& id) {
+    return std::any_of(scene_and_log.sequence.boxes.begin(), scene_and_log.sequence.boxes.end(),
                        [&](const BoxTrack& b) { return b.id == id; });
 }
 
-std::string make_unused_track_id(const SceneWithLog& driving, const std::string& id_prefix) {
+std::string make_unused_track_id(const SceneWithLog& scene_and_log, const std::string& id_prefix) {
     int n = 1;
-    while (is_track_id_used(driving, fmt::format("{}-{}", id_prefix, n))) ++n;
+    while (is_track_id_used(scene_and_log, fmt::format("{}-{}", id_prefix, n))) ++n;
     return fmt::format("{}-{}", id_prefix, n);
 }
 
 /// Returns a track that moves straight ahead at constant speed, with one pose for each
 /// frame of the log.
-PoseTrack make_straight_track(const LidarSequence& sequence, const NewActorMotion& start) {
+PoseTrack make_straight_constant_speed_track(const LidarSequence& sequence, const NewActorMotion& start) {
     PoseTrack track;
     for (const LidarFrame& frame : sequence.frames) {
         Pose pose = start.dataset_from_box;
@@ -116,7 +118,7 @@ PoseTrack make_straight_track(const LidarSequence& sequence, const NewActorMotio
     return track;
 }
 
-void check_trajectory(const PoseTrack& track, const std::string& track_id) {
+void require_valid_trajectory(const PoseTrack& track, const std::string& track_id) {
     const auto fail = [&](const std::string& found, const char* expected) {
         throw DataError(fmt::format("cannot use the new trajectory of track \"{}\": found {}, expected {}",
                                     track_id, found, expected));
@@ -138,7 +140,7 @@ void check_trajectory(const PoseTrack& track, const std::string& track_id) {
 /// Adds interpolated poses to a track, so that consecutive poses are at most `max_step_s`
 /// apart. A box exists only at times near its poses. With short steps, the box appears
 /// shortly before its first pose and disappears shortly after its last pose.
-PoseTrack resample_track(const PoseTrack& track, double max_step_s) {
+PoseTrack insert_interpolated_poses(const PoseTrack& track, double max_step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
         const double span = track.time_s[i + 1] - track.time_s[i];
@@ -156,20 +158,21 @@ PoseTrack resample_track(const PoseTrack& track, double max_step_s) {
 /// Fills the unobserved sides of a vehicle by symmetry, because after an edit these sides
 /// can face a sensor. Does nothing if the surfels are not in memory, or if it is unknown
 /// which sides the log has observed.
-void fill_unobserved_sides_by_symmetry(SceneWithLog& driving, const std::string& track_id) {
-    Scene& scene = driving.scene;
-    const std::uint32_t number = scene.instances[get_actor_instance_index(driving, track_id)].model;
+void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, const std::string& track_id) {
+    Scene& scene = scene_and_log.scene;
+    const std::uint32_t number = scene.instances[get_actor_instance_index(scene_and_log, track_id)].model;
     SurfelModel& model = scene.models[number];
-    if (!model.surface || model.surface->is_completed || model.surface->compute_mirrored_fraction() == 0.0 ||
-        !is_vehicle(get_actor_box_track(driving, track_id)) ||
+    if (!model.surface || model.surface->is_completed ||
+        model.surface->compute_mirrored_area_fraction() == 0.0 ||
+        !is_vehicle(get_actor_box_track(scene_and_log, track_id)) ||
         std::size_t(model.first) + model.count > scene.surfels.size())
         return;
     Surfels completed = scene.surfels.slice(model.first, model.count);
-    if (add_mirrored_surfels(completed, *model.surface) == 0) return;
+    if (replace_unobserved_by_mirrored_surfels(completed, *model.surface) == 0) return;
     const std::size_t behind = std::size_t(model.first) + model.count;
     Surfels all = scene.surfels.slice(0, model.first);
-    all.append(completed);
-    all.append(scene.surfels.slice(behind, scene.surfels.size() - behind));
+    all.append_surfels(completed);
+    all.append_surfels(scene.surfels.slice(behind, scene.surfels.size() - behind));
     scene.surfels = std::move(all);
     const std::uint32_t before = model.count;
     model.count = static_cast<std::uint32_t>(completed.size());
@@ -178,45 +181,48 @@ void fill_unobserved_sides_by_symmetry(SceneWithLog& driving, const std::string&
 }
 
 /// Adds an instance of a model to the scene, with a new track.
-void add_actor_instance(SceneWithLog& driving, std::uint32_t model_index, BoxTrack box,
+void add_actor_instance(SceneWithLog& scene_and_log, std::uint32_t model_index, BoxTrack box,
                         const NewActorMotion& start) {
-    box.world_from_box = start.dataset_path.pose.empty()
-                             ? make_straight_track(driving.sequence, start)
-                             : shift_track(start.dataset_path, -driving.sequence.world_offset_m);
+    box.world_from_box =
+        start.dataset_path.pose.empty()
+            ? make_straight_constant_speed_track(scene_and_log.sequence, start)
+            : add_offset_to_track_positions(start.dataset_path, -scene_and_log.sequence.world_offset_m);
     box.n_before = box.n_after = 0;
-    driving.scene.instances.push_back({model_index, box.id});
-    driving.sequence.boxes.push_back(std::move(box));
-    fill_unobserved_sides_by_symmetry(driving, driving.scene.instances.back().track);
+    scene_and_log.scene.instances.push_back({model_index, box.id});
+    scene_and_log.sequence.boxes.push_back(std::move(box));
+    fill_unobserved_sides_by_symmetry(scene_and_log, scene_and_log.scene.instances.back().track);
 }
 
 }  // namespace
 
-SceneWithLog remove_track(SceneWithLog driving, const std::string& track) {
-    get_actor_instance_index(driving, track);
-    remove_unselected_actors(driving, [&](const std::string& name) { return name != track; });
-    return driving;
+SceneWithLog remove_track(SceneWithLog scene_and_log, const std::string& track) {
+    get_actor_instance_index(scene_and_log, track);
+    remove_unselected_actors(scene_and_log, [&](const std::string& name) { return name != track; });
+    return scene_and_log;
 }
 
-SceneWithLog move_track(SceneWithLog driving, const std::string& track, const Pose& box_from_moved) {
-    for (Pose& pose : get_actor_box_track(driving, track).world_from_box.pose) pose = pose * box_from_moved;
-    fill_unobserved_sides_by_symmetry(driving, track);
-    return driving;
+SceneWithLog move_track(SceneWithLog scene_and_log, const std::string& track,
+                        const Pose& old_box_from_new_box) {
+    for (Pose& pose : get_actor_box_track(scene_and_log, track).world_from_box.pose)
+        pose = pose * old_box_from_new_box;
+    fill_unobserved_sides_by_symmetry(scene_and_log, track);
+    return scene_and_log;
 }
 
-SceneWithLog delay_track(SceneWithLog driving, const std::string& track, double delay_s) {
-    for (double& time_s : get_actor_box_track(driving, track).world_from_box.time_s) time_s += delay_s;
-    fill_unobserved_sides_by_symmetry(driving, track);
-    return driving;
+SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, double delay_s) {
+    for (double& time_s : get_actor_box_track(scene_and_log, track).world_from_box.time_s) time_s += delay_s;
+    fill_unobserved_sides_by_symmetry(scene_and_log, track);
+    return scene_and_log;
 }
 
 std::string describe_frames_without_actor(const BoxTrack& original_box,
                                           const LidarSequence& edited_sequence) {
-    const BoxTrack* box = find_box(edited_sequence, original_box.id);
+    const BoxTrack* box = find_box_track_by_id(edited_sequence, original_box.id);
     // Frames of LiDARs that sweep at the same time have the same number. The set contains
     // it once.
     std::set<int> lost;
     for (const LidarFrame& frame : edited_sequence.frames)
-        if (box && original_box.is_present(frame.time_s) && !box->is_present(frame.time_s))
+        if (box && original_box.is_observed_at_time(frame.time_s) && !box->is_observed_at_time(frame.time_s))
             lost.insert(frame.index);
     if (lost.empty()) return "";
     const std::vector<double>& times_s = box->world_from_box.time_s;
@@ -226,51 +232,54 @@ std::string describe_frames_without_actor(const BoxTrack& original_box,
         original_box.id, lost.size(), *lost.begin(), *lost.rbegin(), times_s.front(), times_s.back());
 }
 
-SceneWithLog replace_trajectory(SceneWithLog driving, const std::string& track,
+SceneWithLog replace_trajectory(SceneWithLog scene_and_log, const std::string& track,
                                 const PoseTrack& dataset_from_box) {
-    BoxTrack& box = get_actor_box_track(driving, track);
-    check_trajectory(dataset_from_box, track);
+    BoxTrack& box = get_actor_box_track(scene_and_log, track);
+    require_valid_trajectory(dataset_from_box, track);
     box.n_before = box.n_after = 0;
-    box.world_from_box = resample_track(shift_track(dataset_from_box, -driving.sequence.world_offset_m),
-                                        std::max(driving.sequence.lidars[0].period_s(), 1e-3));
-    fill_unobserved_sides_by_symmetry(driving, track);
-    return driving;
+    box.world_from_box = insert_interpolated_poses(
+        add_offset_to_track_positions(dataset_from_box, -scene_and_log.sequence.world_offset_m),
+        std::max(scene_and_log.sequence.lidars[0].get_sweep_period_s(), 1e-3));
+    fill_unobserved_sides_by_symmetry(scene_and_log, track);
+    return scene_and_log;
 }
 
-SceneWithLog copy_track(SceneWithLog driving, const std::string& track, const NewActorMotion& start) {
-    BoxTrack box = get_actor_box_track(driving, track);
-    box.id = make_unused_track_id(driving, track + "-copy");
-    const std::uint32_t model = driving.scene.instances[get_actor_instance_index(driving, track)].model;
-    add_actor_instance(driving, model, std::move(box), start);
-    return driving;
+SceneWithLog copy_track(SceneWithLog scene_and_log, const std::string& track, const NewActorMotion& start) {
+    BoxTrack box = get_actor_box_track(scene_and_log, track);
+    box.id = make_unused_track_id(scene_and_log, track + "-copy");
+    const std::uint32_t model =
+        scene_and_log.scene.instances[get_actor_instance_index(scene_and_log, track)].model;
+    add_actor_instance(scene_and_log, model, std::move(box), start);
+    return scene_and_log;
 }
 
-SceneWithLog insert_track(SceneWithLog driving, const SceneWithLog& source_scene, const std::string& track,
-                          const NewActorMotion& start) {
+SceneWithLog insert_track(SceneWithLog scene_and_log, const SceneWithLog& source_scene,
+                          const std::string& track, const NewActorMotion& start) {
     SceneWithLog source = source_scene;
     BoxTrack box = get_actor_box_track(source, track);
-    if (is_track_id_used(driving, box.id)) box.id = make_unused_track_id(driving, track + "-insert");
+    if (is_track_id_used(scene_and_log, box.id))
+        box.id = make_unused_track_id(scene_and_log, track + "-insert");
     add_actor_instance(
-        driving,
-        append_model(driving.scene, source_scene.scene,
+        scene_and_log,
+        append_model(scene_and_log.scene, source_scene.scene,
                      source_scene.scene.instances[get_actor_instance_index(source_scene, track)].model),
         std::move(box), start);
-    return driving;
+    return scene_and_log;
 }
 
-SceneWithLog remove_all_actors(SceneWithLog driving) {
-    remove_unselected_actors(driving, [](const std::string&) { return false; });
-    return driving;
+SceneWithLog remove_all_actors(SceneWithLog scene_and_log) {
+    remove_unselected_actors(scene_and_log, [](const std::string&) { return false; });
+    return scene_and_log;
 }
 
-SceneWithLog remove_background(SceneWithLog driving) {
-    Scene& scene = driving.scene;
+SceneWithLog remove_background(SceneWithLog scene_and_log) {
+    Scene& scene = scene_and_log.scene;
     const std::uint32_t background = scene.models.front().count;
     scene.surfels = scene.surfels.slice(background, scene.surfels.size() - background);
     for (SurfelModel& model : scene.models) model.first -= model.first >= background ? background : 0;
     scene.models.front().count = 0;
     scene.blocks.clear();
-    return driving;
+    return scene_and_log;
 }
 
 }  // namespace relidar

@@ -110,7 +110,7 @@ class HorizontalSurfels {
 public:
     HorizontalSurfels(const SceneWithLogView& driving, const std::vector<glm::dvec2>& positions_xy)
         : sensor_track_(driving.sequence.get_world_from_sensor(0)) {
-        add_level_surfels(driving.scene.surfels, driving.scene.models.front().count);
+        add_opaque_horizontal_surfels(driving.scene.surfels, driving.scene.models.front().count);
         for (const SceneBlock& block : driving.scene.blocks) {
             const auto is_near_block = [&](const glm::dvec2& p) {
                 constexpr double kBlockReach_m = 20.0;  // half the length of the longest vehicle
@@ -118,7 +118,7 @@ public:
                        glm::all(glm::lessThan(p, glm::dvec2(block.high_m) + kBlockReach_m));
             };
             if (std::ranges::any_of(positions_xy, is_near_block))
-                add_level_surfels(load_block_surfels(block), block.count);
+                add_opaque_horizontal_surfels(load_block_surfels(block), block.count);
         }
     }
 
@@ -137,7 +137,7 @@ public:
 
     /// Returns a text with the distance to the nearest level surfel, for an error
     /// message.
-    std::string format_nearest_surfel_distance(const glm::dvec2& xy) const {
+    std::string describe_nearest_horizontal_surfel(const glm::dvec2& xy) const {
         if (points_.empty()) return "the background has no horizontal surfel";
         double nearest_m = std::numeric_limits<double>::infinity();
         for (const glm::dvec3& p : points_) nearest_m = std::min(nearest_m, glm::distance(glm::dvec2(p), xy));
@@ -145,7 +145,7 @@ public:
     }
 
 private:
-    void add_level_surfels(const Surfels& surfels, std::size_t n_surfels) {
+    void add_opaque_horizontal_surfels(const Surfels& surfels, std::size_t n_surfels) {
         const bool has_normals = get_primitive_kind(surfels.primitive).has_normals;
         for (std::size_t i = 0; i < n_surfels; ++i)
             if (surfels.opacity_logit[i] > kFaintLogit &&
@@ -170,7 +170,7 @@ private:
         GroundPlane best{points.front(), {0.0, 0.0, 1.0}};
         double most = 0.0;
         for (int draw = 0; draw < kDraws; ++draw) {
-            const auto any = [&] { return points[random.draw_uint64() % points.size()]; };
+            const auto any = [&] { return points[random.sample_random_uint64() % points.size()]; };
             const glm::dvec3 a = any(), b = any(), c = any();
             glm::dvec3 normal = glm::cross(b - a, c - a);
             const double length = glm::length(normal);
@@ -224,19 +224,21 @@ Footprint make_footprint(const glm::dvec2& centre_m, double yaw_rad, const glm::
     return {centre_m, yaw_rad, glm::max(0.5 * glm::dvec2(box_size_m), glm::dvec2(kSmallestBelow_m))};
 }
 
-const BoxTrack& get_box_track_of_actor(const SceneWithLogView& driving_view, const std::string& track_id) {
+const BoxTrack& get_box_track_of_actor(const SceneWithLogView& scene_and_log_view,
+                                       const std::string& track_id) {
     // Calls move_track() only because it throws an error if the track does not belong to
     // an actor. The moved track is not used.
-    (void)move_track(SceneWithLog{copy_scene_without_surfels(driving_view.scene), driving_view.sequence},
-                     track_id, {});
-    return *find_box(driving_view.sequence, track_id);
+    (void)move_track(
+        SceneWithLog{copy_scene_without_surfels(scene_and_log_view.scene), scene_and_log_view.sequence},
+        track_id, {});
+    return *find_box_track_by_id(scene_and_log_view.sequence, track_id);
 }
 
 /// Returns the ground plane below an actor whose box covers a position, or nothing if no
 /// box covers it. Computes the plane from the pose of the box, because the actor hides
 /// the road from the sensor.
 /// @param get_box_clearance_m  returns the height of the bottom of a box above the ground
-std::optional<GroundPlane> estimate_ground_below_actor(
+std::optional<GroundPlane> estimate_ground_below_box_at_position(
     const glm::dvec2& xy, const LidarSequence& sequence,
     const std::function<double(const BoxTrack&)>& get_box_clearance_m) {
     const BoxTrack* nearest = nullptr;
@@ -258,13 +260,13 @@ std::optional<GroundPlane> estimate_ground_below_actor(
 
 /// Returns the height of a box's bottom above the ground: the median over positions along
 /// the track of the box.
-std::optional<double> compute_box_ground_clearance(const SceneWithLogView& driving_view,
-                                                   const BoxTrack& box) {
+std::optional<double> estimate_median_ground_clearance_m(const SceneWithLogView& scene_and_log_view,
+                                                         const BoxTrack& box) {
     std::vector<glm::dvec2> positions_xy;
     const std::vector<Pose>& poses = box.world_from_box.pose;
     const std::size_t step = std::max<std::size_t>(1, poses.size() / kClearanceSamples);
     for (std::size_t i = 0; i < poses.size(); i += step) positions_xy.emplace_back(poses[i].translation);
-    const HorizontalSurfels surfels(driving_view, positions_xy);
+    const HorizontalSurfels surfels(scene_and_log_view, positions_xy);
     std::vector<double> heights_m;
     for (std::size_t i = 0; i < poses.size(); i += step) {
         const Pose& pose = poses[i];
@@ -309,13 +311,13 @@ std::vector<double> list_distinct_frame_times(const LidarSequence& sequence) {
 
 std::optional<double> measure_ground_clearance(const SceneWithLogView& actor_scene,
                                                const std::string& track) {
-    return compute_box_ground_clearance(actor_scene, get_box_track_of_actor(actor_scene, track));
+    return estimate_median_ground_clearance_m(actor_scene, get_box_track_of_actor(actor_scene, track));
 }
 
-NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& driving,
+NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& scene_and_log,
                                              const GroundPlacement& ground_place,
                                              const SceneWithLogView& actor_scene, const std::string& track) {
-    const LidarSequence& sequence = driving.sequence;
+    const LidarSequence& sequence = scene_and_log.sequence;
     const BoxTrack& box = get_box_track_of_actor(actor_scene, track);
     const glm::dvec3 offset_m = sequence.world_offset_m;
     const glm::dvec2 xy = ground_place.dataset_m - glm::dvec2(offset_m);
@@ -323,18 +325,19 @@ NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& driving,
                                ? *ground_place.yaw_rad
                                : compute_heading_rad(find_nearest_pose(sequence.world_from_vehicle, xy));
     const GroundMotion motion{xy, yaw_rad, ground_place.speed_mps};
-    const std::vector<double> times_s =
-        ground_place.speed_mps != 0.0 ? list_distinct_frame_times(sequence) : std::vector<double>();
+    std::vector<double> times_s;
+    if (ground_place.speed_mps != 0.0) times_s = list_distinct_frame_times(sequence);
     std::vector<glm::dvec2> positions{xy};
     for (const double time_s : times_s)
         positions.push_back(motion.compute_position_at(time_s - times_s.front()));
 
-    const HorizontalSurfels surfels(driving, positions);
+    const HorizontalSurfels surfels(scene_and_log, positions);
     const auto ground_at = [&](const glm::dvec2& position_m) {
         const std::optional<GroundPlane> plane =
             surfels.fit_ground_plane_below(make_footprint(position_m, yaw_rad, box.size_m));
-        return plane ? plane : estimate_ground_below_actor(position_m, sequence, [&](const BoxTrack& there) {
-            return compute_box_ground_clearance(driving, there).value_or(0.0);
+        if (plane) return plane;
+        return estimate_ground_below_box_at_position(position_m, sequence, [&](const BoxTrack& other_box) {
+            return estimate_median_ground_clearance_m(scene_and_log, other_box).value_or(0.0);
         });
     };
     std::optional<GroundPlane> plane = ground_at(xy);
@@ -343,7 +346,7 @@ NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& driving,
             "cannot place {} on the ground at {:.6g},{:.6g} in the dataset's world: the background has no "
             "surface below its box ({}); choose a position on a surface that the log has observed",
             track, ground_place.dataset_m.x, ground_place.dataset_m.y,
-            surfels.format_nearest_surfel_distance(xy)));
+            surfels.describe_nearest_horizontal_surfel(xy)));
     const std::optional<double> clearance_m =
         ground_place.clearance_m ? ground_place.clearance_m : measure_ground_clearance(actor_scene, track);
     const double above_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);
@@ -352,7 +355,6 @@ NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& driving,
                                   ground.compute_plane_height_at(position_m) + above_m / ground.normal.z);
         return Pose{make_rotation_on_plane(ground, yaw_rad), centre_m + offset_m};
     };
-
     NewActorMotion start{pose_on(*plane, xy), ground_place.speed_mps};
     // Where the ground was not observed, uses the mean normal along the path, because a
     // single normal is noisy.

@@ -51,7 +51,7 @@ struct ScenarioDocument {
                                  std::optional<double> default_value = {}) const {
         if (default_value && !node.attribute(attribute_name)) return *default_value;
         const std::string value = read_attribute_text(node, attribute_name, error_location);
-        const auto number = parse_number(trim_spaces(value));
+        const auto number = parse_number(trim_blanks_at_both_ends(value));
         if (!number || !(std::abs(*number) <= kMost))
             fail(fmt::format("{}: {}", error_location, attribute_name),
                  "\"" + shorten_for_error_message(value) + "\"",

@@ -29,7 +29,7 @@ std::vector<NamedArray> read_cell_arrays(const std::filesystem::path& path, cons
                                          const char* expected_version, double expected_cell_size_m) {
     std::map<std::string, std::string> metadata;
     std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    check_format_and_version(metadata, path.string(), expected_format, expected_version);
+    require_format_and_version(metadata, path.string(), expected_format, expected_version);
     if (const std::string expected = fmt::format("{}", expected_cell_size_m); metadata[kCell] != expected)
         throw DataError(
             fmt::format("{}: {}: found {}, expected {}", path.string(), kCell, metadata[kCell], expected));
@@ -61,8 +61,8 @@ const NamedArray& require_array_with_columns(const std::vector<NamedArray>& arra
 }
 
 /// @throws DataError if the two arrays differ in their number of rows
-void check_equal_row_counts(const NamedArray& positions, const NamedArray& values,
-                            const std::string& file_name) {
+void require_equal_row_counts(const NamedArray& positions, const NamedArray& values,
+                              const std::string& file_name) {
     if (positions.shape[0] != values.shape[0])
         throw DataError(
             fmt::format("{}: the array of positions has {} rows and the array of {} has {} rows, expected "
@@ -76,7 +76,7 @@ void save_coverage(const std::filesystem::path& path, const ObservedVoxelSet& co
     if (coverage.empty()) return void(std::filesystem::remove(path));
     std::vector<std::int32_t> block_coordinates;
     std::vector<std::uint16_t> cells;
-    for (const ObservedVoxelSet::VoxelBlock& block : coverage.list_cell_blocks()) {
+    for (const ObservedVoxelSet::VoxelBlock& block : coverage.list_voxel_blocks()) {
         for (int axis = 0; axis < 3; ++axis) block_coordinates.push_back(block.grid_index[axis]);
         cells.insert(cells.end(), block.cells.begin(), block.cells.end());
     }
@@ -94,7 +94,7 @@ ObservedVoxelSet load_coverage(const std::filesystem::path& path) {
     const NamedArray &block_coordinates = require_array_with_columns(arrays, "place", "i4", 3, file),
                      &cells =
                          require_array_with_columns(arrays, "cells", "u2", ObservedVoxelSet::kWords, file);
-    check_equal_row_counts(block_coordinates, cells, file);
+    require_equal_row_counts(block_coordinates, cells, file);
     ObservedVoxelSet coverage;
     for (std::size_t i = 0; i < block_coordinates.shape[0]; ++i) {
         ObservedVoxelSet::VoxelBlock block;
@@ -102,7 +102,7 @@ ObservedVoxelSet load_coverage(const std::filesystem::path& path) {
                     3 * sizeof(std::int32_t));
         std::memcpy(block.cells.data(), cells.bytes.data() + i * sizeof(ObservedVoxelSet::VoxelBits),
                     sizeof(ObservedVoxelSet::VoxelBits));
-        coverage.add_block(block);
+        coverage.add_voxels_of_block(block);
     }
     return coverage;
 }
@@ -128,7 +128,7 @@ SurfaceClassMap load_class_map(const std::filesystem::path& path) {
         read_cell_arrays(path, kClassesFormat, kClassesVersion, kClassCell_m);
     const NamedArray &cell_coordinates = require_array_with_columns(arrays, "place", "i4", 3, file, "cells"),
                      &classes = require_array_with_columns(arrays, "class", "u2", 1, file, "cells");
-    check_equal_row_counts(cell_coordinates, classes, file);
+    require_equal_row_counts(cell_coordinates, classes, file);
     SurfaceClassMap map(cell_coordinates.shape[0]);
     for (std::size_t i = 0; i < map.size(); ++i) {
         std::memcpy(&map[i].grid_index.x, cell_coordinates.bytes.data() + i * 3 * sizeof(std::int32_t),

@@ -20,8 +20,8 @@ namespace {
 constexpr const char* kNetworkFormat = "relidar drop network";
 constexpr const char* kNetworkVersion = "1";
 
-std::vector<float> get_finite_float_array(const std::vector<NamedArray>& arrays, const char* name,
-                                          const std::string& file_name) {
+std::vector<float> require_finite_float_array(const std::vector<NamedArray>& arrays, const char* name,
+                                              const std::string& file_name) {
     const NamedArray* array = find_array(arrays, name);
     if (!array || array->dtype != "f4")
         throw DataError(fmt::format("{}: the array {} is missing or its type is not f4", file_name, name));
@@ -43,14 +43,14 @@ void read_network_architecture(const JsonField& architecture, RayDropNetwork& ne
                                  "expected 1 to 8 channel numbers, one per level");
     for (std::size_t i = 0; i < inputs.size(); ++i) network.inputs.push_back(inputs.at(i).get_string());
     for (std::size_t i = 0; i < widths.size(); ++i)
-        network.widths.push_back(std::uint32_t(widths.at(i).get_integer(2, 4096)));
-    network.heads = std::uint32_t(architecture.at("heads").get_integer(0, network.widths.back()));
+        network.widths.push_back(std::uint32_t(widths.at(i).get_integer_in_range(2, 4096)));
+    network.heads = std::uint32_t(architecture.at("heads").get_integer_in_range(0, network.widths.back()));
     if (network.heads > 0 && network.widths.back() % network.heads != 0)
         architecture.at("heads").throw_field_error(
             fmt::format("found {}", network.heads),
             fmt::format("expected a divisor of {}", network.widths.back()));
-    network.taps = std::uint32_t(architecture.at("taps").get_integer(1, 9));
-    network.residual = architecture.at("residual").get_integer(0, 1) != 0;
+    network.taps = std::uint32_t(architecture.at("taps").get_integer_in_range(1, 9));
+    network.residual = architecture.at("residual").get_integer_in_range(0, 1) != 0;
 }
 
 }  // namespace
@@ -75,14 +75,14 @@ RayDropNetwork load_ray_drop_network(const std::filesystem::path& path) {
     const std::string file = path.string();
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    run_detail::check_format_and_version(metadata, file, kNetworkFormat, kNetworkVersion);
+    run_detail::require_format_and_version(metadata, file, kNetworkFormat, kNetworkVersion);
     RayDropNetwork network;
     const std::string where = file + ": metadata shape";
     const nlohmann::json shape = parse_json(metadata["shape"], where);
     read_network_architecture(JsonField(shape, where, ""), network);
-    network.normalisation = get_finite_float_array(arrays, "normalisation", file);
-    network.parameters = get_finite_float_array(arrays, "parameters", file);
-    network.running = get_finite_float_array(arrays, "running", file);
+    network.normalisation = require_finite_float_array(arrays, "normalisation", file);
+    network.parameters = require_finite_float_array(arrays, "parameters", file);
+    network.running = require_finite_float_array(arrays, "running", file);
     return network;
 }
 

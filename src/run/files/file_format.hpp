@@ -14,9 +14,9 @@ namespace relidar::run_detail {
 /// Checks the format name and the version in the metadata of a safetensors file.
 /// @throws DataError if one of them is not the expected value. The message contains the
 /// value from the file
-inline void check_format_and_version(const std::map<std::string, std::string>& metadata,
-                                     const std::string& file_name, const std::string& expected_format,
-                                     const std::string& expected_version) {
+inline void require_format_and_version(const std::map<std::string, std::string>& metadata,
+                                       const std::string& file_name, const std::string& expected_format,
+                                       const std::string& expected_version) {
     const auto value = [&](const char* key) {
         const auto it = metadata.find(key);
         return it == metadata.end() ? std::string() : it->second;

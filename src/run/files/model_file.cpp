@@ -30,8 +30,8 @@ constexpr const char* kModelFormat = "relidar model";
 constexpr const char* kModelVersion = "1";
 constexpr std::int64_t kMaxSurfels = 4294967295;
 
-void check_parameters_finite(const SurfelParameterGroup& group, const Surfels& surfels,
-                             const std::string& file_name) {
+void require_finite_surfel_parameters(const SurfelParameterGroup& group, const Surfels& surfels,
+                                      const std::string& file_name) {
     const std::span<const float> values = group.values(surfels);
     const auto bad = std::ranges::find_if(values, [](float v) { return !std::isfinite(v); });
     if (bad == values.end()) return;
@@ -56,38 +56,39 @@ void read_parameter_group(const SurfelParameterGroup& group, const NamedArray& a
     }
     const std::vector<float> values = array.convert_to_floats();
     std::ranges::copy(values, group.mutable_values(surfels).begin());
-    check_parameters_finite(group, surfels, file_name);
+    require_finite_surfel_parameters(group, surfels, file_name);
 }
 
 /// Reads the half size of a model's bounding box. The size 0, 0, 0 means that the model
 /// is unbounded.
 glm::vec3 read_box_half_size_m(const JsonField& model) {
     const std::array<double, 3> v = model.at("half_size_m").get_numbers<3>();
-    for (std::size_t k = 0; k < 3; ++k) model.at("half_size_m").at(k).get_number(0.0, 1e6);
+    for (std::size_t k = 0; k < 3; ++k) model.at("half_size_m").at(k).get_number_in_range(0.0, 1e6);
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
 /// Reads the walked distance after which the leg motion of a person repeats. Returns 0
 /// for a rigid model.
 float read_walking_stride_m(const JsonField& model) {
-    return model.has_member("stride_m") ? static_cast<float>(model.at("stride_m").get_number(1e-3, 1e6))
-                                        : 0.0f;
+    return model.has_member("stride_m")
+               ? static_cast<float>(model.at("stride_m").get_number_in_range(1e-3, 1e6))
+               : 0.0f;
 }
 
 constexpr const char* kSurface = "surface";
 
 /// Reads which parts of an actor's box surface the log has observed. Returns nothing if
 /// the file does not contain them.
-std::optional<ObservedBoxSurface> read_box_surface(const JsonField& model) {
+std::optional<ObservedBoxSurface> read_observed_box_surface(const JsonField& model) {
     if (!model.has_member(kSurface)) return {};
     const JsonField field = model.at(kSurface), size = field.at("size_m");
     const std::array<double, 3> size_m = size.get_numbers<3>();
-    for (std::size_t k = 0; k < 3; ++k) size.at(k).get_number(1e-3, 1e4);
+    for (std::size_t k = 0; k < 3; ++k) size.at(k).get_number_in_range(1e-3, 1e4);
     ObservedBoxSurface surface({size_m[0], size_m[1], size_m[2]});
     surface.is_completed = field.at("completed").get_boolean();
     for (std::size_t s = 0; s < kBoxSides; ++s) {
         const JsonField side = field.at(get_name(BoxSide(s)));
-        if (!surface.parse_observed_patches(BoxSide(s), side.get_string()))
+        if (!surface.try_parse_and_set_observed_patches(BoxSide(s), side.get_string()))
             side.throw_field_error(
                 "found a text with " + std::to_string(side.get_string().size()) + " characters",
                 "expected a 0 or 1 for each of " +
@@ -111,8 +112,8 @@ void read_models_and_instances(const JsonField& layout, Scene& scene) {
     std::int64_t next = 0;
     for (std::size_t i = 0; i < models.size(); ++i) {
         const JsonField m = models.at(i);
-        const std::int64_t first = m.at("first").get_integer(0, kMaxSurfels),
-                           count = m.at("count").get_integer(0, kMaxSurfels);
+        const std::int64_t first = m.at("first").get_integer_in_range(0, kMaxSurfels),
+                           count = m.at("count").get_integer_in_range(0, kMaxSurfels);
         if (first != next)
             m.at("first").throw_field_error(
                 fmt::format("found {}", first),
@@ -120,7 +121,7 @@ void read_models_and_instances(const JsonField& layout, Scene& scene) {
         next = first + count;
         scene.models.push_back({m.at("name").get_string(), static_cast<std::uint32_t>(first),
                                 static_cast<std::uint32_t>(count), read_box_half_size_m(m),
-                                read_walking_stride_m(m), read_box_surface(m)});
+                                read_walking_stride_m(m), read_observed_box_surface(m)});
     }
     if (next != n)
         models.throw_field_error(fmt::format("found models of {} surfels", next),
@@ -130,13 +131,14 @@ void read_models_and_instances(const JsonField& layout, Scene& scene) {
     for (std::size_t i = 0; i < instances.size(); ++i) {
         const JsonField instance = instances.at(i);
         const std::int64_t model =
-            instance.at("model").get_integer(0, static_cast<std::int64_t>(models.size()) - 1);
+            instance.at("model").get_integer_in_range(0, static_cast<std::int64_t>(models.size()) - 1);
         scene.instances.push_back({static_cast<std::uint32_t>(model), instance.at("track").get_string()});
     }
 }
 
-void check_model_metadata(const std::map<std::string, std::string>& metadata, const std::string& file_name) {
-    run_detail::check_format_and_version(metadata, file_name, kModelFormat, kModelVersion);
+void require_valid_model_metadata(const std::map<std::string, std::string>& metadata,
+                                  const std::string& file_name) {
+    run_detail::require_format_and_version(metadata, file_name, kModelFormat, kModelVersion);
     if (!metadata.contains("layout"))
         throw DataError(fmt::format("{}: the metadata key \"layout\" is missing, expected a model of relidar",
                                     file_name));
@@ -158,7 +160,7 @@ std::string format_blocks_json(const Scene& scene, const std::filesystem::path& 
 
 glm::vec3 read_bounding_box_corner(const JsonField& field) {
     const std::array<double, 3> v = field.get_numbers<3>();
-    for (std::size_t k = 0; k < 3; ++k) field.at(k).get_number(-1e7, 1e7);
+    for (std::size_t k = 0; k < 3; ++k) field.at(k).get_number_in_range(-1e7, 1e7);
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
@@ -176,7 +178,8 @@ void parse_blocks_json(const std::string& json_text, const std::string& error_lo
             block.at("file").throw_field_error("found the file name " + file.string(),
                                                "expected the name of a file in the folder of the model");
         scene.blocks.push_back(
-            {model_folder / file, static_cast<std::uint32_t>(block.at("surfels").get_integer(0, kMaxSurfels)),
+            {model_folder / file,
+             static_cast<std::uint32_t>(block.at("surfels").get_integer_in_range(0, kMaxSurfels)),
              read_bounding_box_corner(block.at("low_m")), read_bounding_box_corner(block.at("high_m"))});
     }
 }
@@ -224,11 +227,11 @@ void parse_scene_layout_json(const std::string& text, const std::string& error_l
     read_models_and_instances(JsonField(layout, error_location, ""), scene);
 }
 
-void save_model(const std::filesystem::path& path, const Scene& scene) {
-    scene.surfels.check_array_lengths();
+void save_scene_to_model_file(const std::filesystem::path& path, const Scene& scene) {
+    scene.surfels.require_equal_array_lengths();
     std::vector<NamedArray> arrays;
     for (const SurfelParameterGroup& group : list_parameter_groups(scene.surfels.get_parameter_set())) {
-        check_parameters_finite(group, scene.surfels, path.string());
+        require_finite_surfel_parameters(group, scene.surfels, path.string());
         const std::span<const float> values = group.values(scene.surfels);
         arrays.push_back(make_array(group.name, group.get_array_shape(scene.surfels.size()), values.data(),
                                     values.size()));
@@ -247,12 +250,12 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
     write_safetensors(path, arrays, metadata);
 }
 
-Scene load_model(const std::filesystem::path& path) {
+Scene load_scene_from_model_file(const std::filesystem::path& path) {
     const std::string file = path.string();
     if (!does_path_exist(path)) throw DataError(fmt::format("{}: no such file", file));
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    check_model_metadata(metadata, file);
+    require_valid_model_metadata(metadata, file);
     const NamedArray& mean = require_array_by_name(arrays, "mean", file);
     if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
         throw DataError(fmt::format("{}: array mean: found shape [{}], expected [n, 3]", file,

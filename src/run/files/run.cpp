@@ -63,15 +63,15 @@ void link_or_copy_file(const fs::path& source_file, const fs::path& target_file)
 
 /// Links or copies the files of the background blocks to `target_folder`. Returns the
 /// blocks with the new file paths.
-/// @param keep_existing_files  true: skips files that are already in the folder of the
-/// run
-std::vector<SceneBlock> link_block_files(const TrainedRun& run, const fs::path& target_folder,
-                                         bool keep_existing_files) {
+/// @param skip_files_already_in_run_folder  true: skips files that are already in the
+/// folder of the run
+std::vector<SceneBlock> link_or_copy_block_files(const TrainedRun& run, const fs::path& target_folder,
+                                                 bool skip_files_already_in_run_folder) {
     std::vector<SceneBlock> blocks = run.scene.blocks;
     for (std::size_t i = 0; i < blocks.size(); ++i) {
         const fs::path file = fs::path("blocks") / fmt::format("{:03}", i) / kModelFile;
         std::error_code failed;
-        if (!keep_existing_files || !fs::equivalent(blocks[i].file, run.folder / file, failed))
+        if (!skip_files_already_in_run_folder || !fs::equivalent(blocks[i].file, run.folder / file, failed))
             link_or_copy_file(blocks[i].file, target_folder / file);
         blocks[i].file = target_folder / file;
     }
@@ -92,11 +92,11 @@ void save_run_config(const TrainedRun& run, const fs::path& folder) {
 }
 
 void save_scene(const TrainedRun& run, const fs::path& folder, bool keep_block_files) {
-    if (run.scene.blocks.empty()) return save_model(folder / kModelFile, run.scene);
+    if (run.scene.blocks.empty()) return save_scene_to_model_file(folder / kModelFile, run.scene);
     // This scene contains only the actors, because the background is stored in blocks.
     Scene scene = run.scene;
-    scene.blocks = link_block_files(run, folder, keep_block_files);
-    save_model(folder / kModelFile, scene);
+    scene.blocks = link_or_copy_block_files(run, folder, keep_block_files);
+    save_scene_to_model_file(folder / kModelFile, scene);
 }
 
 void write_run_files(const TrainedRun& run, const fs::path& folder, bool keep_block_files) {
@@ -130,7 +130,7 @@ void write_run_to_staging_folder(const TrainedRun& run, const fs::path& staging_
 struct TemporaryFolder {
     fs::path path;
 
-    explicit TemporaryFolder(const fs::path& parent) : path(make_temporary_path(parent / "run")) {
+    explicit TemporaryFolder(const fs::path& parent) : path(make_unique_temporary_path(parent / "run")) {
         create_folder(path);
     }
     ~TemporaryFolder() {
@@ -150,7 +150,7 @@ void rename_file(const fs::path& source, const fs::path& target) {
 }
 
 /// Returns true if a file exists and its contents equal `expected_bytes`.
-bool has_file_content(const fs::path& file, const std::string& expected_bytes) {
+bool is_file_content_equal_to(const fs::path& file, const std::string& expected_bytes) {
     return does_path_exist(file) && read_file(file) == expected_bytes;
 }
 
@@ -160,7 +160,7 @@ bool has_file_content(const fs::path& file, const std::string& expected_bytes) {
 void move_staged_files(const fs::path& staging_folder, const fs::path& run_folder,
                        const std::function<void()>& remove_old_files) {
     const bool same_config =
-        has_file_content(run_folder / kConfigFile, read_file(staging_folder / kConfigFile));
+        is_file_content_equal_to(run_folder / kConfigFile, read_file(staging_folder / kConfigFile));
     if (!same_config || remove_old_files) fs::remove(run_folder / kConfigFile);
     fs::remove(run_folder / kSceneFile);
     if (remove_old_files) remove_old_files();
@@ -182,17 +182,17 @@ void move_staged_files(const fs::path& staging_folder, const fs::path& run_folde
 
 void save_run(const TrainedRun& run) { overwrite_run(run, {}); }
 
-void replace_run_folder(const TrainedRun& run) {
+void replace_folder_by_run_atomically(const TrainedRun& run) {
     const StagedFolder staged(run.folder);
     write_run_to_staging_folder(run, staged.path(), false);
-    staged.move_folder_to_final_path();
+    staged.move_folder_and_replace_existing();
 }
 
 void overwrite_run(const TrainedRun& run, const std::function<void()>& remove_earlier_files) {
     if (!does_path_exist(run.folder)) {
         const StagedFolder staged(run.folder);
         write_run_to_staging_folder(run, staged.path(), false);
-        return staged.move_folder_without_replacing();
+        return staged.move_folder_unless_name_is_used();
     }
     create_folder(run.folder);  // throws an error with the reason if the path is a file and not a folder
     const TemporaryFolder staged(run.folder);
@@ -201,7 +201,7 @@ void overwrite_run(const TrainedRun& run, const std::function<void()>& remove_ea
 }
 
 TrainedRun load_run(const fs::path& folder) {
-    check_is_folder(folder, "a run folder");
+    require_existing_folder(folder, "a run folder");
     for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
         if (!does_path_exist(folder / name))
             throw DataError(fmt::format("the file {} is missing, but every run folder must contain it",
@@ -214,12 +214,12 @@ TrainedRun load_run(const fs::path& folder) {
     run_detail::SceneJsonContents scene =
         run_detail::parse_scene_json(read_text_file(scene_path), scene_path.string());
     run.sequence = std::move(scene.sequence);
-    run.config = resolve_max_range(std::move(run.config), run.sequence);
+    run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
     run.split = std::move(scene.split);
     run.edits = std::move(scene.edits);
     run.held_out_placed = scene.held_out_placed;
     run.refined_poses = std::move(scene.refined_poses);
-    run.scene = load_model(folder / kModelFile);
+    run.scene = load_scene_from_model_file(folder / kModelFile);
     for (const SceneBlock& block : run.scene.blocks)
         if (!does_path_exist(block.file))
             throw DataError(
@@ -254,7 +254,7 @@ bool is_run_folder(const fs::path& path) {
     return fs::is_regular_file(path / kSceneFile, failed) || fs::is_regular_file(path / kModelFile, failed);
 }
 
-void check_writable(const fs::path& folder) {
+void create_folder_and_require_writable(const fs::path& folder) {
     create_folder(folder);
     // The name of the test file contains the process id, because several processes may
     // test the same folder. If the process is killed here, remove_temporary_files()

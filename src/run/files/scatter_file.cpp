@@ -63,11 +63,11 @@ struct ScatterArrays {
         const std::string name = fmt::format("{}.{}", lidar, array_suffix);
         const NamedArray* array = find_array(arrays, name);
         if (!array) throw DataError(fmt::format("{}: array {} is missing", file, name));
-        if (array->dtype != dtype || array->shape.size() != 1 || array->count_elements() == 0 ||
-            (expected_count > 0 && array->count_elements() != expected_count))
+        if (array->dtype != dtype || array->shape.size() != 1 || array->count_array_elements() == 0 ||
+            (expected_count > 0 && array->count_array_elements() != expected_count))
             throw DataError(
                 fmt::format("{}: array {}: found type {} with {} numbers, expected {}{}", file, name,
-                            array->dtype, array->count_elements(), dtype,
+                            array->dtype, array->count_array_elements(), dtype,
                             expected_count > 0 ? fmt::format(" with {} numbers", expected_count) : ""));
         std::vector<double> values = array->convert_to_doubles();
         if (!std::ranges::all_of(values, [](double value) { return std::isfinite(value); }))
@@ -128,7 +128,7 @@ std::vector<IntensityScatterModel> load_intensity_scatter(const std::filesystem:
     const std::string file = path.string();
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    check_format_and_version(metadata, file, kScatterFormat, kScatterVersion);
+    require_format_and_version(metadata, file, kScatterFormat, kScatterVersion);
     std::vector<IntensityScatterModel> result(n_lidars);
     for (std::size_t lidar = 0; lidar < n_lidars; ++lidar)
         if (find_array(arrays, fmt::format("{}.feature", lidar)))

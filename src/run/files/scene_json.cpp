@@ -84,7 +84,7 @@ Json make_frames_json(const LidarSequence& sequence, const TrainTestSplit& split
         };
         const char* part = in(split.train) ? "train" : in(split.test) ? "test" : "unused";
         const LidarFrame& frame = sequence.frames[i];
-        const Pose& pose = sequence.world_from_vehicle.pose[sequence.get_pose_index(frame)];
+        const Pose& pose = sequence.world_from_vehicle.pose[sequence.get_vehicle_pose_index_of_frame(frame)];
         frames.push_back({{"index", frame.index},
                           {"time_s", frame.time_s},
                           {"lidar", frame.lidar},
@@ -96,8 +96,8 @@ Json make_frames_json(const LidarSequence& sequence, const TrainTestSplit& split
 
 /// Checks that the absolute value of each number is at most `max_absolute_value`.
 /// @throws DataError for the first number above this limit
-void check_absolute_values(const JsonField& field, std::initializer_list<double> values,
-                           double max_absolute_value) {
+void require_absolute_values_at_most(const JsonField& field, std::initializer_list<double> values,
+                                     double max_absolute_value) {
     for (const double v : values)
         if (std::abs(v) > max_absolute_value)
             field.throw_field_error(
@@ -112,7 +112,7 @@ Pose read_pose(const JsonField& field) {
     if (std::abs(length - 1.0) > 1e-6)
         field.throw_field_error(fmt::format("found a quaternion of length {}", length),
                                 "expected a quaternion of length 1");
-    check_absolute_values(field, {v[0], v[1], v[2]}, kFarthest_m);
+    require_absolute_values_at_most(field, {v[0], v[1], v[2]}, kFarthest_m);
     // Does not normalise the quaternion again, because rounding would change its last
     // digits.
     return {q, {v[0], v[1], v[2]}};
@@ -120,7 +120,7 @@ Pose read_pose(const JsonField& field) {
 
 glm::dvec3 read_vector(const JsonField& field, double max_absolute_value) {
     const auto v = field.get_numbers<3>();
-    check_absolute_values(field, {v[0], v[1], v[2]}, max_absolute_value);
+    require_absolute_values_at_most(field, {v[0], v[1], v[2]}, max_absolute_value);
     return {v[0], v[1], v[2]};
 }
 
@@ -154,7 +154,7 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
 /// Reads the model of how measured intensities depend on range and angle of incidence.
 IntensityResponse read_intensity_response(const JsonField& field) {
     const IntensityResponse r{field.at("range_m").get_numbers(), field.at("factor").get_numbers(),
-                              field.at("incidence").get_number(0.0, 1.0)};
+                              field.at("incidence").get_number_in_range(0.0, 1.0)};
     if (r.factor.size() != r.range_m.size())
         field.at("factor").throw_field_error(
             fmt::format("expected {} factors, one for each knot", r.factor.size()),
@@ -180,9 +180,9 @@ void read_frames_and_split(const JsonField& field, SceneJsonContents& scene) {
     for (std::size_t i = 0; i < field.size(); ++i) {
         const JsonField entry = field.at(i);
         LidarFrame frame;
-        frame.index = static_cast<int>(entry.at("index").get_integer(0, kMaxFrame));
-        frame.time_s = entry.at("time_s").get_number(-kHuge, kHuge);
-        frame.lidar = static_cast<int>(entry.at("lidar").get_integer(0, last_lidar));
+        frame.index = static_cast<int>(entry.at("index").get_integer_in_range(0, kMaxFrame));
+        frame.time_s = entry.at("time_s").get_number_in_range(-kHuge, kHuge);
+        frame.lidar = static_cast<int>(entry.at("lidar").get_integer_in_range(0, last_lidar));
         if (i > 0 && std::pair(frame.time_s, frame.lidar) <=
                          std::pair(scene.sequence.frames.back().time_s, scene.sequence.frames.back().lidar))
             entry.at("time_s").throw_field_error(
@@ -213,7 +213,8 @@ BoxTrack read_box_track(const JsonField& field) {
     const JsonField poses = field.at("world_from_box");
     for (std::size_t i = 0; i < poses.size(); ++i) box.world_from_box.pose.push_back(read_pose(poses.at(i)));
     const std::size_t n = box.world_from_box.time_s.size();
-    for (const double t : box.world_from_box.time_s) check_absolute_values(field.at("time_s"), {t}, kHuge);
+    for (const double t : box.world_from_box.time_s)
+        require_absolute_values_at_most(field.at("time_s"), {t}, kHuge);
     if (poses.size() != n)
         poses.throw_field_error(fmt::format("found {} poses", poses.size()),
                                 fmt::format("expected {} poses, one for each time", n));
@@ -223,9 +224,9 @@ BoxTrack read_box_track(const JsonField& field) {
     if (field.has_member("beside_labels")) {
         const JsonField beside = field.at("beside_labels");
         const auto most = static_cast<std::int64_t>(n);
-        box.n_before = static_cast<std::size_t>(beside.at(0).get_integer(0, most));
+        box.n_before = static_cast<std::size_t>(beside.at(0).get_integer_in_range(0, most));
         box.n_after = static_cast<std::size_t>(
-            beside.at(1).get_integer(0, most - static_cast<std::int64_t>(box.n_before)));
+            beside.at(1).get_integer_in_range(0, most - static_cast<std::int64_t>(box.n_before)));
     }
     return box;
 }
@@ -238,11 +239,11 @@ void read_scene_edits(const JsonField& field, SceneJsonContents& scene) {
 
 /// Compares each count in the file with the length of its list, to detect entries that a
 /// manual edit or a wrong merge has removed.
-void check_entry_counts(const JsonField& root, const SceneJsonContents& scene) {
+void require_entry_counts_match_lists(const JsonField& root, const SceneJsonContents& scene) {
     const auto check = [&](const char* name, std::size_t n) {
         const JsonField count = root.at("counts").at(name);
-        if (count.get_integer(0, kMaxInt) != static_cast<std::int64_t>(n))
-            count.throw_field_error(fmt::format("found {}", count.get_integer(0, kMaxInt)),
+        if (count.get_integer_in_range(0, kMaxInt) != static_cast<std::int64_t>(n))
+            count.throw_field_error(fmt::format("found {}", count.get_integer_in_range(0, kMaxInt)),
                                     fmt::format("expected {}, the number of listed entries", n));
     };
     check("frames", scene.sequence.frames.size());
@@ -291,7 +292,8 @@ SceneJsonContents parse_scene_json(const std::string& json_text, const std::stri
     if (const std::string format = root.at("format").get_string(); format != kSceneFormat)
         root.at("format").throw_field_error("found \"" + format + "\"",
                                             fmt::format("expected \"{}\"", kSceneFormat));
-    if (const std::int64_t version = root.at("version").get_integer(0, kMaxInt); version != kSceneVersion)
+    if (const std::int64_t version = root.at("version").get_integer_in_range(0, kMaxInt);
+        version != kSceneVersion)
         root.at("version").throw_field_error(
             fmt::format("found {}", version),
             fmt::format("relidar {} reads only version {}; train the run again", RELIDAR_VERSION,
@@ -314,8 +316,9 @@ SceneJsonContents parse_scene_json(const std::string& json_text, const std::stri
     if (root.has_member("edits")) read_scene_edits(root.at("edits"), scene);
     scene.held_out_placed = root.has_member("held_out_placed") && root.at("held_out_placed").get_boolean();
     if (root.has_member("refined_poses")) scene.refined_poses = root.at("refined_poses").get_string();
-    check_entry_counts(root, scene);
-    scene.n_surfels = static_cast<std::size_t>(root.at("counts").at("surfels").get_integer(0, 4294967295));
+    require_entry_counts_match_lists(root, scene);
+    scene.n_surfels =
+        static_cast<std::size_t>(root.at("counts").at("surfels").get_integer_in_range(0, 4294967295));
     return scene;
 }
 

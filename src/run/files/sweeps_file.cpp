@@ -19,8 +19,8 @@ namespace {
 constexpr const char* kSweepsFormat = "relidar sweeps";
 constexpr const char* kSweepsVersion = "1";
 
-LidarFrame& get_frame_of_array(const std::string& array_name, LidarSequence& sequence,
-                               const std::string& file_name) {
+LidarFrame& get_frame_by_array_name(const std::string& array_name, LidarSequence& sequence,
+                                    const std::string& file_name) {
     std::size_t position = sequence.frames.size();
     const auto [end, error] =
         std::from_chars(array_name.data(), array_name.data() + array_name.size(), position);
@@ -51,9 +51,9 @@ void load_azimuth_corrections(const std::filesystem::path& path, LidarSequence& 
     const std::string file = path.string();
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    check_format_and_version(metadata, file, kSweepsFormat, kSweepsVersion);
+    require_format_and_version(metadata, file, kSweepsFormat, kSweepsVersion);
     for (const NamedArray& array : arrays) {
-        LidarFrame& frame = get_frame_of_array(array.name, sequence, file);
+        LidarFrame& frame = get_frame_by_array_name(array.name, sequence, file);
         const auto columns = std::size_t(sequence.get_lidar(frame).sensor.columns);
         if (array.dtype != "f4" || array.shape != std::vector<std::size_t>{columns})
             throw DataError(fmt::format(

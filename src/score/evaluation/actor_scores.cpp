@@ -49,7 +49,7 @@ struct BoxInScan {
         if (glm::distance(sensor_point_m, centre_m) >
             0.5 * glm::length(box.size_m) + kSilhouette_m + kSweep_m)
             return std::nullopt;
-        const double t_s = compute_point_scan_time_s(sequence, sensor_point_m, sweep_timing);
+        const double t_s = compute_time_when_lidar_faces_point_s(sequence, sensor_point_m, sweep_timing);
         return inverse(box.world_from_box.interpolate_pose(t_s)) *
                (get_world_from_sensor(t_s) * sensor_point_m);
     }
@@ -167,7 +167,7 @@ FrameActorScores compute_actor_scores(const RangeImage& rendered, const std::vec
     for (const BoxTrack& box : sequence.boxes) {
         if (!tails.n_of_box.contains(box.id)) continue;  // a box that does not move has no tail
         MovingBoxPoints p;
-        if (box.is_present(sweep.time_s))
+        if (box.is_observed_at_time(sweep.time_s))
             p = collect_points_in_box(rendered, point_ranges_m, real, sequence, sweep, box);
         scores.actors.push_back({box.id, box.category, compute_box_metrics(p)});
         scores.actors.back().metrics["tail"] = double(tails.n_of_box.at(box.id));

@@ -30,7 +30,7 @@ constexpr std::size_t kScoredAtOnce = 16;
 /// @param frame  the frame, with its scan
 SimulatedSensor make_sensor_for_frame(const Config& config, const LidarSequence& sequence,
                                       const LidarFrame& frame) {
-    SimulatedSensor sensor = make_configured_sensor(config, sequence, frame.lidar);
+    SimulatedSensor sensor = make_sensor_from_config(config, sequence, frame.lidar);
     if (config.sensor.grid == "native") sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
     sensor.rolling_shutter = sequence.rolling_shutter;
     return sensor;
@@ -85,15 +85,16 @@ bool can_score_classes(const ScanRenderer& renderer, const Config& config, const
     return renderer.has_background_classes() && config.sensor.grid == "native" && !frame.scan.classes.empty();
 }
 
-RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const LidarSequence& sequence,
-                           const LidarFrame& frame, const Pose& sensor_offset) {
+RenderedFrame render_frame_for_scoring(ScanRenderer& renderer, const Config& config,
+                                       const LidarSequence& sequence, const LidarFrame& frame,
+                                       const Pose& sensor_offset) {
     RenderedFrame result = make_frame_with_real_image(config, sequence, frame, sensor_offset);
     const SimulatedSensor sensor = make_sensor_for_frame(config, sequence, frame);
     result.frame.n_rays = sensor.rays.size();
     result.frame.rendered = renderer.render(sensor, frame.time_s, sensor_offset);
     const auto* classes = find_channel_values<std::int32_t>(result.frame.rendered.channels, "class");
     if (classes && can_score_classes(renderer, config, frame))
-        result.class_scores = evaluate_classes(*classes, frame.scan.classes);
+        result.class_scores = compute_surface_class_metrics(*classes, frame.scan.classes);
     return result;
 }
 
@@ -109,9 +110,10 @@ std::vector<ScoredFrame> score_rendered_frames(std::vector<RenderedFrame> render
                                                const Config& config, const LidarSequence& sequence,
                                                const Lpips* lpips_network) {
     MetricOptions options;
-    options.max_range_m = resolve_max_range(config, sequence).dataset.max_range_m;
+    options.max_range_m = replace_automatic_max_range(config, sequence).dataset.max_range_m;
     if (config.sensor.grid != "native")
-        options.max_range_m = std::min(options.max_range_m, find_range_grid(config.sensor.grid).max_range_m);
+        options.max_range_m =
+            std::min(options.max_range_m, get_range_image_grid_by_name(config.sensor.grid).max_range_m);
     options.lpips = lpips_network;
     std::vector<RangeImageComparison> comparisons;
     for (const RenderedFrame& r : rendered_frames)
@@ -131,7 +133,8 @@ std::vector<ScoredFrame> score_rendered_frames(std::vector<RenderedFrame> render
     return frames;
 }
 
-void add_actor_scores(std::vector<ScoredFrame>& frames, const LidarSequence& sequence, const Config& config) {
+void compute_and_store_actor_scores(std::vector<ScoredFrame>& frames, const LidarSequence& sequence,
+                                    const Config& config) {
     for (ScoredFrame& frame : frames) {
         const SweepTiming sweep{frame.time_s, frame.lidar, frame.start};
         const RangeImage& rendered = frame.rendered.image;
@@ -145,7 +148,7 @@ void add_actor_scores(std::vector<ScoredFrame>& frames, const LidarSequence& seq
     }
 }
 
-RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage& real) {
+RangeErrorCounts count_rays_by_range_and_error(const RangeImage& rendered, const RangeImage& real) {
     constexpr auto& kRanges = RangeErrorCounts::kRangeEdges_m;
     constexpr auto& kErrors = RangeErrorCounts::kErrorEdges_m;
     RangeErrorCounts counts;
@@ -199,9 +202,9 @@ std::vector<ScoredFrame> render_and_score_frames(
         }
         std::vector<ScoredFrame> scored_batch =
             score_rendered_frames(std::move(batch), frame_batch.config, frame_batch.sequence, lpips.get());
-        add_actor_scores(scored_batch, frame_batch.sequence, frame_batch.config);
+        compute_and_store_actor_scores(scored_batch, frame_batch.sequence, frame_batch.config);
         for (ScoredFrame& frame : scored_batch) {
-            frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
+            frame.range_errors = count_rays_by_range_and_error(frame.rendered.image, frame.real);
             if (frame_batch.see) frame_batch.see(frame);
             if (scored.size() != n / 2) clear_frame_images(frame);
             scored.push_back(std::move(frame));
@@ -233,11 +236,12 @@ void copy_scans_into_run(TrainedRun& run, const std::vector<int>& frame_indices,
     }
 }
 
-ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const LidarSequence& sequence,
-                        const LidarFrame& frame, const Pose& sensor_offset) {
+ScoredFrame render_and_score_frame(ScanRenderer& renderer, const Config& config,
+                                   const LidarSequence& sequence, const LidarFrame& frame,
+                                   const Pose& sensor_offset) {
     const std::unique_ptr<Lpips> lpips = load_lpips_network();
-    return score_rendered_frames({render_frame(renderer, config, sequence, frame, sensor_offset)}, config,
-                                 sequence, lpips.get())
+    return score_rendered_frames({render_frame_for_scoring(renderer, config, sequence, frame, sensor_offset)},
+                                 config, sequence, lpips.get())
         .front();
 }
 
@@ -246,15 +250,17 @@ EvaluationResult evaluate_frames(ScanRenderer& renderer, const Config& config, c
                                  const ScoredFrameCallback& on_frame) {
     // Also renders the drop probability before its correction by the neural network,
     // because reports show both probabilities.
-    if (on_frame && renderer.has_drop_network_for(make_configured_sensor(config, sequence)))
+    if (on_frame && renderer.has_drop_network_for(make_sensor_from_config(config, sequence)))
         renderer.enable_optional_channels("surfel_drop_prob");
     if (std::ranges::any_of(frame_indices, [&](int position) {
             return can_score_classes(renderer, config, sequence.frames.at(std::size_t(position)));
         }))
         renderer.enable_optional_channels("class");
-    std::vector<ScoredFrame> scored = render_and_score_frames(
-        {frame_indices, sequence, config, progress, on_frame}, "rendering held-out frames",
-        [&](int, const LidarFrame& frame) { return render_frame(renderer, config, sequence, frame, {}); });
+    std::vector<ScoredFrame> scored =
+        render_and_score_frames({frame_indices, sequence, config, progress, on_frame},
+                                "rendering held-out frames", [&](int, const LidarFrame& frame) {
+                                    return render_frame_for_scoring(renderer, config, sequence, frame, {});
+                                });
     return summarise_evaluation(std::move(scored), renderer.times());
 }
 
@@ -271,9 +277,10 @@ EvaluationResult evaluate_baseline(const std::string& baseline_name, const Confi
     const auto project = [&](int position, const LidarFrame& frame) {
         RenderedFrame result = make_frame_with_real_image(config, sequence, frame, {});
         Scan points = predict_scan_from_neighbours(sequence, position, split.train, boxes);
-        remove_returns_outside_limits(points, make_configured_sensor(config, sequence, frame.lidar).limits);
+        remove_returns_outside_limits(points, make_sensor_from_config(config, sequence, frame.lidar).limits);
         result.frame.rendered.image = make_measured_image(
-            config, config.sensor.grid == "native" ? bin_points_onto_rays(frame.scan.rays, points) : points);
+            config,
+            config.sensor.grid == "native" ? assign_points_to_nearest_rays(frame.scan.rays, points) : points);
         return result;
     };
     EvaluationResult evaluation =
@@ -284,7 +291,7 @@ EvaluationResult evaluate_baseline(const std::string& baseline_name, const Confi
     return evaluation;
 }
 
-void check_lpips_weights() { load_lpips_network(); }
+void require_readable_lpips_weights() { load_lpips_network(); }
 
 std::string find_lpips_weights_path() {
     const char* file = std::getenv("RELIDAR_LPIPS_WEIGHTS");

@@ -74,7 +74,7 @@ CometTailPointCounts count_motion_trail_points_by_box(const RangeImage& image,
     // Number of rays that a thread processes in one step.
     constexpr std::size_t kRays = 2048;
     const Pose& mounted = sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor;
-    return parallel_reduce(point_ranges_m.size(), kRays, [&](std::size_t begin, std::size_t end) {
+    return parallel_sum_over_ranges(point_ranges_m.size(), kRays, [&](std::size_t begin, std::size_t end) {
         CometTailPointCounts part;
         part.n_of_box.resize(swept_volumes.size());
         std::vector<std::size_t> boxes;  // boxes that contain the point at some time of the log
@@ -82,14 +82,14 @@ CometTailPointCounts count_motion_trail_points_by_box(const RangeImage& image,
             if (!is_ray_returned(image.drop_prob[i], point_ranges_m[i])) continue;
             ++part.n_points;
             const glm::dvec3 in_sensor(image.origin[i] + point_ranges_m[i] * image.direction[i]);
-            const double t_s = compute_point_scan_time_s(sequence, in_sensor, sweep);
+            const double t_s = compute_time_when_lidar_faces_point_s(sequence, in_sensor, sweep);
             const glm::dvec3 point_m =
                 sequence.world_from_vehicle.interpolate_mounted_pose(t_s, mounted) * in_sensor;
             boxes.clear();
             for (std::size_t k = 0; k < swept_volumes.size(); ++k)
                 if (is_point_in_swept_volume(swept_volumes[k], point_m)) boxes.push_back(k);
             if (boxes.empty() || std::ranges::any_of(swept_volumes, [&](const SweptBoxVolume& actor) {
-                    return actor.box->is_present(t_s) &&
+                    return actor.box->is_observed_at_time(t_s) &&
                            actor.box->contains_point(point_m, t_s, kNowMargin_m);
                 }))
                 continue;

@@ -55,18 +55,18 @@ struct ImagePair {
 /// dropped
 ImagePair make_depth_image_pair(const RangeImage& rendered, const RangeImage& real, double drop_threshold,
                                 double max_range_m) {
-    return {
-        clamp_masked_values(rendered.range_m, make_undropped_pixel_mask(rendered, drop_threshold),
-                            max_range_m),
-        clamp_masked_values(real.range_m, make_undropped_pixel_mask(real, kRealDropThreshold), max_range_m),
-        real.rows, real.columns, max_range_m};
+    return {clamp_values_and_floor_unmasked(rendered.range_m,
+                                            make_undropped_pixel_mask(rendered, drop_threshold), max_range_m),
+            clamp_values_and_floor_unmasked(real.range_m, make_undropped_pixel_mask(real, kRealDropThreshold),
+                                            max_range_m),
+            real.rows, real.columns, max_range_m};
 }
 ImagePair make_intensity_image_pair(const RangeImage& rendered, const RangeImage& real,
                                     double drop_threshold) {
-    return {clamp_masked_values(rendered.intensity, make_undropped_pixel_mask(rendered, drop_threshold),
-                                kMaxIntensity),
-            clamp_masked_values(real.intensity, make_undropped_pixel_mask(real, kRealDropThreshold),
-                                kMaxIntensity),
+    return {clamp_values_and_floor_unmasked(
+                rendered.intensity, make_undropped_pixel_mask(rendered, drop_threshold), kMaxIntensity),
+            clamp_values_and_floor_unmasked(
+                real.intensity, make_undropped_pixel_mask(real, kRealDropThreshold), kMaxIntensity),
             real.rows, real.columns, kMaxIntensity};
 }
 
@@ -75,7 +75,7 @@ ImagePair make_intensity_image_pair(const RangeImage& rendered, const RangeImage
 void add_image_metrics(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                        const ImagePair& image_pair, const Lpips* lpips_network) {
     const double squared =
-        add_error_metrics(row, name_prefix, unit_suffix, image_pair.rendered, image_pair.real);
+        add_error_metrics_and_get_mse(row, name_prefix, unit_suffix, image_pair.rendered, image_pair.real);
     row[name_prefix + "psnr_db"] =
         10.0 * std::log10(image_pair.peak * image_pair.peak / std::max(squared, kMinSquaredError));
     const auto [low, high] = std::minmax_element(image_pair.real.begin(), image_pair.real.end());
@@ -174,9 +174,9 @@ void add_point_metrics(MetricValues& row, const std::string& name_prefix, const 
                     real_returns = make_positive_range_mask(real, kRealDropThreshold);
     PixelMask both(real_returns.size());
     for (std::size_t i = 0; i < both.size(); ++i) both[i] = rendered_returns[i] && real_returns[i];
-    add_error_metrics(row, name_prefix + "depth_", "_m",
-                      select_masked_values(rendered.range_m, both, options.max_range_m),
-                      select_masked_values(real.range_m, both, options.max_range_m));
+    add_error_metrics_and_get_mse(row, name_prefix + "depth_", "_m",
+                                  select_and_clamp_masked_values(rendered.range_m, both, options.max_range_m),
+                                  select_and_clamp_masked_values(real.range_m, both, options.max_range_m));
     const PointPositions a = compute_points_of_masked_pixels(rendered, rendered_returns),
                          b = compute_points_of_masked_pixels(real, real_returns);
     if (a.empty() && b.empty()) return;
@@ -195,9 +195,9 @@ void add_strict_protocol_metrics(MetricValues& row, const RangeImage& rendered, 
     const PixelMask real_returns = make_positive_range_mask(real, kRealDropThreshold);
     PixelMask both(real_returns.size());
     for (std::size_t i = 0; i < both.size(); ++i) both[i] = rendered_returns[i] && real_returns[i];
-    add_error_metrics(row, "strict/intensity_", "",
-                      select_masked_values(rendered.intensity, both, kMaxIntensity),
-                      select_masked_values(real.intensity, both, kMaxIntensity));
+    add_error_metrics_and_get_mse(row, "strict/intensity_", "",
+                                  select_and_clamp_masked_values(rendered.intensity, both, kMaxIntensity),
+                                  select_and_clamp_masked_values(real.intensity, both, kMaxIntensity));
     add_ray_drop_metrics(row, rendered_returns, real_returns);
     row["strict/drop_rmse"] = compute_drop_probability_rmse(rendered, real);
     const double threshold = options.strict_drop_threshold;
@@ -211,7 +211,7 @@ void add_strict_protocol_metrics(MetricValues& row, const RangeImage& rendered, 
 }  // namespace
 
 MetricValues evaluate(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
-    check_images_comparable(rendered, real);
+    require_comparable_images(rendered, real);
     MetricValues row;
     add_published_protocol_metrics(row, rendered, real, options);
     add_strict_protocol_metrics(row, rendered, real, options);
@@ -220,7 +220,7 @@ MetricValues evaluate(const RangeImage& rendered, const RangeImage& real, const 
 
 MetricValues evaluate_points(const RangeImage& rendered, const RangeImage& real,
                              const MetricOptions& options) {
-    check_images_comparable(rendered, real);
+    require_comparable_images(rendered, real);
     MetricValues row;
     add_point_metrics(row, "points/", rendered, real, options);
     return row;

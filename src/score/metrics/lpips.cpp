@@ -52,8 +52,8 @@ struct FeatureMap {
 /// Copies the window around each output pixel of a convolution to a column of a matrix
 /// (im2col). Pixels outside the input image are 0.
 /// @return [in*edge*edge, output_rows*output_columns]
-Matrix unroll_patches(const FeatureMap& input_features, const ConvLayerShape& layer, int output_rows,
-                      int output_columns) {
+Matrix unroll_patches_for_convolution(const FeatureMap& input_features, const ConvLayerShape& layer,
+                                      int output_rows, int output_columns) {
     Matrix windows = Matrix::Zero(Eigen::Index(layer.in) * layer.edge * layer.edge,
                                   Eigen::Index(output_rows) * output_columns);
     for (Eigen::Index k = 0; k < windows.rows(); ++k) {
@@ -82,7 +82,8 @@ FeatureMap apply_convolution_and_relu(const FeatureMap& input_features, const Co
     result.columns = (input_features.columns + 2 * layer.padding - layer.edge) / layer.stride + 1;
     const Eigen::Map<const Matrix> filters(filter_weights.data(), layer.out,
                                            Eigen::Index(layer.in) * layer.edge * layer.edge);
-    result.values.noalias() = filters * unroll_patches(input_features, layer, result.rows, result.columns);
+    result.values.noalias() =
+        filters * unroll_patches_for_convolution(input_features, layer, result.rows, result.columns);
     result.values.colwise() += Eigen::Map<const Eigen::VectorXf>(bias.data(), layer.out);
     result.values = result.values.cwiseMax(0.0f);
     return result;
@@ -131,8 +132,8 @@ FeatureMap normalise_colours(const std::vector<float>& image, int rows, int colu
     return result;
 }
 
-void check_weights(const char* weights_name, int layer_index, const std::vector<float>& values,
-                   std::size_t expected_count) {
+void require_valid_layer_weights(const char* weights_name, int layer_index, const std::vector<float>& values,
+                                 std::size_t expected_count) {
     if (values.size() != expected_count)
         throw DataError(fmt::format("cannot use the weights of LPIPS: {}{} has {} values, expected {}",
                                     weights_name, layer_index, values.size(), expected_count));
@@ -151,25 +152,27 @@ struct Lpips::Impl {
 Lpips::Lpips(LpipsWeights weights) : impl_(new Impl{std::move(weights)}) {
     for (int l = 0; l < kLayers; ++l) {
         const std::size_t k = std::size_t(l), channels = std::size_t(kAlexNet[l].out);
-        check_weights("weight of convolution ", l, impl_->weights.weight[k], kAlexNet[l].count_weights());
-        check_weights("bias of convolution ", l, impl_->weights.bias[k], channels);
-        check_weights("linear weights of layer ", l, impl_->weights.linear[k], channels);
+        require_valid_layer_weights("weight of convolution ", l, impl_->weights.weight[k],
+                                    kAlexNet[l].count_weights());
+        require_valid_layer_weights("bias of convolution ", l, impl_->weights.bias[k], channels);
+        require_valid_layer_weights("linear weights of layer ", l, impl_->weights.linear[k], channels);
     }
 }
 Lpips::~Lpips() = default;
 
-std::array<double, 5> Lpips::compute_layer_distances(const std::vector<float>& first,
-                                                     const std::vector<float>& second, int rows,
-                                                     int columns) const {
+std::array<double, 5> Lpips::compute_lpips_layer_distances(const std::vector<float>& first_image,
+                                                           const std::vector<float>& second_image, int rows,
+                                                           int columns) const {
     if (rows < kMinEdge || columns < kMinEdge)
         throw DataError(fmt::format(
             "cannot compute LPIPS: the image has {} x {} pixels, expected at least 31 x 31", rows, columns));
     const std::size_t n = 3 * std::size_t(rows) * std::size_t(columns);
-    if (first.size() != n || second.size() != n)
+    if (first_image.size() != n || second_image.size() != n)
         throw DataError(
             fmt::format("cannot compute LPIPS: the images have {} and {} values, expected {} values each",
-                        first.size(), second.size(), n));
-    FeatureMap fa = normalise_colours(first, rows, columns), fb = normalise_colours(second, rows, columns);
+                        first_image.size(), second_image.size(), n));
+    FeatureMap fa = normalise_colours(first_image, rows, columns),
+               fb = normalise_colours(second_image, rows, columns);
     std::array<double, 5> distance{};
     for (std::size_t l = 0; l < distance.size(); ++l) {
         const ConvLayerShape& layer = kAlexNet[l];
@@ -181,8 +184,9 @@ std::array<double, 5> Lpips::compute_layer_distances(const std::vector<float>& f
     return distance;
 }
 
-double Lpips::compute_perceptual_distance(const std::vector<double>& first, const std::vector<double>& second,
-                                          int rows, int columns) const {
+double Lpips::compute_perceptual_distance(const std::vector<double>& first_image,
+                                          const std::vector<double>& second_image, int rows,
+                                          int columns) const {
     const auto colours = [](const std::vector<double>& image) {
         std::vector<float> result;
         result.reserve(3 * image.size());
@@ -191,7 +195,8 @@ double Lpips::compute_perceptual_distance(const std::vector<double>& first, cons
         return result;
     };
     double sum = 0.0;
-    for (const double layer : compute_layer_distances(colours(first), colours(second), rows, columns))
+    for (const double layer :
+         compute_lpips_layer_distances(colours(first_image), colours(second_image), rows, columns))
         sum += layer;
     return sum;
 }

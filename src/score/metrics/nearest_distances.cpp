@@ -37,7 +37,7 @@ using Tree = nanoflann::KDTreeSingleIndexAdaptor<Metric, KdTreeTargetCloud, 3, s
 
 constexpr std::size_t kLeafSize = 16;
 
-void check_finite(const std::vector<glm::dvec3>& points, const char* cloud_name) {
+void require_finite_points(const std::vector<glm::dvec3>& points, const char* cloud_name) {
     for (std::size_t i = 0; i < points.size(); ++i)
         if (!std::isfinite(points[i].x + points[i].y + points[i].z))
             throw DataError(fmt::format(
@@ -48,22 +48,23 @@ void check_finite(const std::vector<glm::dvec3>& points, const char* cloud_name)
 
 }  // namespace
 
-std::vector<double> compute_nearest_distances(const std::vector<glm::dvec3>& query,
-                                              const std::vector<glm::dvec3>& target) {
-    std::vector<double> distance(query.size());
-    if (query.empty()) return distance;
-    if (target.empty())
-        throw DataError(fmt::format(
-            "cannot search nearest points: there are {} query points, but no target point", query.size()));
-    check_finite(query, "query");
-    check_finite(target, "target");
+std::vector<double> compute_nearest_distances(const std::vector<glm::dvec3>& query_points,
+                                              const std::vector<glm::dvec3>& target_points) {
+    std::vector<double> distance(query_points.size());
+    if (query_points.empty()) return distance;
+    if (target_points.empty())
+        throw DataError(
+            fmt::format("cannot search nearest points: there are {} query points, but no target point",
+                        query_points.size()));
+    require_finite_points(query_points, "query");
+    require_finite_points(target_points, "target");
 
-    const KdTreeTargetCloud cloud{target};
+    const KdTreeTargetCloud cloud{target_points};
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(kLeafSize));
-    parallel_for_in_blocks(query.size(), [&](std::size_t i) {
+    parallel_for_in_blocks(query_points.size(), [&](std::size_t i) {
         std::uint32_t index = 0;
         double squared = 0.0;
-        tree.knnSearch(&query[i].x, 1, &index, &squared);
+        tree.knnSearch(&query_points[i].x, 1, &index, &squared);
         distance[i] = std::sqrt(squared);
     });
     return distance;

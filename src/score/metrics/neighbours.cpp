@@ -48,7 +48,7 @@ std::vector<int> find_neighbouring_training_frames(const LidarSequence& sequence
 const BoxTrack* find_containing_box(const std::vector<const BoxTrack*>& moving_boxes,
                                     const glm::dvec3& point_m, double time_s) {
     const auto it = std::find_if(moving_boxes.begin(), moving_boxes.end(), [&](const BoxTrack* box) {
-        return box->is_present(time_s) && box->contains_point(point_m, time_s, 0.0);
+        return box->is_observed_at_time(time_s) && box->contains_point(point_m, time_s, 0.0);
     });
     return it == moving_boxes.end() ? nullptr : *it;
 }
@@ -60,7 +60,8 @@ glm::dvec3 transform_world_point_to_sensor(const LidarSequence& sequence, const 
     const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;
     const glm::dvec3 at_reference =
         inverse(sequence.world_from_vehicle.interpolate_mounted_pose(frame.time_s, mounted)) * world_point_m;
-    const double facing_s = compute_point_scan_time_s(sequence, at_reference, get_sweep_moment(frame));
+    const double facing_s =
+        compute_time_when_lidar_faces_point_s(sequence, at_reference, get_sweep_timing_of_frame(frame));
     return inverse(sequence.world_from_vehicle.interpolate_mounted_pose(facing_s, mounted)) * world_point_m;
 }
 
@@ -141,14 +142,15 @@ struct RayTableNeighbours {
 
 }  // namespace
 
-Scan predict_scan_from_neighbours(const LidarSequence& sequence, int frame_index,
+Scan predict_scan_from_neighbours(const LidarSequence& sequence, int predicted_frame_index,
                                   const std::vector<int>& train_frames, BoxPointMotion box_motion) {
-    const LidarFrame& sweep = sequence.frames.at(std::size_t(frame_index));
+    const LidarFrame& sweep = sequence.frames.at(std::size_t(predicted_frame_index));
     std::vector<const BoxTrack*> moving;
     for (const BoxTrack& box : sequence.boxes)
         if (box_motion == BoxPointMotion::follow && box.is_moving()) moving.push_back(&box);
     Scan points;
-    for (const int neighbour : find_neighbouring_training_frames(sequence, frame_index, train_frames)) {
+    for (const int neighbour :
+         find_neighbouring_training_frames(sequence, predicted_frame_index, train_frames)) {
         const LidarFrame& frame = sequence.frames.at(std::size_t(neighbour));
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
@@ -163,7 +165,7 @@ Scan predict_scan_from_neighbours(const LidarSequence& sequence, int frame_index
                 // In both sweeps, the LiDAR measures the box at about the same time after
                 // the time of the frame.
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);
-                if (!box->is_present(then_s)) continue;
+                if (!box->is_observed_at_time(then_s)) continue;
                 world_m = box->world_from_box.interpolate_pose(then_s) *
                           (inverse(box->world_from_box.interpolate_pose(w.time_s)) * w.point_m);
             }
@@ -176,7 +178,7 @@ Scan predict_scan_from_neighbours(const LidarSequence& sequence, int frame_index
     return points;
 }
 
-Scan bin_points_onto_rays(const RayTable& rays, const Scan& points) {
+Scan assign_points_to_nearest_rays(const RayTable& rays, const Scan& points) {
     if (rays.rows < 2 || rays.columns < 2 * kColumnSearch + 1)
         throw DataError(fmt::format(
             "cannot project points into an image: the sensor has {} x {} rays, expected rays that "
@@ -185,7 +187,7 @@ Scan bin_points_onto_rays(const RayTable& rays, const Scan& points) {
     const RayTableNeighbours beams{rays};
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size())};
     for (std::size_t i = 0; i < points.range_m.size(); ++i) {
-        const glm::vec3 point = points.compute_end_point(i);
+        const glm::vec3 point = points.compute_return_point_in_sensor_frame(i);
         const RayPixel ray_cell = beams.find_nearest_ray_cell(point);
         if (beams.is_point_outside_ray_rows(ray_cell, point)) continue;
         const std::size_t ray = beams.get_ray_index(ray_cell);

@@ -27,8 +27,8 @@ double compute_values_median(PixelValues values) {
     return 0.5 * (*middle + *std::max_element(values.begin(), middle));
 }
 
-void check_pixel_values(const std::vector<float>& values, std::size_t expected_count, const char* image_name,
-                        const char* array_name) {
+void require_valid_pixel_values(const std::vector<float>& values, std::size_t expected_count,
+                                const char* image_name, const char* array_name) {
     if (values.size() != expected_count)
         throw DataError(fmt::format(
             "cannot compare range images: array {1} of the {0} image has {2} values, expected {3}",
@@ -41,33 +41,33 @@ void check_pixel_values(const std::vector<float>& values, std::size_t expected_c
             image_name, array_name, *bad, bad - values.begin()));
 }
 
-void check_vector_count(const std::vector<glm::vec3>& values, std::size_t expected_count,
-                        const char* image_name, const char* array_name) {
+void require_vector_count(const std::vector<glm::vec3>& values, std::size_t expected_count,
+                          const char* image_name, const char* array_name) {
     if (values.size() != expected_count)
         throw DataError(fmt::format(
             "cannot compare range images: array {1} of the {0} image has {2} values, expected {3}",
             image_name, array_name, values.size(), expected_count));
 }
 
-void check_image(const RangeImage& image, const char* image_name) {
+void require_valid_range_image(const RangeImage& image, const char* image_name) {
     if (image.rows <= 0 || image.columns <= 0)
         throw DataError(
             fmt::format("cannot compare range images: the {} image has {} x {} pixels, expected at least one "
                         "pixel",
                         image_name, image.rows, image.columns));
     const std::size_t n = std::size_t(image.rows) * std::size_t(image.columns);
-    check_pixel_values(image.range_m, n, image_name, "range_m");
-    check_pixel_values(image.intensity, n, image_name, "intensity");
-    check_pixel_values(image.drop_prob, n, image_name, "drop_prob");
-    check_vector_count(image.origin, n, image_name, "origin");
-    check_vector_count(image.direction, n, image_name, "direction");
+    require_valid_pixel_values(image.range_m, n, image_name, "range_m");
+    require_valid_pixel_values(image.intensity, n, image_name, "intensity");
+    require_valid_pixel_values(image.drop_prob, n, image_name, "drop_prob");
+    require_vector_count(image.origin, n, image_name, "origin");
+    require_vector_count(image.direction, n, image_name, "direction");
 }
 
 }  // namespace
 
-void check_images_comparable(const RangeImage& rendered, const RangeImage& real) {
-    check_image(rendered, "rendered");
-    check_image(real, "real");
+void require_comparable_images(const RangeImage& rendered, const RangeImage& real) {
+    require_valid_range_image(rendered, "rendered");
+    require_valid_range_image(real, "real");
     if (rendered.rows == real.rows && rendered.columns == real.columns) return;
     throw DataError(
         fmt::format("cannot compare range images: the rendered image has {} x {} pixels, but the real image "
@@ -87,14 +87,16 @@ PixelMask make_positive_range_mask(const RangeImage& image, double drop_threshol
     return mask;
 }
 
-PixelValues clamp_masked_values(const std::vector<float>& values, const PixelMask& mask, double maximum) {
+PixelValues clamp_values_and_floor_unmasked(const std::vector<float>& values, const PixelMask& mask,
+                                            double maximum) {
     PixelValues result(values.size());
     for (std::size_t i = 0; i < values.size(); ++i)
         result[i] = clamp_value(mask[i] ? values[i] : 0.0f, maximum);
     return result;
 }
 
-PixelValues select_masked_values(const std::vector<float>& values, const PixelMask& mask, double maximum) {
+PixelValues select_and_clamp_masked_values(const std::vector<float>& values, const PixelMask& mask,
+                                           double maximum) {
     PixelValues result;
     for (std::size_t i = 0; i < values.size(); ++i)
         if (mask[i]) result.push_back(clamp_value(values[i], maximum));
@@ -113,8 +115,9 @@ double compute_mean_square(const PixelValues& values) {
     return sum / double(values.size());
 }
 
-double add_error_metrics(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
-                         const PixelValues& first, const PixelValues& second) {
+double add_error_metrics_and_get_mse(MetricValues& row, const std::string& name_prefix,
+                                     const std::string& unit_suffix, const PixelValues& first,
+                                     const PixelValues& second) {
     if (first.empty()) return -1.0;
     PixelValues error(first.size());
     for (std::size_t i = 0; i < first.size(); ++i) error[i] = std::abs(first[i] - second[i]);

@@ -22,7 +22,7 @@ inline constexpr double kMaxIntensity = 1.0;
 /// Checks that a rendered and a real image can be compared.
 /// @throws DataError if the images are empty, differ in shape, or contain a value that is
 /// not finite
-void check_images_comparable(const RangeImage& rendered, const RangeImage& real);
+void require_comparable_images(const RangeImage& rendered, const RangeImage& real);
 
 /// Returns a mask of the pixels whose drop probability is below the threshold.
 PixelMask make_undropped_pixel_mask(const RangeImage& image, double drop_threshold);
@@ -32,9 +32,11 @@ PixelMask make_positive_range_mask(const RangeImage& image, double drop_threshol
 
 /// Returns all pixels, clamped to [1e-6, maximum]. Pixels outside the mask get the value
 /// 1e-6.
-PixelValues clamp_masked_values(const std::vector<float>& values, const PixelMask& mask, double maximum);
+PixelValues clamp_values_and_floor_unmasked(const std::vector<float>& values, const PixelMask& mask,
+                                            double maximum);
 /// Returns only the values of pixels in the mask, clamped to [1e-6, maximum].
-PixelValues select_masked_values(const std::vector<float>& values, const PixelMask& mask, double maximum);
+PixelValues select_and_clamp_masked_values(const std::vector<float>& values, const PixelMask& mask,
+                                           double maximum);
 
 double compute_values_mean(const PixelValues& values);
 double compute_mean_square(const PixelValues& values);
@@ -42,7 +44,8 @@ double compute_mean_square(const PixelValues& values);
 /// Adds the metrics <prefix>rmse<unit>, <prefix>mae<unit> and <prefix>medae<unit> to the
 /// row. Adds nothing if there are no pixels.
 /// @return mean squared error, or -1 if there are no pixels
-double add_error_metrics(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
-                         const PixelValues& first, const PixelValues& second);
+double add_error_metrics_and_get_mse(MetricValues& row, const std::string& name_prefix,
+                                     const std::string& unit_suffix, const PixelValues& first,
+                                     const PixelValues& second);
 
 }  // namespace relidar::metrics_detail

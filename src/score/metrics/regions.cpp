@@ -59,7 +59,7 @@ PixelMask mask_returns_in_moving_boxes(std::vector<BoxTrack> boxes, const LidarS
 
 MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real,
                               const std::vector<PixelRegion>& regions, const MetricOptions& options) {
-    check_images_comparable(rendered, real);
+    require_comparable_images(rendered, real);
     const PixelMask real_returns = make_positive_range_mask(real, kRealDropThreshold),
                     rendered_returns = make_positive_range_mask(rendered, options.strict_drop_threshold);
     MetricValues row;
@@ -76,12 +76,13 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
         const PixelMask returned_both = intersect_masks(mask, rendered_returns);
         row[name + "returned"] =
             double(std::count(returned_both.begin(), returned_both.end(), true)) / double(n);
-        add_error_metrics(row, name + "depth_", "_m",
-                          select_masked_values(rendered.range_m, mask, options.max_range_m),
-                          select_masked_values(real.range_m, mask, options.max_range_m));
-        add_error_metrics(row, name + "intensity_", "",
-                          select_masked_values(rendered.intensity, mask, kMaxIntensity),
-                          select_masked_values(real.intensity, mask, kMaxIntensity));
+        add_error_metrics_and_get_mse(
+            row, name + "depth_", "_m",
+            select_and_clamp_masked_values(rendered.range_m, mask, options.max_range_m),
+            select_and_clamp_masked_values(real.range_m, mask, options.max_range_m));
+        add_error_metrics_and_get_mse(row, name + "intensity_", "",
+                                      select_and_clamp_masked_values(rendered.intensity, mask, kMaxIntensity),
+                                      select_and_clamp_masked_values(real.intensity, mask, kMaxIntensity));
     }
     return row;
 }
@@ -104,7 +105,7 @@ std::vector<bool> mask_returns_in_labelled_movers(const LidarSequence& sequence,
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
     // Uses only the labelled poses of each box, without the poses that discover_tracks()
     // added. Runs with and without added poses are then compared on the same returns.
-    for (BoxTrack& box : labelled) box = box.copy_labelled_poses();
+    for (BoxTrack& box : labelled) box = box.copy_track_of_labelled_poses();
     return mask_returns_in_moving_boxes(std::move(labelled), sequence, frame, sensor_offset);
 }
 

@@ -59,8 +59,8 @@ std::vector<SsimWindowSums> compute_row_window_sums(const std::vector<double>& f
     return sums;
 }
 
-void check_ssim_inputs(std::size_t n_first_values, std::size_t n_second_values, int rows, int columns,
-                       double data_range) {
+void require_valid_ssim_inputs(std::size_t n_first_values, std::size_t n_second_values, int rows, int columns,
+                               double data_range) {
     if (rows < kWindow || columns < kWindow)
         throw DataError(
             fmt::format("cannot compute the structural similarity: the image has {} x {} pixels, expected at "
@@ -81,11 +81,12 @@ void check_ssim_inputs(std::size_t n_first_values, std::size_t n_second_values, 
 
 }  // namespace
 
-double compute_ssim(const std::vector<double>& first, const std::vector<double>& second, int rows,
+double compute_ssim(const std::vector<double>& first_image, const std::vector<double>& second_image, int rows,
                     int columns, double data_range) {
-    check_ssim_inputs(first.size(), second.size(), rows, columns, data_range);
+    require_valid_ssim_inputs(first_image.size(), second_image.size(), rows, columns, data_range);
     const double c1 = 0.01 * data_range * 0.01 * data_range, c2 = 0.03 * data_range * 0.03 * data_range;
-    const std::vector<SsimWindowSums> sums = compute_row_window_sums(first, second, rows, columns);
+    const std::vector<SsimWindowSums> sums =
+        compute_row_window_sums(first_image, second_image, rows, columns);
     const int width = columns - kWindow + 1, height = rows - kWindow + 1;
     double total = 0.0;
     for (int row = 0; row < height; ++row)

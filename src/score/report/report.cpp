@@ -74,7 +74,7 @@ std::string make_facts_html(const Report& report) {
 /// Splits a metric's name into its group and the remainder, for example
 /// "peer/depth_rmse_m" into "peer" and "depth_rmse_m". The group is empty if the name has
 /// no '/'.
-std::pair<std::string, std::string> split_metric_group(const std::string& metric_name) {
+std::pair<std::string, std::string> split_metric_name_into_group_and_rest(const std::string& metric_name) {
     const std::size_t slash = metric_name.find('/');
     if (slash == std::string::npos) return {"", metric_name};
     return {metric_name.substr(0, slash), metric_name.substr(slash + 1)};
@@ -133,7 +133,7 @@ std::string make_metrics_table_html(const Report& report) {
         head += fmt::format("<th style=\"width:{:.1f}%\">{}</th>", 72.0 / double(report.metrics.size()),
                             escape_html(column));
     for (const std::string& name : names) {
-        const auto [name_group, metric] = split_metric_group(name);
+        const auto [name_group, metric] = split_metric_name_into_group_and_rest(name);
         if (name_group != group)
             rows += fmt::format("<tr class=\"group\"><td colspan=\"{}\">{}</td></tr>\n",
                                 report.metrics.size() + 1, escape_html(name_group));
@@ -169,7 +169,7 @@ std::string make_chart_html(const std::string& title, const std::vector<const Re
     std::string legend;
     for (std::size_t i = 0; i < curves.size(); ++i)
         legend += fmt::format("<li><i class=\"c{}\"></i>{}</li>", i % report_detail::kChartColours,
-                              escape_html(split_metric_group(curves[i]->name).second));
+                              escape_html(split_metric_name_into_group_and_rest(curves[i]->name).second));
     return fmt::format("<div>{}\n{}<ul class=\"legend\">{}</ul></div>\n",
                        title.empty() ? "" : "<h3>" + escape_html(title) + "</h3>",
                        report_detail::draw_svg_chart(curves, width, 300), legend);
@@ -180,7 +180,7 @@ std::string make_curves_html(const Report& report) {
     std::vector<std::pair<std::string, std::vector<const ReportCurve*>>> charts;
     bool means = false;
     for (const ReportCurve& curve : report.curves) {
-        const std::string group = split_metric_group(curve.name).first;
+        const std::string group = split_metric_name_into_group_and_rest(curve.name).first;
         auto it = std::find_if(charts.begin(), charts.end(),
                                [&](const auto& known) { return known.first == group; });
         if (it == charts.end()) it = charts.insert(charts.end(), {group, {}});

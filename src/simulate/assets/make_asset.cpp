@@ -40,12 +40,12 @@ bool can_surfel_be_visible(const Surfels& surfels, std::size_t surfel_index, con
 
 /// Returns the frames of a log in which an actor is present, without their scans and
 /// without other actors.
-LidarSequence select_actor_frames(const LidarSequence& sequence_of_log, const BoxTrack& box) {
+LidarSequence make_log_of_actor_without_scans(const LidarSequence& sequence_of_log, const BoxTrack& box) {
     LidarSequence sequence = copy_without_frames(sequence_of_log);
     sequence.boxes = {box};
     sequence.world_from_vehicle = {};
     for (const LidarFrame& frame : sequence_of_log.frames) {
-        if (!box.is_present(frame.time_s)) continue;
+        if (!box.is_observed_at_time(frame.time_s)) continue;
         LidarFrame frame_without_scan;
         frame_without_scan.index = frame.index, frame_without_scan.time_s = frame.time_s,
         frame_without_scan.lidar = frame.lidar;
@@ -53,19 +53,20 @@ LidarSequence select_actor_frames(const LidarSequence& sequence_of_log, const Bo
         PoseTrack& track = sequence.world_from_vehicle;
         if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;
         track.time_s.push_back(frame.time_s);
-        track.pose.push_back(sequence_of_log.world_from_vehicle.pose[sequence_of_log.get_pose_index(frame)]);
+        track.pose.push_back(
+            sequence_of_log.world_from_vehicle.pose[sequence_of_log.get_vehicle_pose_index_of_frame(frame)]);
     }
     return sequence;
 }
 
 }  // namespace
 
-ObservedBoxSurface compute_observed_surface(const glm::dvec3& box_size_m,
-                                            const ActorObservations& observations) {
+ObservedBoxSurface mark_observed_box_surface(const glm::dvec3& box_size_m,
+                                             const ActorObservations& observations) {
     ObservedBoxSurface surface(box_size_m);
     for (std::size_t i = 0; i < observations.points_m.size(); ++i)
-        surface.mark_patch_observed(glm::dvec3(observations.points_m[i]),
-                                    glm::dvec3(observations.directions[i]));
+        surface.mark_patch_of_point_as_observed(glm::dvec3(observations.points_m[i]),
+                                                glm::dvec3(observations.directions[i]));
     return surface;
 }
 
@@ -84,7 +85,7 @@ ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
             fmt::format("cannot make an asset of \"{}\": the run has no such actor, expected one of: {}",
                         track, fmt::join(others, ", ")));
 
-    ObservedBoxSurface surface = compute_observed_surface(box->size_m, observations);
+    ObservedBoxSurface surface = mark_observed_box_surface(box->size_m, observations);
     ActorAsset asset;
     AssetDescription& facts = asset.facts;
     facts = {make_asset_name(*box),
@@ -95,8 +96,8 @@ ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
              track,
              run.sequence.lidars.front().sensor.name};
     for (std::size_t s = 0; s < kBoxSides; ++s)
-        facts.seen_sides[s] = surface.compute_observed_fraction(BoxSide(s));
-    facts.seen = surface.compute_observed_fraction();
+        facts.seen_sides[s] = surface.compute_observed_area_fraction(BoxSide(s));
+    facts.seen = surface.compute_observed_area_fraction();
     facts.nearest_m = observations.nearest_m;
     facts.clearance_m = measure_ground_clearance({run.scene, run.sequence}, track).value_or(0.0);
 
@@ -107,8 +108,8 @@ ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
         if (can_surfel_be_visible(surfels, i, model, run.config.image)) shown.push_back(i);
     surfels = surfels.reorder(shown);
     if (facts.kind == ObjectKind::vehicle) {
-        facts.mirrored = add_mirrored_surfels(surfels, surface);
-        facts.completed = surface.is_completed ? surface.compute_mirrored_fraction() : 0.0;
+        facts.mirrored = replace_unobserved_by_mirrored_surfels(surfels, surface);
+        facts.completed = surface.is_completed ? surface.compute_mirrored_area_fraction() : 0.0;
     }
     surfels = surfels.reorder(compute_kd_tree_order(surfels.mean));
     facts.surfels = surfels.size();
@@ -120,7 +121,7 @@ ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
     alone.scene.instances[1].track = facts.name;
     alone.scene.sensor_drop = {};
     asset.run.config = run.config;
-    asset.run.sequence = select_actor_frames(alone.sequence, named);
+    asset.run.sequence = make_log_of_actor_without_scans(alone.sequence, named);
     for (int i = 0; i < int(asset.run.sequence.frames.size()); ++i) asset.run.split.train.push_back(i);
     asset.run.scene = std::move(alone.scene);
     asset.run.edits = run.edits;

@@ -17,10 +17,10 @@ constexpr const char* kStandIn = "HDL-64E";
 std::vector<SimulatedSensor> choose_sensor_per_lidar(const TrainedRun& run) {
     std::vector<SimulatedSensor> sensors;
     for (int i = 0; i < int(run.sequence.lidars.size()); ++i) {
-        sensors.push_back(choose_sensor("native", run.config, run.sequence, i));
+        sensors.push_back(find_or_load_sensor("native", run.config, run.sequence, i));
         const SimulatedSensor& log_sensor = sensors.back();
         if (log_sensor.rays.size() == 0 && !log_sensor.pattern)
-            sensors.back() = choose_sensor(kStandIn, run.config, run.sequence, i);
+            sensors.back() = find_or_load_sensor(kStandIn, run.config, run.sequence, i);
     }
     return sensors;
 }
@@ -30,7 +30,7 @@ std::vector<SimulatedSensor> choose_sensor_per_lidar(const TrainedRun& run) {
 std::vector<const BoxTrack*> find_box_per_instance(const TrainedRun& run) {
     std::vector<const BoxTrack*> boxes;
     for (const ModelInstance& instance : run.scene.instances)
-        boxes.push_back(find_box(run.sequence, instance.track));
+        boxes.push_back(find_box_track_by_id(run.sequence, instance.track));
     return boxes;
 }
 
@@ -41,15 +41,15 @@ std::vector<int> list_training_frames_with_actors(const TrainedRun& run,
     for (const int i : run.split.train) {
         const double time_s = run.sequence.frames[std::size_t(i)].time_s;
         if (std::ranges::any_of(box_per_instance,
-                                [&](const BoxTrack* b) { return b && b->is_present(time_s); }))
+                                [&](const BoxTrack* b) { return b && b->is_observed_at_time(time_s); }))
             positions.push_back(i);
     }
     return positions;
 }
 
-void add_actor_returns(const RenderedScan& scan, const TrainedRun& run,
-                       const std::vector<const BoxTrack*>& box_per_instance,
-                       std::map<std::string, ActorObservations>& observations_by_track) {
+void add_actor_returns_to_observations(const RenderedScan& scan, const TrainedRun& run,
+                                       const std::vector<const BoxTrack*>& box_per_instance,
+                                       std::map<std::string, ActorObservations>& observations_by_track) {
     FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < scan.instance.size(); ++i) {
         const BoxTrack* box =
@@ -87,8 +87,8 @@ std::map<std::string, ActorObservations> collect_actor_observations(Device& devi
     for (std::size_t k = 0; k < positions.size(); ++k) {
         if (progress) progress("measuring the visibility of actors", double(k) / double(positions.size()));
         const LidarFrame& frame = run.sequence.frames[std::size_t(positions[k])];
-        add_actor_returns(renderer.render(sensors[std::size_t(frame.lidar)], frame.time_s), run, boxes,
-                          sightings);
+        add_actor_returns_to_observations(renderer.render(sensors[std::size_t(frame.lidar)], frame.time_s),
+                                          run, boxes, sightings);
     }
     return sightings;
 }

@@ -32,11 +32,13 @@ std::vector<std::size_t> find_rays_near_instance(const std::vector<FiredRay>& ra
                                                  const SimulatedSweep& sweep,
                                                  const InstancePose& instance_pose, double model_radius_m) {
     const auto [first_s, last_s] = std::ranges::minmax(sweep.get_rays().time_offset_s);
-    const glm::dvec3
-        begin_m =
-            instance_pose.motion.compute_pose_at(instance_pose.world_from_model, double(first_s)).translation,
-        end_m =
-            instance_pose.motion.compute_pose_at(instance_pose.world_from_model, double(last_s)).translation;
+    const glm::dvec3 begin_m =
+                         instance_pose.motion
+                             .compute_pose_at_sweep_time(instance_pose.world_from_model, double(first_s))
+                             .translation,
+                     end_m = instance_pose.motion
+                                 .compute_pose_at_sweep_time(instance_pose.world_from_model, double(last_s))
+                                 .translation;
     const double radius_m = model_radius_m + 0.5 * glm::distance(begin_m, end_m);
     std::vector<std::size_t> nearby_ray_indices;
     for (std::size_t i = 0; i < rays.size(); ++i) {
@@ -81,14 +83,14 @@ void ScanRenderer::Impl::count_hits_without_occluders(const SimulatedSweep& swee
         SimulatedSweep alone = sweep;
         alone.changed_rays = select_rays(sweep.get_rays(), nearby_ray_indices);
         for (std::size_t k = 0; k < actor_views.size(); ++k) alone.instances[k].present = k == i;
-        prepare_scene_for_sweep(lanes->get_unbatched_lane(), alone);
+        prepare_scene_for_sweep(lanes->get_unbatched_scan_resources(), alone);
         const RenderedScan scan = plan.has_sub_rays() ? trace_beams_with_sub_rays(alone, plan.beams)
                                                       : trace_rays(alone, alone.get_rays()).scan;
         actor_views[i].n_rays_alone = count_first_hits_per_instance(scan)[i].n_rays;
     }
     std::erase_if(actor_views,
                   [](const ActorVisibility& view) { return view.track.empty() || view.n_rays_alone == 0; });
-    prepare_scene_for_sweep(lanes->get_unbatched_lane(), sweep);
+    prepare_scene_for_sweep(lanes->get_unbatched_scan_resources(), sweep);
 }
 
 }  // namespace relidar

@@ -46,30 +46,32 @@ PendingPoints ScanRenderer::Impl::record_commands_for_points(const SimulatedSwee
                                                              const Pose& dataset_from_points,
                                                              const ScanRenderPlan& plan,
                                                              SubmissionTiming submit_mode) try {
-    const int side_by_side = sweeps.get_scene_layout().blocks.empty() ? lanes->get_max_lanes() : 1;
+    const int side_by_side = sweeps.get_scene_layout().blocks.empty() ? lanes->get_parallel_scan_limit() : 1;
     const bool joins =
         side_by_side > 1 && (lanes->has_open_batch() || submit_mode == SubmissionTiming::with_next);
-    ParallelScanResources& lane = joins ? lanes->get_next_batch_lane() : lanes->get_unbatched_lane();
+    ParallelScanResources& lane =
+        joins ? lanes->get_next_scan_resources_of_batch() : lanes->get_unbatched_scan_resources();
     prepare_scene_for_sweep(lane, sweep);
     const bool corrects_drops = plan.network == ScanRenderPlan::RayDropStage::device;
-    PendingPoints scan{
-        .rays = record_trace_commands(lane, sweep, sweep.get_rays(), corrects_drops),
-        .dataset_from_sensor = shift_track(sweep.world_from_sensor, sweeps.get_log().world_offset_m),
-        .dataset_from_points = dataset_from_points,
-        .time_s = sweep.time_s,
-        .max_range_m = make_observed_space(sweep.sensor).max_range_m,
-        .step = settings.scatter[std::size_t(sweep.sensor.lidar)].step,
-        .renderer = &lanes->get_renderer(lane)};
+    PendingPoints scan{.rays = record_trace_commands(lane, sweep, sweep.get_rays(), corrects_drops),
+                       .dataset_from_sensor = add_offset_to_track_positions(sweep.world_from_sensor,
+                                                                            sweeps.get_log().world_offset_m),
+                       .dataset_from_points = dataset_from_points,
+                       .time_s = sweep.time_s,
+                       .max_range_m = make_observed_space(sweep.sensor).max_range_m,
+                       .step = settings.scatter[std::size_t(sweep.sensor.lidar)].step,
+                       .renderer = &lanes->get_renderer(lane)};
     const PoseTrack points_from_sensor =
         convert_track_to_frame(scan.dataset_from_sensor, dataset_from_points);
-    scan.points = lane.points.record_point_commands(scan.renderer->stream(), *scan.rays,
-                                                    {.points_from_sensor = points_from_sensor,
-                                                     .time_s = sweep.time_s,
-                                                     .of_image = config.render.points != "median",
-                                                     .refined = corrects_drops},
-                                                    scan.renderer->forward_pass().get_truncated_ray_count());
+    scan.points = lane.points.record_point_compute_and_copy(
+        scan.renderer->stream(), *scan.rays,
+        {.points_from_sensor = points_from_sensor,
+         .time_s = sweep.time_s,
+         .of_image = config.render.points != "median",
+         .refined = corrects_drops},
+        scan.renderer->forward_pass().get_device_truncated_ray_count());
     if (!joins) scan.renderer->stream().submit_commands();
-    else if (submit_mode == SubmissionTiming::now) lanes->submit_batch();
+    else if (submit_mode == SubmissionTiming::now) lanes->submit_batched_scan_commands();
     return scan;
 } catch (...) {
     wait_for_device();  // waits, because the next scan may replace arrays that recorded commands use
@@ -80,10 +82,10 @@ PendingPoints ScanRenderer::Impl::record_commands_for_points(const SimulatedSwee
 RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& pending_points,
                                                   LidarPoints reusable_memory) {
     if (pending_points.ready) return std::move(*pending_points.ready);
-    lanes->submit_batch();
+    lanes->submit_batched_scan_commands();
     const DevicePointComputer::GatheredPoints gathered = DevicePointComputer::wait_for_copied_points(
         pending_points.renderer->stream(), *pending_points.points);
-    if (gathered.n_capped > 0) pending_points.renderer->check_rays_fully_traced();
+    if (gathered.n_capped > 0) pending_points.renderer->require_rays_fully_traced();
     const RayTable& rays = pending_points.rays->get_ray_table();
     IntensityScatterModel steps;
     steps.step = pending_points.step;
@@ -147,8 +149,8 @@ RenderedPoints ScanRenderer::wait_for_points(LidarPoints memory) {
 /// commands that are only recorded.
 void ScanRenderer::Impl::wait_for_device() noexcept {
     try {
-        lanes->submit_batch();
-        if (scene.is_loaded()) scene.renderer().stream().submit_and_wait();
+        lanes->submit_batched_scan_commands();
+        if (scene.has_loaded_renderer()) scene.renderer().stream().submit_and_wait();
     } catch (const Error&) {  // nothing to do, because a lost device no longer writes to memory
     }
 }

@@ -31,7 +31,7 @@ ChannelValues make_normal_channel(const RenderedRayValues& rendering, const Rend
     return compute_hit_normals_in_sensor_frame(rendering, scan);
 }
 
-ChannelValues make_incidence_channel(std::span<const shared::MeasuredRay> measured_rays) {
+ChannelValues make_incidence_cosine_channel(std::span<const shared::MeasuredRay> measured_rays) {
     std::vector<float> cosine;
     for (const shared::MeasuredRay& ray : measured_rays) cosine.push_back(ray.incidence);
     return cosine;
@@ -46,7 +46,8 @@ ChannelValues make_range_spread_channel(const RenderedScan& scan, const ChannelI
 glm::dvec3 compute_surface_velocity(const InstancePose& instance_pose, double time_offset_s,
                                     const glm::dvec3& point_m) {
     const glm::dvec3 middle_m =
-        instance_pose.motion.compute_pose_at(instance_pose.world_from_model, time_offset_s).translation;
+        instance_pose.motion.compute_pose_at_sweep_time(instance_pose.world_from_model, time_offset_s)
+            .translation;
     return instance_pose.motion.velocity_mps +
            glm::cross(instance_pose.motion.angular_velocity_radps, point_m - middle_m);
 }
@@ -89,7 +90,7 @@ ChannelValues make_class_channel(const RenderedScan& scan, const ChannelInputs& 
         if (of_rays[ray] != 0 || !context.background) return;
         const glm::dvec3 point_m = glm::dvec3(scan.image.origin[ray]) +
                                    double(scan.median_range_m[ray]) * glm::dvec3(scan.image.direction[ray]);
-        of_rays[ray] = std::int32_t(context.background->find_nearest_class(
+        of_rays[ray] = std::int32_t(context.background->find_class_of_nearest_cell(
             scan.get_firing_pose(ray) * point_m - context.log.world_offset_m));
     });
     return of_rays;
@@ -105,7 +106,7 @@ ChannelValues make_observed_fraction_channel(const RenderedScan& scan, const Cha
 
 // Returns "surface" as the cause of each return. If the scan has weather,
 // add_weather_to_scan() overwrites these values later.
-ChannelValues make_return_cause_channel(const RenderedScan& scan, const ChannelInputs&) {
+ChannelValues make_default_return_cause_channel(const RenderedScan& scan, const ChannelInputs&) {
     return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(ReturnCause::surface));
 }
 
@@ -123,16 +124,16 @@ struct ChannelComputation {
 };
 constexpr ChannelComputation kMakers[] = {
     {"normal", make_normal_channel, nullptr, nullptr},
-    {kIncidence, nullptr, make_incidence_channel, nullptr},
+    {kIncidence, nullptr, make_incidence_cosine_channel, nullptr},
     {"velocity", nullptr, nullptr, make_radial_velocity_channel},
     {"spread", nullptr, nullptr, make_range_spread_channel},
     {"class", nullptr, nullptr, make_class_channel},
     {"seen", nullptr, nullptr, make_observed_fraction_channel},
     {"surfel_drop_prob", nullptr, nullptr, make_surfel_drop_probability_channel},
-    {"source", nullptr, nullptr, make_return_cause_channel},
+    {"source", nullptr, nullptr, make_default_return_cause_channel},
 };
 
-ChannelComputation find_channel_maker(const ChannelInfo& channel) {
+ChannelComputation find_channel_computation(const ChannelInfo& channel) {
     const auto* maker = std::ranges::find(kMakers, channel.name, &ChannelComputation::name);
     // A channel without a row in the table gets no values. The test
     // tests/simulate/render/channels_test.cpp checks that every channel has a row.
@@ -149,8 +150,8 @@ std::vector<std::int32_t> compute_instance_classes(const Scene& scene, const Lid
     for (const ModelInstance& instance : scene.instances) {
         // A copied actor has no box in the log. Its model has the name of the original
         // actor's box.
-        const BoxTrack* box = find_box(sequence, instance.track);
-        if (!box) box = find_box(sequence, scene.models[instance.model].name);
+        const BoxTrack* box = find_box_track_by_id(sequence, instance.track);
+        if (!box) box = find_box_track_by_id(sequence, scene.models[instance.model].name);
         const ObjectKind kind = box ? parse_object_kind(box->category) : ObjectKind::other;
         classes.push_back(instance.track.empty() ? 0 : 1 + std::int32_t(kind));
     }
@@ -159,23 +160,23 @@ std::vector<std::int32_t> compute_instance_classes(const Scene& scene, const Lid
 
 bool is_full_rendering_needed(const std::vector<ChannelInfo>& channels) {
     return std::ranges::any_of(channels, [](const ChannelInfo& channel) {
-        return find_channel_maker(channel).of_rendering != nullptr;
+        return find_channel_computation(channel).of_rendering != nullptr;
     });
 }
 
-void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays,
-                      const RenderedRayValues& rendering, const std::vector<ChannelInfo>& channels) {
+void add_traced_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays,
+                             const RenderedRayValues& rendering, const std::vector<ChannelInfo>& channels) {
     for (const ChannelInfo& channel : channels) {
-        const ChannelComputation maker = find_channel_maker(channel);
+        const ChannelComputation maker = find_channel_computation(channel);
         if (maker.of_rendering) scan.channels.push_back({channel, maker.of_rendering(rendering, scan)});
         if (maker.of_measured) scan.channels.push_back({channel, maker.of_measured(measured_rays)});
     }
 }
 
-void add_scan_channels(RenderedScan& scan, const ChannelInputs& context,
-                       const std::vector<ChannelInfo>& channels) {
+void add_joined_beam_channels(RenderedScan& scan, const ChannelInputs& context,
+                              const std::vector<ChannelInfo>& channels) {
     for (const ChannelInfo& channel : channels) {
-        const ChannelComputation maker = find_channel_maker(channel);
+        const ChannelComputation maker = find_channel_computation(channel);
         if (!maker.of_scan) continue;
         ChannelValues values = maker.of_scan(scan, context);
         if (count_channel_values(values) == scan.image.range_m.size())

@@ -56,13 +56,13 @@ glm::dvec3 get_first_vehicle_position(const LidarSequence& sequence) {
 }
 
 RayDropImage make_network_input_image(const RenderedScan& scan, const std::vector<std::string>& channel_names,
-                                      const glm::dvec3& first_origin_m) {
+                                      const glm::dvec3& first_vehicle_position_m) {
     RayDropImage image{scan.image.rows, scan.image.columns, {}, {}};
-    const glm::vec3 origin_m(scan.world_from_sensor.translation - first_origin_m);
+    const glm::vec3 origin_m(scan.world_from_sensor.translation - first_vehicle_position_m);
     const std::size_t n = scan.median_range_m.size();
     image.channels.resize(channel_names.size() * n);
     std::size_t first = 0;
-    for (const std::uint32_t number : list_drop_channel_indices(channel_names)) {
+    for (const std::uint32_t number : list_drop_network_channel_numbers(channel_names)) {
         const auto channel = make_channel_value_function(scan, number, origin_m);
         parallel_for_in_blocks(n, [&](std::size_t index) { image.channels[first + index] = channel(index); });
         first += n;

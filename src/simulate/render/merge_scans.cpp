@@ -30,7 +30,8 @@ void add_missing_channels(RenderedScan& merged_scan, const RenderedScan& scan) {
             merged_scan.channels.push_back(channel);
             std::visit(
                 [&]<class T>(std::vector<T>& values) {
-                    values.assign(merged_scan.image.range_m.size(), get_missing_value<T>(channel.info));
+                    values.assign(merged_scan.image.range_m.size(),
+                                  get_value_of_rays_without_hit<T>(channel.info));
                 },
                 merged_scan.channels.back().values);
         } else if (existing_channel->values.index() != channel.values.index()) {
@@ -46,7 +47,7 @@ void append_second_return_values(ScanChannel& merged_channel, const ScanChannel&
     const auto add = [&]<class T>(const std::vector<T>& values) {
         if (count_channel_values(merged_channel.second) == 0) merged_channel.second = std::vector<T>{};
         auto& all = std::get<std::vector<T>>(merged_channel.second);
-        all.resize(first_ray, get_missing_value<T>(merged_channel.info));
+        all.resize(first_ray, get_value_of_rays_without_hit<T>(merged_channel.info));
         append_elements(all, values);
     };
     std::visit(add, source_channel.second);
@@ -99,7 +100,7 @@ void append_scan_channels(RenderedScan& merged_scan, const RenderedScan& scan, R
         const auto add = [&]<class T>(std::vector<T>& all) {
             const std::vector<T>* scan_values = find_channel_values<T>(scan.channels, info.name);
             for (std::size_t i = 0; i < n; ++i)
-                all.push_back(scan_values ? (*scan_values)[i] : get_missing_value<T>(info));
+                all.push_back(scan_values ? (*scan_values)[i] : get_value_of_rays_without_hit<T>(info));
             if constexpr (std::is_same_v<T, glm::vec3>)
                 for (std::size_t i = 0; scan_values && info.turns && i < n; ++i)
                     all[first_ray + i] = glm::vec3(rig_poses.compute_rig_from_firing_pose(i).rotation *
@@ -120,8 +121,11 @@ void pad_second_returns(RenderedScan& merged_scan) {
         second.range_m.resize(n), second.intensity.resize(n);
     for (ScanChannel& channel : merged_scan.channels)
         if (count_channel_values(channel.second) > 0)
-            std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, get_missing_value<T>(channel.info)); },
-                       channel.second);
+            std::visit(
+                [&]<class T>(std::vector<T>& v) {
+                    v.resize(n, get_value_of_rays_without_hit<T>(channel.info));
+                },
+                channel.second);
 }
 
 /// For each actor, adds the number of rays that hit the actor to the number in the merged
@@ -174,7 +178,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
     std::size_t rings = 0;
     double unseen_rays = 0.0;
     for (const RenderedScan& scan : scans) {
-        check_channel_names_and_sizes(scan.channels, scan.image.range_m.size(), "a scan of a rig");
+        require_valid_channel_names_and_sizes(scan.channels, scan.image.range_m.size(), "a scan of a rig");
         add_missing_channels(merged, scan);
         RigPoseInterpolator poses(merged, scan);
         append_rays_in_rig_frame(merged, scan, poses, rings);

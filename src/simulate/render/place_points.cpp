@@ -46,8 +46,8 @@ std::vector<shared::SensorPose> list_sensor_poses_in_points_frame(
     const PoseTrack track =
         scan.track.pose.empty() ? PoseTrack{{scan.time_s}, {scan.world_from_sensor}} : scan.track;
     const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
-    return list_poses_through_sweep(convert_track_to_frame(track, *dataset_from_points), scan.time_s,
-                                    double(first_s), double(last_s));
+    return list_poses_between_time_offsets(convert_track_to_frame(track, *dataset_from_points), scan.time_s,
+                                           double(first_s), double(last_s));
 }
 
 /// Returns the last pose before a time. Must select the same pose as
@@ -64,7 +64,7 @@ const shared::SensorPose& find_pose_before(const std::vector<shared::SensorPose>
 LidarPoints convert_scan_to_points(const RenderedScan& scan, const Config& config,
                                    const std::optional<Pose>& dataset_from_points, PointSelection selection) {
     const std::vector<float>& range_m = select_point_ranges(scan, config);
-    check_channel_names_and_sizes(scan.channels, range_m.size(), "a scan");
+    require_valid_channel_names_and_sizes(scan.channels, range_m.size(), "a scan");
     const std::vector<RayReturnIndex> returns = list_returns_to_output(scan, range_m, selection);
     const std::vector<shared::SensorPose> poses =
         list_sensor_poses_in_points_frame(scan, dataset_from_points);
@@ -98,7 +98,7 @@ LidarPoints convert_scan_to_points(const RenderedScan& scan, const Config& confi
     });
     for (std::size_t k = 0; k < points.channels.size(); ++k) {
         for (const auto& [ray, number] : returns)
-            append_return_value(points.channels[k], scan.channels[k], ray, number);
+            append_value_of_one_return(points.channels[k], scan.channels[k], ray, number);
         auto* vectors = std::get_if<std::vector<glm::vec3>>(&points.channels[k].values);
         if (!vectors || !scan.channels[k].info.turns || poses.empty()) continue;
         for (std::size_t i = 0; i < n; ++i)

@@ -23,11 +23,11 @@ void DevicePointComputer::reserve_ray_memory(Stream& stream, std::size_t n_rays)
     marks_ = {}, point_indices_ = {}, points_ = {};  // frees the old arrays before allocating larger ones
     marks_ = Array<std::uint32_t, shared::ReturnMarks>(device_, n_rays, "rays with a return");
     point_indices_ = Array<std::uint32_t, shared::ReturnPlaces>(device_, n_rays, "indices of points");
-    sum_.reserve(device_, n_rays);
+    sum_.reserve_scratch_memory(device_, n_rays);
     points_ = Array<shared::ReturnedPoint>(device_, n_rays, "returned points");
 }
 
-std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_point_commands(
+std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_point_compute_and_copy(
     Stream& stream, const DeviceSensorRays& rays, const PointComputeOptions& options,
     const Array<std::uint32_t>& capped_ray_count) {
     const std::size_t n = rays.get_ray_table().size();
@@ -48,7 +48,7 @@ std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::rec
     run(stream, gather_, n,
         {.rays = rays.get_device_rays().address(),
          .measured = rays.get_device_measurements().address(),
-         .poses = stream.impl().store_host_values(poses),
+         .poses = stream.impl().stage_host_values_for_kernels(poses),
          .marks = marks_.address(),
          .places = point_indices_.address(),
          .points = points_.address(),
@@ -57,7 +57,7 @@ std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::rec
          .n_poses = std::uint32_t(poses.size()),
          .n_requested = std::uint32_t(count_sampled_rays(n)),
          .of_image = options.of_image ? 1u : 0u});
-    return record_copy_to_host(stream, n, capped_ray_count);
+    return record_point_copy_to_host(stream, n, capped_ray_count);
 }
 
 DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
@@ -65,7 +65,7 @@ DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
       sampled_ranges(device, kSampledRays * sizeof(float), "ranges of rays"),
       capped(device, sizeof(std::uint32_t), "number of truncated rays") {}
 
-std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_copy_to_host(
+std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_point_copy_to_host(
     Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& capped_ray_count) {
     auto free_slot = std::ranges::find_if(
         slots_, [](const std::shared_ptr<PointReadbackSlot>& slot) { return slot.use_count() == 1; });

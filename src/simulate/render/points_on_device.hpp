@@ -51,9 +51,9 @@ public:
     /// of traversal passes
     /// @return host buffers that receive the points. Later scans reuse the buffers after
     /// the caller has released them
-    std::shared_ptr<PointReadbackSlot> record_point_commands(Stream& stream, const DeviceSensorRays& rays,
-                                                             const PointComputeOptions& options,
-                                                             const Array<std::uint32_t>& capped_ray_count);
+    std::shared_ptr<PointReadbackSlot> record_point_compute_and_copy(
+        Stream& stream, const DeviceSensorRays& rays, const PointComputeOptions& options,
+        const Array<std::uint32_t>& capped_ray_count);
 
     struct GatheredPoints {
         std::span<const shared::ReturnedPoint> points;
@@ -86,8 +86,8 @@ private:
     std::vector<std::shared_ptr<PointReadbackSlot>> slots_;
 
     void reserve_ray_memory(Stream& stream, std::size_t n_rays);
-    std::shared_ptr<PointReadbackSlot> record_copy_to_host(Stream& stream, std::size_t n_rays,
-                                                           const Array<std::uint32_t>& capped_ray_count);
+    std::shared_ptr<PointReadbackSlot> record_point_copy_to_host(
+        Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& capped_ray_count);
 };
 
 }  // namespace relidar

@@ -30,7 +30,7 @@ namespace {
 
 constexpr int kSideBySide = 4;  // number of scans that a GPU renders in parallel
 
-void check_normals_available(const Config& config, const ChannelInfo& channel, const char* error_prefix) {
+void require_normals_for_channel(const Config& config, const ChannelInfo& channel, const char* error_prefix) {
     if (!channel.needs_normals || get_primitive_kind(config.image.primitive).has_normals) return;
     throw UsageError(
         fmt::format("{}: the channel {} needs normals, but image.primitive={} has none; use surfels or other "
@@ -40,7 +40,7 @@ void check_normals_available(const Config& config, const ChannelInfo& channel, c
 
 TraceOptions make_trace_options(const Config& config) {
     for (const ChannelInfo& channel : parse_channel_names(config.render.channels))
-        check_normals_available(config, channel, "setting render.channels");
+        require_normals_for_channel(config, channel, "setting render.channels");
     return make_rendering_trace_options(config);
 }
 
@@ -64,7 +64,7 @@ void copy_measurements_to_scan(RenderedScan& scan, std::span<const shared::Measu
 
 /// Drops beams whose range is outside the sensor's limits. Needed because until now only
 /// the ranges of the sub-rays were compared with the limits.
-void drop_out_of_range_beams(RenderedScan& scan, const RangeLimits& limits) {
+void mark_out_of_range_beams_as_dropped(RenderedScan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))
             scan.image.drop_prob[i] = 1.0f;
@@ -72,17 +72,17 @@ void drop_out_of_range_beams(RenderedScan& scan, const RangeLimits& limits) {
 
 /// Replaces the drop probabilities of a scan by the output of a network. Keeps a
 /// probability of 1, because such a ray hits nothing that the sensor can measure.
-void replace_drop_probabilities(RenderedScan& scan, std::span<const float> network_output) {
+void replace_drop_probabilities(RenderedScan& scan, std::span<const float> network_drop_probabilities) {
     std::vector<float>& drop_prob = scan.image.drop_prob;
     for (std::size_t i = 0; i < drop_prob.size(); ++i)
-        if (drop_prob[i] < 1.0f) drop_prob[i] = network_output[i];
+        if (drop_prob[i] < 1.0f) drop_prob[i] = network_drop_probabilities[i];
 }
 
 /// Returns the properties of a sensor that determine how weather affects its scans.
 /// @param rays rays of the sensor, which define the beam divergence
 /// @param intensity_step quantisation step of the intensities, or 0
-WeatherSensorProperties make_weather_sensor(const Config& config, const RayTable& rays,
-                                            const RangeLimits& limits, double intensity_step) {
+WeatherSensorProperties make_sensor_properties_for_weather(const Config& config, const RayTable& rays,
+                                                           const RangeLimits& limits, double intensity_step) {
     WeatherSensorProperties result;
     const double divergence_rad = rays.find_max_divergence_rad();
     if (config.sensor.divergence_mrad > 0.0) result.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
@@ -125,7 +125,7 @@ std::vector<float> compute_range_spread(const RenderedScan& scan) {
 ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of_run,
                          const LidarSequence& sequence)
     : device(on),
-      config(resolve_max_range(settings_of_run, sequence)),
+      config(replace_automatic_max_range(settings_of_run, sequence)),
       first_origin_m(get_first_vehicle_position(sequence)),
       settings{.channels = parse_channel_names(config.render.channels),
                .scatter = std::vector<IntensityScatterModel>(sequence.lidars.size())},
@@ -139,7 +139,7 @@ ScanRenderPlan ScanRenderer::Impl::plan_steps_for_sweep(const SimulatedSweep& sw
                      has_random_sampling);
 }
 
-bool ScanRenderer::Impl::has_channel(const std::string& name) const {
+bool ScanRenderer::Impl::is_optional_channel_enabled(const std::string& name) const {
     return std::ranges::find(settings.channels, name, &ChannelInfo::name) != settings.channels.end();
 }
 
@@ -149,10 +149,10 @@ LogObservedSpace ScanRenderer::Impl::make_observed_space(const SimulatedSensor& 
 }
 
 /// Returns the data from which the channels of a scan are computed.
-ChannelInputs ScanRenderer::Impl::make_scan_context(const SimulatedSweep& sweep) {
+ChannelInputs ScanRenderer::Impl::make_channel_inputs(const SimulatedSweep& sweep) {
     ChannelInputs context{make_observed_space(sweep.sensor),
                           sweeps.get_log().get_world_from_sensor(sweep.sensor.lidar), sweep.instances};
-    if (!has_channel("class")) return context;
+    if (!is_optional_channel_enabled("class")) return context;
     context.classes = compute_instance_classes(sweeps.get_scene_layout(), sweeps.get_log());
     if (!class_finder && !class_map.empty()) class_finder = std::make_unique<SurfaceClassLookup>(class_map);
     context.background = class_finder.get();
@@ -167,7 +167,7 @@ void ScanRenderer::Impl::prepare_scene_for_sweep(const ParallelScanResources& la
     if (!sweeps.get_scene_layout().blocks.empty()) finish_pending_scans();
     const glm::vec3 sensor_m(sweep.pose.translation);
     scene.load_blocks_near_sensor(sensor_m, sweeps.get_range_limits(sweep.sensor).max_m);
-    lanes->get_renderer(lane).move_instances(sweep.instances, sensor_m);
+    lanes->get_renderer(lane).record_instance_poses_and_view(sweep.instances, sensor_m);
 }
 
 /// Records GPU commands that trace rays and compute the measurements. Call
@@ -190,7 +190,7 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace_commands(Para
         {config.render.range, sensor.beams, sweeps.get_log().intensity_response, sensor.limits, kMinWeight});
     if (with_drop_network)
         recorded->record_drop_network(
-            renderer.stream(), lanes->get_or_create_drop_refiner(lane).get_drop_pass(),
+            renderer.stream(), lanes->get_or_create_drop_refiner(lane).get_ray_drop_inference(),
             glm::vec3(sweep.pose.translation + sweeps.get_log().world_offset_m - first_origin_m));
     return recorded;
 } catch (...) {
@@ -206,26 +206,26 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
     Renderer& renderer = scene.renderer();
     const auto start = std::chrono::steady_clock::now();
     const std::shared_ptr<DeviceSensorRays> rays =
-        record_trace_commands(lanes->get_unbatched_lane(), sweep, ray_table, with_drop_network);
+        record_trace_commands(lanes->get_unbatched_scan_resources(), sweep, ray_table, with_drop_network);
     const std::span<const shared::MeasuredRay> measured = rays->wait_for_measurements(renderer.stream());
-    renderer.check_rays_fully_traced();
+    renderer.require_rays_fully_traced();
 
     RenderedScan scan = make_scan_without_measurements(ray_table);
     scan.trace_ms =
         std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
     copy_measurements_to_scan(scan, measured);
     const glm::dvec3& offset_m = sweeps.get_log().world_offset_m;
-    scan.track = shift_track(sweep.world_from_sensor, offset_m);
+    scan.track = add_offset_to_track_positions(sweep.world_from_sensor, offset_m);
     scan.world_from_sensor = {sweep.pose.rotation, sweep.pose.translation + offset_m};
     scan.time_s = sweep.time_s;
     // Adds the incidence channel if there is a ray-drop network, because it is an input
     // of the network.
     std::vector<ChannelInfo> channels = settings.channels;
-    if (lanes->get_drop_network() && !has_channel(kIncidence))
+    if (lanes->get_drop_network() && !is_optional_channel_enabled(kIncidence))
         channels.push_back(parse_channel_names(kIncidence).front());
-    add_ray_channels(scan, measured,
-                     is_full_rendering_needed(channels) ? renderer.download_rendering() : RenderedRayValues{},
-                     channels);
+    add_traced_ray_channels(
+        scan, measured,
+        is_full_rendering_needed(channels) ? renderer.download_rendering() : RenderedRayValues{}, channels);
     return {std::move(scan), with_drop_network ? rays->wait_for_drop_probabilities(renderer.stream())
                                                : std::span<const float>{}};
 }
@@ -248,13 +248,13 @@ RenderedScan ScanRenderer::Impl::trace_beams_with_sub_rays(const SimulatedSweep&
             scan, edges,
             join_sub_rays_to_beam_returns(trace_rays(sweep, split(edge_rays)).scan, edge_rays, beam_config));
     }
-    drop_out_of_range_beams(scan, sweep.sensor.limits);
+    mark_out_of_range_beams_as_dropped(scan, sweep.sensor.limits);
     return scan;
 }
 
 /// Runs the ray-drop network on the host.
 void ScanRenderer::Impl::correct_drops_with_network(RenderedScan& scan) {
-    replace_drop_probabilities(scan, lanes->get_or_create_drop_refiner(lanes->get_unbatched_lane())
+    replace_drop_probabilities(scan, lanes->get_or_create_drop_refiner(lanes->get_unbatched_scan_resources())
                                          .predict_drop_probabilities(make_network_input_image(
                                              scan, lanes->get_drop_network()->inputs, first_origin_m)));
 }
@@ -269,8 +269,8 @@ void ScanRenderer::Impl::apply_noise_and_weather(RenderedScan& scan, const Simul
     if (noise_seed)
         sample_random_returns(scan, log.lidars[std::size_t(sensor.lidar)].range_noise, scatter, *noise_seed);
     if (!settings.weather.is_clear() || find_channel_values<std::int32_t>(scan.channels, "source")) {
-        const WeatherSensorProperties in_weather =
-            make_weather_sensor(config, sweep.get_rays(), sweeps.get_range_limits(sensor), scatter.step);
+        const WeatherSensorProperties in_weather = make_sensor_properties_for_weather(
+            config, sweep.get_rays(), sweeps.get_range_limits(sensor), scatter.step);
         WeatherInput input{
             .weather = settings.weather,
             .sensor = in_weather,
@@ -296,25 +296,26 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep,
     using Network = ScanRenderPlan::RayDropStage;
     const SimulatedSensor& sensor = sweep.sensor;
     const ScanRenderPlan plan = this->plan_steps_for_sweep(sweep, noise_seed.has_value());
-    lanes->submit_batch();
-    prepare_scene_for_sweep(lanes->get_unbatched_lane(), sweep);
+    lanes->submit_batched_scan_commands();
+    prepare_scene_for_sweep(lanes->get_unbatched_scan_resources(), sweep);
     auto [scan, drops] = plan.has_sub_rays()
                              ? TracedScan{trace_beams_with_sub_rays(sweep, plan.beams), {}}
                              : trace_rays(sweep, sweep.get_rays(), plan.network == Network::device);
-    add_scan_channels(scan, make_scan_context(sweep), settings.channels);
-    set_unobserved_ray_fraction(scan, make_observed_space(sensor));
+    add_joined_beam_channels(scan, make_channel_inputs(sweep), settings.channels);
+    estimate_and_set_unobserved_fraction(scan, make_observed_space(sensor));
     std::vector<ActorVisibility> views;
     if (settings.has_views) views = count_first_hits_per_instance(scan);
-    if (plan.network == Network::cells) scan = bin_scan_into_grid(scan, *sensor.grid);
+    if (plan.network == Network::cells) scan = project_points_into_grid_image(scan, *sensor.grid);
     if (plan.network == Network::device) replace_drop_probabilities(scan, drops);
     else if (plan.network != Network::none) correct_drops_with_network(scan);
     // This call traces more rays, so `drops` is invalid afterwards.
     if (settings.has_views) count_hits_without_occluders(sweep, plan, views);
-    if (!has_channel(kIncidence))
+    if (!is_optional_channel_enabled(kIncidence))
         std::erase_if(scan.channels,
                       [](const ScanChannel& channel) { return channel.info.name == kIncidence; });
     apply_noise_and_weather(scan, sweep, noise_seed);
-    if (sensor.grid && plan.network != Network::cells) scan = bin_scan_into_grid(scan, *sensor.grid);
+    if (sensor.grid && plan.network != Network::cells)
+        scan = project_points_into_grid_image(scan, *sensor.grid);
     scan.actor_views = std::move(views);
     return scan;
 }
@@ -325,7 +326,7 @@ ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& con
 ScanRenderer::ScanRenderer(Device& device, const TrainedRun& run)
     : ScanRenderer(device, run.scene, run.config, run.sequence) {
     if (run.config.refine.enabled && !run.drop_network.empty()) set_drop_network(run.drop_network);
-    set_observed_space(run.coverage);
+    set_observed_voxels(run.coverage);
     set_background_classes(run.classes);
     set_intensity_scatter(run.intensity_scatter);
 }
@@ -337,15 +338,15 @@ void ScanRenderer::set_visible_instances(const std::vector<bool>& visible_flags)
 void ScanRenderer::set_drop_network(const RayDropNetwork& network) {
     // Called only because it throws an error if the network has inputs that cannot be
     // rendered.
-    list_drop_channel_indices(network.inputs);
+    list_drop_network_channel_numbers(network.inputs);
     impl_->finish_pending_scans();
     impl_->lanes->set_drop_network(network);
 }
 
 void ScanRenderer::enable_optional_channels(const std::string& comma_separated_names) {
     for (const ChannelInfo& channel : parse_channel_names(comma_separated_names)) {
-        if (impl_->has_channel(channel.name)) continue;
-        check_normals_available(impl_->config, channel, "cannot enable channels");
+        if (impl_->is_optional_channel_enabled(channel.name)) continue;
+        require_normals_for_channel(impl_->config, channel, "cannot enable channels");
         impl_->settings.channels.push_back(channel);
     }
 }
@@ -355,7 +356,7 @@ void ScanRenderer::set_max_parallel_scans(int count) {
         throw UsageError(fmt::format(
             "cannot render several scans at the same time: found {} scans, expected at least 1", count));
     impl_->finish_pending_scans();
-    impl_->lanes->set_max_lanes(count);
+    impl_->lanes->set_parallel_scan_limit(count);
 }
 
 int ScanRenderer::choose_max_parallel_scans(const Device& device) {
@@ -363,7 +364,7 @@ int ScanRenderer::choose_max_parallel_scans(const Device& device) {
 }
 
 int ScanRenderer::get_max_parallel_scans() const {
-    return impl_->sweeps.get_scene_layout().blocks.empty() ? impl_->lanes->get_max_lanes() : 1;
+    return impl_->sweeps.get_scene_layout().blocks.empty() ? impl_->lanes->get_parallel_scan_limit() : 1;
 }
 
 void ScanRenderer::enable_actor_visibility(bool enabled) { impl_->settings.has_views = enabled; }
@@ -375,8 +376,8 @@ void ScanRenderer::set_background_classes(const SurfaceClassMap& class_map) {
 
 bool ScanRenderer::has_background_classes() const { return !impl_->class_map.empty(); }
 
-void ScanRenderer::set_observed_space(const ObservedVoxelSet& coverage) {
-    impl_->settings.coverage = coverage;
+void ScanRenderer::set_observed_voxels(const ObservedVoxelSet& observed_voxels) {
+    impl_->settings.coverage = observed_voxels;
 }
 
 void ScanRenderer::set_intensity_scatter(const std::vector<IntensityScatterModel>& scatter) {
@@ -385,7 +386,7 @@ void ScanRenderer::set_intensity_scatter(const std::vector<IntensityScatterModel
 }
 
 void ScanRenderer::set_weather(const Weather& weather) {
-    check_weather(weather);
+    require_valid_weather(weather);
     if (!weather.is_clear() && !has_nonzero_intensities(impl_->settings.scatter))
         throw UsageError(
             "weather cannot be simulated, because the log of the run has no intensities, which "

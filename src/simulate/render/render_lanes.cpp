@@ -18,12 +18,12 @@ ParallelScanResourcePool::ParallelScanResourcePool(Device& device, ResidentScene
       first_(device),
       most_(ScanRenderer::choose_max_parallel_scans(device)) {}
 
-ParallelScanResources& ParallelScanResourcePool::get_next_batch_lane() {
+ParallelScanResources& ParallelScanResourcePool::get_next_scan_resources_of_batch() {
     if (!batch_) {
         while (1 + std::ssize(others_) < most_) {
             const std::size_t n_before = others_.size();
             try {
-                others_.emplace_back(device_).copy = scene_.copy_to_new_renderer();
+                others_.emplace_back(device_).copy = scene_.copy_scene_to_new_renderer();
                 // If device memory is exhausted, continues with the copies that exist.
             } catch (const OutOfDeviceMemory&) {
                 if (others_.size() > n_before) others_.pop_back();
@@ -34,11 +34,11 @@ ParallelScanResources& ParallelScanResourcePool::get_next_batch_lane() {
         n_batch_ = 0;
     }
     const std::size_t lane = n_batch_++ % (1 + others_.size());
-    batch_->select_command_lane(lane);
+    batch_->select_sequence_to_record(lane);
     return lane == 0 ? first_ : others_[lane - 1];
 }
 
-void ParallelScanResourcePool::submit_batch() {
+void ParallelScanResourcePool::submit_batched_scan_commands() {
     if (!batch_) return;
     batch_.reset();
     scene_.renderer().stream().submit_commands();
@@ -59,7 +59,7 @@ RayDropRefiner& ParallelScanResourcePool::get_or_create_drop_refiner(ParallelSca
     return *lane.refiner;
 }
 
-void ParallelScanResourcePool::set_max_lanes(int count) {
+void ParallelScanResourcePool::set_parallel_scan_limit(int count) {
     most_ = count;
     while (std::ssize(others_) >= count) others_.pop_back();
 }

@@ -50,13 +50,13 @@ public:
     ParallelScanResourcePool(Device& device, ResidentScene& scene);
 
     /// Returns the lane for a scan that is not part of a batch.
-    ParallelScanResources& get_unbatched_lane() { return first_; }
+    ParallelScanResources& get_unbatched_scan_resources() { return first_; }
     /// Returns the lane for the next scan of a batch. Begins a batch if there is none.
     /// The first call creates the lanes.
-    ParallelScanResources& get_next_batch_lane();
+    ParallelScanResources& get_next_scan_resources_of_batch();
     bool has_open_batch() const { return batch_.has_value(); }
     /// Submits the GPU commands of all scans of the batch.
-    void submit_batch();
+    void submit_batched_scan_commands();
     Renderer& get_renderer(const ParallelScanResources& lane);
 
     /// Sets the network that corrects the drop probabilities. An empty network turns the
@@ -70,8 +70,8 @@ public:
     /// Returns the object that runs the ray-drop network in a lane. The first call
     /// creates the object.
     RayDropRefiner& get_or_create_drop_refiner(ParallelScanResources& lane);
-    int get_max_lanes() const { return most_; }
-    void set_max_lanes(int count);
+    int get_parallel_scan_limit() const { return most_; }
+    void set_parallel_scan_limit(int count);
 
 private:
     Device& device_;

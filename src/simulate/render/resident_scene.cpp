@@ -32,7 +32,7 @@ void ResidentScene::load_blocks(const std::vector<std::size_t>& block_indices) {
     // frees the memory of the old renderer before the new renderer allocates its memory
     renderer_.reset();
     loaded_.clear();
-    Scene scene = load_selected_blocks(scene_, block_indices);
+    Scene scene = copy_scene_with_loaded_blocks(scene_, block_indices);
     if (has_model_copy_) scene = duplicate_shared_models(std::move(scene));
     const std::uint64_t before = device_.allocated_bytes();
     renderer_.emplace(device_, scene, model_, options_);
@@ -76,7 +76,7 @@ void ResidentScene::load_blocks_near_sensor(const glm::vec3& sensor_position_m, 
         load_blocks(add_recently_needed_blocks(std::move(needed)));
 }
 
-std::unique_ptr<Renderer> ResidentScene::copy_to_new_renderer() {
+std::unique_ptr<Renderer> ResidentScene::copy_scene_to_new_renderer() {
     RendererOptions options = options_;
     options.stream = &renderer_->stream();
     return std::make_unique<Renderer>(device_, renderer_->download_scene(), model_, options);

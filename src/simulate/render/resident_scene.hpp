@@ -32,12 +32,12 @@ public:
     void load_blocks_near_sensor(const glm::vec3& sensor_position_m, double max_range_m);
     /// Returns the renderer of the loaded scene. Call load_blocks_near_sensor() before.
     Renderer& renderer() { return *renderer_; }
-    bool is_loaded() const { return renderer_.has_value(); }
+    bool has_loaded_renderer() const { return renderer_.has_value(); }
     /// Copies a scene without blocks on the device, so that several scans can be rendered
     /// in parallel. The copy uses the stream of renderer(), so that object must outlive
     /// the copy. Waits until the copy is finished.
     /// @throws DeviceError if memory is exhausted
-    std::unique_ptr<Renderer> copy_to_new_renderer();
+    std::unique_ptr<Renderer> copy_scene_to_new_renderer();
     /// Returns the kernel times of all renderings so far.
     const KernelTimes& get_kernel_times();
 

@@ -20,7 +20,7 @@ constexpr std::uint64_t kOfIntensities = 0x696E74656E736974ull;
 
 }  // namespace
 
-RenderedIntensityImage get_rendered_intensities(const RenderedScan& scan) {
+RenderedIntensityImage copy_inputs_of_random_intensities(const RenderedScan& scan) {
     const RangeImage& image = scan.image;
     const RangeImageRays rays{image.rows, image.columns, image.origin, image.direction, scan.median_range_m};
     RenderedIntensityImage result{
@@ -37,33 +37,34 @@ RenderedIntensityImage get_rendered_intensities(const RenderedScan& scan) {
 void sample_random_returns(RenderedScan& scan, const RangeNoiseTable& noise,
                            const IntensityScatterModel& scatter, std::uint64_t seed) {
     const std::uint64_t of_scan = hash_integer_pair(seed, std::bit_cast<std::uint64_t>(scan.time_s));
-    const RenderedIntensityImage likely = get_rendered_intensities(scan);
+    const RenderedIntensityImage likely = copy_inputs_of_random_intensities(scan);
     const std::vector<float>& likely_m = likely.range_m;
     std::vector<float> ranges_m = likely_m;
     std::vector<std::uint8_t> returning(likely_m.size());
     parallel_for_in_blocks(ranges_m.size(), [&](std::size_t i) {
         Random random(hash_integer_pair(of_scan, i));
-        const bool returns = likely_m[i] > 0.0f && random.draw_uniform() >= double(scan.image.drop_prob[i]);
+        const bool returns =
+            likely_m[i] > 0.0f && random.sample_uniform_number() >= double(scan.image.drop_prob[i]);
         returning[i] = returns;
         scan.image.drop_prob[i] = returns ? 0.0f : 1.0f;
-        const double cosine = double(likely.cosine[i]),
-                     sigma_m = noise.get_noise_sigma_m(double(likely_m[i]), cosine < 0.0 ? 1.0 : cosine);
+        const double cosine = double(likely.cosine[i]), sigma_m = noise.get_range_noise_sigma_m(
+                                                            double(likely_m[i]), cosine < 0.0 ? 1.0 : cosine);
         for (AdditionalReturns& echo : scan.second_returns) {
             if (!returns) echo.range_m[i] = echo.intensity[i] = 0.0f;
             if (echo.range_m[i] > 0.0f)
-                echo.range_m[i] =
-                    std::max(echo.range_m[i] +
-                                 static_cast<float>(noise.get_noise_sigma_m(double(echo.range_m[i]), 1.0) *
-                                                    random.draw_standard_normal()),
-                             1e-3f);
+                echo.range_m[i] = std::max(
+                    echo.range_m[i] +
+                        static_cast<float>(noise.get_range_noise_sigma_m(double(echo.range_m[i]), 1.0) *
+                                           random.sample_standard_normal()),
+                    1e-3f);
         }
         if (returns)
             ranges_m[i] =
-                std::max(likely_m[i] + static_cast<float>(sigma_m * random.draw_standard_normal()), 1e-3f);
+                std::max(likely_m[i] + static_cast<float>(sigma_m * random.sample_standard_normal()), 1e-3f);
     });
     if (!scatter.empty()) {
         const std::vector<float> drawn =
-            draw_random_intensities(scatter, likely, returning, hash_integer_pair(of_scan, kOfIntensities));
+            sample_random_intensities(scatter, likely, returning, hash_integer_pair(of_scan, kOfIntensities));
         for (std::size_t i = 0; i < drawn.size(); ++i)
             if (returning[i] != 0) scan.image.intensity[i] = drawn[i];
     }

@@ -23,8 +23,8 @@ SensorConfig make_beam_config(const SimulatedSensor& sensor, const Config& confi
 
 /// Checks that the beams of a sensor can be split into sub-rays.
 /// @throws UsageError for a beam without divergence
-void check_beams_can_be_split(const RayTable& rays, const SensorConfig& beam_config,
-                              const SimulatedSensor& sensor) {
+void require_beams_can_be_split(const RayTable& rays, const SensorConfig& beam_config,
+                                const SimulatedSensor& sensor) {
     if (sensor.grid && beam_config.returns > 1)
         throw UsageError(fmt::format(
             "sensor.returns: found 2 for {}, expected 1, because its range image has one range per pixel",
@@ -53,13 +53,13 @@ bool can_network_correct_image(const RayDropNetwork* network, const std::string&
     if (!network || network->image != image_name) return false;
     // A network with 1 x 1 convolutions processes each ray separately, so an image of one
     // pixel is enough.
-    const int side = network->taps == 1 ? 1 : std::max(2, network->compute_min_image_side());
+    const int side = network->taps == 1 ? 1 : std::max(2, network->compute_min_image_rows_and_columns());
     return rows >= side && columns >= side;
 }
 
-ScanRenderPlan::RayDropStage choose_network_stage(const RayDropNetwork* network,
-                                                  const SimulatedSensor& sensor, const RayTable& rays,
-                                                  bool has_sub_rays) {
+ScanRenderPlan::RayDropStage choose_drop_network_stage(const RayDropNetwork* network,
+                                                       const SimulatedSensor& sensor, const RayTable& rays,
+                                                       bool has_sub_rays) {
     using enum ScanRenderPlan::RayDropStage;
     if (can_network_correct_image(network, kNative, rays.rows, rays.columns) ||
         (!sensor.grid && can_network_correct_image(network, sensor.name, rays.rows, rays.columns)))
@@ -74,12 +74,12 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
                          const ScanRenderSettings& settings, const RayDropNetwork* network,
                          bool has_random_sampling) {
     ScanRenderPlan plan{.beams = make_beam_config(sensor, config)};
-    check_beams_can_be_split(rays, plan.beams, sensor);
+    require_beams_can_be_split(rays, plan.beams, sensor);
     if (rays.size() == 0)
         throw UsageError(
             fmt::format("cannot render {}: this sensor does not spin and defines no rays; use another sensor",
                         sensor.name));
-    plan.network = choose_network_stage(network, sensor, rays, plan.has_sub_rays());
+    plan.network = choose_drop_network_stage(network, sensor, rays, plan.has_sub_rays());
     plan.points_on_device = !has_random_sampling && settings.weather.is_clear() &&
                             settings.channels.empty() && !sensor.grid && !plan.has_sub_rays() &&
                             sensor.rays.size() > 0;
@@ -87,7 +87,8 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
 }
 
 bool is_drop_correction_used(const RayDropNetwork* network, const SimulatedSensor& sensor) {
-    return choose_network_stage(network, sensor, sensor.rays, false) != ScanRenderPlan::RayDropStage::none;
+    return choose_drop_network_stage(network, sensor, sensor.rays, false) !=
+           ScanRenderPlan::RayDropStage::none;
 }
 
 }  // namespace relidar

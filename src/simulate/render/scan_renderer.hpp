@@ -83,9 +83,9 @@ struct ScanRenderer::Impl {
     RenderedPoints collect_points(PendingPoints& pending_points, LidarPoints reusable_memory = {});
     void finish_pending_scans();
     void wait_for_device() noexcept;
-    bool has_channel(const std::string& name) const;
+    bool is_optional_channel_enabled(const std::string& name) const;
     LogObservedSpace make_observed_space(const SimulatedSensor& sensor) const;
-    ChannelInputs make_scan_context(const SimulatedSweep& sweep);
+    ChannelInputs make_channel_inputs(const SimulatedSweep& sweep);
 };
 
 }  // namespace relidar

@@ -15,7 +15,7 @@ constexpr float kMinObservedFraction = 0.5f;
 
 bool is_mostly_unobserved(float observed_fraction) { return observed_fraction < kMinObservedFraction; }
 
-RayWithSurfaceRange make_visibility_ray(const RenderedScan& scan, std::size_t ray_index) {
+RayWithSurfaceRange get_ray_with_surface_range(const RenderedScan& scan, std::size_t ray_index) {
     return {scan.get_firing_pose(ray_index), glm::dvec3(scan.image.origin[ray_index]),
             glm::dvec3(scan.image.direction[ray_index]), scan.median_range_m[ray_index]};
 }
@@ -27,7 +27,7 @@ float compute_observed_path_fraction(const RayWithSurfaceRange& ray, const LogOb
     world_from_firing.translation -= observed_space.world_offset_m;
     const double length_m = ray.met_m > 0.0f ? std::min(double(ray.met_m), observed_space.max_range_m)
                                              : observed_space.max_range_m;
-    return static_cast<float>(observed_space.coverage.compute_observed_fraction(
+    return static_cast<float>(observed_space.coverage.compute_observed_fraction_of_segment(
         world_from_firing * ray.origin_m, world_from_firing * (ray.origin_m + length_m * ray.direction)));
 }
 
@@ -48,17 +48,17 @@ std::vector<float> compute_observed_path_fractions(const RenderedScan& scan,
                                                    const LogObservedSpace& observed_space) {
     std::vector<float> shares(ray_indices.size());
     parallel_for_in_blocks(ray_indices.size(), [&](std::size_t index) {
-        shares[index] =
-            compute_observed_path_fraction(make_visibility_ray(scan, ray_indices[index]), observed_space);
+        shares[index] = compute_observed_path_fraction(get_ray_with_surface_range(scan, ray_indices[index]),
+                                                       observed_space);
     });
     return shares;
 }
 
-void set_unobserved_ray_fraction(RenderedScan& scan, const LogObservedSpace& observed_space) {
+void estimate_and_set_unobserved_fraction(RenderedScan& scan, const LogObservedSpace& observed_space) {
     const std::size_t n = scan.median_range_m.size();
     if (observed_space.coverage.empty() || n == 0) return;
     const auto ray_at = [&](std::size_t index) {
-        return make_visibility_ray(scan, DevicePointComputer::get_sampled_ray_index(index, n));
+        return get_ray_with_surface_range(scan, DevicePointComputer::get_sampled_ray_index(index, n));
     };
     if (const std::vector<float>* shares = find_channel_values<float>(scan.channels, "seen"))
         scan.unseen_share =

@@ -41,6 +41,6 @@ std::vector<float> compute_observed_path_fractions(const RenderedScan& scan,
 /// Sets RenderedScan::unseen_share to the share of rays that count as unobserved. Uses
 /// the channel "seen" if the scan has it. Otherwise samples kSampledRays rays. Sets no
 /// value if the log has no coverage.
-void set_unobserved_ray_fraction(RenderedScan& scan, const LogObservedSpace& observed_space);
+void estimate_and_set_unobserved_fraction(RenderedScan& scan, const LogObservedSpace& observed_space);
 
 }  // namespace relidar

@@ -24,7 +24,7 @@ namespace {
 constexpr float kLeastWeight = 0.05f;
 
 RangeLimits get_configured_range_limits(const Config& config, const LidarSequence& sequence) {
-    return {config.dataset.min_range_m, resolve_max_range(config, sequence).dataset.max_range_m};
+    return {config.dataset.min_range_m, replace_automatic_max_range(config, sequence).dataset.max_range_m};
 }
 
 /// Returns the rays of a sensor. Returns no rays if they differ from scan to scan.
@@ -40,7 +40,8 @@ bool is_rolling_shutter_simulated(const Config& config, const LidarSequence& seq
     return config.sensor.rolling_shutter == RollingShutter::yes || sequence.rolling_shutter;
 }
 
-SimulatedSensor make_log_sensor_choice(const Config& config, const LidarSequence& sequence, int lidar_index) {
+SimulatedSensor make_simulated_log_sensor(const Config& config, const LidarSequence& sequence,
+                                          int lidar_index) {
     const Lidar& log_lidar = sequence.lidars[std::size_t(lidar_index)];
     const SpinningSensor& sensor = log_lidar.sensor;
     const RangeLimits limits =
@@ -57,8 +58,8 @@ SimulatedSensor make_log_sensor_choice(const Config& config, const LidarSequence
             .rolling_shutter = is_rolling_shutter_simulated(config, sequence)};
 }
 
-SimulatedSensor make_grid_sensor_choice(const RangeImageGrid& grid, const Config& config,
-                                        const LidarSequence& sequence, int lidar_index) {
+SimulatedSensor make_simulated_grid_sensor(const RangeImageGrid& grid, const Config& config,
+                                           const LidarSequence& sequence, int lidar_index) {
     const std::string& method = config.sensor.grid_method;
     const RangeLimits limits =
         intersect_range_limits({0.0, grid.max_range_m}, get_configured_range_limits(config, sequence));
@@ -71,7 +72,7 @@ SimulatedSensor make_grid_sensor_choice(const RangeImageGrid& grid, const Config
     if (method != "project") {
         throw UsageError(fmt::format("sensor.grid_method: found \"{}\", expected project or cast", method));
     }
-    SimulatedSensor choice = make_log_sensor_choice(config, sequence, lidar_index);
+    SimulatedSensor choice = make_simulated_log_sensor(config, sequence, lidar_index);
     choice.grid = grid;
     choice.limits = intersect_range_limits(choice.limits, limits);
     choice.name = grid.name;
@@ -111,12 +112,13 @@ void merge_drop_probability_into_cell(const RenderedScan& source_scan, std::size
 
 }  // namespace
 
-bool has_rolling_shutter(const SimulatedSensor& sensor, const Config& config) {
+bool fires_rays_at_different_times(const SimulatedSensor& sensor, const Config& config) {
     return sensor.rolling_shutter && config.sensor.rolling_shutter != RollingShutter::no;
 }
 
-SimulatedSensor align_sensor_with_sweep(const SimulatedSensor& sensor, std::span<const LidarFrame> frames,
-                                        std::span<const Lidar> lidars, double time_s) {
+SimulatedSensor copy_sensor_with_azimuths_of_sweep(const SimulatedSensor& sensor,
+                                                   std::span<const LidarFrame> frames,
+                                                   std::span<const Lidar> lidars, double time_s) {
     constexpr double kSameTime_s = 1e-3;
     if (!sensor.follows_sweeps) return sensor;
     const auto is_now = [&](const LidarFrame& f) {
@@ -128,17 +130,18 @@ SimulatedSensor align_sensor_with_sweep(const SimulatedSensor& sensor, std::span
     if (sweep == frames.end() || sensor.rays.size() != head.beams.size() * sweep->azimuth_shift_rad.size())
         return sensor;
     SimulatedSensor result = sensor;
-    result.rays = shift_azimuths(std::move(result.rays), head, sweep->azimuth_shift_rad);
+    result.rays = rotate_firings_by_azimuth_shifts(std::move(result.rays), head, sweep->azimuth_shift_rad);
     result.follows_sweeps = false;
     return result;
 }
 
-SimulatedSensor make_configured_sensor(const Config& config, const LidarSequence& sequence, int lidar) {
-    if (config.sensor.grid == "native") return make_log_sensor_choice(config, sequence, lidar);
-    return make_grid_sensor_choice(find_range_grid(config.sensor.grid), config, sequence, lidar);
+SimulatedSensor make_sensor_from_config(const Config& config, const LidarSequence& sequence, int lidar) {
+    if (config.sensor.grid == "native") return make_simulated_log_sensor(config, sequence, lidar);
+    return make_simulated_grid_sensor(get_range_image_grid_by_name(config.sensor.grid), config, sequence,
+                                      lidar);
 }
 
-SimulatedSensor make_sensor_choice(const SensorModel& sensor, int lidar) {
+SimulatedSensor make_simulated_sensor(const SensorModel& sensor, int lidar) {
     const std::optional<SensorPattern> pattern = get_non_spinning_pattern(sensor);
     return {.rays = make_rays_if_time_invariant(pattern, [&] { return make_rays(sensor); }),
             .pattern = pattern,
@@ -147,31 +150,31 @@ SimulatedSensor make_sensor_choice(const SensorModel& sensor, int lidar) {
             .lidar = lidar};
 }
 
-SimulatedSensor make_sensor_choice(const MountedSensor& mounted, int lidar) {
-    SimulatedSensor choice = make_sensor_choice(mounted.sensor, lidar);
+SimulatedSensor make_simulated_sensor(const MountedSensor& mounted, int lidar) {
+    SimulatedSensor choice = make_simulated_sensor(mounted.sensor, lidar);
     choice.returns = mounted.returns;
     return choice;
 }
 
-SimulatedSensor choose_sensor(const std::string& name_or_file, const Config& config,
-                              const LidarSequence& sequence, int lidar) {
+SimulatedSensor find_or_load_sensor(const std::string& name_or_file, const Config& config,
+                                    const LidarSequence& sequence, int lidar) {
     if (find_name_ignoring_case(name_or_file, {"native"}))
-        return make_log_sensor_choice(config, sequence, lidar);
+        return make_simulated_log_sensor(config, sequence, lidar);
     if (find_name_ignoring_case(name_or_file, {make_kitti360_grid().name}))
-        return make_grid_sensor_choice(make_kitti360_grid(), config, sequence, lidar);
-    return make_sensor_choice(find_sensor(name_or_file, {"native"}), lidar);
+        return make_simulated_grid_sensor(make_kitti360_grid(), config, sequence, lidar);
+    return make_simulated_sensor(find_sensor(name_or_file, {"native"}), lidar);
 }
 
-RenderedScan bin_scan_into_grid(const RenderedScan& scan, const RangeImageGrid& grid) {
+RenderedScan project_points_into_grid_image(const RenderedScan& scan, const RangeImageGrid& grid) {
     const RayTable cells = make_rays(grid);
     const std::size_t n = cells.size();
-    check_channel_names_and_sizes(scan.channels, scan.median_range_m.size(),
-                                  "a scan that is projected onto the grid");
+    require_valid_channel_names_and_sizes(scan.channels, scan.median_range_m.size(),
+                                          "a scan that is projected onto the grid");
     RenderedScan result = make_scan_without_measurements(cells, scan);
     for_each_channel_pair(
         scan, result,
         [n]<class T>(const ChannelInfo& channel, const std::vector<T>&, std::vector<T>& of_cells) {
-            of_cells.assign(n, get_missing_value<T>(channel));
+            of_cells.assign(n, get_value_of_rays_without_hit<T>(channel));
         });
     result.time_offset_s.assign(n, 0.0f);
     // [cells] drop probability of the ray whose values are stored in the cell; 2 if the
@@ -206,12 +209,12 @@ RangeImage make_measured_image(const Config& config, const Scan& scan) {
                  to_vector(scan.rays.origin),
                  to_vector(scan.rays.direction)};
     } else {
-        const RangeImageGrid grid = find_range_grid(config.sensor.grid);
+        const RangeImageGrid grid = get_range_image_grid_by_name(config.sensor.grid);
         std::vector<glm::vec3> points;
         std::vector<float> intensity;
         for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
             if (!(scan.range_m[i] > 0.0f)) continue;
-            points.push_back(scan.compute_end_point(i));
+            points.push_back(scan.compute_return_point_in_sensor_frame(i));
             intensity.push_back(scan.intensity[i]);
         }
         const ProjectedRangeImage binned = project_points(grid, points, intensity);

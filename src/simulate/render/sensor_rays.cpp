@@ -55,7 +55,7 @@ std::vector<glm::vec2> make_device_intensity_response(const IntensityResponse& r
     return result;
 }
 
-std::uint32_t get_drop_channel_index(const std::string& channel_name) {
+std::uint32_t get_drop_network_channel_number(const std::string& channel_name) {
     constexpr std::pair<const char*, std::uint32_t> kOfRays[] = {
         {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY},
         {"drop_logit", RELIDAR_DROP_LOGIT},    {"weight", RELIDAR_DROP_WEIGHT},
@@ -73,20 +73,21 @@ std::uint32_t get_drop_channel_index(const std::string& channel_name) {
 
 }  // namespace
 
-std::vector<std::uint32_t> list_drop_channel_indices(const std::vector<std::string>& channel_names) {
+std::vector<std::uint32_t> list_drop_network_channel_numbers(const std::vector<std::string>& channel_names) {
     std::vector<std::uint32_t> result;
-    for (const std::string& name : channel_names) result.push_back(get_drop_channel_index(name));
+    for (const std::string& name : channel_names) result.push_back(get_drop_network_channel_number(name));
     return result;
 }
 
-std::vector<shared::SensorPose> list_poses_through_sweep(const PoseTrack& world_from_sensor,
-                                                         double sweep_time_s, double first_offset_s,
-                                                         double last_offset_s) {
+std::vector<shared::SensorPose> list_poses_between_time_offsets(const PoseTrack& world_from_sensor,
+                                                                double sweep_time_s, double first_offset_s,
+                                                                double last_offset_s) {
     const std::vector<Pose>& pose = world_from_sensor.pose;
-    const std::size_t first = world_from_sensor.find_pose_segment(sweep_time_s + first_offset_s).left,
-                      last =
-                          std::min(world_from_sensor.find_pose_segment(sweep_time_s + last_offset_s).left + 1,
-                                   pose.size() - 1);
+    const std::size_t
+        first = world_from_sensor.find_poses_before_and_after_time(sweep_time_s + first_offset_s).left,
+        last = std::min(
+            world_from_sensor.find_poses_before_and_after_time(sweep_time_s + last_offset_s).left + 1,
+            pose.size() - 1);
     std::vector<shared::SensorPose> poses;
     for (std::size_t k = first; k <= last; ++k) {
         const glm::mat3 axes(glm::mat3_cast(pose[k].rotation));
@@ -156,7 +157,8 @@ void DeviceSensorRays::upload_ray_table(const RayTable& rays, const std::string&
 
 std::vector<shared::SensorPose> DeviceSensorRays::list_poses_during_sweep(const PoseTrack& world_from_sensor,
                                                                           double sweep_time_s) const {
-    return list_poses_through_sweep(world_from_sensor, sweep_time_s, double(first_s_), double(last_s_));
+    return list_poses_between_time_offsets(world_from_sensor, sweep_time_s, double(first_s_),
+                                           double(last_s_));
 }
 
 void DeviceSensorRays::record_transform_to_world(Stream& stream, const PoseTrack& world_from_sensor,
@@ -164,7 +166,7 @@ void DeviceSensorRays::record_transform_to_world(Stream& stream, const PoseTrack
     const auto poses = this->list_poses_during_sweep(world_from_sensor, sweep_time_s);
     run(stream, fire_, table_.size(),
         {.rays = rays_.address(),
-         .poses = stream.impl().store_host_values(poses),
+         .poses = stream.impl().stage_host_values_for_kernels(poses),
          .fired = fired_.address(),
          .n_rays = std::uint32_t(table_.size()),
          .n_poses = std::uint32_t(poses.size())});
@@ -187,8 +189,8 @@ void DeviceSensorRays::record_measurement(Stream& stream, const RenderedBatch& r
          .fired = fired_.address(),
          .rendered = rendered_batch.rendered->address(),
          .surfaces = surfaces.address(),
-         .beams = stream.impl().store_host_values(beams),
-         .response = stream.impl().store_host_values(response),
+         .beams = stream.impl().stage_host_values_for_kernels(beams),
+         .response = stream.impl().stage_host_values_for_kernels(response),
          .measured = measured_.address(),
          .n_rays = std::uint32_t(table_.size()),
          .n_surfaces = std::uint32_t(surfaces.size()),
@@ -203,7 +205,7 @@ void DeviceSensorRays::record_measurement(Stream& stream, const RenderedBatch& r
 
 void DeviceSensorRays::record_drop_network(Stream& stream, RayDropInference& network,
                                            const glm::vec3& relative_sensor_position_m) {
-    const std::vector<std::uint32_t> channels = list_drop_channel_indices(network.network().inputs);
+    const std::vector<std::uint32_t> channels = list_drop_network_channel_numbers(network.network().inputs);
     if (channels.size() * table_.size() > samples_.size()) {
         stream.submit_and_wait();
         samples_ = Array<float, shared::DropSamples>(device_, channels.size() * table_.size(),
@@ -212,7 +214,8 @@ void DeviceSensorRays::record_drop_network(Stream& stream, RayDropInference& net
     run(stream, drop_channels_, table_.size(),
         {.rays = rays_.address(),
          .measured = measured_.address(),
-         .channels = stream.impl().store_host_values(channels).cast_meaning<shared::DropChannels>(),
+         .channels =
+             stream.impl().stage_host_values_for_kernels(channels).cast_meaning<shared::DropChannels>(),
          .samples = samples_.address(),
          .origin = relative_sensor_position_m,
          .n_channels = std::uint32_t(channels.size()),

@@ -79,7 +79,7 @@ public:
     /// Returns the device address of the drop probabilities from the last
     /// record_drop_network().
     Address<float, shared::DropProbabilities> get_drop_probability_address() const {
-        return get_address(refined_);
+        return get_device_address_or_null(refined_);
     }
     /// Returns poses of the sensor during a sweep. To get the pose at the firing time of
     /// a ray, interpolate between them.
@@ -107,16 +107,16 @@ private:
 
 /// Returns the channel numbers (RELIDAR_DROP_*) of the inputs of a ray-drop network.
 /// @throws DataError for an unknown input
-std::vector<std::uint32_t> list_drop_channel_indices(const std::vector<std::string>& channel_names);
+std::vector<std::uint32_t> list_drop_network_channel_numbers(const std::vector<std::string>& channel_names);
 
 /// Returns the poses of a sensor during a sweep in the format of the kernels. The first
 /// pose is the last pose before the first ray. The last pose is the first pose after the
 /// last ray.
 /// @param first_offset_s time offset of the first ray
 /// @param last_offset_s time offset of the last ray
-std::vector<shared::SensorPose> list_poses_through_sweep(const PoseTrack& world_from_sensor,
-                                                         double sweep_time_s, double first_offset_s,
-                                                         double last_offset_s);
+std::vector<shared::SensorPose> list_poses_between_time_offsets(const PoseTrack& world_from_sensor,
+                                                                double sweep_time_s, double first_offset_s,
+                                                                double last_offset_s);
 /// Transforms the poses of a track from the world frame to another frame.
 PoseTrack convert_track_to_frame(PoseTrack track, const Pose& world_from_frame);
 

@@ -17,7 +17,7 @@ constexpr double kFarthest = 1e10;  // limit for coordinates in metres and for t
 /// Checks the track of a sensor or an actor.
 /// @param object_name name of the object in the error message
 /// @throws DataError if poses or times are invalid
-void check_track(const PoseTrack& track, const std::string& object_name) {
+void require_valid_track_poses_and_times(const PoseTrack& track, const std::string& object_name) {
     const auto fail = [&](const std::string& found, const char* expected) {
         throw DataError(fmt::format("cannot render a scan: poses of {}: found {}, expected {}", object_name,
                                     found, expected));
@@ -40,7 +40,7 @@ void check_track(const PoseTrack& track, const std::string& object_name) {
     }
 }
 
-LidarSequence copy_without_scans(const LidarSequence& sequence) {
+LidarSequence copy_lidars_and_boxes_of_log(const LidarSequence& sequence) {
     LidarSequence result;
     result.lidars = sequence.lidars;
     result.boxes = sequence.boxes;
@@ -49,15 +49,15 @@ LidarSequence copy_without_scans(const LidarSequence& sequence) {
     return result;
 }
 
-std::vector<LidarFrame> list_frames_with_azimuth_shifts(const LidarSequence& sequence) {
+std::vector<LidarFrame> copy_frames_that_have_azimuth_shifts(const LidarSequence& sequence) {
     std::vector<LidarFrame> frames;
     for (const LidarFrame& frame : sequence.frames)
         if (!frame.azimuth_shift_rad.empty()) frames.push_back(copy_frame_without_scan(frame));
     return frames;
 }
 
-std::optional<RayTable> make_rays_if_changed(const SimulatedSensor& sensor, double time_s,
-                                             bool rolling_shutter) {
+std::optional<RayTable> make_sweep_rays_if_different(const SimulatedSensor& sensor, double time_s,
+                                                     bool rolling_shutter) {
     const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
     if (rolling_shutter && !makes_rays) return {};
     RayTable rays = makes_rays ? make_rays(*sensor.pattern, time_s) : sensor.rays;
@@ -71,9 +71,9 @@ SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& 
                                              const LidarSequence& sequence)
     : config_(config),
       layout_(copy_scene_without_surfels(scene)),
-      log_(copy_without_scans(sequence)),
+      log_(copy_lidars_and_boxes_of_log(sequence)),
       log_world_from_vehicle_(sequence.world_from_vehicle),
-      shifted_(list_frames_with_azimuth_shifts(sequence)),
+      shifted_(copy_frames_that_have_azimuth_shifts(sequence)),
       shown_(scene.instances.size(), true) {}
 
 void SimulatedSweepBuilder::set_visible_instances(const std::vector<bool>& shown) {
@@ -86,11 +86,11 @@ void SimulatedSweepBuilder::set_visible_instances(const std::vector<bool>& shown
 
 SimulatedSensor SimulatedSweepBuilder::align_azimuths_with_log(const SimulatedSensor& sensor,
                                                                double time_s) const {
-    return align_sensor_with_sweep(sensor, shifted_, log_.lidars, time_s);
+    return copy_sensor_with_azimuths_of_sweep(sensor, shifted_, log_.lidars, time_s);
 }
 
-PoseTrack SimulatedSweepBuilder::convert_to_dataset_frame(const PoseTrack& world_from_object) const {
-    return shift_track(world_from_object, log_.world_offset_m);
+PoseTrack SimulatedSweepBuilder::convert_track_to_dataset_frame(const PoseTrack& world_from_object) const {
+    return add_offset_to_track_positions(world_from_object, log_.world_offset_m);
 }
 
 /// Makes a sweep for a sensor that follows a given track. Moves the vehicle of the log
@@ -102,12 +102,12 @@ SimulatedSweep SimulatedSweepBuilder::make_sweep_along_track(const SimulatedSens
     Lidar& lidar = log_.lidars[std::size_t(sensor.lidar)];
     log_.world_from_vehicle =
         compute_mounted_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
-    log_.rolling_shutter = has_rolling_shutter(sensor, config_);
+    log_.rolling_shutter = fires_rays_at_different_times(sensor, config_);
     lidar.pattern = sensor.pattern;
     // The pattern of the sensor determines the azimuth at which the sweep starts. If the
     // sensor has no pattern, the LiDAR that it replaces determines this azimuth.
     const SweepTiming now{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
-    SimulatedSweep sweep{sensor, time_s, make_rays_if_changed(sensor, time_s, log_.rolling_shutter),
+    SimulatedSweep sweep{sensor, time_s, make_sweep_rays_if_different(sensor, time_s, log_.rolling_shutter),
                          log_.get_world_from_sensor(sensor.lidar)};
     sweep.pose = sweep.world_from_sensor.interpolate_pose(time_s);
     if (!log_.rolling_shutter) sweep.world_from_sensor = {{time_s}, {sweep.pose}};
@@ -133,8 +133,8 @@ SimulatedSweep SimulatedSweepBuilder::make_sweep_on_recorded_path(const Simulate
 SimulatedSweep SimulatedSweepBuilder::make_sweep_of_request(const SimulatedSensor& sensor,
                                                             const ScanRequest& request) {
     const auto in_world = [&](const PoseTrack& dataset_from_thing, const std::string& thing) {
-        check_track(dataset_from_thing, thing);
-        return shift_track(dataset_from_thing, -log_.world_offset_m);
+        require_valid_track_poses_and_times(dataset_from_thing, thing);
+        return add_offset_to_track_positions(dataset_from_thing, -log_.world_offset_m);
     };
     if (!(std::abs(request.time_s) <= kFarthest)) {
         throw DataError(

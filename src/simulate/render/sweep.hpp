@@ -35,7 +35,7 @@ public:
     /// @throws UsageError if the number of instances is wrong
     void set_visible_instances(const std::vector<bool>& shown);
     /// Returns the sensor with the head azimuths that the LiDAR of the log measured in
-    /// the sweep at `time_s` (align_sensor_with_sweep()).
+    /// the sweep at `time_s` (copy_sensor_with_azimuths_of_sweep()).
     SimulatedSensor align_azimuths_with_log(const SimulatedSensor& sensor, double time_s) const;
     /// Returns the sweep of a sensor on the vehicle of the log. The vehicle drives along
     /// its recorded path.
@@ -59,7 +59,7 @@ public:
     RangeLimits get_range_limits(const SimulatedSensor& sensor) const;
     /// Converts a track from the world frame of the scene to the world frame of the
     /// dataset.
-    PoseTrack convert_to_dataset_frame(const PoseTrack& world_from_object) const;
+    PoseTrack convert_track_to_dataset_frame(const PoseTrack& world_from_object) const;
 
 private:
     const Config& config_;

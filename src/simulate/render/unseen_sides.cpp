@@ -83,9 +83,10 @@ std::vector<PartlyObservedActor> find_boxes_with_unobserved_sides(const Rendered
     for (std::size_t i = 0; i < scene.instances.size(); ++i) {
         const ModelInstance& instance = scene.instances[i];
         const std::optional<ObservedBoxSurface>& surface = scene.models[instance.model].surface;
-        const BoxTrack* box = instance.track.empty() ? nullptr : find_box(sequence, instance.track);
-        if (!box || !box->is_present(scan.time_s) || !surface) continue;
-        const ObservedSideFractions side_coverage = surface->compute_covered_fractions();
+        const BoxTrack* box =
+            instance.track.empty() ? nullptr : find_box_track_by_id(sequence, instance.track);
+        if (!box || !box->is_observed_at_time(scan.time_s) || !surface) continue;
+        const ObservedSideFractions side_coverage = surface->compute_covered_fraction_of_each_side();
         if (format_unobserved_sides(side_coverage).empty() && !surface->is_completed) continue;
         const glm::dvec3 begin_m =
                              box->world_from_box.interpolate_pose(scan.time_s + double(first_s)).translation,

@@ -179,7 +179,7 @@ std::string make_timestamp_message(std::uint64_t time_ns) {
     return bytes;
 }
 
-std::string make_number_message(std::initializer_list<double> values) {
+std::string encode_doubles_as_fields_1_to_n(std::initializer_list<double> values) {
     std::string bytes;
     pbf_writer writer(bytes);
     protozero::pbf_tag_type number = 0;
@@ -188,10 +188,10 @@ std::string make_number_message(std::initializer_list<double> values) {
 }
 
 std::string make_vector_message(const glm::dvec3& vector) {
-    return make_number_message({vector.x, vector.y, vector.z});
+    return encode_doubles_as_fields_1_to_n({vector.x, vector.y, vector.z});
 }
 std::string make_quaternion_message(const glm::dquat& quaternion) {
-    return make_number_message({quaternion.x, quaternion.y, quaternion.z, quaternion.w});
+    return encode_doubles_as_fields_1_to_n({quaternion.x, quaternion.y, quaternion.z, quaternion.w});
 }
 
 std::string make_pose_message(const Pose& pose) {
@@ -282,7 +282,7 @@ std::string make_box_message(const RecordedActor& actor) {
     writer.add_message(1, make_pose_message(actor.faced.world_from_box));
     writer.add_message(2, make_vector_message(actor.size_m));
     // orange, and translucent so that the points inside the box stay visible
-    writer.add_message(3, make_number_message({1.0, 0.6, 0.1, 0.3}));
+    writer.add_message(3, encode_doubles_as_fields_1_to_n({1.0, 0.6, 0.1, 0.3}));
     return bytes;
 }
 
@@ -334,7 +334,7 @@ std::string make_actor_boxes_message(std::uint64_t stamp_ns, const std::vector<R
     return bytes;
 }
 
-std::string make_file_descriptor_set() {
+std::string encode_foxglove_file_descriptor_set() {
     constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
     std::string bytes;
     pbf_writer writer(bytes);
@@ -375,7 +375,8 @@ std::vector<RecordedMessage> make_scene_update_messages(const RecordedSweep& mom
 }  // namespace
 
 std::vector<RecordedTopic> list_foxglove_topics(const RecordedRig& rig) {
-    const std::string definition = make_file_descriptor_set(), transforms = "foxglove.FrameTransforms";
+    const std::string definition = encode_foxglove_file_descriptor_set(),
+                      transforms = "foxglove.FrameTransforms";
     std::vector<RecordedTopic> topics{
         {"/tf_static",
          transforms,

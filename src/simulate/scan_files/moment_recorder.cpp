@@ -61,7 +61,8 @@ std::uint64_t SweepRecorder::make_time_stamp_ns(double time_s) const {
     return convert_to_nanoseconds(time_s + *shift_s_);
 }
 
-void SweepRecorder::check_scan_times(const RenderedScan& scan, const SweepInterval& combined_sweep) {
+void SweepRecorder::require_recordable_scan_times(const RenderedScan& scan,
+                                                  const SweepInterval& combined_sweep) {
     const bool falls = shift_s_ && scan.time_s < last_scan_s_;
     if (!shift_s_) shift_s_ = combined_sweep.first_s < 0.0 ? std::ceil(-combined_sweep.first_s) : 0.0;
     if (falls ||
@@ -73,7 +74,7 @@ void SweepRecorder::check_scan_times(const RenderedScan& scan, const SweepInterv
     last_scan_s_ = scan.time_s;
 }
 
-RecordedSweep SweepRecorder::convert_scans_to_moment(std::span<const RenderedScan> scans) {
+RecordedSweep SweepRecorder::convert_scans_to_recorded_sweep(std::span<const RenderedScan> scans) {
     if (scans.size() != sensors_.size())
         throw UsageError(
             fmt::format("cannot write a recording: found {} scans, expected {}, one for each sensor",
@@ -88,7 +89,7 @@ RecordedSweep SweepRecorder::convert_scans_to_moment(std::span<const RenderedSca
     SweepInterval all = sweeps.front();
     for (const SweepInterval& sweep : sweeps)
         all = {std::min(all.first_s, sweep.first_s), std::max(all.last_s, sweep.last_s)};
-    check_scan_times(scans[0], all);
+    require_recordable_scan_times(scans[0], all);
     RecordedSweep moment{make_time_stamp_ns(all.first_s), make_time_stamp_ns(all.last_s), {}, {}, {}};
     std::vector<double> times_s;
     append_pose_sample_times(times_s, scans[0].track, all.first_s, all.last_s);
@@ -110,7 +111,7 @@ std::vector<RecordedPose> SweepRecorder::compute_vehicle_poses(const RenderedSca
     std::ranges::sort(times_s);
     const Pose sensor_from_vehicle = inverse(make_recorded_rig().sensors.front().vehicle_from_sensor);
     const auto world_from_vehicle = [&](double t_s) {
-        return find_sensor_pose(scan, t_s) * sensor_from_vehicle;
+        return interpolate_sensor_pose_in_scan(scan, t_s) * sensor_from_vehicle;
     };
     std::vector<RecordedPose> poses;
     for (const double t_s : times_s) {
@@ -127,7 +128,8 @@ std::vector<RecordedPose> SweepRecorder::compute_vehicle_poses(const RenderedSca
 LidarPoints SweepRecorder::make_point_cloud(const RenderedScan& scan, const ScanOutputOptions& format,
                                             const SweepInterval& sweep) const {
     LidarPoints points = convert_scan_to_points(
-        scan, format.config, compute_output_frame_pose(format, find_sensor_pose(scan, sweep.first_s)));
+        scan, format.config,
+        compute_output_frame_pose(format, interpolate_sensor_pose_in_scan(scan, sweep.first_s)));
     for (float& time_s : points.time_offset_s)
         time_s = static_cast<float>(double(time_s) - (sweep.first_s - scan.time_s));
     points.time_s = sweep.first_s + *shift_s_;

@@ -22,7 +22,7 @@ public:
     /// Converts the scans of one moment.
     /// @param scans one scan per sensor, all with the same time
     /// @throws DataError if times decrease, or if the file format cannot represent them
-    RecordedSweep convert_scans_to_moment(std::span<const RenderedScan> scans);
+    RecordedSweep convert_scans_to_recorded_sweep(std::span<const RenderedScan> scans);
     /// Returns the number of whole seconds that are added to all times of the log. The
     /// first scan determines this number. It is needed because times in files cannot be
     /// negative.
@@ -38,7 +38,7 @@ private:
     std::optional<std::uint64_t> last_pose_ns_;
 
     std::uint64_t make_time_stamp_ns(double time_s) const;
-    void check_scan_times(const RenderedScan& scan, const SweepInterval& combined_sweep);
+    void require_recordable_scan_times(const RenderedScan& scan, const SweepInterval& combined_sweep);
     std::vector<RecordedPose> compute_vehicle_poses(const RenderedScan& scan, std::vector<double> times_s);
     LidarPoints make_point_cloud(const RenderedScan& scan, const ScanOutputOptions& format,
                                  const SweepInterval& sweep) const;

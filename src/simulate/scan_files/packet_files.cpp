@@ -20,7 +20,7 @@ PacketFileWriter::PacketFileWriter(fs::path folder, const std::vector<ScanOutput
     for (std::size_t s = 0; s < sensors.size(); ++s) {
         std::string name = kPacketsStem;
         if (sensors.size() > 1) name += "_" + make_valid_topic_name(sensors[s].frame_id);
-        const fs::path path = folder / (name + ".pcap"), temporary = make_temporary_path(path);
+        const fs::path path = folder / (name + ".pcap"), temporary = make_unique_temporary_path(path);
         files_.push_back(
             {path, temporary, PcapWriter(temporary, packets_.get_packet_encoder(s).get_udp_port() + int(s))});
     }
@@ -52,7 +52,7 @@ void PacketFileWriter::finish() {
     }
 }
 
-std::vector<std::string> PacketFileWriter::names() const {
+std::vector<std::string> PacketFileWriter::list_packet_file_names() const {
     std::vector<std::string> names;
     for (const OpenPacketFile& file : files_) names.push_back(file.path.filename().string());
     return names;

@@ -28,7 +28,7 @@ public:
 
     void write_scans_as_packets(std::span<const RenderedScan> scans);
     void finish();
-    std::vector<std::string> names() const;
+    std::vector<std::string> list_packet_file_names() const;
     /// Returns true if this class may have written a file with this name.
     static bool is_packet_file_name(const std::filesystem::path& file_name);
 

@@ -39,13 +39,13 @@ ScanInOutputFrame transform_scan_to_output_frame(const RenderedScan& scan, const
     return placed;
 }
 
-LidarPoints make_output_points(const ScanInOutputFrame& placed_scan) {
-    return convert_scan_to_points(placed_scan.scan, placed_scan.format.config,
-                                  placed_scan.dataset_from_points);
+LidarPoints make_points_of_returns(const ScanInOutputFrame& output_scan) {
+    return convert_scan_to_points(output_scan.scan, output_scan.format.config,
+                                  output_scan.dataset_from_points);
 }
 
-std::size_t count_points(const RenderedScan& scan, const Config& config) {
-    const std::vector<float>& range_m = select_point_ranges(scan, config);
+std::size_t count_rays_with_returns(const RenderedScan& scan, const Config& point_range_config) {
+    const std::vector<float>& range_m = select_point_ranges(scan, point_range_config);
     std::size_t n = 0;
     for (std::size_t i = 0; i < range_m.size(); ++i)
         n += is_ray_returned(scan.image.drop_prob[i], range_m[i]);

@@ -61,7 +61,7 @@ void for_each_file_channel(const ScanInOutputFrame& placed_scan, Visit&& visit) 
 /// Transforms the rays of a scan to the coordinate frame that the output format selects.
 /// @param world_from_deskewed pose of the frame of motion-compensated points
 /// @param file_notes metadata of the files
-/// @throws DataError if check_channel_names_and_sizes() finds an invalid channel
+/// @throws DataError if require_valid_channel_names_and_sizes() finds an invalid channel
 ScanInOutputFrame transform_scan_to_output_frame(const RenderedScan& scan, const ScanOutputOptions& format,
                                                  const Pose& world_from_deskewed, int frame_number,
                                                  FileMetadata file_notes = {});
@@ -72,8 +72,8 @@ ScanInOutputFrame transform_scan_to_output_frame(const RenderedScan& scan, const
 std::optional<Pose> compute_output_frame_pose(const ScanOutputOptions& format,
                                               const Pose& world_from_deskewed);
 /// Returns one point for each return of the scan.
-LidarPoints make_output_points(const ScanInOutputFrame& placed_scan);
+LidarPoints make_points_of_returns(const ScanInOutputFrame& output_scan);
 /// Returns the number of rays that have a return.
-std::size_t count_points(const RenderedScan& scan, const Config& config);
+std::size_t count_rays_with_returns(const RenderedScan& scan, const Config& point_range_config);
 
 }  // namespace relidar::scan_files

@@ -50,7 +50,7 @@ std::string get_ply_field_name(const std::string& field_name) {
 
 /// Checks that each array has one value per point. Optional arrays may be empty.
 /// @throws DataError if an array has another length
-void check_point_array_lengths(const LidarPoints& points) {
+void require_equal_point_array_lengths(const LidarPoints& points) {
     const auto check = [&](const char* name, std::size_t found, bool may_be_unknown = true) {
         if (found != points.size() && !(may_be_unknown && found == 0))
             throw DataError(fmt::format("cannot write a point cloud: found {} values of {}, expected {}",
@@ -61,7 +61,7 @@ void check_point_array_lengths(const LidarPoints& points) {
     check("time", points.time_offset_s.size());
     check("instance", points.instance.size());
     check("return", points.return_number.size());
-    check_channel_names_and_sizes(points.channels, points.size(), "a point cloud");
+    require_valid_channel_names_and_sizes(points.channels, points.size(), "a point cloud");
 }
 
 /// Packs the fields of each point into bytes, in the order of list_point_file_fields().
@@ -81,7 +81,7 @@ std::string pack_point_records(const LidarPoints& points) {
 }
 
 /// Formats a pose as "tx ty tz qw qx qy qz".
-std::string format_viewpoint(const Pose& pose) {
+std::string format_pose_as_pcd_viewpoint(const Pose& pose) {
     const glm::dvec3& t = pose.translation;
     const glm::dquat& q = pose.rotation;
     std::vector<std::string> numbers;
@@ -92,7 +92,7 @@ std::string format_viewpoint(const Pose& pose) {
 }  // namespace
 
 void write_ply(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes) {
-    check_point_array_lengths(points);
+    require_equal_point_array_lengths(points);
     std::string text = "ply\nformat binary_little_endian 1.0\n";
     for (const auto& note : notes)
         text += fmt::format("comment {}\n", report_detail::format_metadata_line(note));
@@ -103,7 +103,7 @@ void write_ply(const std::filesystem::path& path, const LidarPoints& points, con
 }
 
 void write_pcd(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes) {
-    check_point_array_lengths(points);
+    require_equal_point_array_lengths(points);
     std::string header = "# .PCD v0.7 - Point Cloud Data file format\n", names, sizes, types, counts;
     for (const auto& note : notes) header += fmt::format("# {}\n", report_detail::format_metadata_line(note));
     for (const PointFileField& field : list_point_file_fields(points)) {
@@ -115,12 +115,12 @@ void write_pcd(const std::filesystem::path& path, const LidarPoints& points, con
     const std::size_t n = points.size();
     header += fmt::format("VERSION 0.7\nFIELDS{}\nSIZE{}\nTYPE{}\nCOUNT{}\n", names, sizes, types, counts);
     header += fmt::format("WIDTH {}\nHEIGHT 1\nVIEWPOINT {}\nPOINTS {}\nDATA binary\n", n,
-                          format_viewpoint(points.world_from_points), n);
+                          format_pose_as_pcd_viewpoint(points.world_from_points), n);
     report_detail::write_file(path, header + pack_point_records(points));
 }
 
 void write_kitti_bin(const std::filesystem::path& path, const LidarPoints& points) {
-    check_point_array_lengths(points);
+    require_equal_point_array_lengths(points);
     report_detail::write_file(path, pack_point_records({points.position_m, points.intensity}));
 }
 

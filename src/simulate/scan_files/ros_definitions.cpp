@@ -12,7 +12,7 @@ namespace {
 
 constexpr const char* kXyz = "float64 x\nfloat64 y\nfloat64 z\n";
 
-const std::map<std::string, std::string>& get_definition_by_type() {
+const std::map<std::string, std::string>& get_ros_message_definitions() {
     static const std::map<std::string, std::string> types = {
         {"builtin_interfaces/Time", "int32 sec\nuint32 nanosec\n"},
         {"std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id\n"},
@@ -92,7 +92,7 @@ std::string make_ros_message_definition(const std::string& message_type) {
                                                   message_type.substr(middle + kMessages.size() - 1)};
     std::string definition;
     for (std::size_t i = 0; i < types.size(); ++i) {
-        const std::string& fields = get_definition_by_type().at(types[i]);
+        const std::string& fields = get_ros_message_definitions().at(types[i]);
         if (i > 0) definition += std::string(80, '=') + "\nMSG: " + types[i] + "\n";
         definition += fields;
         for (const std::string& used : list_message_types_of_fields(fields))

@@ -31,7 +31,7 @@ void add_stamped_transform(CdrWriter& cdr, std::uint64_t stamp_ns, const std::st
     add_pose(cdr, parent_from_child);
 }
 
-std::string make_transform_message(const RecordedPose& pose) {
+std::string make_vehicle_transform_message(const RecordedPose& pose) {
     CdrWriter cdr;
     cdr.append_aligned_number(std::uint32_t(1));
     add_stamped_transform(cdr, pose.time_ns, kWorldFrame, kVehicleFrame, pose.world_from_vehicle);
@@ -53,8 +53,8 @@ std::string make_clock_message(const RecordedPose& pose) {
     return cdr.take_encoded_message();
 }
 
-RecordedTopic make_pose_topic(const char* name, const char* message_type,
-                              std::string (*make_message)(const RecordedPose&)) {
+RecordedTopic make_topic_with_message_per_pose(const char* name, const char* message_type,
+                                               std::string (*make_message)(const RecordedPose&)) {
     return make_ros_topic(name, message_type, [make_message](const RecordedSweep& moment) {
         std::vector<RecordedMessage> messages;
         for (const RecordedPose& pose : moment.poses) messages.push_back({pose.time_ns, make_message(pose)});
@@ -90,10 +90,10 @@ RecordedTopic make_ros_topic(const std::string& name, const std::string& message
 
 std::vector<RecordedTopic> list_ros_topics(const RecordedRig& rig) {
     std::vector<RecordedTopic> topics{
-        make_pose_topic("/clock", "rosgraph_msgs/msg/Clock", make_clock_message),
+        make_topic_with_message_per_pose("/clock", "rosgraph_msgs/msg/Clock", make_clock_message),
         make_static_transform_topic(rig),
-        make_pose_topic("/tf", "tf2_msgs/msg/TFMessage", make_transform_message),
-        make_pose_topic("/odom", "nav_msgs/msg/Odometry", make_odometry_message)};
+        make_topic_with_message_per_pose("/tf", "tf2_msgs/msg/TFMessage", make_vehicle_transform_message),
+        make_topic_with_message_per_pose("/odom", "nav_msgs/msg/Odometry", make_odometry_message)};
     for (RecordedTopic& topic : list_ros_actor_topics()) topics.push_back(std::move(topic));
     for (std::size_t sensor = 0; sensor < rig.sensors.size(); ++sensor)
         for (RecordedTopic& topic : list_ros_cloud_topics(rig, sensor)) topics.push_back(std::move(topic));

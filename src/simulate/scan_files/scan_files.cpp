@@ -24,7 +24,7 @@ namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-using scan_files::make_output_points;
+using scan_files::make_points_of_returns;
 using scan_files::ScanInOutputFrame;
 using scan_files::transform_scan_to_output_frame;
 
@@ -40,12 +40,12 @@ std::vector<double> get_row_major_matrix(const Pose& pose) {
 
 std::string describe_point_frame(const ScanOutputOptions& format) {
     if (format.frame == PointCoordinateFrame::world) return "world: the dataset's own";
-    return has_deskewed_points(format) ? "sensor at time_s: x forward, y left, z up"
-                                       : "sensor at each ray's firing time: x forward, y left, z up";
+    return are_points_in_one_frame(format) ? "sensor at time_s: x forward, y left, z up"
+                                           : "sensor at each ray's firing time: x forward, y left, z up";
 }
 
-FileMetadata make_scan_file_notes(const ScanOutputOptions& format, int frame_number,
-                                  const RenderedScan& scan) {
+FileMetadata make_scan_file_metadata(const ScanOutputOptions& format, int frame_number,
+                                     const RenderedScan& scan) {
     return {{"relidar", RELIDAR_VERSION},
             {"run", format.run},
             {"sensor", format.sensor},
@@ -72,32 +72,33 @@ NamedArray make_image_array(const std::string& name, const RangeImage& image,
                       first, values.size() * 3);
 }
 
-std::vector<NamedArray> make_npz_arrays(const ScanInOutputFrame& placed_scan) {
-    const RenderedScan& scan = placed_scan.scan;
+std::vector<NamedArray> make_npz_arrays(const ScanInOutputFrame& output_scan) {
+    const RenderedScan& scan = output_scan.scan;
     const RangeImage& image = scan.image;
     const std::vector<double> pose = get_row_major_matrix(scan.world_from_sensor);
-    const bool world = placed_scan.format.frame == PointCoordinateFrame::world;
-    const std::int32_t number = placed_scan.frame, deskewed = has_deskewed_points(placed_scan.format) ? 1 : 0;
-    std::vector<NamedArray> arrays{make_text_array("instance_names", placed_scan.format.instance_names),
-                                   make_image_array("directions", image, placed_scan.direction),
-                                   make_image_array("origin", image, placed_scan.origin),
-                                   make_image_array("points", image, placed_scan.end_m),
+    const bool world = output_scan.format.frame == PointCoordinateFrame::world;
+    const std::int32_t number = output_scan.frame,
+                       deskewed = are_points_in_one_frame(output_scan.format) ? 1 : 0;
+    std::vector<NamedArray> arrays{make_text_array("instance_names", output_scan.format.instance_names),
+                                   make_image_array("directions", image, output_scan.direction),
+                                   make_image_array("origin", image, output_scan.origin),
+                                   make_image_array("points", image, output_scan.end_m),
                                    make_array("pose", {4, 4}, pose.data(), pose.size()),
                                    make_array("time_s", {}, &scan.time_s, 1),
                                    make_array("frame_number", {}, &number, 1),
                                    make_single_text_array("frame", world ? "world" : "sensor"),
                                    make_array("deskewed", {}, &deskewed, 1),
-                                   make_single_text_array("sensor", placed_scan.format.sensor),
-                                   make_single_text_array("run", placed_scan.format.run),
+                                   make_single_text_array("sensor", output_scan.format.sensor),
+                                   make_single_text_array("run", output_scan.format.run),
                                    make_single_text_array("units", kUnits)};
-    for_each_file_channel(placed_scan, [&](const ChannelInfo& channel, const auto& values) {
+    for_each_file_channel(output_scan, [&](const ChannelInfo& channel, const auto& values) {
         arrays.push_back(make_image_array(channel.name, image, values));
     });
     if (scan.unseen_share) arrays.push_back(make_array("unseen", {}, &*scan.unseen_share, 1));
     return arrays;
 }
 
-void write_exr_file(const fs::path& path, const ScanInOutputFrame& placed) {
+void write_exr_file(const fs::path& path, const ScanInOutputFrame& output_scan) {
     std::map<std::string, std::vector<float>> channels;
     const auto add = [&]<class T>(const std::string& name, const std::vector<T>& values) {
         if constexpr (std::is_same_v<T, glm::vec3>) {
@@ -108,27 +109,27 @@ void write_exr_file(const fs::path& path, const ScanInOutputFrame& placed) {
             channels[name].assign(values.begin(), values.end());
         }
     };
-    add("origin", placed.origin), add("direction", placed.direction);
-    for_each_file_channel(placed,
+    add("origin", output_scan.origin), add("direction", output_scan.direction);
+    for_each_file_channel(output_scan,
                           [&](const ChannelInfo& channel, const auto& values) { add(channel.name, values); });
-    const RangeImage& image = placed.scan.image;
-    write_exr(path, image.rows, image.columns, channels, placed.notes);
+    const RangeImage& image = output_scan.scan.image;
+    write_exr(path, image.rows, image.columns, channels, output_scan.notes);
 }
 
-void write_npz_file(const fs::path& path, const ScanInOutputFrame& placed) {
-    write_npz(path, make_npz_arrays(placed));
+void write_npz_file(const fs::path& path, const ScanInOutputFrame& output_scan) {
+    write_npz(path, make_npz_arrays(output_scan));
 }
-void write_ply_file(const fs::path& path, const ScanInOutputFrame& placed) {
-    write_ply(path, make_output_points(placed), placed.notes);
+void write_ply_file(const fs::path& path, const ScanInOutputFrame& output_scan) {
+    write_ply(path, make_points_of_returns(output_scan), output_scan.notes);
 }
-void write_pcd_file(const fs::path& path, const ScanInOutputFrame& placed) {
-    write_pcd(path, make_output_points(placed), placed.notes);
+void write_pcd_file(const fs::path& path, const ScanInOutputFrame& output_scan) {
+    write_pcd(path, make_points_of_returns(output_scan), output_scan.notes);
 }
-void write_bin_file(const fs::path& path, const ScanInOutputFrame& placed) {
-    write_kitti_bin(path, make_output_points(placed));
+void write_bin_file(const fs::path& path, const ScanInOutputFrame& output_scan) {
+    write_kitti_bin(path, make_points_of_returns(output_scan));
 }
-void write_png_file(const fs::path& path, const ScanInOutputFrame& placed) {
-    write_png(path, draw_scan_picture(placed.scan), placed.notes);
+void write_png_file(const fs::path& path, const ScanInOutputFrame& output_scan) {
+    write_png(path, draw_scan_picture(output_scan.scan), output_scan.notes);
 }
 
 struct ScanFileFormat {
@@ -150,7 +151,7 @@ std::vector<std::string> list_scan_formats() {
     return names;
 }
 
-ScanOutputOptions make_scan_format(const TrainedRun& run, const SimulatedSensor& sensor) {
+ScanOutputOptions make_default_output_options(const TrainedRun& run, const SimulatedSensor& sensor) {
     ScanOutputOptions format;
     for (const ModelInstance& instance : run.scene.instances) {
         format.instance_names.push_back(instance.track.empty() ? "background" : instance.track);
@@ -162,8 +163,8 @@ ScanOutputOptions make_scan_format(const TrainedRun& run, const SimulatedSensor&
     format.world_offset_m = run.sequence.world_offset_m;
     const Lidar& lidar = run.sequence.lidars[std::size_t(sensor.lidar)];
     format.vehicle_from_lidar = lidar.vehicle_from_sensor;
-    format.rolling_shutter = has_rolling_shutter(sensor, run.config);
-    set_recording_topic(format, lidar.name);
+    format.rolling_shutter = fires_rays_at_different_times(sensor, run.config);
+    set_topic_and_frame_id_from_name(format, lidar.name);
     if (!run.folder.empty()) format.run = fs::absolute(run.folder).lexically_normal().string();
     format.sensor = sensor.name;
     format.limits = sensor.limits;
@@ -174,8 +175,9 @@ ScanOutputOptions make_scan_format(const TrainedRun& run, const SimulatedSensor&
     return format;
 }
 
-bool has_deskewed_points(const ScanOutputOptions& format) {
-    return format.frame == PointCoordinateFrame::world || format.deskew || !format.rolling_shutter;
+bool are_points_in_one_frame(const ScanOutputOptions& output_options) {
+    return output_options.frame == PointCoordinateFrame::world || output_options.deskew ||
+           !output_options.rolling_shutter;
 }
 
 std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame_number,
@@ -184,17 +186,17 @@ std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame_num
         transform_scan_to_output_frame(scan, format, scan.world_from_sensor, frame_number));
 }
 
-bool ScanFolderWriter::has_scan_format(const std::string& format) const {
+bool ScanFolderWriter::is_output_format_selected(const std::string& format) const {
     return std::find(format_.formats.begin(), format_.formats.end(), format) != format_.formats.end();
 }
 
 void ScanFolderWriter::write_scan(int frame_number, const RenderedScan& scan) {
     const ScanInOutputFrame placed =
         transform_scan_to_output_frame(scan, format_, scan.world_from_sensor, frame_number,
-                                       make_scan_file_notes(format_, frame_number, scan));
+                                       make_scan_file_metadata(format_, frame_number, scan));
     std::vector<std::string> files;
     for (const ScanFileFormat& format : kFormats) {
-        if (!has_scan_format(format.name)) continue;
+        if (!is_output_format_selected(format.name)) continue;
         files.push_back(fmt::format("frame_{:06}.{}", frame_number, format.name));
         format.write(folder_ / files.back(), placed);
     }

@@ -83,7 +83,7 @@ ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format, Jo
             throw UsageError(fmt::format(
                 "cannot write scans: the format \"{}\" is unknown{} (known formats: {})", name,
                 format_name_suggestion(name, supported_formats), fmt::join(supported_formats, ", ")));
-    check_writable(folder_);
+    create_folder_and_require_writable(folder_);
     channels_ = parse_channel_names(format_.config.render.channels);
 }
 
@@ -103,8 +103,8 @@ ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format)
     recordings_ = std::make_shared<ScanRecordingsWriter>(folder_, std::vector{format_});
 }
 
-void ScanFolderWriter::finish() {
-    if (recordings_) recordings_->finish();
+void ScanFolderWriter::finish_scan_folder() {
+    if (recordings_) recordings_->finish_recordings();
     write_summary_file();
 }
 
@@ -114,7 +114,7 @@ void ScanFolderWriter::write_summary_file() const {
     const std::string range = config.render.points == "median" ? "median" : config.render.range;
     const Json points = {
         {"frame", world ? "world" : "sensor"},
-        {"deskewed", has_deskewed_points(format_)},
+        {"deskewed", are_points_in_one_frame(format_)},
         {"range", range},
         {"returned", "drop_prob < 0.5"},
         {"returns", config.sensor.returns == 2 ? "1: the strongest return, 2: the last return, or the second "
@@ -169,7 +169,7 @@ Json make_actor_boxes_json(const std::vector<ActorBox>& boxes) {
 std::string scan_files::make_scan_entry_json(int frame_number, const RenderedScan& scan,
                                              const ScanOutputOptions& format,
                                              const std::vector<std::string>& file_names) {
-    const std::size_t n_points = count_points(scan, format.config);
+    const std::size_t n_points = count_rays_with_returns(scan, format.config);
     Json sides = Json::array(), completed = Json::array();
     for (const UnobservedActorSide& unseen : scan.unseen_sides)
         (unseen.is_completed ? completed : sides)

@@ -12,7 +12,7 @@
 
 namespace relidar {
 
-Scan convert_to_measured_scan(const RenderedScan& scan, const Config& config) {
+Scan convert_rendered_to_measured_scan(const RenderedScan& scan, const Config& config) {
     const RangeImage& image = scan.image;
     Scan measured;
     measured.rays.rows = image.rows;
@@ -80,7 +80,7 @@ std::vector<std::vector<SensorPacket>> ScanPacketEncoder::encode_scans_as_packet
     std::vector<std::vector<SensorPacket>> packets;
     for (std::size_t s = 0; s < scans.size(); ++s)
         packets.push_back(impl_->encoders[s]->encode_scan_as_packets(
-            convert_to_measured_scan(scans[s], impl_->sensors[s].config), scans[s].time_s));
+            convert_rendered_to_measured_scan(scans[s], impl_->sensors[s].config), scans[s].time_s));
     return packets;
 }
 

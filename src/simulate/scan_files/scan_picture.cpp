@@ -41,7 +41,7 @@ Image draw_intensity_picture(const RangeImage& image) {
     return apply_colour_map(image.intensity, image.rows, image.columns, 0.0f, 1.0f, "gray",
                             make_returned_pixel_mask(image));
 }
-Image draw_drop_picture(const RangeImage& image) {
+Image draw_ray_drop_picture(const RangeImage& image) {
     return apply_colour_map(image.drop_prob, image.rows, image.columns, 0.0f, 1.0f, "gray");
 }
 
@@ -55,7 +55,7 @@ Image draw_scan_picture(const RenderedScan& scan) {
     for (const float range : image.range_m) farthest = std::max(farthest, range);
     return stack_images_vertically(
         {draw_range_picture(image, static_cast<double>(std::min(farthest, kFarthest_m))),
-         draw_intensity_picture(image), draw_drop_picture(image)},
+         draw_intensity_picture(image), draw_ray_drop_picture(image)},
         compute_vertical_scale(image));
 }
 

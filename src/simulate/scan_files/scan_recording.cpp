@@ -17,7 +17,7 @@ namespace fs = std::filesystem;
 RecordingFileWriter::RecordingFileWriter(fs::path path, const RecordingFormat& format, const RecordedRig& rig,
                                          const FileMetadata& notes)
     : path_(std::move(path)),
-      temporary_(make_temporary_path(path_)),
+      temporary_(make_unique_temporary_path(path_)),
       notes_(notes),
       writer_(temporary_, format.profile),
       topics_(format.topics(rig)) {
@@ -37,7 +37,7 @@ RecordingFileWriter::~RecordingFileWriter() {
     fs::remove(temporary_, failed);
 }
 
-void RecordingFileWriter::write_moment_messages(const RecordedSweep& moment, double time_shift_s) {
+void RecordingFileWriter::write_sweep_messages(const RecordedSweep& moment, double time_shift_s) {
     if (!std::exchange(has_notes_, true)) {
         McapWriter::McapMetadataMap values(notes_.begin(), notes_.end());
         // offset in seconds between the times of the file and the times of the log
@@ -57,7 +57,7 @@ void RecordingFileWriter::write_moment_messages(const RecordedSweep& moment, dou
 }
 
 void RecordingFileWriter::finish() {
-    writer_.close();
+    writer_.write_summary_and_close();
     // Flushes the file to disk, and then renames it to its final name.
     write_file_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });
 }

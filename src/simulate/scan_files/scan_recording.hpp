@@ -28,7 +28,7 @@ public:
     /// Writes the messages of all scans with the same time.
     /// @param time_shift_s offset that converts times of the log to times of the file.
     /// All calls must use the same offset
-    void write_moment_messages(const RecordedSweep& moment, double time_shift_s);
+    void write_sweep_messages(const RecordedSweep& moment, double time_shift_s);
     void finish();
 
 private:

@@ -43,7 +43,7 @@ bool is_valid_topic_name(const std::string& topic) {
 
 /// Checks the topic names and frame ids of all sensors.
 /// @throws UsageError if a name is not valid in ROS, or if two sensors have the same name
-void check_topic_and_frame_names(const scan_files::RecordedRig& rig) {
+void require_valid_topic_and_frame_names(const scan_files::RecordedRig& rig) {
     std::set<std::string> used_frame_ids{scan_files::kWorldFrame, scan_files::kVehicleFrame};
     for (const scan_files::RecordedSensor& sensor : rig.sensors) {
         if (!is_valid_topic_name(sensor.topic))
@@ -63,7 +63,7 @@ void check_topic_and_frame_names(const scan_files::RecordedRig& rig) {
 
 /// Checks that every topic has a different name.
 /// @throws UsageError if two topics have the same name
-void check_topic_names_unique(const std::vector<scan_files::RecordedTopic>& topics) {
+void require_unique_topic_names(const std::vector<scan_files::RecordedTopic>& topics) {
     std::set<std::string> topic_names;
     for (const scan_files::RecordedTopic& topic : topics)
         if (!topic_names.insert(topic.name).second)
@@ -74,7 +74,7 @@ void check_topic_names_unique(const std::vector<scan_files::RecordedTopic>& topi
 }
 
 /// Returns the metadata of a recording.
-FileMetadata make_recording_notes(const std::vector<ScanOutputOptions>& sensors) {
+FileMetadata make_recording_metadata(const std::vector<ScanOutputOptions>& sensors) {
     const ScanOutputOptions& format = sensors.front();
     std::vector<std::string> names;
     for (const ScanOutputOptions& sensor : sensors)
@@ -85,7 +85,7 @@ FileMetadata make_recording_notes(const std::vector<ScanOutputOptions>& sensors)
             {"sensor", fmt::format("{}", fmt::join(names, ", "))},
             {"trajectory", format.trajectory},
             {"points_in", format.frame == PointCoordinateFrame::world ? "world"
-                          : has_deskewed_points(format)               ? "sensor at the stamp"
+                          : are_points_in_one_frame(format)           ? "sensor at the stamp"
                                                                       : "sensor at each ray's firing time"},
             {"units", "metres, seconds; intensity 0 to 1"}};
 }
@@ -101,10 +101,10 @@ std::string make_valid_topic_name(const std::string& name) {
     return word;
 }
 
-void set_recording_topic(ScanOutputOptions& format, const std::string& sensor_name) {
-    format.topic =
+void set_topic_and_frame_id_from_name(ScanOutputOptions& output_options, const std::string& sensor_name) {
+    output_options.topic =
         sensor_name.empty() ? "/lidar/points" : "/lidar/" + make_valid_topic_name(sensor_name) + "/points";
-    format.frame_id = sensor_name.empty() ? "lidar" : sensor_name;
+    output_options.frame_id = sensor_name.empty() ? "lidar" : sensor_name;
 }
 
 bool is_recording_format(const std::string& format) {
@@ -127,25 +127,25 @@ ScanRecordingsWriter::ScanRecordingsWriter(fs::path folder, std::vector<ScanOutp
     const scan_files::RecordedRig rig = impl_->recorder.make_recorded_rig();
     for (const scan_files::RecordingFormat& format : scan_files::list_recording_formats()) {
         if (std::ranges::find(requested_formats, format.name) == requested_formats.end()) continue;
-        check_topic_and_frame_names(rig), check_topic_names_unique(format.topics(rig));
+        require_valid_topic_and_frame_names(rig), require_unique_topic_names(format.topics(rig));
         impl_->names.emplace_back(format.file);
         impl_->files.push_back(std::make_unique<scan_files::RecordingFileWriter>(
-            folder / format.file, format, rig, make_recording_notes(sensors)));
+            folder / format.file, format, rig, make_recording_metadata(sensors)));
     }
     if (std::ranges::find(requested_formats, scan_files::kPacketFormat) == requested_formats.end()) return;
     impl_->packets = std::make_unique<scan_files::PacketFileWriter>(folder, sensors);
-    for (const std::string& name : impl_->packets->names()) impl_->names.push_back(name);
+    for (const std::string& name : impl_->packets->list_packet_file_names()) impl_->names.push_back(name);
 }
 
 void ScanRecordingsWriter::write_scans(std::span<const RenderedScan> scans) {
     if (impl_->packets) impl_->packets->write_scans_as_packets(scans);
     if (impl_->files.empty()) return;
-    const scan_files::RecordedSweep moment = impl_->recorder.convert_scans_to_moment(scans);
+    const scan_files::RecordedSweep moment = impl_->recorder.convert_scans_to_recorded_sweep(scans);
     for (const auto& file : impl_->files)
-        file->write_moment_messages(moment, impl_->recorder.get_time_shift_s());
+        file->write_sweep_messages(moment, impl_->recorder.get_time_shift_s());
 }
 
-void ScanRecordingsWriter::finish() {
+void ScanRecordingsWriter::finish_recordings() {
     for (const auto& file : impl_->files) file->finish();
     if (impl_->packets) impl_->packets->finish();
 }
@@ -173,7 +173,7 @@ std::vector<ScanTopic> ScanMessageEncoder::list_topics() const {
 
 std::vector<ScanMessage> ScanMessageEncoder::convert_to_messages(std::span<const RenderedScan> scans) {
     return scan_files::make_messages_in_time_order(impl_->topics,
-                                                   impl_->recorder.convert_scans_to_moment(scans));
+                                                   impl_->recorder.convert_scans_to_recorded_sweep(scans));
 }
 
 }  // namespace relidar

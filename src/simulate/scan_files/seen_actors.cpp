@@ -31,8 +31,8 @@ public:
         constexpr int kRounds = 3;
         double time_s = scan_.time_s;
         for (int round = 0; round < kRounds && !rays_.empty(); ++round) {
-            const glm::vec3 towards(
-                glm::normalize(inverse(find_sensor_pose(scan_, time_s)) * get_position_m(time_s)));
+            const glm::vec3 towards(glm::normalize(inverse(interpolate_sensor_pose_in_scan(scan_, time_s)) *
+                                                   get_position_m(time_s)));
             const auto cosine = [&](const SampledRay& ray) { return glm::dot(ray.direction, towards); };
             time_s = scan_.time_s + double(std::ranges::max_element(rays_, {}, cosine)->time_offset_s);
         }
@@ -67,7 +67,7 @@ std::optional<double> compute_visible_fraction(const RenderedScan& scan, const s
 
 }  // namespace
 
-Pose find_sensor_pose(const RenderedScan& scan, double time_s) {
+Pose interpolate_sensor_pose_in_scan(const RenderedScan& scan, double time_s) {
     return scan.track.pose.empty() ? scan.world_from_sensor : scan.track.interpolate_pose(time_s);
 }
 
@@ -86,7 +86,7 @@ std::vector<ActorInScan> find_actors_present_in_scan(const RenderedScan& scan,
     std::vector<ActorInScan> actors;
     for (const BoxTrack& box : format.actors) {
         const std::optional<double> visible_share = compute_visible_fraction(scan, box.id);
-        if (!visible_share && !box.is_present(scan.time_s)) continue;
+        if (!visible_share && !box.is_observed_at_time(scan.time_s)) continue;
         const auto world_from_box = [&box, &format](double t_s) {
             const Pose pose = box.world_from_box.interpolate_pose(t_s);
             return Pose{pose.rotation, pose.translation + format.world_offset_m};
@@ -122,7 +122,7 @@ void replace_actor_box_poses(ScanOutputOptions& format, const ActorTracksByName&
     std::erase_if(format.actors, [&](BoxTrack& box) {
         const auto poses = dataset_from_actor.find(box.id);
         if (poses == dataset_from_actor.end()) return true;
-        box.world_from_box = shift_track(poses->second, -format.world_offset_m);
+        box.world_from_box = add_offset_to_track_positions(poses->second, -format.world_offset_m);
         return false;
     });
 }

@@ -33,7 +33,7 @@ std::vector<ActorInScan> find_actors_present_in_scan(const RenderedScan& scan,
 
 /// Returns the pose of the sensor at time `time_s` of the log, in the world frame of the
 /// dataset.
-Pose find_sensor_pose(const RenderedScan& scan, double time_s);
+Pose interpolate_sensor_pose_in_scan(const RenderedScan& scan, double time_s);
 
 /// Returns the velocity of an object, computed by central differences of its poses.
 /// @param get_world_from_object returns the pose of the object at a given time

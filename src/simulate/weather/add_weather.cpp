@@ -18,7 +18,7 @@ using ReturnCauses = std::vector<std::int32_t>;
 
 /// Returns the channel `source` with all values reset. Adds the channel if the scan does
 /// not have it.
-ScanChannel& reset_or_add_source_channel(RenderedScan& scan) {
+ScanChannel& reset_or_add_return_cause_channel(RenderedScan& scan) {
     const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSource; };
     const auto source_channel = std::ranges::find_if(scan.channels, has_name);
     const bool is_there = source_channel != scan.channels.end();
@@ -39,7 +39,7 @@ void clear_surface_values_of_ray(RenderedScan& scan, std::size_t ray_index) {
         if (!channel.info.of_ray)
             std::visit(
                 [&]<class T>(std::vector<T>& values) {
-                    values[ray_index] = get_missing_value<T>(channel.info);
+                    values[ray_index] = get_value_of_rays_without_hit<T>(channel.info);
                 },
                 channel.values);
 }
@@ -47,7 +47,7 @@ void clear_surface_values_of_ray(RenderedScan& scan, std::size_t ray_index) {
 class ScanWeatherApplier {
 public:
     ScanWeatherApplier(RenderedScan& scan, const WeatherInput& input)
-        : scan_(scan), input_(input), air_(input), channel_(reset_or_add_source_channel(scan)) {}
+        : scan_(scan), input_(input), air_(input), channel_(reset_or_add_return_cause_channel(scan)) {}
 
     void apply_weather_to_ray(std::size_t ray_index, std::uint64_t seed) {
         const bool has_second = !scan_.second_returns.empty();
@@ -79,12 +79,14 @@ private:
 
     LidarEcho make_surface_echo(float range_m, float intensity) const {
         if (!(range_m > 0.0f)) return {};
-        return {double(range_m), double(intensity) / input_.response.compute_range_factor(double(range_m)),
+        return {double(range_m),
+                double(intensity) / input_.response.compute_intensity_factor_at_range(double(range_m)),
                 ReturnCause::surface};
     }
     float compute_reported_intensity(const LidarEcho& echo) const {
-        return std::min(
-            static_cast<float>(echo.reflectivity * input_.response.compute_range_factor(echo.range_m)), 1.0f);
+        return std::min(static_cast<float>(echo.reflectivity *
+                                           input_.response.compute_intensity_factor_at_range(echo.range_m)),
+                        1.0f);
     }
     /// Returns the distance that the light of a ray travels through the air: to the first
     /// opaque surface, or to the maximum range. A surface without a return also stops the

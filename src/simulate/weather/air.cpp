@@ -24,10 +24,10 @@ LidarEcho select_second_return(const EchoCandidates& candidates, const LidarEcho
 }
 
 std::vector<std::unique_ptr<RayWeatherEffect>> make_weather_effects(const WeatherInput& input) {
-    check_weather(input.weather);
+    require_valid_weather(input.weather);
     std::vector<std::unique_ptr<RayWeatherEffect>> effects;
     for (const WeatherEffectEntry* effect : kWeatherEffects) {
-        if (!effect->is_active_in(input.weather)) continue;
+        if (!effect->is_effect_active_in_weather(input.weather)) continue;
         if (auto prepared = effect->prepare(input)) effects.push_back(std::move(prepared));
     }
     return effects;
@@ -35,7 +35,7 @@ std::vector<std::unique_ptr<RayWeatherEffect>> make_weather_effects(const Weathe
 
 }  // namespace
 
-double WeatherSensorProperties::compute_detection_threshold(double range_m) const {
+double WeatherSensorProperties::compute_min_detected_power_at_range(double range_m) const {
     return std::max(compute_min_detectable_power(), weakest_reflectivity / (range_m * range_m));
 }
 
@@ -49,12 +49,12 @@ WeatherRaySimulator::WeatherRaySimulator(const Weather& weather, const WeatherSe
 /// Returns the reflectivity of a surface. If the intensity is below one step of the
 /// sensor, the reflectivity is unknown. The function then draws a random value between
 /// the weakest detectable reflectivity and one step.
-double WeatherRaySimulator::draw_surface_reflectivity(const LidarEcho& surface_echo, Random& random) const {
+double WeatherRaySimulator::sample_surface_reflectivity(const LidarEcho& surface_echo, Random& random) const {
     const double step = 2.0 * sensor_.darkest;
     if (surface_echo.reflectivity >= step) return surface_echo.reflectivity;
-    return std::lerp(sensor_.compute_detection_threshold(surface_echo.range_m) * surface_echo.range_m *
-                         surface_echo.range_m,
-                     step, random.draw_uniform());
+    return std::lerp(sensor_.compute_min_detected_power_at_range(surface_echo.range_m) *
+                         surface_echo.range_m * surface_echo.range_m,
+                     step, random.sample_uniform_number());
 }
 
 void WeatherRaySimulator::append_surface_echo(EchoCandidates& candidates, LidarEcho echo,
@@ -62,9 +62,10 @@ void WeatherRaySimulator::append_surface_echo(EchoCandidates& candidates, LidarE
     if (echo.source == ReturnCause::nothing) return;
     const double transmission = std::exp(-2.0 * alpha_ * echo.range_m) * wet_ground_brightness;
     const double power =
-        draw_surface_reflectivity(echo, random) * transmission / (echo.range_m * echo.range_m);
+        sample_surface_reflectivity(echo, random) * transmission / (echo.range_m * echo.range_m);
     echo.reflectivity *= transmission;
-    if (power >= sensor_.compute_detection_threshold(echo.range_m)) candidates.push_back({echo, power});
+    if (power >= sensor_.compute_min_detected_power_at_range(echo.range_m))
+        candidates.push_back({echo, power});
 }
 
 void append_echo_if_detectable(EchoCandidates& candidates, LidarEcho echo,

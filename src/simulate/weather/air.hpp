@@ -91,7 +91,7 @@ struct EchoPair {
 class WeatherRaySimulator {
 public:
     /// Creates the weather effects for the rays of a scan.
-    /// @throws UsageError for weather that check_weather() rejects
+    /// @throws UsageError for weather that require_valid_weather() rejects
     explicit WeatherRaySimulator(const WeatherInput& input);
     /// Creates the simulation with a given list of weather effects.
     WeatherRaySimulator(const Weather& weather, const WeatherSensorProperties& sensor,
@@ -107,7 +107,7 @@ private:
     const double alpha_;
     std::vector<std::unique_ptr<RayWeatherEffect>> effects_;
 
-    double draw_surface_reflectivity(const LidarEcho& surface_echo, Random& random) const;
+    double sample_surface_reflectivity(const LidarEcho& surface_echo, Random& random) const;
     void append_surface_echo(EchoCandidates& candidates, LidarEcho echo, double wet_ground_brightness,
                              Random& random) const;
 };

@@ -106,7 +106,7 @@ std::vector<LidarEcho> compute_stray_light_per_ray(const WeatherInput& input) {
         stray[ray] = compute_stray_light_echo(reflectors, glm::dvec3(scan.image.direction[ray]));
         stray[ray].reflectivity *=
             input.weather.bloom *
-            std::exp(kSpread * Random(hash_integer_pair(of_scan, scan.ring[ray])).draw_standard_normal());
+            std::exp(kSpread * Random(hash_integer_pair(of_scan, scan.ring[ray])).sample_standard_normal());
     });
     return stray;
 }

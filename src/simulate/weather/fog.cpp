@@ -49,14 +49,14 @@ public:
         const double stretch_m = 0.5 * compute_pulse_length_m(sensor_),
                      first_m = compute_min_air_return_range_m(sensor_);
         for (double begin_m = first_m; begin_m < ray.free_m; begin_m += stretch_m) {
-            const double range_m = begin_m + stretch_m * random.draw_uniform(),
+            const double range_m = begin_m + stretch_m * random.sample_uniform_number(),
                          table_position = (range_m - first_m) / kFogStep_m;
             const auto k = std::size_t(table_position);
             if (range_m >= ray.free_m || k + 1 >= power_.size()) return;
             const double mean = std::lerp(power_[k], power_[k + 1], table_position - double(k));
             const double power =
-                mean * std::exp(kFogSpread * (random.draw_standard_normal() - 0.5 * kFogSpread));
-            if (power >= sensor_.compute_detection_threshold(range_m))
+                mean * std::exp(kFogSpread * (random.sample_standard_normal() - 0.5 * kFogSpread));
+            if (power >= sensor_.compute_min_detected_power_at_range(range_m))
                 candidates.push_back({{range_m, power * range_m * range_m, ReturnCause::fog}, power});
         }
     }

@@ -67,7 +67,7 @@ public:
     void append_effect_returns(EchoCandidates& candidates, const RayWeatherState& ray,
                                Random& random) const override {
         if (expected_.empty()) return;
-        const auto waiting = [&random] { return -std::log(1.0 - random.draw_uniform()); };
+        const auto waiting = [&random] { return -std::log(1.0 - random.sample_uniform_number()); };
         for (double n = waiting(); n < expected_.back(); n += waiting()) {
             const auto next = std::ranges::upper_bound(expected_, n);
             const double part = (n - *(next - 1)) / (*next - *(next - 1));
@@ -96,7 +96,7 @@ private:
     /// in millimetres of liquid water. Returns infinity if the sensor detects not even a
     /// particle as wide as the beam.
     double compute_min_detectable_diameter_mm(double range_m) const {
-        const double share = sensor_.compute_detection_threshold(range_m) * range_m * range_m *
+        const double share = sensor_.compute_min_detected_power_at_range(range_m) * range_m * range_m *
                              std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;
         if (share > 1.0) return std::numeric_limits<double>::infinity();
         return 1e3 * compute_beam_diameter_m(sensor_, range_m) * std::sqrt(share) / falling_.widening;

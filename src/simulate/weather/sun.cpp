@@ -76,18 +76,19 @@ public:
         if (!(ray.free_m > 0.0)) return;
         const bool meets_surface = ray.strongest.source == ReturnCause::surface;
         const double albedo = meets_surface ? std::min(ray.strongest.reflectivity, 1.0) : 0.0;
-        const double sigma = compute_sun_noise(sun_, sensor_, double(angles_rad_[ray.index]), albedo,
-                                               !meets_surface && ray.free_m >= sensor_.max_range_m);
+        const double sigma =
+            compute_sunlight_noise_power(sun_, sensor_, double(angles_rad_[ray.index]), albedo,
+                                         !meets_surface && ray.free_m >= sensor_.max_range_m);
         const double per_m =
-            compute_false_return_rate(sensor_, sensor_.compute_min_detectable_power() / sigma);
-        const auto waiting = [&random] { return -std::log(1.0 - random.draw_uniform()); };
+            compute_false_returns_per_metre(sensor_, sensor_.compute_min_detectable_power() / sigma);
+        const auto waiting = [&random] { return -std::log(1.0 - random.sample_uniform_number()); };
         if (!(per_m > 0.0)) return;
         for (double range_m = compute_min_air_return_range_m(sensor_) + waiting() / per_m;
              range_m < sensor_.max_range_m; range_m += waiting() / per_m) {
             const double power =
                 std::sqrt(sensor_.compute_min_detectable_power() * sensor_.compute_min_detectable_power() +
                           2.0 * sigma * sigma * waiting());
-            if (power >= sensor_.compute_detection_threshold(range_m))
+            if (power >= sensor_.compute_min_detected_power_at_range(range_m))
                 candidates.push_back({{range_m, power * range_m * range_m, ReturnCause::noise}, power});
         }
     }
@@ -106,11 +107,11 @@ constexpr WeatherParameter kSunNumbers[] = {
 
 }  // namespace
 
-double compute_sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double angle_to_sun_rad,
-                         double albedo, bool sees_sky) {
+double compute_sunlight_noise_power(const Sun& sun, const WeatherSensorProperties& sensor,
+                                    double angle_to_sun_rad, double surface_albedo_or_0, bool sees_sky) {
     const double irradiance = kIrradiance * sun.klux / 100.0, half_rad = 0.5 * sensor.divergence_rad;
     const double off_deg = std::max(angle_to_sun_rad, kSun_rad) / kDegree_rad;
-    double per_sr = kScatter_sr / (off_deg * off_deg) + albedo / kPi;
+    double per_sr = kScatter_sr / (off_deg * off_deg) + surface_albedo_or_0 / kPi;
     if (sees_sky)
         per_sr +=
             std::clamp((kSun_rad + half_rad - angle_to_sun_rad) / sensor.divergence_rad, 0.0, 1.0) / kSun_sr;
@@ -123,7 +124,7 @@ double compute_sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, 
     return std::sqrt(kExcess * n) / of_unit_power;
 }
 
-double compute_false_return_rate(const WeatherSensorProperties& sensor, double threshold_sigmas) {
+double compute_false_returns_per_metre(const WeatherSensorProperties& sensor, double threshold_sigmas) {
     return std::exp(-0.5 * threshold_sigmas * threshold_sigmas) /
            (std::sqrt(3.0) * kLight_m_s * sensor.pulse_s);
 }

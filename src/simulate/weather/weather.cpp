@@ -79,7 +79,7 @@ void parse_weather_effect(Weather& weather, std::string_view effect_text) {
         throw_weather_error(fmt::format("\"{}\"", shorten_for_error_message(effect_text)),
                             format_effect_syntax_list());
     const WeatherEffectEntry& effect = **row;
-    if (effect.is_active_in(weather))
+    if (effect.is_effect_active_in_weather(weather))
         throw UsageError(fmt::format("weather: {} occurs twice, expected it once", effect.name));
     const std::vector<double> values =
         parse_colon_separated_numbers(effect_text.substr(std::min(equals + 1, effect_text.size())));
@@ -93,7 +93,7 @@ void parse_weather_effect(Weather& weather, std::string_view effect_text) {
 
 }  // namespace
 
-bool WeatherEffectEntry::is_active_in(const Weather& weather) const {
+bool WeatherEffectEntry::is_effect_active_in_weather(const Weather& weather) const {
     return get_effect_parameters(*this, weather) != get_effect_parameters(*this, {});
 }
 
@@ -101,20 +101,21 @@ Weather parse_weather(const std::string& text) {
     Weather weather;
     if (text == "clear") return weather;
     for (const std::string& word : split_comma_separated_list(text)) parse_weather_effect(weather, word);
-    check_weather(weather);
+    require_valid_weather(weather);
     return weather;
 }
 
 std::string format_weather(const Weather& weather) {
     std::vector<std::string> words;
     for (const WeatherEffectEntry* effect : kWeatherEffects)
-        if (effect->is_active_in(weather)) words.push_back(format_weather_effect(*effect, weather));
+        if (effect->is_effect_active_in_weather(weather))
+            words.push_back(format_weather_effect(*effect, weather));
     return words.empty() ? "clear" : fmt::format("{}", fmt::join(words, ","));
 }
 
-void check_weather(const Weather& weather) {
+void require_valid_weather(const Weather& weather) {
     for (const WeatherEffectEntry* effect : kWeatherEffects)
-        if (effect->is_active_in(weather) &&
+        if (effect->is_effect_active_in_weather(weather) &&
             !are_effect_values_valid(*effect, get_effect_parameters(*effect, weather)))
             throw_weather_error(format_weather_effect(*effect, weather), effect->expected);
     if (weather.rain_mm_h > 0.0 && weather.snow_mm_h > 0.0)
@@ -125,7 +126,8 @@ void check_weather(const Weather& weather) {
 double compute_extinction_coefficient(const Weather& weather) {
     double alpha = 0.0;
     for (const WeatherEffectEntry* effect : kWeatherEffects)
-        if (effect->extinction && effect->is_active_in(weather)) alpha += effect->extinction(weather);
+        if (effect->extinction && effect->is_effect_active_in_weather(weather))
+            alpha += effect->extinction(weather);
     return alpha;
 }
 

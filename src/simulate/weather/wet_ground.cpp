@@ -200,7 +200,8 @@ MirroredRays mirror_rays_in_wet_ground(const WeatherInput& input,
         const glm::dvec3 direction = pose.rotation * glm::dvec3(scan.image.direction[i]);
         const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, ground_normals[i]);
         if (!(cosine > 0.0)) continue;
-        const double albedo = scan.image.intensity[i] / input.response.compute_range_factor(range_m);
+        const double albedo =
+            scan.image.intensity[i] / input.response.compute_intensity_factor_at_range(range_m);
         wet_rays[i].through_water = 1.0 - share + share * compute_wet_reflectance_ratio(cosine, albedo);
         wet_rays[i].mirrors = share * std::pow(compute_water_reflectance(cosine), 2);
         // Skips the mirrored ray if the return of the ground, which is nearer, is

@@ -30,8 +30,8 @@ CheckpointFolder::CheckpointFolder(std::filesystem::path folder, int newest_iter
       count_(std::move(iteration_noun)),
       note_(report_note) {}
 
-void CheckpointFolder::save_checkpoint_or_report(Checkpoint checkpoint,
-                                                 const std::function<void(Checkpoint&)>& add_state) {
+void CheckpointFolder::save_checkpoint_or_report_failure(Checkpoint checkpoint,
+                                                         const std::function<void(Checkpoint&)>& add_state) {
     const int iteration = checkpoint.iteration;
     const auto failed = [&](const std::string& why) {
         const std::string safe =
@@ -46,7 +46,7 @@ void CheckpointFolder::save_checkpoint_or_report(Checkpoint checkpoint,
         return failed("not enough memory");
     }
     try {
-        check_finite(checkpoint);
+        require_finite_checkpoint_arrays(checkpoint);
     } catch (const DataError& error) {
         throw DataError(fmt::format("training failed at {} {}: {}", count_, iteration, error.what()));
     }
@@ -64,7 +64,7 @@ CheckpointKeeper::CheckpointKeeper(const LidarSequence& sequence, const TrainTes
       folder_(session.checkpoints, session.start ? session.start->iteration : 0, "iteration", session.note) {
     if (folder_.is_enabled())
         texts_ = std::async(std::launch::async, [&sequence, &split, &config] {
-            return list_settings_and_fingerprints(sequence, split, config);
+            return list_settings_and_hashes_for_resume(sequence, split, config);
         });
 }
 
@@ -83,11 +83,12 @@ void CheckpointKeeper::save_training_state(TrainLoop& loop, const TrainResult& r
     // the time of the next checkpoint.
     last_ = Clock::now();
     if (!folder_.is_enabled()) return;
-    folder_.save_checkpoint_or_report({result.iterations, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
-        CheckpointWriter write(checkpoint);
-        loop.save_state(checkpoint);
-        write_training_result(write, result, training_time_s);
-    });
+    folder_.save_checkpoint_or_report_failure(
+        {result.iterations, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
+            CheckpointWriter write(checkpoint);
+            loop.save_training_state_to_checkpoint(checkpoint);
+            write_training_log_and_times(write, result, training_time_s);
+        });
 }
 
 }  // namespace relidar

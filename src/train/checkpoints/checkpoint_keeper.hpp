@@ -38,7 +38,8 @@ public:
     /// @param add_state  adds the state to the checkpoint
     /// @throws DataError if the state contains NaN or infinity, because training could
     /// not continue from it
-    void save_checkpoint_or_report(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& add_state);
+    void save_checkpoint_or_report_failure(Checkpoint checkpoint,
+                                           const std::function<void(Checkpoint&)>& add_state);
 
 private:
     const std::filesystem::path folder_;

@@ -50,7 +50,8 @@ private:
     std::uint64_t state_ = 0;
 };
 
-std::string describe_frames(const LidarSequence& sequence, const std::vector<int>& frame_indices) {
+std::string describe_frame_range_with_hash(const LidarSequence& sequence,
+                                           const std::vector<int>& frame_indices) {
     std::vector<int> indices;
     for (const int position : frame_indices) indices.push_back(sequence.frames[std::size_t(position)].index);
     RunningHash hash;
@@ -109,8 +110,9 @@ std::string read_checkpoint_fingerprint(const Checkpoint& checkpoint, const std:
     return it == checkpoint.texts.end() ? "nothing" : it->second;
 }
 
-std::string describe_difference(const std::string& action, const std::string& description,
-                                const std::string& found_value, const std::string& expected_value) {
+std::string format_checkpoint_mismatch_message(const std::string& action, const std::string& description,
+                                               const std::string& found_value,
+                                               const std::string& expected_value) {
     return fmt::format("{}: {}: found {}, expected {} as in the checkpoint", action, description, found_value,
                        expected_value);
 }
@@ -119,7 +121,8 @@ std::string describe_difference(const std::string& action, const std::string& de
 
 std::vector<ResumeFingerprint> compute_log_fingerprints(const LidarSequence& sequence,
                                                         const TrainTestSplit& split) {
-    return {{"log/training frames", "the log's training frames", describe_frames(sequence, split.train)},
+    return {{"log/training frames", "the log's training frames",
+             describe_frame_range_with_hash(sequence, split.train)},
             {"log/scans", "the log's scans", hash_scans(sequence, split.train)},
             {"log/sensor poses", "the log's sensor poses", hash_poses(sequence)},
             {"log/boxes", "the log's boxes", hash_boxes(sequence)}};
@@ -129,15 +132,16 @@ ResumeFingerprint compute_scene_fingerprint(const Scene& scene) {
     return {"scene", "the scene", hash_scene(scene)};
 }
 
-void add_checkpoint_text(const ConfigKey& setting, std::map<std::string, std::string>& texts) {
+void store_in_checkpoint_texts(const ConfigKey& setting, std::map<std::string, std::string>& texts) {
     texts[kSetting + setting.key] = setting.value;
 }
-void add_checkpoint_text(const ResumeFingerprint& fingerprint, std::map<std::string, std::string>& texts) {
+void store_in_checkpoint_texts(const ResumeFingerprint& fingerprint,
+                               std::map<std::string, std::string>& texts) {
     texts[fingerprint.key] = fingerprint.value;
 }
 
-void check_same_as_checkpoint(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
-                              const std::string& error_prefix) {
+void require_same_as_in_checkpoint(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
+                                   const std::string& error_prefix) {
     const std::map<std::string, std::string> saved = read_checkpoint_settings(checkpoint);
     for (const ConfigKey& setting : settings) {
         const auto it = saved.find(setting.key);
@@ -145,16 +149,17 @@ void check_same_as_checkpoint(const std::vector<ConfigKey>& settings, const Chec
             throw DataError(fmt::format("{}: the checkpoint has no value for the setting {}; {}",
                                         error_prefix, setting.key, kTrainAgain));
         if (it->second != setting.value)
-            throw UsageError(
-                describe_difference(error_prefix, "setting " + setting.key, setting.value, it->second));
+            throw UsageError(format_checkpoint_mismatch_message(error_prefix, "setting " + setting.key,
+                                                                setting.value, it->second));
     }
 }
 
-void check_same_as_checkpoint(const Checkpoint& checkpoint, const ResumeFingerprint& fingerprint,
-                              const std::string& error_prefix) {
+void require_same_as_in_checkpoint(const Checkpoint& checkpoint, const ResumeFingerprint& fingerprint,
+                                   const std::string& error_prefix) {
     const std::string saved = read_checkpoint_fingerprint(checkpoint, fingerprint.key);
     if (saved != fingerprint.value)
-        throw DataError(describe_difference(error_prefix, fingerprint.what, fingerprint.value, saved));
+        throw DataError(
+            format_checkpoint_mismatch_message(error_prefix, fingerprint.what, fingerprint.value, saved));
 }
 
 std::map<std::string, std::string> read_checkpoint_settings(const Checkpoint& checkpoint) {

@@ -31,16 +31,17 @@ std::vector<ResumeFingerprint> compute_log_fingerprints(const LidarSequence& seq
 ResumeFingerprint compute_scene_fingerprint(const Scene& scene);
 
 /// Adds a setting or a hash to the key-value texts of a checkpoint.
-void add_checkpoint_text(const ConfigKey& setting, std::map<std::string, std::string>& texts);
-void add_checkpoint_text(const ResumeFingerprint& fingerprint, std::map<std::string, std::string>& texts);
+void store_in_checkpoint_texts(const ConfigKey& setting, std::map<std::string, std::string>& texts);
+void store_in_checkpoint_texts(const ResumeFingerprint& fingerprint,
+                               std::map<std::string, std::string>& texts);
 /// Compares settings or a hash with the values in a checkpoint.
 /// @param error_prefix  start of the error message
 /// @throws UsageError if a setting has another value
 /// @throws DataError if a setting is missing or a hash differs
-void check_same_as_checkpoint(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
-                              const std::string& error_prefix);
-void check_same_as_checkpoint(const Checkpoint& checkpoint, const ResumeFingerprint& fingerprint,
-                              const std::string& error_prefix);
+void require_same_as_in_checkpoint(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
+                                   const std::string& error_prefix);
+void require_same_as_in_checkpoint(const Checkpoint& checkpoint, const ResumeFingerprint& fingerprint,
+                                   const std::string& error_prefix);
 /// Returns the settings in a checkpoint, by key.
 /// @throws DataError for an unknown key
 std::map<std::string, std::string> read_checkpoint_settings(const Checkpoint& checkpoint);

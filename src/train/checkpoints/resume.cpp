@@ -74,40 +74,40 @@ TrainProgress make_progress_line(int step, const Config& config, double elapsed_
 
 }  // namespace
 
-std::map<std::string, std::string> list_settings_and_fingerprints(const LidarSequence& sequence,
-                                                                  const TrainTestSplit& split,
-                                                                  const Config& config) {
+std::map<std::string, std::string> list_settings_and_hashes_for_resume(const LidarSequence& sequence,
+                                                                       const TrainTestSplit& split,
+                                                                       const Config& config) {
     std::map<std::string, std::string> texts;
-    for (const ConfigKey& key : list_config_keys(config)) add_checkpoint_text(key, texts);
+    for (const ConfigKey& key : list_config_keys(config)) store_in_checkpoint_texts(key, texts);
     for (const ResumeFingerprint& mark : compute_log_fingerprints(sequence, split))
-        add_checkpoint_text(mark, texts);
+        store_in_checkpoint_texts(mark, texts);
     return texts;
 }
 
-std::string find_differing_setting(const Config& config, const Config& other_config) {
+std::string find_setting_that_prevents_resuming(const Config& config, const Config& other_config) {
     const std::vector<ConfigKey> a = list_config_keys(config), b = list_config_keys(other_config);
     for (std::size_t i = 0; i < a.size(); ++i)
         if (!can_change_on_resume(a[i].key) && a[i].value != b[i].value) return a[i].key;
     return "";
 }
 
-void check_training_resumable(const Checkpoint& checkpoint, const LidarSequence& sequence,
-                              const TrainTestSplit& split, const Config& config) {
+void require_training_is_resumable(const Checkpoint& checkpoint, const LidarSequence& sequence,
+                                   const TrainTestSplit& split, const Config& config) {
     const std::string doing = fmt::format("cannot resume from iteration {}", checkpoint.iteration);
     std::vector<ConfigKey> settings = list_config_keys(config);
     std::erase_if(settings, [](const ConfigKey& key) { return can_change_on_resume(key.key); });
-    check_same_as_checkpoint(settings, checkpoint, doing);
+    require_same_as_in_checkpoint(settings, checkpoint, doing);
     if (config.train.iterations < checkpoint.iteration)
         throw UsageError(
             fmt::format("{}: setting train.iterations: found {}, expected at least the iteration of the "
                         "checkpoint",
                         doing, config.train.iterations));
     for (const ResumeFingerprint& mark : compute_log_fingerprints(sequence, split))
-        check_same_as_checkpoint(checkpoint, mark, doing);
+        require_same_as_in_checkpoint(checkpoint, mark, doing);
 }
 
-void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
-                     double elapsed_s) {
+void append_training_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
+                              double elapsed_s) {
     TrainProgress p = make_progress_line(line.step, config, elapsed_s, line.terms, line.n_surfels);
     const int left = p.n_iterations - p.iteration,
               done = log.empty() ? 0 : p.iteration - log.front().iteration;
@@ -117,7 +117,8 @@ void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, 
     log.push_back(std::move(p));
 }
 
-void write_training_result(CheckpointWriter& writer, const TrainResult& result, double training_time_s) {
+void write_training_log_and_times(CheckpointWriter& writer, const TrainResult& result,
+                                  double training_time_s) {
     LogColumns log;
     for (const TrainProgress& p : result.log) {
         log.iteration.push_back(p.iteration);
@@ -155,7 +156,7 @@ std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const
     return lines;
 }
 
-void read_training_result(const Checkpoint& checkpoint, const Config& config, TrainResult& result) {
+void read_training_log_and_times(const Checkpoint& checkpoint, const Config& config, TrainResult& result) {
     const CheckpointReader read(checkpoint);
     result.log = read_training_log(checkpoint, config);
     result.iterations = checkpoint.iteration;

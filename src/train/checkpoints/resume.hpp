@@ -16,15 +16,16 @@ namespace relidar {
 
 /// Returns the settings and the hashes of the log that must be the same when training is
 /// resumed.
-std::map<std::string, std::string> list_settings_and_fingerprints(const LidarSequence& sequence,
-                                                                  const TrainTestSplit& split,
-                                                                  const Config& config);
+std::map<std::string, std::string> list_settings_and_hashes_for_resume(const LidarSequence& sequence,
+                                                                       const TrainTestSplit& split,
+                                                                       const Config& config);
 
 /// Writes the training log and the times of the result to a checkpoint.
 /// @param training_time_s  seconds since training started
-void write_training_result(CheckpointWriter& writer, const TrainResult& result, double training_time_s);
+void write_training_log_and_times(CheckpointWriter& writer, const TrainResult& result,
+                                  double training_time_s);
 /// Reads the log and the times from a checkpoint.
-void read_training_result(const Checkpoint& checkpoint, const Config& config, TrainResult& result);
+void read_training_log_and_times(const Checkpoint& checkpoint, const Config& config, TrainResult& result);
 
 /// Returns the scene in a checkpoint.
 /// @throws DataError if its arrays or its layout are invalid
@@ -34,7 +35,7 @@ Scene read_checkpoint_scene(const Checkpoint& checkpoint);
 /// first line. Earlier iterations are slower, because drivers still compile kernels. In
 /// the first line, the remaining time is infinite.
 /// @param elapsed_s  seconds since training started
-void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
-                     double elapsed_s);
+void append_training_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
+                              double elapsed_s);
 
 }  // namespace relidar

@@ -27,10 +27,10 @@ bool should_use_range_grid(const Config& config) {
 
 /// Returns the rays of a frame's LiDAR. If the setting refine.image is "grid", returns
 /// one ray for each grid cell, because the network then corrects grid images.
-SimulatedSensor make_training_sensor(const Config& config, const LidarSequence& sequence,
-                                     const LidarFrame& frame) {
+SimulatedSensor choose_drop_training_sensor(const Config& config, const LidarSequence& sequence,
+                                            const LidarFrame& frame) {
     if (!should_use_range_grid(config)) return choose_nominal_sensor_of_frame(config, sequence, frame);
-    SimulatedSensor sensor = make_configured_sensor(config, sequence, frame.lidar);
+    SimulatedSensor sensor = make_sensor_from_config(config, sequence, frame.lidar);
     // uses the rolling shutter of the log, because the network learns from the scans of
     // the log
     sensor.rolling_shutter = sequence.rolling_shutter;
@@ -61,11 +61,11 @@ RayTable rotate_rays_by_column_fraction(RayTable rays, float column_fraction) {
 std::vector<float> convert_ray_drops_to_grid(const Config& config, const LidarFrame& frame,
                                              const std::vector<float>& ray_drops) {
     std::vector<float> cells = make_measured_image(config, frame.scan).drop_prob;
-    const RangeImageGrid grid = find_range_grid(config.sensor.grid);
+    const RangeImageGrid grid = get_range_image_grid_by_name(config.sensor.grid);
     for (std::size_t i = 0; i < ray_drops.size(); ++i) {
         if (ray_drops[i] >= 0.0f || !(frame.scan.range_m[i] > 0.0f)) continue;
         if (const std::optional<int> cell =
-                project_to_pixel_index(grid, glm::dvec3(frame.scan.compute_end_point(i))))
+                project_to_pixel_index(grid, glm::dvec3(frame.scan.compute_return_point_in_sensor_frame(i))))
             cells[std::size_t(*cell)] = -1.0f;
     }
     return cells;
@@ -89,8 +89,9 @@ std::vector<int> select_frames_with_image_rays(const Config& config, const Lidar
 
 /// Renders training frames. Returns the inputs of the ray-drop network together with the
 /// measured drops. Returns nothing if the user stopped the program.
-std::vector<RayDropImage> make_training_images(Device& device, const TrainedRun& run, const Config& config,
-                                               const RayDropTrainingSession& session) {
+std::vector<RayDropImage> render_drop_network_training_images(Device& device, const TrainedRun& run,
+                                                              const Config& config,
+                                                              const RayDropTrainingSession& session) {
     const std::vector<int> positions = select_evenly_spaced_frames(
         select_frames_with_image_rays(run.config, run.sequence, run.split.train), run.config.refine.frames);
     if (positions.empty())
@@ -99,7 +100,7 @@ std::vector<RayDropImage> make_training_images(Device& device, const TrainedRun&
                         "columns, which the network needs",
                         run.sequence.name));
     ScanRenderer renderer(device, run.scene, config, run.sequence);
-    const IgnoredMeasurements masks = make_scene_mask_rules(config, run.scene);
+    const IgnoredMeasurements masks = make_mask_for_movers_without_model(config, run.scene);
     const std::vector<std::string> channels = list_network_input_channels(config.refine);
     if (get_primitive_kind(config.image.primitive).has_normals)
         renderer.enable_optional_channels("incidence");
@@ -108,7 +109,7 @@ std::vector<RayDropImage> make_training_images(Device& device, const TrainedRun&
         if (session.progress)
             session.progress("rendering training frames", double(images.size()) / double(positions.size()));
         const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
-        SimulatedSensor sensor = make_training_sensor(config, run.sequence, frame);
+        SimulatedSensor sensor = choose_drop_training_sensor(config, run.sequence, frame);
         const bool parted = config.refine.network == "pixel" && !sensor.grid;
         const ImageStripes stripes(parted ? choose_stripe_interval(sensor.rays) : 1, sensor.rays,
                                    images.size());
@@ -116,7 +117,7 @@ std::vector<RayDropImage> make_training_images(Device& device, const TrainedRun&
             stripes.select_stripe_rays(rotate_rays_by_column_fraction(std::move(sensor.rays), 0.5f));
         const RenderedScan scan = renderer.render(sensor, frame.time_s);
         images.push_back(make_network_input_image(scan, channels, get_first_vehicle_position(run.sequence)));
-        std::vector<float> dropped = find_measured_drops(run.sequence, frame, masks);
+        std::vector<float> dropped = classify_measured_drops_per_ray(run.sequence, frame, masks);
         if (should_use_range_grid(config)) dropped = convert_ray_drops_to_grid(config, frame, dropped);
         images.back().dropped = stripes.select_stripe_values(dropped);
         for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
@@ -132,12 +133,13 @@ std::vector<RayDropImage> make_training_images(Device& device, const TrainedRun&
 }  // namespace
 
 RayDropNetwork refine_drops(Device& device, const TrainedRun& run, const RayDropTrainingSession& session) {
-    if (session.start) check_network_training_resumable(*session.start, run);
+    if (session.start) require_network_training_is_resumable(*session.start, run);
     Config config = run.config;
     config.sensor.sub_rays = config.sensor.returns = 1;
-    begin_stage(session.stages, "network's images");
-    const std::vector<RayDropImage> images = make_training_images(device, run, config, session);
-    begin_stage(session.stages, "network");
+    begin_timed_stage_if_enabled(session.stages, "network's images");
+    const std::vector<RayDropImage> images =
+        render_drop_network_training_images(device, run, config, session);
+    begin_timed_stage_if_enabled(session.stages, "network");
     if (images.empty()) return {};
     RayDropCheckpointKeeper checkpoints(run, session);
     const std::optional<RayDropTrainState> start =

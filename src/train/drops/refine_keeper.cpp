@@ -31,8 +31,9 @@ std::vector<ResumeFingerprint> compute_run_fingerprints(const TrainedRun& run) {
 std::map<std::string, std::string> list_refinement_settings_and_hashes(const TrainedRun& run) {
     std::map<std::string, std::string> texts;
     for (const ConfigKey& key : list_config_keys(run.config))
-        if (can_affect_drop_network(key.key)) add_checkpoint_text(key, texts);
-    for (const ResumeFingerprint& mark : compute_run_fingerprints(run)) add_checkpoint_text(mark, texts);
+        if (can_affect_drop_network(key.key)) store_in_checkpoint_texts(key, texts);
+    for (const ResumeFingerprint& mark : compute_run_fingerprints(run))
+        store_in_checkpoint_texts(mark, texts);
     return texts;
 }
 
@@ -55,7 +56,7 @@ void RayDropCheckpointKeeper::save_checkpoint_if_due(const RayDropTrainProgress&
     // Sets the time before writing. If the disk is full, the next attempt then waits for
     // the time of the next checkpoint.
     last_ = Clock::now();
-    folder_.save_checkpoint_or_report({progress.step, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
+    folder_.save_checkpoint_or_report_failure({progress.step, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
         get_state().visit_state(CheckpointWriter(checkpoint));
     });
 }
@@ -66,18 +67,18 @@ RayDropTrainState read_network_training_state(const Checkpoint& checkpoint) {
     return state;
 }
 
-void check_network_training_resumable(const Checkpoint& checkpoint, const TrainedRun& run) {
+void require_network_training_is_resumable(const Checkpoint& checkpoint, const TrainedRun& run) {
     const std::string doing =
         fmt::format("cannot resume the ray-drop network from step {}", checkpoint.iteration);
     std::vector<ConfigKey> settings = list_config_keys(run.config);
     std::erase_if(settings, [](const ConfigKey& key) { return !can_affect_drop_network(key.key); });
-    check_same_as_checkpoint(settings, checkpoint, doing);
+    require_same_as_in_checkpoint(settings, checkpoint, doing);
     for (const ResumeFingerprint& mark : compute_run_fingerprints(run))
-        check_same_as_checkpoint(checkpoint, mark, doing);
+        require_same_as_in_checkpoint(checkpoint, mark, doing);
     read_network_training_state(checkpoint);  // throws an error if the state is incomplete
 }
 
-void restore_network_settings(const Checkpoint& checkpoint, Config& config) {
+void copy_network_settings_into_config(const Checkpoint& checkpoint, Config& config) {
     for (const auto& [key, value] : read_checkpoint_settings(checkpoint))
         set_config_value(config, key, value);
 }

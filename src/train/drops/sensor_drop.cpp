@@ -37,7 +37,7 @@ int choose_azimuth_bin_count(const LidarSequence& sequence) {
 /// that fulfil a condition. Ignores sectors that are narrower than the minimum. Does
 /// nothing if all bins fulfil the condition.
 template <class Condition, class Visit>
-void for_each_sector(int n_bins, const Condition& is_bin_in_sector, const Visit& visit_sector) {
+void for_each_wide_azimuth_sector(int n_bins, const Condition& is_bin_in_sector, const Visit& visit_sector) {
     int begin = 0;
     while (begin < n_bins && is_bin_in_sector(begin)) ++begin;
     if (begin == n_bins) return;
@@ -53,7 +53,7 @@ void for_each_sector(int n_bins, const Condition& is_bin_in_sector, const Visit&
 
 /// Returns the difference between the largest and the smallest azimuth offset of a
 /// LiDAR's beams, in bins.
-int compute_azimuth_spread_bins(const SpinningSensor& sensor, int n_bins) {
+int compute_beam_azimuth_spread_bins(const SpinningSensor& sensor, int n_bins) {
     const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
     return int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * n_bins));
 }
@@ -62,14 +62,15 @@ int compute_azimuth_spread_bins(const SpinningSensor& sensor, int n_bins) {
 
 RayDropCounts::RayDropCounts(const LidarSequence& sequence)
     : sequence_(sequence),
-      index_{int(sequence.count_beams()), choose_azimuth_bin_count(sequence), {}},
+      index_{int(sequence.count_beams_of_all_lidars()), choose_azimuth_bin_count(sequence), {}},
       rays_(std::size_t(index_.channels) * std::size_t(index_.bins), 0),
       drops_(rays_.size(), 0) {}
 
-void RayDropCounts::count_ray(const LidarFrame& frame, std::size_t ray_index) {
+void RayDropCounts::add_ray_to_drop_counts(const LidarFrame& frame, std::size_t ray_index) {
     const auto beam = sequence_.find_global_beam_number(frame.lidar, frame.scan.rays.channel[ray_index]);
     if (!beam) return;
-    const std::size_t slot = index_.compute_entry_index(*beam, frame.scan.rays.direction[ray_index]);
+    const std::size_t slot =
+        index_.compute_drop_table_index_of_ray(*beam, frame.scan.rays.direction[ray_index]);
     std::atomic_ref(rays_[slot]).fetch_add(1, std::memory_order_relaxed);
     if (!(frame.scan.range_m[ray_index] > 0.0f))
         std::atomic_ref(drops_[slot]).fetch_add(1, std::memory_order_relaxed);
@@ -99,7 +100,7 @@ RayDropTable RayDropCounts::estimate_persistent_drop_rates() const {
 }
 
 void RayDropCounts::mark_unfired_sectors_as_dropped(RayDropTable& drop_table, int channel) const {
-    for_each_sector(
+    for_each_wide_azimuth_sector(
         index_.bins, [&](int bin) { return rays_[get_bin_index(channel, bin)] == 0; },
         [&](int first, int count) {
             for (int bin = first; bin < first + count; ++bin)
@@ -117,7 +118,7 @@ double RayDropCounts::estimate_local_drop_rate(int channel, int bin) const {
     return drops / rays;
 }
 
-RayDropTable RayDropCounts::estimate_drop_rates() const {
+RayDropTable RayDropCounts::estimate_smoothed_drop_rates() const {
     RayDropTable table = index_;
     for (int channel = 0; channel < index_.channels; ++channel)
         for (int bin = 0; bin < index_.bins; ++bin) {
@@ -133,7 +134,7 @@ RayDropTable estimate_observed_drop_rates(const LidarSequence& sequence,
     RayDropCounts counts(sequence);
     parallel_for(static_cast<int>(frame_indices.size()), [&](int k) {
         const LidarFrame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(k)])];
-        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.count_ray(frame, i);
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add_ray_to_drop_counts(frame, i);
     });
     return counts.estimate_persistent_drop_rates();
 }
@@ -151,8 +152,8 @@ void mark_unobserved_sectors_as_dropped(RayDropTable& drop_table, const RayDropT
         const auto is_blind_at = [&](std::size_t row, int bin) {
             return observed_drop_rates.probability[row + std::size_t((bin + bins) % bins)] >= kBlindFrequency;
         };
-        const int spread = compute_azimuth_spread_bins(sensor, bins);
-        for_each_sector(
+        const int spread = compute_beam_azimuth_spread_bins(sensor, bins);
+        for_each_wide_azimuth_sector(
             bins,
             [&](int bin) {
                 return std::ranges::all_of(rows, [&](std::size_t row) { return is_blind_at(row, bin); });

@@ -21,7 +21,7 @@ public:
     explicit RayDropCounts(const LidarSequence& sequence);
     /// Counts one ray of a frame of the log. Several threads may call this function
     /// simultaneously.
-    void count_ray(const LidarFrame& frame, std::size_t ray_index);
+    void add_ray_to_drop_counts(const LidarFrame& frame, std::size_t ray_index);
     /// Returns the drop rate of each bin, for rays that are dropped persistently. Uses
     /// intervals of neighbouring bins with at least 60 rays, for example 20 sweeps in one
     /// bin or one sweep in 20 bins. A bin gets the highest drop rate of all intervals
@@ -32,7 +32,7 @@ public:
     /// Returns the drop rate of each bin. Mixes the rate of a bin with the rate of its
     /// neighbours, so that short logs are sufficient. The neighbours have the weight of 8
     /// rays. Their rate is computed with 8 additional returned rays.
-    RayDropTable estimate_drop_rates() const;
+    RayDropTable estimate_smoothed_drop_rates() const;
     std::size_t get_bin_count() const { return rays_.size(); }
 
 private:

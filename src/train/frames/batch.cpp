@@ -38,7 +38,7 @@ std::uint32_t choose_ray_stride(const TrainingFrameData& frame, const TrainConfi
 /// Returns the number of rows and columns of a full frame. If the rays are not ordered as
 /// an image, the frame has a single row.
 ImageShape get_frame_image_shape(const TrainingFrameData& frame) {
-    return frame.image.has_image_layout() ? frame.image : ImageShape{1, frame.n_rays, false};
+    return frame.image.has_image_rows_and_columns() ? frame.image : ImageShape{1, frame.n_rays, false};
 }
 
 StridedColumns choose_column_window(const TrainingFrameData& frame, const TrainConfig& config) {
@@ -53,8 +53,9 @@ StridedColumns choose_column_window(const TrainingFrameData& frame, const TrainC
 /// directions, so they are traced faster.
 StridedColumns choose_every_nth_column_group(const TrainingFrameData& frame, const TrainConfig& config) {
     const std::uint32_t stride = std::min(choose_ray_stride(frame, config), frame.image.columns);
-    return frame.image.has_image_layout() && stride > 1 ? StridedColumns{stride, frame.image.columns / stride}
-                                                        : StridedColumns{};
+    return frame.image.has_image_rows_and_columns() && stride > 1
+               ? StridedColumns{stride, frame.image.columns / stride}
+               : StridedColumns{};
 }
 
 StridedColumns choose_batch_columns(const TrainingFrameData& frame, const TrainConfig& config,
@@ -64,21 +65,23 @@ StridedColumns choose_batch_columns(const TrainingFrameData& frame, const TrainC
 }
 
 /// Returns the number of rays in the largest batch that is copied column by column.
-std::size_t compute_max_gathered_rays(const std::vector<TrainingFrameData>& frames, const Config& config) {
+std::size_t compute_max_rays_in_column_batch(const std::vector<TrainingFrameData>& frames,
+                                             const Config& config) {
     std::size_t largest = 0;
     for (const TrainingFrameData& frame : frames)
         largest = std::max(
-            largest, std::size_t(get_frame_image_shape(frame).rows) *
-                         choose_batch_columns(frame, config.train, config.has_neighbour_pixel_loss()).n);
+            largest,
+            std::size_t(get_frame_image_shape(frame).rows) *
+                choose_batch_columns(frame, config.train, config.has_loss_between_neighbour_pixels()).n);
     return largest;
 }
 
 /// Checks that the rays of all frames are ordered as an image.
 /// @param setting_name  name of the setting that needs images, for the error message
 /// @throws UsageError if a frame is not an image
-void check_rays_form_images(const char* setting_name, const std::vector<TrainingFrameData>& frames) {
+void require_rays_form_images(const char* setting_name, const std::vector<TrainingFrameData>& frames) {
     for (const TrainingFrameData& frame : frames)
-        if (!frame.image.has_image_layout())
+        if (!frame.image.has_image_rows_and_columns())
             throw UsageError(fmt::format(
                 "setting {}: the rays of this sensor are not ordered in rows and columns, so this loss "
                 "cannot be computed; set it to 0",
@@ -89,17 +92,17 @@ void check_rays_form_images(const char* setting_name, const std::vector<Training
 
 BatchSampler::BatchSampler(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames)
     : impl_(new Impl{config.train,
-                     config.has_neighbour_pixel_loss(),
-                     {device, compute_max_gathered_rays(frames, config), "batch rays"},
-                     {device, compute_max_gathered_rays(frames, config), "batch targets"},
+                     config.has_loss_between_neighbour_pixels(),
+                     {device, compute_max_rays_in_column_batch(frames, config), "batch rays"},
+                     {device, compute_max_rays_in_column_batch(frames, config), "batch targets"},
                      {device, "train/gather_columns"}}) {
     if (config.loss.intensity * config.loss.intensity_ssim > 0.0f)
-        check_rays_form_images("loss.intensity_ssim", frames);
+        require_rays_form_images("loss.intensity_ssim", frames);
 }
 BatchSampler::~BatchSampler() = default;
 
 /// Must select the same columns as get_frame_column() in shaders/train/columns.glsl.
-std::size_t SampledBatch::get_frame_ray_index(std::uint32_t batch_ray_index) const {
+std::size_t SampledBatch::convert_batch_to_frame_ray_index(std::uint32_t batch_ray_index) const {
     if (window.columns == 0) return rays.first + std::size_t(batch_ray_index) * rays.stride;
     const std::uint32_t row = batch_ray_index / window.n_columns, column = batch_ray_index % window.n_columns,
                         within = column % RELIDAR_COLUMN_GROUP;
@@ -107,26 +110,26 @@ std::size_t SampledBatch::get_frame_ray_index(std::uint32_t batch_ray_index) con
            (window.first + (column - within) * window.stride + within) % window.columns;
 }
 
-std::uint32_t BatchSampler::count_batches(const TrainingFrameData& frame) const {
+std::uint32_t BatchSampler::count_batches_covering_frame(const TrainingFrameData& frame) const {
     const StridedColumns columns = choose_batch_columns(frame, impl_->config, impl_->windows);
     return columns.n > 0 || impl_->windows ? columns.stride : choose_ray_stride(frame, impl_->config);
 }
 
-std::uint32_t BatchSampler::draw_first_column(const TrainingFrameData& frame, Random& random) const {
+std::uint32_t BatchSampler::sample_random_first_column(const TrainingFrameData& frame, Random& random) const {
     const StridedColumns columns = choose_batch_columns(frame, impl_->config, impl_->windows);
-    std::uint32_t choices = count_batches(frame);
+    std::uint32_t choices = count_batches_covering_frame(frame);
     if (columns.n > 0) {
         const ImageShape image = get_frame_image_shape(frame);
         // A window of columns must not extend beyond the last column, except in an image
         // that covers a full turn.
         choices = image.circular || columns.stride > 1 ? image.columns : image.columns - columns.n + 1;
     }
-    return static_cast<std::uint32_t>(random.draw_uint64() % choices);
+    return static_cast<std::uint32_t>(random.sample_random_uint64() % choices);
 }
 
 SampledBatch BatchSampler::sample_random_batch(Stream& stream, const TrainingFrameData& frame,
                                                Random& random) {
-    return gather_nth_batch(stream, frame, draw_first_column(frame, random), 0);
+    return gather_nth_batch(stream, frame, sample_random_first_column(frame, random), 0);
 }
 
 SampledBatch BatchSampler::gather_nth_batch(Stream& stream, const TrainingFrameData& frame,
@@ -162,7 +165,7 @@ SampledBatch BatchSampler::gather_nth_batch(Stream& stream, const TrainingFrameD
                  {image.rows, columns.n, false}},
                 {image.columns, first_column, columns.stride, columns.n}};
     }
-    const std::uint32_t stride = count_batches(frame);
+    const std::uint32_t stride = count_batches_covering_frame(frame);
     first_column = (first_column + batch_index) % stride;
     const RayBatch rays = frame.make_strided_batch(first_column, stride);
     return {rays,

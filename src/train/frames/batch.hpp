@@ -32,16 +32,16 @@ struct SampledBatch {
     ColumnWindow window{};
 
     /// Returns the index in the frame of a ray of the batch.
-    std::size_t get_frame_ray_index(std::uint32_t batch_ray_index) const;
+    std::size_t convert_batch_to_frame_ray_index(std::uint32_t batch_ray_index) const;
 };
 
 /// Selects about train.rays_per_iteration rays of a frame, or all rays if this setting is
 /// 0. By default, selects every n-th group of RELIDAR_COLUMN_GROUP neighbouring columns,
 /// starting at a random column. Groups are faster than single columns, because
 /// neighbouring rays visit the same tree nodes. Structural similarity and normal
-/// consistency compare neighbouring pixels (Config::has_neighbour_pixel_loss). With these
-/// losses, the batch is one window of neighbouring columns. In a frame without image
-/// order, selects every n-th ray.
+/// consistency compare neighbouring pixels (Config::has_loss_between_neighbour_pixels).
+/// With these losses, the batch is one window of neighbouring columns. In a frame without
+/// image order, selects every n-th ray.
 class BatchSampler {
 public:
     /// Creates the device arrays for batches.
@@ -55,15 +55,15 @@ public:
     /// Records GPU commands that copy one of several batches. The batches together
     /// contain all rays of a frame. At the end of a full turn, a few columns can be
     /// missing or repeated. Batches that are windows of columns do not contain all rays.
-    /// @param first_column  start of the first batch, from draw_first_column()
+    /// @param first_column  start of the first batch, from sample_random_first_column()
     /// @param batch_index  index of the batch
     SampledBatch gather_nth_batch(Stream& stream, const TrainingFrameData& frame, std::uint32_t first_column,
                                   std::uint32_t batch_index);
     /// Draws a random column (or ray) at which the first batch starts.
-    std::uint32_t draw_first_column(const TrainingFrameData& frame, Random& random) const;
+    std::uint32_t sample_random_first_column(const TrainingFrameData& frame, Random& random) const;
     /// Returns the number of batches that together contain all rays of the frame, or 1 if
     /// the batches are windows of columns.
-    std::uint32_t count_batches(const TrainingFrameData& frame) const;
+    std::uint32_t count_batches_covering_frame(const TrainingFrameData& frame) const;
 
 private:
     struct Impl;

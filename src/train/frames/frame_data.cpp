@@ -30,7 +30,8 @@ struct MovingBoxMask {
         return glm::distance(to_centre, along_m * ray.direction) <= reach_m;
     }
     PosedBox get_box_at(double time_offset_s) const {
-        return {inverse(placed.motion.compute_pose_at(placed.world_from_model, time_offset_s)), half_size_m};
+        return {inverse(placed.motion.compute_pose_at_sweep_time(placed.world_from_model, time_offset_s)),
+                half_size_m};
     }
 };
 
@@ -40,7 +41,7 @@ std::vector<MovingBoxMask> list_masked_boxes_in_sweep(const LidarSequence& seque
     for (const BoxTrack& box : list_foreground_boxes(sequence, mask_rules.moving)) {
         const bool is_actor =
             std::find(mask_rules.actors.begin(), mask_rules.actors.end(), box.id) != mask_rules.actors.end();
-        if (is_actor || !box.is_present(sweep.time_s)) continue;
+        if (is_actor || !box.is_observed_at_time(sweep.time_s)) continue;
         const glm::dvec3 half_size_m = 0.5 * box.size_m + kMoverMargin_m;
         const InstancePose placed =
             compute_box_pose_in_sweep(sequence, box.world_from_box, half_size_m, sweep);
@@ -65,12 +66,12 @@ bool is_ray_masked(const std::vector<MovingBoxMask>& masked_boxes, const WorldRa
 
 }  // namespace
 
-void make_rays_and_targets(const LidarSequence& sequence, const LidarFrame& frame,
-                           const IgnoredMeasurements& mask_rules, std::vector<DeviceRay>& rays,
-                           std::vector<DeviceTarget>& targets) {
+void compute_training_rays_and_targets(const LidarSequence& sequence, const LidarFrame& frame,
+                                       const IgnoredMeasurements& mask_rules, std::vector<DeviceRay>& rays,
+                                       std::vector<DeviceTarget>& targets) {
     const Scan& scan = frame.scan;
     const std::vector<MovingBoxMask> boxes =
-        list_masked_boxes_in_sweep(sequence, get_sweep_moment(frame), mask_rules);
+        list_masked_boxes_in_sweep(sequence, get_sweep_timing_of_frame(frame), mask_rules);
     const PoseTrack track = sequence.get_world_from_sensor(frame.lidar);
     rays.resize(scan.range_m.size());
     targets.resize(scan.range_m.size());

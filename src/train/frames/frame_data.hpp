@@ -75,8 +75,8 @@ struct IgnoredMeasurements {
 /// Computes the rays and target values of a frame on the host. Rays that the background
 /// must not learn get weight 0. These are returns from inside a moving box, and dropped
 /// rays that may have hit such a box.
-void make_rays_and_targets(const LidarSequence& sequence, const LidarFrame& frame,
-                           const IgnoredMeasurements& mask_rules, std::vector<DeviceRay>& rays,
-                           std::vector<DeviceTarget>& targets);
+void compute_training_rays_and_targets(const LidarSequence& sequence, const LidarFrame& frame,
+                                       const IgnoredMeasurements& mask_rules, std::vector<DeviceRay>& rays,
+                                       std::vector<DeviceTarget>& targets);
 
 }  // namespace relidar

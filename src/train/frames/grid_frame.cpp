@@ -13,7 +13,7 @@ LidarFrame convert_frame_to_grid(const LidarSequence& sequence, const LidarFrame
     std::vector<std::size_t> rays;
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         if (!(scan.range_m[i] > 0.0f)) continue;
-        points.push_back(scan.compute_end_point(i));
+        points.push_back(scan.compute_return_point_in_sensor_frame(i));
         intensity.push_back(scan.intensity[i]);
         rays.push_back(i);
     }
@@ -22,7 +22,8 @@ LidarFrame convert_frame_to_grid(const LidarSequence& sequence, const LidarFrame
     result.scan.rays = make_rays(grid);
     result.scan.range_m.assign(image.range_m.begin(), image.range_m.end());
     result.scan.intensity.assign(image.intensity.begin(), image.intensity.end());
-    const auto period_ratio = static_cast<float>(sequence.get_lidar(frame).period_s() / kGridPeriod_s);
+    const auto period_ratio =
+        static_cast<float>(sequence.get_lidar(frame).get_sweep_period_s() / kGridPeriod_s);
     for (std::size_t cell = 0; cell < image.source.size(); ++cell) {
         float& time_s = result.scan.rays.time_offset_s[cell];
         time_s *= period_ratio;

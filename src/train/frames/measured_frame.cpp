@@ -8,25 +8,25 @@ namespace relidar {
 
 SimulatedSensor choose_nominal_sensor_of_frame(const Config& config, const LidarSequence& sequence,
                                                const LidarFrame& frame) {
-    SimulatedSensor sensor = choose_sensor("native", config, sequence, frame.lidar);
+    SimulatedSensor sensor = find_or_load_sensor("native", config, sequence, frame.lidar);
     if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns)
         sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
     sensor.rolling_shutter = sequence.rolling_shutter;  // same setting as in the measured scan
     return sensor;
 }
 
-IgnoredMeasurements make_scene_mask_rules(const Config& config, const Scene& scene) {
+IgnoredMeasurements make_mask_for_movers_without_model(const Config& config, const Scene& scene) {
     IgnoredMeasurements masks{config.init, {}, {}};
     for (const ModelInstance& instance : scene.instances)
         if (!instance.track.empty()) masks.actors.push_back(instance.track);
     return masks;
 }
 
-std::vector<float> find_measured_drops(const LidarSequence& sequence, const LidarFrame& frame,
-                                       const IgnoredMeasurements& mask_rules) {
+std::vector<float> classify_measured_drops_per_ray(const LidarSequence& sequence, const LidarFrame& frame,
+                                                   const IgnoredMeasurements& mask_rules) {
     std::vector<DeviceRay> rays;
     std::vector<DeviceTarget> targets;
-    make_rays_and_targets(sequence, frame, mask_rules, rays, targets);
+    compute_training_rays_and_targets(sequence, frame, mask_rules, rays, targets);
     std::vector<float> dropped;
     for (std::size_t i = 0; i < targets.size(); ++i)
         dropped.push_back(!(targets[i].weight > 0.0f) ? -1.0f : frame.scan.range_m[i] > 0.0f ? 0.0f : 1.0f);

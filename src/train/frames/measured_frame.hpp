@@ -21,12 +21,12 @@ SimulatedSensor choose_nominal_sensor_of_frame(const Config& config, const Lidar
 
 /// Selects the measurements that are ignored. They belong to moving objects without a
 /// model in the scene.
-IgnoredMeasurements make_scene_mask_rules(const Config& config, const Scene& scene);
+IgnoredMeasurements make_mask_for_movers_without_model(const Config& config, const Scene& scene);
 
 /// Returns for each ray of a frame whether it was dropped: 0 returned, 1 dropped. Returns
 /// -1 if the ray hit, or may have hit, a moving object without a model in the scene.
-std::vector<float> find_measured_drops(const LidarSequence& sequence, const LidarFrame& frame,
-                                       const IgnoredMeasurements& mask_rules);
+std::vector<float> classify_measured_drops_per_ray(const LidarSequence& sequence, const LidarFrame& frame,
+                                                   const IgnoredMeasurements& mask_rules);
 
 /// Returns at most `max_count` of the frame positions, evenly spaced. Returns all
 /// positions if `max_count` is 0.

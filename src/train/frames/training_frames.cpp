@@ -38,8 +38,8 @@ struct GriddedFrame {
           frame(binned ? *binned : sequence.frames[std::size_t(position)]) {}
 };
 
-TrainingFrameData make_frame_data(const LidarSequence& sequence, int frame_index,
-                                  const std::optional<RangeImageGrid>& grid) {
+TrainingFrameData make_training_frame_without_arrays(const LidarSequence& sequence, int frame_index,
+                                                     const std::optional<RangeImageGrid>& grid) {
     const GriddedFrame trained(sequence, frame_index, grid);
     const LidarFrame& frame = trained.frame;
     const RayTable& table = frame.scan.rays;
@@ -57,10 +57,11 @@ TrainingFrameData make_frame_data(const LidarSequence& sequence, int frame_index
                       spins};
     const PoseTrack& track = sequence.world_from_vehicle;
     const auto [first, last] = std::minmax_element(table.time_offset_s.begin(), table.time_offset_s.end());
-    data.first_knot = track.find_pose_segment(compute_absolute_firing_time(sequence, frame, *first)).left;
-    const std::size_t last_knot =
-        std::min(track.find_pose_segment(compute_absolute_firing_time(sequence, frame, *last)).left + 1,
-                 track.pose.size() - 1);
+    data.first_knot =
+        track.find_poses_before_and_after_time(compute_absolute_firing_time(sequence, frame, *first)).left;
+    const std::size_t last_knot = std::min(
+        track.find_poses_before_and_after_time(compute_absolute_firing_time(sequence, frame, *last)).left + 1,
+        track.pose.size() - 1);
     data.n_knots = static_cast<std::uint32_t>(last_knot + 1 - data.first_knot);
     data.sensor_position_m =
         glm::vec3(track.interpolate_mounted_pose(frame.time_s, sequence.get_lidar(frame).vehicle_from_sensor)
@@ -68,7 +69,7 @@ TrainingFrameData make_frame_data(const LidarSequence& sequence, int frame_index
     return data;
 }
 
-void count_known_and_returned_rays(TrainingFrameData& data, const std::vector<DeviceTarget>& targets) {
+void store_known_and_returned_ray_counts(TrainingFrameData& data, const std::vector<DeviceTarget>& targets) {
     data.n_known_rays = data.n_returned = 0.0;
     for (const DeviceTarget& t : targets) {
         data.n_known_rays += t.weight > 0.0f;
@@ -91,7 +92,7 @@ TrainingFrames::TrainingFrames(Device& device, const LidarSequence& sequence,
                                const std::vector<int>& frame_indices, FrameUploadOptions use)
     : sequence_(sequence), use_(std::move(use)) {
     for (const int position : frame_indices)
-        frames_.push_back(make_frame_data(sequence, position, use_.grid));
+        frames_.push_back(make_training_frame_without_arrays(sequence, position, use_.grid));
     std::uint64_t bytes = 0;
     for (const TrainingFrameData& frame : frames_) {
         bytes += std::uint64_t(frame.n_rays) * count_bytes_per_ray();
@@ -113,8 +114,9 @@ TrainingFrames::~TrainingFrames() = default;
 void TrainingFrames::upload_resident_frames(Device& device) {
     for (std::size_t first = 0; first < n_staying_; first += kPreparedAtOnce) {
         std::vector<HostFrameArrays> batch(std::min(kPreparedAtOnce, n_staying_ - first));
-        parallel_for(static_cast<int>(batch.size()),
-                     [&](int k) { batch[std::size_t(k)] = prepare_host_frame(first + std::size_t(k)); });
+        parallel_for(static_cast<int>(batch.size()), [&](int k) {
+            batch[std::size_t(k)] = compute_host_frame_arrays(first + std::size_t(k));
+        });
         for (std::size_t k = 0; k < batch.size(); ++k) {
             TrainingFrameData& frame = frames_[first + k];
             frame.arrays = std::make_shared<FrameArrays>(
@@ -122,43 +124,44 @@ void TrainingFrames::upload_resident_frames(Device& device) {
                             {device, std::span<const DeviceTarget>(batch[k].targets), "training targets"},
                             {device, std::span<const shared::RayPlace>(batch[k].track_positions),
                              "track positions of rays"}});
-            count_known_and_returned_rays(frame, batch[k].targets);
+            store_known_and_returned_ray_counts(frame, batch[k].targets);
         }
     }
 }
 
-TrainingFrames::HostFrameArrays TrainingFrames::prepare_host_frame(std::size_t frame_index) const {
+TrainingFrames::HostFrameArrays TrainingFrames::compute_host_frame_arrays(std::size_t frame_index) const {
     const TrainingFrameData& data = frames_[frame_index];
     const GriddedFrame trained(sequence_, data.position, use_.grid);
     const LidarFrame& frame = trained.frame;
     HostFrameArrays host;
-    make_rays_and_targets(sequence_, frame, use_.unknown, host.rays, host.targets);
+    compute_training_rays_and_targets(sequence_, frame, use_.unknown, host.rays, host.targets);
     if (use_.moves_rays)
         for (const float offset_s : frame.scan.rays.time_offset_s) {
-            const TrackInterpolation track_position = sequence_.world_from_vehicle.find_pose_segment(
-                compute_absolute_firing_time(sequence_, frame, offset_s));
+            const TrackInterpolation track_position =
+                sequence_.world_from_vehicle.find_poses_before_and_after_time(
+                    compute_absolute_firing_time(sequence_, frame, offset_s));
             host.track_positions.push_back({static_cast<std::uint32_t>(track_position.left - data.first_knot),
                                             static_cast<float>(track_position.s)});
         }
     return host;
 }
 
-TrainingFrames::HostFrameArrays TrainingFrames::take_prepared_frame(std::size_t frame_index) {
+TrainingFrames::HostFrameArrays TrainingFrames::take_prefetched_or_compute_frame(std::size_t frame_index) {
     if (prefetched_frame_.valid()) {
         HostFrameArrays host = prefetched_frame_.get();
         if (prefetched_index_ == frame_index) return host;
     }
-    return prepare_host_frame(frame_index);
+    return compute_host_frame_arrays(frame_index);
 }
 
-TrainingFrameData& TrainingFrames::make_frame_resident(Stream& stream, std::size_t frame_index) {
+TrainingFrameData& TrainingFrames::upload_frame_if_not_resident(Stream& stream, std::size_t frame_index) {
     TrainingFrameData& frame = frames_[frame_index];
     if (frame_index < n_staying_) return frame;
-    const HostFrameArrays host = take_prepared_frame(frame_index);
+    const HostFrameArrays host = take_prefetched_or_compute_frame(frame_index);
     upload_values(stream, frame.arrays->rays, host.rays);
     upload_values(stream, frame.arrays->targets, host.targets);
     upload_values(stream, frame.arrays->track_positions, host.track_positions);
-    count_known_and_returned_rays(frame, host.targets);
+    store_known_and_returned_ray_counts(frame, host.targets);
     return frame;
 }
 
@@ -166,8 +169,8 @@ void TrainingFrames::prefetch_frame(std::size_t frame_index) {
     if (frame_index < n_staying_ || (prefetched_frame_.valid() && prefetched_index_ == frame_index)) return;
     if (prefetched_frame_.valid()) prefetched_frame_.wait();
     prefetched_index_ = frame_index;
-    prefetched_frame_ =
-        std::async(std::launch::async, [this, frame_index] { return prepare_host_frame(frame_index); });
+    prefetched_frame_ = std::async(std::launch::async,
+                                   [this, frame_index] { return compute_host_frame_arrays(frame_index); });
 }
 
 }  // namespace relidar

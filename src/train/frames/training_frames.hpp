@@ -46,7 +46,7 @@ public:
 
     /// Uploads frame `frame_index` if it is not in device memory. The arrays of an
     /// uploaded frame are valid until the next upload.
-    TrainingFrameData& make_frame_resident(Stream& stream, std::size_t frame_index);
+    TrainingFrameData& upload_frame_if_not_resident(Stream& stream, std::size_t frame_index);
     /// Announces the frame that is used next. If it must be uploaded, a background thread
     /// starts to compute its rays.
     void prefetch_frame(std::size_t frame_index);
@@ -68,8 +68,8 @@ private:
     std::future<HostFrameArrays> prefetched_frame_;
     std::size_t prefetched_index_ = 0;
 
-    HostFrameArrays prepare_host_frame(std::size_t frame_index) const;
-    HostFrameArrays take_prepared_frame(std::size_t frame_index);
+    HostFrameArrays compute_host_frame_arrays(std::size_t frame_index) const;
+    HostFrameArrays take_prefetched_or_compute_frame(std::size_t frame_index);
     void upload_resident_frames(Device& device);
     std::size_t count_bytes_per_ray() const;
 };

@@ -32,7 +32,7 @@ void PoseCorrectedRays::move_rays_to_corrected_poses(Stream& stream, const Track
                                                      TrainingFrameData& frame) {
     std::vector<shared::PoseKnot> knots;
     for (std::size_t k = frame.first_knot; k < frame.first_knot + frame.n_knots; ++k) {
-        const Twist c = sensor_correction.interpolate_correction(k);
+        const Twist c = sensor_correction.get_or_interpolate_correction(k);
         knots.push_back({glm::vec3(sensor_correction.get_uncorrected_track().pose[k].translation),
                          glm::vec3(c[0], c[1], c[2]), glm::vec3(c[3], c[4], c[5])});
     }

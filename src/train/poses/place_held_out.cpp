@@ -39,7 +39,9 @@ public:
         const glm::dvec3& offset_m = run_.sequence.world_offset_m;
         const RenderedScan scan = renderer_.render(
             sensor,
-            {frame.time_s, shift_track(compute_mounted_track(world_from_vehicle, mounted), offset_m), {}});
+            {frame.time_s,
+             add_offset_to_track_positions(compute_mounted_track(world_from_vehicle, mounted), offset_m),
+             {}});
         const std::vector<glm::vec3>& normals = *find_channel_values<glm::vec3>(scan.channels, "normal");
         std::vector<SurfaceHit> surfaces(ray_indices.size());
         FiringPoseInterpolator firing(scan);
@@ -69,7 +71,8 @@ private:
 
 }  // namespace
 
-HeldOutPoseReport place_held_out(Device& device, TrainedRun& run, const HeldOutPoseCallbacks& session) {
+HeldOutPoseReport estimate_held_out_vehicle_poses(Device& device, TrainedRun& run,
+                                                  const HeldOutPoseCallbacks& session) {
     HeldOutPoseReport result;
     const Config& config = run.config;
     if (!config.train.place_held_out || !should_register_sensor_poses(config.train) ||
@@ -85,7 +88,8 @@ HeldOutPoseReport place_held_out(Device& device, TrainedRun& run, const HeldOutP
     // time have the same pose, so their scans are aligned together.
     std::set<std::size_t> poses;
     for (const int position : run.split.test)
-        poses.insert(run.sequence.get_pose_index(run.sequence.frames[std::size_t(position)]));
+        poses.insert(
+            run.sequence.get_vehicle_pose_index_of_frame(run.sequence.frames[std::size_t(position)]));
     for (const std::size_t pose : poses) {
         if (session.progress)
             session.progress("aligning held-out scans", double(result.scans) / double(poses.size()));

@@ -41,8 +41,8 @@ LidarSequence copy_log_without_scans(const LidarSequence& sequence) {
 
 /// Allocates host buffers for an array that every iteration copies. Pending iterations
 /// need separate buffers.
-void allocate_readbacks(std::vector<ReadbackBuffer>& readbacks, Device& device, std::size_t n_floats,
-                        const char* description) {
+void allocate_readback_buffers(std::vector<ReadbackBuffer>& readbacks, Device& device, std::size_t n_floats,
+                               const char* description) {
     while (readbacks.size() < kReadbackLag)
         readbacks.emplace_back(device, n_floats * sizeof(float), description);
 }
@@ -66,21 +66,21 @@ PoseRefiner::PoseRefiner(Device& device, const LidarSequence& sequence, const Sc
       frames_(frames),
       layout_(copy_scene_without_surfels(layout)),
       poses_(copy_log_without_scans(sequence)) {
-    if (config.should_refine_poses("sensor")) {
+    if (config.is_pose_refinement_enabled_for("sensor")) {
         sensor_.emplace(sequence.world_from_vehicle);
         rays_ = std::make_unique<PoseCorrectedRays>(device, frames.get_all_frames());
         floats_of_rays_ = rays_->get_partial_gradient_sums().size();
-        allocate_readbacks(of_rays_, device, floats_of_rays_, "pose gradients of rays");
+        allocate_readback_buffers(of_rays_, device, floats_of_rays_, "pose gradients of rays");
     }
-    if (!config.should_refine_poses("actors")) return;
+    if (!config.is_pose_refinement_enabled_for("actors")) return;
     for (std::size_t i = 0; i < layout_.instances.size(); ++i) {
-        if (const BoxTrack* box = find_box(sequence, layout_.instances[i].track))
+        if (const BoxTrack* box = find_box_track_by_id(sequence, layout_.instances[i].track))
             actors_.push_back(
                 {i, std::size_t(box - sequence.boxes.data()), TrackCorrection(box->world_from_box)});
     }
     if (actors_.empty()) return;
     floats_of_instances_ = 6 * layout_.instances.size();
-    allocate_readbacks(of_instances_, device, floats_of_instances_, "pose gradients of instances");
+    allocate_readback_buffers(of_instances_, device, floats_of_instances_, "pose gradients of instances");
 }
 
 PoseRefiner::~PoseRefiner() = default;
@@ -92,10 +92,10 @@ GradientSelection PoseRefiner::get_required_gradients() const {
 }
 
 void PoseRefiner::move_frame_to_corrected_poses(Stream& stream, TrainingFrameData& frame) {
-    if (!is_active()) return;
+    if (!is_pose_refinement_enabled()) return;
     if (rays_) rays_->move_rays_to_corrected_poses(stream, *sensor_, frame);
     const LidarFrame& sweep = poses_.frames[std::size_t(frame.position)];
-    frame.placed = compute_instance_poses(layout_, poses_, get_sweep_moment(sweep));
+    frame.placed = compute_instance_poses(layout_, poses_, get_sweep_timing_of_frame(sweep));
     frame.sensor_position_m =
         glm::vec3(poses_.world_from_vehicle
                       .interpolate_mounted_pose(sweep.time_s, poses_.get_lidar(sweep).vehicle_from_sensor)
@@ -105,7 +105,7 @@ void PoseRefiner::move_frame_to_corrected_poses(Stream& stream, TrainingFrameDat
 void PoseRefiner::record_pose_gradients(Stream& stream, std::size_t frame_index,
                                         const TrainingFrameData& frame, const SampledBatch& batch,
                                         const DeviceGradients& gradients, int step) {
-    if (!is_active()) return;
+    if (!is_pose_refinement_enabled()) return;
     const std::size_t slot = std::size_t(step) % kReadbackLag;
     if (rays_) {
         rays_->record_pose_gradient_sums(stream, frame, batch, gradients.rays);
@@ -139,7 +139,7 @@ std::span<float> PoseRefiner::fetch_pending_gradient(Stream& stream, std::size_t
     return gradient;
 }
 
-void PoseRefiner::fetch_pending_gradients(Stream& stream) {
+void PoseRefiner::wait_for_pending_gradients(Stream& stream) {
     for (std::size_t i = 0; i < pending_iterations_.step.size(); ++i) fetch_pending_gradient(stream, i);
 }
 
@@ -152,7 +152,7 @@ void PoseRefiner::apply_oldest_pose_update(Stream& stream) {
                                        frames_.get_all_frames()[pending_iterations_.frame.front()]))
             sensor_->add_pose_gradient(g.pose, 1.0, g.gradient);
         sensor_->run_adam_step(compute_pose_learning_rates(config_, config_.pose_rate_m, step));
-        sensor_->remove_common_motion();
+        sensor_->remove_mean_rigid_correction();
     }
     for (std::size_t k = 0; k < actors_.size(); ++k) {
         Twist twist;
@@ -190,9 +190,9 @@ void PoseRefiner::update_corrected_poses() {
 void PoseRefiner::update_poses_after_restore() {
     const std::size_t n = pending_iterations_.step.size();
     const bool sound =
-        (!sensor_ || sensor_->has_valid_state()) &&
+        (!sensor_ || sensor_->is_restored_correction_valid()) &&
         std::all_of(actors_.begin(), actors_.end(),
-                    [](const RefinedActor& a) { return a.correction.has_valid_state(); }) &&
+                    [](const RefinedActor& a) { return a.correction.is_restored_correction_valid(); }) &&
         n <= kReadbackLag && pending_iterations_.frame.size() == n &&
         pending_iterations_.actor_time_s.size() == 2 * n * actors_.size() &&
         pending_iterations_.gradient.size() == n * (floats_of_rays_ + floats_of_instances_) &&

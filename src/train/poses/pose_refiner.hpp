@@ -39,7 +39,7 @@ public:
                 const TrainingFrames& frames);
     ~PoseRefiner();
 
-    bool is_active() const { return is_active_; }
+    bool is_pose_refinement_enabled() const { return is_active_; }
     /// Returns the gradients that record_pose_gradients() needs. The backward pass must
     /// compute them.
     GradientSelection get_required_gradients() const;
@@ -56,12 +56,12 @@ public:
     void apply_pose_updates_until(Stream& stream, int last_step);
     /// Waits for the pending gradients so that a checkpoint can store them. Does not
     /// update the poses.
-    void fetch_pending_gradients(Stream& stream);
+    void wait_for_pending_gradients(Stream& stream);
     RefinedPoses get_refined_poses() const;
 
     template <class Visitor>
     void visit_state(Visitor&& visit) {
-        if (!is_active()) return;
+        if (!is_pose_refinement_enabled()) return;
         if (sensor_) sensor_->visit_state("poses/sensor", visit);
         for (RefinedActor& actor : actors_)
             actor.correction.visit_state("poses/actor " + poses_.boxes[actor.box].id, visit);

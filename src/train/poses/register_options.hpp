@@ -8,7 +8,7 @@
 namespace relidar {
 
 inline bool should_register_sensor_poses(const TrainConfig& config) {
-    return config.pose_register && config.should_refine_poses("sensor");
+    return config.pose_register && config.is_pose_refinement_enabled_for("sensor");
 }
 
 /// Returns the registration options that follow from the settings. The caller must set

@@ -11,7 +11,7 @@ namespace {
 
 constexpr double kBeta1 = 0.9, kBeta2 = 0.99, kEpsilon = 1e-15;
 
-glm::dvec3 get_twist_vector(const Twist& twist, std::size_t first_index) {
+glm::dvec3 get_three_twist_components(const Twist& twist, std::size_t first_index) {
     return {twist[first_index], twist[first_index + 1], twist[first_index + 2]};
 }
 
@@ -32,7 +32,7 @@ Twist TrackCorrection::get_stored_correction(std::size_t pose_index) const {
     return twist;
 }
 
-Twist TrackCorrection::interpolate_correction(std::size_t pose_index) const {
+Twist TrackCorrection::get_or_interpolate_correction(std::size_t pose_index) const {
     const auto is_corrected = [this](std::size_t index) { return n_steps_[index] > 0; };
     std::size_t before = pose_index, after = pose_index;
     while (before > 0 && !is_corrected(before)) --before;
@@ -51,12 +51,12 @@ Twist TrackCorrection::interpolate_correction(std::size_t pose_index) const {
 PoseTrack TrackCorrection::make_corrected_track() const {
     PoseTrack result = track_;
     for (std::size_t k = 0; k < result.pose.size(); ++k)
-        result.pose[k] = apply_twist(track_.pose[k], interpolate_correction(k));
+        result.pose[k] = apply_twist(track_.pose[k], get_or_interpolate_correction(k));
     return result;
 }
 
 void TrackCorrection::add_pose_gradient(double t_s, const Twist& gradient) {
-    const auto [left, s] = track_.find_pose_segment(t_s);
+    const auto [left, s] = track_.find_poses_before_and_after_time(t_s);
     add_pose_gradient(left, 1.0 - s, gradient);
     if (s != 0.0) add_pose_gradient(left + 1, s, gradient);
 }
@@ -68,7 +68,7 @@ void TrackCorrection::add_pose_gradient(std::size_t pose_index, double weight, c
     visited_[pose_index] = true;
 }
 
-void TrackCorrection::run_adam_step(const PoseStepRates& step) {
+void TrackCorrection::run_adam_step(const PoseStepRates& step_rates) {
     for (std::size_t k = 0; k < visited_.size(); ++k) {
         if (!visited_[k]) continue;
         const double n = double(++n_steps_[k]), bias1 = 1.0 - std::pow(kBeta1, n),
@@ -76,10 +76,11 @@ void TrackCorrection::run_adam_step(const PoseStepRates& step) {
         for (std::size_t i = 6 * k; i < 6 * k + 6; ++i) {
             const bool is_translation = i < 6 * k + 3;
             const double g =
-                gradient_[i] + 2.0 * (is_translation ? step.prior_per_m2 : step.prior_per_rad2) * values_[i];
+                gradient_[i] +
+                2.0 * (is_translation ? step_rates.prior_per_m2 : step_rates.prior_per_rad2) * values_[i];
             moment1_[i] += (1.0 - kBeta1) * (g - moment1_[i]);
             moment2_[i] += (1.0 - kBeta2) * (g * g - moment2_[i]);
-            values_[i] -= (is_translation ? step.rate_m : step.rate_rad) * (moment1_[i] / bias1) /
+            values_[i] -= (is_translation ? step_rates.rate_m : step_rates.rate_rad) * (moment1_[i] / bias1) /
                           (std::sqrt(moment2_[i] / bias2) + kEpsilon);
             gradient_[i] = 0.0;
         }
@@ -87,13 +88,13 @@ void TrackCorrection::run_adam_step(const PoseStepRates& step) {
     }
 }
 
-void TrackCorrection::remove_common_motion() {
+void TrackCorrection::remove_mean_rigid_correction() {
     const auto n = double(track_.pose.size());
     glm::dvec3 centre(0.0), v(0.0), w(0.0);
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
         centre += track_.pose[k].translation / n;
-        v += get_twist_vector(get_stored_correction(k), 0) / n;
-        w += get_twist_vector(get_stored_correction(k), 3) / n;
+        v += get_three_twist_components(get_stored_correction(k), 0) / n;
+        w += get_three_twist_components(get_stored_correction(k), 3) / n;
     }
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
         const glm::dvec3 carried = v + glm::cross(w, track_.pose[k].translation - centre);
@@ -104,7 +105,7 @@ void TrackCorrection::remove_common_motion() {
     }
 }
 
-bool TrackCorrection::has_valid_state() const {
+bool TrackCorrection::is_restored_correction_valid() const {
     const std::size_t n = track_.pose.size();
     return values_.size() == 6 * n && moment1_.size() == 6 * n && moment2_.size() == 6 * n &&
            n_steps_.size() == n;

@@ -28,7 +28,7 @@ public:
     const PoseTrack& get_uncorrected_track() const { return track_; }
     /// Returns the correction of a pose. If the pose was not optimised yet, interpolates
     /// between the nearest optimised poses. Returns zero if no pose was optimised.
-    Twist interpolate_correction(std::size_t pose_index) const;
+    Twist get_or_interpolate_correction(std::size_t pose_index) const;
     PoseTrack make_corrected_track() const;
 
     /// Adds a loss gradient dL/d(v, w), for the pose at a given time or for one of the
@@ -37,12 +37,12 @@ public:
     void add_pose_gradient(std::size_t pose_index, double weight, const Twist& gradient);
     /// Performs one Adam step on the loss and the prior. Changes only poses that got a
     /// gradient after the last step.
-    void run_adam_step(const PoseStepRates& step);
+    void run_adam_step(const PoseStepRates& step_rates);
     /// Removes the rigid motion that all corrections have in common, so that the scene
     /// does not drift. The loss does not constrain this motion, because moving the scene
     /// and all sensors together does not change the images. Afterwards, the mean
     /// translation and rotation are 0.
-    void remove_common_motion();
+    void remove_mean_rigid_correction();
 
     /// Passes all variables of the optimizer to a visitor, which reads or writes a
     /// checkpoint.
@@ -55,7 +55,7 @@ public:
         visit(name + "/steps", n_steps_);
     }
     /// Returns true if a state that was read from a checkpoint is valid.
-    bool has_valid_state() const;
+    bool is_restored_correction_valid() const;
 
 private:
     PoseTrack track_;

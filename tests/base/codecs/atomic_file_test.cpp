@@ -136,14 +136,14 @@ TEST_F(StagedFolders, AppearWhenTheyAreFinished) {
         const StagedFolder staged(folder / "log" / "");
         write_text_file(staged.path() / "a.txt", "first");
         EXPECT_FALSE(fs::exists(folder / "log"));
-        staged.move_folder_to_final_path();
+        staged.move_folder_and_replace_existing();
     }
     EXPECT_EQ(read_contents(folder / "log/a.txt"), "first");
     {
         const StagedFolder staged(folder / "log");
         write_text_file(staged.path() / "b.txt", "second");
         EXPECT_EQ(read_contents(folder / "log/a.txt"), "first");
-        staged.move_folder_to_final_path();
+        staged.move_folder_and_replace_existing();
     }
     EXPECT_EQ(read_contents(folder / "log/b.txt"), "second");
     EXPECT_FALSE(fs::exists(folder / "log/a.txt")) << "the new one is in the place of the old one";

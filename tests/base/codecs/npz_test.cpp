@@ -98,7 +98,7 @@ TEST_F(Npz, ReadsTextsOfNumpy) {
     put(folder / "numpy.npz", from_hex(kNumpyText));
     const NamedArray texts = read_npz(folder / "numpy.npz").at(0);
     EXPECT_EQ(texts.dtype, "U2");
-    EXPECT_EQ(texts.bytes.size(), texts.count_elements() * 2 * sizeof(char32_t));
+    EXPECT_EQ(texts.bytes.size(), texts.count_array_elements() * 2 * sizeof(char32_t));
 }
 
 TEST_F(Npz, NamesMissingAndForeignFiles) {
@@ -167,11 +167,11 @@ TEST_F(Npz, RefusesBadArrays) {
 
 TEST(NamedArray, ChecksItsShape) {
     const float values[6] = {};
-    EXPECT_EQ(make_array("a", {2, 3}, values, 6).count_elements(), 6u);
+    EXPECT_EQ(make_array("a", {2, 3}, values, 6).count_array_elements(), 6u);
     get_data_error_message([&] { make_array("a", {2, 2}, values, 6); });
     const std::size_t huge = std::size_t(1) << 33;
-    get_data_error_message([&] { (void)NamedArray{"a", "f4", {huge, huge}, {}}.count_elements(); });
-    EXPECT_EQ((NamedArray{"a", "f4", {huge, huge, 0}, {}}.count_elements()), 0u);
+    get_data_error_message([&] { (void)NamedArray{"a", "f4", {huge, huge}, {}}.count_array_elements(); });
+    EXPECT_EQ((NamedArray{"a", "f4", {huge, huge, 0}, {}}.count_array_elements()), 0u);
 }
 
 TEST(NamedArray, ConvertsToFloat) {

@@ -61,12 +61,12 @@ protected:
         Bvh bvh;
         Stream stream;
         Built(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {
-            scene.compute_surfel_records(stream, {}, glm::vec3(0.0f));
+            scene.record_surfel_record_computation(stream, {}, glm::vec3(0.0f));
             bvh.build_trees(stream, scene, {});
             stream.submit_and_wait();
         }
         HostBvhCopy move(const std::vector<InstancePose>& poses) {
-            scene.record_instance_poses(stream, poses);
+            scene.record_upload_of_instance_poses(stream, poses);
             bvh.rebuild_top_level_tree(stream, scene);
             stream.submit_and_wait();
             return bvh.download_bvh();

@@ -74,7 +74,7 @@ protected:
         // Sums of gradients do not depend on the traversal. All methods are therefore
         // tested with only one traversal.
         const bool tests_all_methods =
-            options.tests_all_methods && device().traversal() == RayTracingBackend::software;
+            options.tests_all_methods && device().get_ray_tracing_backend() == RayTracingBackend::software;
         return tests_all_methods ? std::span(kGradientMethods)
                                  : std::span(kGradientMethods).first(kFewMethods);
     }

@@ -98,7 +98,7 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
             EXPECT_GT(std::ranges::count(touched, 0u), 100);
             EXPECT_GT(std::ranges::count(touched, 1u), 20);
             Stream stream(device());
-            gradients.surfels.fill_zero(stream);  // rows that are not written keep this value
+            gradients.surfels.record_zero_fill(stream);  // rows that are not written keep this value
             stream.submit_and_wait();
             gradients.zero_untouched = false;
             passes.run();
@@ -150,7 +150,8 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
         EXPECT_EQ(hits.capacity, 64u * many.rays.size());
         std::uint64_t n_hits = 0;
         for (const std::uint32_t n :
-             to_rendering(many.renderer.get_last_rendered_batch().rendered->download()).hits)
+             convert_rays_to_rendered_values(many.renderer.get_last_rendered_batch().rendered->download())
+                 .hits)
             n_hits += n;
         EXPECT_EQ(hits.most, n_hits);
         EXPECT_GT(n_hits, 5000u);

@@ -59,7 +59,7 @@ struct Passes {
           rays(device, std::span<const DeviceRay>(to_device_rays(to_world_rays(s.rays))), "rays"),
           targets(device, std::span<const shared::DeviceTarget>(to_targets(s.rays)), "targets"),
           view_origin(s.view_origin) {
-        renderer.scene().set_instance_poses(placed.world_from_instance);
+        renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
         std::vector<shared::RayGradient> u;
         for (std::size_t i = 0; i < s.rays.size(); ++i) {
             shared::RayGradient& d = u.emplace_back();
@@ -73,7 +73,7 @@ struct Passes {
     RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size()), 0, &targets}; }
     DeviceGradients& gradients() { return differentiable.gradients(); }
     void run_forward() {
-        renderer.prepare_view(view_origin);
+        renderer.record_view_preparation(view_origin);
         renderer.record_forward_pass(batch());
     }
     void run() {

@@ -203,9 +203,9 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
         ImageFormationModel model;
         model.sh_direction = direction;
         DeviceScene scene(device(), layout);
-        scene.set_instance_poses({Pose{}, pose});
+        scene.upload_instance_poses_and_wait({Pose{}, pose});
         Stream stream(device());
-        scene.compute_surfel_records(stream, model, glm::vec3(view_origin));
+        scene.record_surfel_record_computation(stream, model, glm::vec3(view_origin));
         stream.submit_and_wait();
         DeviceGradients gradients(device(), scene, {.poses = true});
         gradients.records.upload(d_records);
@@ -258,7 +258,7 @@ TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
     std::vector<InstancePose> placed = passes.renderer.scene().get_instance_poses();
     placed[1].world_from_model.translation = {-20.0, 0.0, 0.0};
     placed[2].present = false;
-    passes.renderer.scene().record_instance_poses(passes.renderer.stream(), placed);
+    passes.renderer.scene().record_upload_of_instance_poses(passes.renderer.stream(), placed);
     passes.run();
     const std::vector<float> poses = passes.gradients().poses.download();
     double met = 0.0;

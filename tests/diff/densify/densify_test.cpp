@@ -307,7 +307,7 @@ TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
     Case all(device(), scene, make_adaptive_options());
     EXPECT_EQ(expect_reference(all, 600).after, 0u);
     EXPECT_EQ(all.run(700).after, 0u) << "and nothing comes of nothing";
-    all.densifier.reset_opacities_if_scheduled(all.stream, all.device_scene, all.adam, 3000);
+    all.densifier.record_opacity_reset_if_scheduled(all.stream, all.device_scene, all.adam, 3000);
     all.stream.submit_and_wait();
     EXPECT_EQ(all.device_scene.get_surfel_parameters().download().size(), 0u);
 }
@@ -317,7 +317,7 @@ TEST_F(Densify, EmptyModelsCanBeTraced) {
     for (const std::vector<std::uint32_t>& counts :
          {std::vector<std::uint32_t>{50, 0, 20}, std::vector<std::uint32_t>{0, 0}}) {
         Renderer renderer(device(), test::make_random_model_scene(counts, 20), {});
-        renderer.prepare_view(glm::vec3(0.0f));
+        renderer.record_view_preparation(glm::vec3(0.0f));
         WorldRays rays;
         rays.origin = {glm::vec3(0.0f)};
         rays.direction = {glm::vec3(1.0f, 0.0f, 0.0f)};
@@ -344,9 +344,9 @@ TEST_F(Densify, RunsAreEqualBitByBit) {
 
 TEST_F(Densify, IsDueAsThePaperSays) {
     Case c(device(), test::make_random_model_scene({10}, 19), make_adaptive_options());
-    for (const int step : {500, 600, 14900}) EXPECT_TRUE(c.densifier.should_densify(step)) << step;
+    for (const int step : {500, 600, 14900}) EXPECT_TRUE(c.densifier.should_densify_after_step(step)) << step;
     for (const int step : {100, 400, 550, 15000, 20000})
-        EXPECT_FALSE(c.densifier.should_densify(step)) << step;
+        EXPECT_FALSE(c.densifier.should_densify_after_step(step)) << step;
 }
 
 }  // namespace

@@ -97,13 +97,13 @@ TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
     const Surfels tags = t.scene.surfels;
     Stream stream(device());
     for (const int step : {2999, 3001, 15000})
-        t.densifier.reset_opacities_if_scheduled(stream, t.device_scene, t.adam, step);
+        t.densifier.record_opacity_reset_if_scheduled(stream, t.device_scene, t.adam, step);
     stream.submit_and_wait();
     EXPECT_EQ(t.device_scene.get_surfel_parameters().download().opacity_logit, tags.opacity_logit)
         << "nothing is due at these steps";
     t.adam.get_first_moments().upload(tags);
     t.adam.get_second_moments().upload(tags);
-    t.densifier.reset_opacities_if_scheduled(stream, t.device_scene, t.adam, 3000);
+    t.densifier.record_opacity_reset_if_scheduled(stream, t.device_scene, t.adam, 3000);
     stream.submit_and_wait();
     const Surfels after = t.device_scene.get_surfel_parameters().download(),
                   m = t.adam.get_first_moments().download(), v = t.adam.get_second_moments().download();
@@ -129,7 +129,7 @@ TEST_F(DensifyKernels, WhatIsResetStaysVisible) {
     Trained t(device(), test::make_random_model_scene({200}, 3), options, kAlphaMin);
     const std::vector<float> before = t.scene.surfels.opacity_logit;
     Stream stream(device());
-    t.densifier.reset_opacities_if_scheduled(stream, t.device_scene, t.adam, 3000);
+    t.densifier.record_opacity_reset_if_scheduled(stream, t.device_scene, t.adam, 3000);
     stream.submit_and_wait();
     const std::vector<float> after = t.device_scene.get_surfel_parameters().download().opacity_logit;
     const float limit = std::log(0.1f / 0.9f);  // opacity 2.5 * 0.04

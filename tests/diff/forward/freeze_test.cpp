@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the original scene with a scene whose actors are baked into the background by
-// bake_surfels_to_world(). Both must render the same image. The actors are turned,
-// walking or absent.
+// transform_all_surfels_to_world(). Both must render the same image. The actors are
+// turned, walking or absent.
 #include <algorithm>
 #include <cmath>
 #include <random>
@@ -77,14 +77,14 @@ TEST_F(Freeze, RendersAsThePlacedScene) {
             std::vector<InstancePose> placed = make_some_poses();
             for (const bool one_is_absent : {false, true}) {
                 placed[2].present = !one_is_absent;
-                const Surfels frozen = bake_surfels_to_world(scene, placed);
+                const Surfels frozen = transform_all_surfels_to_world(scene, placed);
                 EXPECT_EQ(frozen.size(), one_is_absent ? 1300u : 1500u);
                 EXPECT_FALSE(frozen.bends);
                 const glm::vec3 view(0.2f, -0.1f, 0.3f);
                 Renderer moving(device(), scene, model),
                     still(device(), make_background_scene(frozen), model);
-                moving.prepare_view(placed, view);
-                still.prepare_view(view);
+                moving.record_view_preparation(placed, view);
+                still.record_view_preparation(view);
                 expect_equal(moving.render_rays(rays), still.render_rays(rays),
                              std::string(get_primitive_kind(primitive).name) +
                                  (direction == ShDirection::ray ? ", a ray" : ", a surfel"));
@@ -93,8 +93,9 @@ TEST_F(Freeze, RendersAsThePlacedScene) {
 }
 
 TEST_F(Freeze, WantsAPoseForEachInstance) {
-    EXPECT_THROW(bake_surfels_to_world(make_some_actors(PrimitiveType::surfel), std::vector<InstancePose>(3)),
-                 DataError);
+    EXPECT_THROW(
+        transform_all_surfels_to_world(make_some_actors(PrimitiveType::surfel), std::vector<InstancePose>(3)),
+        DataError);
 }
 
 }  // namespace

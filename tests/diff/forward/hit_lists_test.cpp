@@ -34,7 +34,7 @@ struct Provider {
 
 std::vector<Provider> list_providers(const Device& device) {
     const Provider brute{.name = "brute force", .brute_force = true};
-    if (device.traversal() == RayTracingBackend::software)
+    if (device.get_ray_tracing_backend() == RayTracingBackend::software)
         return {{.name = "lane", .traversal_mode = BvhTraversalMode::lane},
                 {.name = "subgroup", .traversal_mode = BvhTraversalMode::subgroup},
                 brute};
@@ -59,20 +59,20 @@ struct Placed {
           accel(device, scene, {.proxy = provider.proxy}),
           rays(device, std::span<const DeviceRay>(to_device_rays(test_case.rays)), "rays") {
         model.primitive = test_case.surfels.primitive;
-        scene.set_instance_poses(placed.world_from_instance);
-        scene.compute_surfel_records(stream, model, glm::vec3(0.0f));
-        accel.update_bvh(stream, scene);
+        scene.upload_instance_poses_and_wait(placed.world_from_instance);
+        scene.record_surfel_record_computation(stream, model, glm::vec3(0.0f));
+        accel.record_bvh_refit_or_build(stream, scene);
         stream.submit_and_wait();
     }
 
     RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size())}; }
 
     std::vector<shared::RenderedRay> render(const TraceOptions& options, StoredRayHits* kept = nullptr) {
-        ForwardPass forward(stream.device(), model, accel.get_bounding_shape(), options);
+        ForwardPass forward(stream.device(), model, accel.get_proxy_shape_of_surfels(), options);
         Array<shared::RenderedRay> rendered(stream.device(), rays.size(), "rendered rays");
         forward.record_forward_pass(stream, scene, accel, batch(), rendered, kept);
         stream.submit_and_wait();
-        EXPECT_EQ(forward.reset_truncated_ray_count(), 0u);
+        EXPECT_EQ(forward.read_and_reset_truncated_ray_count(), 0u);
         return rendered.download();
     }
 
@@ -82,9 +82,9 @@ struct Placed {
         const Array<shared::RenderedRay> rendered(device, rays.size(), "rendered rays");
         const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
                                                                   "pass cap count");
-        HitListTracer lists(device, get_traversal_kernel_variant(device),
-                            make_trace_kernel_constants(device, accel.get_bounding_shape(), {}, model),
-                            capacity);
+        HitListTracer lists(
+            device, get_traversal_kernel_variant(device),
+            make_trace_kernel_constants(device, accel.get_proxy_shape_of_surfels(), {}, model), capacity);
         shared::ForwardParams params = {
             .scene = make_trace_scene_params(scene, accel, batch(), model, {}, pass_cap.address()),
             .lists = {},
@@ -256,7 +256,7 @@ TEST_F(Lists, EndBehindAWall) {
     EXPECT_EQ(count_differences(placed.render({.order = HitSortMethod::lists}), expected), 0u);
     EXPECT_TRUE(std::ranges::all_of(expected, [](const auto& ray) { return ray.n_hits < 10; }));
     // the order of hits from a driver is unknown
-    if (device().traversal() != RayTracingBackend::software) return;
+    if (device().get_ray_tracing_backend() != RayTracingBackend::software) return;
     EXPECT_EQ(count_differences(placed.render_lists(64), expected), 0u) << "100 surfels lie along each ray";
 }
 
@@ -270,7 +270,7 @@ TEST_F(Lists, Grow) {
     const Array<std::uint32_t, shared::PassCapCount> pass_cap(device(), std::vector<std::uint32_t>{0u},
                                                               "pass cap count");
     const std::vector<SpecialisationConstant> constants =
-        make_trace_kernel_constants(device(), placed.accel.get_bounding_shape(), {}, placed.model);
+        make_trace_kernel_constants(device(), placed.accel.get_proxy_shape_of_surfels(), {}, placed.model);
     const Kernel<shared::ForwardParams> trace(device(), "diff/forward/trace",
                                               get_traversal_kernel_variant(device()), constants);
     HitListTracer lists(device(), get_traversal_kernel_variant(device()), constants, 3);

@@ -26,7 +26,7 @@ class Forward : public test::DeviceTest {};
 RenderedRayValues render_once(Device& device, const Scene& scene, const ImageFormationModel& model,
                               const WorldRays& rays, const RendererOptions& options = {}) {
     Renderer renderer(device, scene, model, options);
-    renderer.prepare_view(glm::vec3(0.0f));
+    renderer.record_view_preparation(glm::vec3(0.0f));
     return renderer.render_rays(rays);
 }
 
@@ -105,8 +105,8 @@ TEST_F(Forward, AgreesWithDoubleReference) {
             Renderer renderer(device(), placed.scene, settings.image,
                               {.accel = {.proxy = proxy},
                                .trace = {.chunk = 5, .order = order, .initial_list_capacity = room}});
-            renderer.scene().set_instance_poses(placed.world_from_instance);
-            renderer.prepare_view(glm::vec3(scene.view_origin));
+            renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
+            renderer.record_view_preparation(glm::vec3(scene.view_origin));
             const RenderedRayValues r = renderer.render_rays(test::to_world_rays(scene.rays));
             EXPECT_EQ(r.hits, e.hits);
             EXPECT_EQ(r.instance, e.instance);
@@ -132,7 +132,7 @@ TEST_F(Forward, MovedInstanceIsSeenWhereItStands) {
     for (const double x : {5.0, 9.0, 2.5}) {
         Pose pose;
         pose.translation = {x, 0.0, 0.0};
-        renderer.move_instances({{pose}}, glm::vec3(0.0f));
+        renderer.record_instance_poses_and_view({{pose}}, glm::vec3(0.0f));
         const RenderedRayValues r = renderer.render_rays(ray);
         ASSERT_EQ(r.hits[0], 1u);
         EXPECT_NEAR(r.depth[0] / r.weight[0], x, 1e-5);
@@ -156,8 +156,8 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
         const test::SceneAndPoses placed =
             test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
         Renderer renderer(device(), placed.scene, settings.image, {.trace = {.chunk = 5}});
-        renderer.scene().set_instance_poses(placed.world_from_instance);
-        renderer.prepare_view(glm::vec3(scene.view_origin));
+        renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
+        renderer.record_view_preparation(glm::vec3(scene.view_origin));
         const RenderedRayValues r = renderer.render_rays(test::to_world_rays(scene.rays));
         EXPECT_EQ(r.hit_logit, std::vector<float>(scene.rays.size(), 0.0f));
         EXPECT_LE(compute_normalised_error(r.drop_logit, e.drop_logit), test::kKernelNmse);
@@ -181,8 +181,8 @@ TEST_F(Forward, ThinGaussiansApproachSurfels) {
         ImageFormationModel model;
         model.primitive = scene.surfels.primitive;
         Renderer renderer(device(), scene, model);
-        renderer.scene().set_instance_poses(placed.world_from_instance);
-        renderer.prepare_view(glm::vec3(0.0f));
+        renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
+        renderer.record_view_preparation(glm::vec3(0.0f));
         return renderer.render_rays(rays);
     };
     const RenderedRayValues flat = rendered(placed.scene);
@@ -232,11 +232,11 @@ TEST_F(Forward, LabelIsThatOfTheSurfaceNotOfAFloater) {
     const auto at = [](double value, bool present) {
         return InstancePose{Pose{{1, 0, 0, 0}, {value, 0, 0}}, present};
     };
-    renderer.move_instances({at(9, true), at(3, true)}, glm::vec3(0.0f));
+    renderer.record_instance_poses_and_view({at(9, true), at(3, true)}, glm::vec3(0.0f));
     EXPECT_EQ(renderer.render_rays(ray).instance[0], 0);
-    renderer.move_instances({at(9, false), at(3, true)}, glm::vec3(0.0f));
+    renderer.record_instance_poses_and_view({at(9, false), at(3, true)}, glm::vec3(0.0f));
     EXPECT_EQ(renderer.render_rays(ray).instance[0], 1);
-    renderer.move_instances({at(9, false), at(3, false)}, glm::vec3(0.0f));
+    renderer.record_instance_poses_and_view({at(9, false), at(3, false)}, glm::vec3(0.0f));
     EXPECT_EQ(renderer.render_rays(ray).instance[0], -1);
 }
 
@@ -266,7 +266,7 @@ Surfels make_poisoned_copies(const Surfels& good, float bad) {
 void expect_unharmed(Device& device, const Surfels& good, const WorldRays& rays) {
     Surfels poisoned = good;
     for (const float bad : {std::nanf(""), HUGE_VALF, -HUGE_VALF, 1e38f})
-        poisoned.append(make_poisoned_copies(good, bad));
+        poisoned.append_surfels(make_poisoned_copies(good, bad));
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         ImageFormationModel model;
         model.sh_direction = direction;

@@ -53,7 +53,7 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
         Stream stream(device());
         DeviceScene on_device(device(), scene);
         SurfelArrays d(device(), static_cast<std::uint32_t>(n), "gradient", scene.surfels.primitive);
-        d.fill_zero(stream);
+        d.record_zero_fill(stream);
         stream.fill(d.mean, 0x3e800000u);  // 0.25
         const Array<std::uint32_t, shared::TouchedSurfels> rows(
             device(), std::span<const std::uint32_t>(touched), "touched");
@@ -103,7 +103,7 @@ TEST_F(SurfelLossTest, ActorsComeBackIntoTheirBoxAndTheBackgroundStays) {
     ActorBoxLoss loss(device(), weights);
     Adam adam(device(), on_device.size(), {});
     for (int step = 1; step <= 150; ++step) {
-        d.fill_zero(stream);
+        d.record_zero_fill(stream);
         loss.record_regularisation_losses(stream, on_device, {&d, nullptr}, terms);
         adam.record_adam_step(stream, on_device.get_surfel_parameters(), d, nullptr,
                               {0.03, 0.0, 0.03, 0.0, 0.0, 1.0}, step, 3);

@@ -36,7 +36,7 @@ TEST_P(AttentionSizes, ForwardAndBackward) {
     const test::ImageBatch values = test::make_random_images(c.grid, 3 * c.channels, 1),
                            upstream = test::make_random_images(c.grid, c.channels, 2);
     Attention attention(device(), std::uint32_t(c.heads));
-    AttentionActivations state = attention.make_attention_state(device(), c.grid, true);
+    AttentionActivations state = attention.allocate_attention_activations(device(), c.grid, true);
     Stream stream(device());
     const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), c.grid, c.channels),
                                           d_to(device(), upstream),
@@ -63,7 +63,7 @@ TEST_F(AttentionTest, LargeScores) {
     const ImageBatchSize grid{1, 3, 7};
     const test::ImageBatch values = test::make_random_images(grid, 12, 1, 30.0);
     Attention attention(device(), 1);
-    AttentionActivations state = attention.make_attention_state(device(), grid, false);
+    AttentionActivations state = attention.allocate_attention_activations(device(), grid, false);
     Stream stream(device());
     const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), grid, 4);
     attention.compute_attention(stream, qkv.slice(), state, to.slice());
@@ -84,7 +84,8 @@ TEST_F(AttentionTest, TakesWhatItAsksFor) {
         expected.at(0, (x + n - 1) % n, 0, x) = 1.0;
     }
     Attention attention(device(), 1);
-    AttentionActivations state = attention.make_attention_state(device(), test::get_grid(values), false);
+    AttentionActivations state =
+        attention.allocate_attention_activations(device(), test::get_grid(values), false);
     Stream stream(device());
     const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), test::get_grid(values), n);
     attention.compute_attention(stream, qkv.slice(), state, to.slice());

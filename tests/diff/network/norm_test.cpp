@@ -57,7 +57,7 @@ struct OnePass {
     NormWeights weights() const { return {beta_gamma.address(), running.address()}; }
     test::ImageBatch forward(Device& device, const OnDevice& from, const NormCase& test_case) {
         const OnDevice to = OnDevice::make_unwritten(device, test_case.grid, test_case.channels);
-        norm.normalise_for_training(stream, from.slice(), weights(), state, to.slice());
+        norm.run_norm_relu_dropout_for_training(stream, from.slice(), weights(), state, to.slice());
         stream.submit_and_wait();
         return to.read();
     }
@@ -119,7 +119,7 @@ TEST_P(NormSizes, EvaluationUsesTheRunningMoments) {
     pass.state.dropout = 0.9f;  // has no effect here
     pass.state.dropout_key = 3;
     const OnDevice from(device(), values), to = OnDevice::make_unwritten(device(), c.grid, c.channels);
-    pass.norm.normalise_for_inference(pass.stream, from.slice(), pass.weights(), pass.state, to.slice());
+    pass.norm.run_norm_relu_for_inference(pass.stream, from.slice(), pass.weights(), pass.state, to.slice());
     pass.stream.submit_and_wait();
     const std::vector<double> mean(pass.layer.beta.size(), 0.5), variance(pass.layer.beta.size(), 2.0);
     EXPECT_LT(compute_worst_error(to.read(), reference::normalise(values, {mean, variance}, pass.layer)),

@@ -237,8 +237,8 @@ TEST_F(OneDnnNorm, Agrees) {
         const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::make_unwritten(device(), grid, channels),
             d_from = OnDevice::make_unwritten(device(), grid, channels);
-        norm.normalise_for_training(stream, from.slice(), {parameters.address(), running.address()}, state,
-                                    to.slice());
+        norm.run_norm_relu_dropout_for_training(stream, from.slice(),
+                                                {parameters.address(), running.address()}, state, to.slice());
         norm.backpropagate_norm_layer(stream, from.slice(), state, d_to.slice(), d_from.slice(),
                                       {d_parameters, 0});
         stream.submit_and_wait();
@@ -257,7 +257,7 @@ class OneDnnResample : public OneDnnTest {};
 TEST_F(OneDnnResample, PoolingAgrees) {
     for (const ImageBatchSize& grid : {ImageBatchSize{4, 7, 13}, ImageBatchSize{1, 66, 1030}}) {
         const ImageBatch values = test::make_random_images(grid, 3, 1),
-                         d_output = test::make_random_images(refine::halve_grid(grid), 3, 2);
+                         d_output = test::make_random_images(refine::halve_image_size(grid), 3, 2);
         const memory::desc of_from = describe_images(values), of_to = describe_images(d_output);
         const memory::dims two{2, 2}, none{0, 0};
         const auto forward = onednn::describe<onednn::pooling_forward>(engine_, prop_kind::forward_training,
@@ -274,7 +274,7 @@ TEST_F(OneDnnResample, PoolingAgrees) {
         refine::ResamplingKernels resample(device());
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), d_output),
-            to = OnDevice::make_unwritten(device(), refine::halve_grid(grid), 3),
+            to = OnDevice::make_unwritten(device(), refine::halve_image_size(grid), 3),
             d_from(device(), ImageBatch(values.n, 3, values.rows, values.columns));
         resample.max_pool(stream, from.slice(), to.slice());
         resample.backpropagate_max_pool(stream, from.slice(), d_to.slice(), d_from.slice());

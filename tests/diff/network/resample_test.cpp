@@ -52,7 +52,7 @@ TEST_P(PoolSizes, PoolAndItsDerivative) {
     test::ImageBatch values = test::make_random_images(c.grid, c.channels, 1);
     // makes many values equal
     for (std::size_t i = 0; i < values.values.size(); i += 2) values.values[i] = std::round(values.values[i]);
-    const ImageBatchSize small = refine::halve_grid(c.grid);
+    const ImageBatchSize small = refine::halve_image_size(c.grid);
     EXPECT_EQ(small, (ImageBatchSize{c.grid.n, c.grid.rows / 2, c.grid.columns / 2}));
     const test::ImageBatch upstream = test::make_random_images(small, c.channels, 2),
                            before = test::make_random_images(c.grid, c.channels, 3);

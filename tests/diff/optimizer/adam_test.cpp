@@ -170,7 +170,7 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
         const std::uint32_t n_fixed = untouched == Untouched::none ? 0 : 37;
         const ForcedBehaviourScope forced(device(), {.coalesces = GetParam()});
         Adam adam(device(), n, {.only_touched = only_touched, .n_fixed = n_fixed}, parameter_set);
-        adam.set_max_log_scales(device(), bounds);
+        adam.set_max_log_scale_of_each_surfel(device(), bounds);
         Stream stream(device());
         SurfelArrays parameters(device(), n, "parameters", parameter_set),
             gradients(device(), n, "gradients", parameter_set);

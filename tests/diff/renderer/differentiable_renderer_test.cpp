@@ -29,8 +29,8 @@ protected:
     WorldRays rays = test::to_world_rays(scene.rays);
 
     void place(Renderer& renderer) {
-        renderer.scene().set_instance_poses(placed.world_from_instance);
-        renderer.prepare_view(glm::vec3(scene.view_origin));
+        renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
+        renderer.record_view_preparation(glm::vec3(scene.view_origin));
     }
 };
 
@@ -113,7 +113,7 @@ TEST_F(Differentiable, ArraysOfSeveralAllocationsGiveTheSameBits) {
     Device::Impl& impl = device().impl();
     if (!impl.binds_sparse) GTEST_SKIP() << "no sparse binding";
     Surfels surfels = test::to_surfels(scene.world.surfels);
-    for (int i = 0; i < 4; ++i) surfels.append(Surfels(surfels));
+    for (int i = 0; i < 4; ++i) surfels.append_surfels(Surfels(surfels));
     const Scene many = make_background_scene(surfels);
     const RenderedGradients d = to_arrays(test::make_random_upstream(scene.rays.size(), 7));
     const GradientOptions bit_equal{.sums = {.reduction = GradientReduction::gather}};
@@ -122,7 +122,7 @@ TEST_F(Differentiable, ArraysOfSeveralAllocationsGiveTheSameBits) {
     for (const std::uint64_t n_bytes : {impl.largest_allocation.n_bytes, std::uint64_t(1)}) {
         const std::uint64_t before = std::exchange(impl.largest_allocation.n_bytes, n_bytes);
         DifferentiableRenderer differentiable(device(), many, settings.image, {.keep_hits = 8}, bit_equal);
-        differentiable.renderer().prepare_view(glm::vec3(scene.view_origin));
+        differentiable.renderer().record_view_preparation(glm::vec3(scene.view_origin));
         images.push_back(differentiable.renderer().render_rays(rays));
         gradients.push_back(differentiable.compute_gradients(d));
         const Array<float>& sh = differentiable.renderer().scene().get_surfel_parameters().sh;
@@ -175,8 +175,8 @@ TEST_F(Differentiable, MovedIsAsPlaced) {
         place(moved);
         std::vector<InstancePose> poses = moved.scene().get_instance_poses();
         poses[1].world_from_model.translation.x += 0.3;
-        moved.move_instances(poses, glm::vec3(0.1f, 0.0f, 0.2f));
-        anew.prepare_view(poses, glm::vec3(0.1f, 0.0f, 0.2f));
+        moved.record_instance_poses_and_view(poses, glm::vec3(0.1f, 0.0f, 0.2f));
+        anew.record_view_preparation(poses, glm::vec3(0.1f, 0.0f, 0.2f));
         const RenderedRayValues a = moved.render_rays(rays), b = anew.render_rays(rays);
         EXPECT_EQ(a.depth, b.depth);
         EXPECT_EQ(a.intensity, b.intensity);
@@ -217,8 +217,8 @@ TEST_F(Differentiable, WhatIsOutOfOrderIsRefused) {
     renderer.render_rays(rays);
     EXPECT_THROW(differentiable.compute_gradients({.weight = std::vector<float>(3)}), DataError);
     EXPECT_THROW(renderer.upload_surfels(placed.scene.surfels.slice(0, 2)), DataError);
-    EXPECT_THROW(renderer.prepare_view({InstancePose{}}, glm::vec3(0.0f)), DataError);
-    differentiable.apply_surfel_change([](double bytes) { EXPECT_GT(bytes, 0.0); });
+    EXPECT_THROW(renderer.record_view_preparation({InstancePose{}}, glm::vec3(0.0f)), DataError);
+    differentiable.change_surfels_and_reallocate_memory([](double bytes) { EXPECT_GT(bytes, 0.0); });
     EXPECT_THROW(renderer.render_rays(rays), UsageError) << "the structure is gone";
     place(renderer);
     EXPECT_EQ(renderer.render_rays(rays).size(), rays.size());
@@ -231,12 +231,12 @@ protected:
     void SetUp() override {
         test::DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
-        options =
-            apply_environment_variables({.index = device().info().index, .traversal = device().traversal()});
+        options = apply_environment_variables(
+            {.index = device().info().index, .traversal = device().get_ray_tracing_backend()});
     }
     void TearDown() override {
         gpu::set_injected_faults("");
-        set_first_use_check({});
+        set_device_open_callbacks({});
         test::DeviceTest::TearDown();
     }
 
@@ -244,14 +244,15 @@ protected:
 };
 
 TEST_F(FirstUseTest, FindsWhatIsWrong) {
-    const CheckVerdict unforced =
-        device().traversal() == RayTracingBackend::ray_query ? CheckVerdict::right : CheckVerdict::unknown;
-    const DeviceTestResults right = check_device_at_first_use(options);
+    const CheckVerdict unforced = device().get_ray_tracing_backend() == RayTracingBackend::ray_query
+                                      ? CheckVerdict::right
+                                      : CheckVerdict::unknown;
+    const DeviceTestResults right = test_device_capabilities(options);
     EXPECT_TRUE(right.float_atomics && right.float_swaps);
     EXPECT_EQ(right.subgroup_size, 0);
     EXPECT_EQ(right.ray_query, unforced);
     gpu::set_injected_faults("float_atomics,float_swaps,ray_query");
-    const DeviceTestResults wrong = check_device_at_first_use(options);
+    const DeviceTestResults wrong = test_device_capabilities(options);
     EXPECT_EQ(wrong.float_atomics, !device().info().float_atomics);
     EXPECT_FALSE(wrong.float_swaps);
     EXPECT_EQ(wrong.ray_query, unforced == CheckVerdict::right ? CheckVerdict::wrong : CheckVerdict::unknown);
@@ -264,20 +265,21 @@ TEST_F(FirstUseTest, FindsWhatIsWrong) {
 /// the largest remaining size must be chosen.
 TEST_F(FirstUseTest, ChoosesAnotherSubgroupSize) {
     if (!device().info().software) GTEST_SKIP() << "no subgroups of a known size";
-    const std::vector<int> sizes = list_subgroup_sizes(device());
+    const std::vector<int> sizes = list_requestable_subgroup_sizes(device());
     const int size = device().info().subgroup_size;
     gpu::set_injected_faults("subgroups:" + std::to_string(size));
     if (sizes.size() == 1) {
-        EXPECT_THROW(check_device_at_first_use(options), DeviceError);
+        EXPECT_THROW(test_device_capabilities(options), DeviceError);
         return;
     }
     const int other = sizes.back() == size ? sizes[sizes.size() - 2] : sizes.back();
-    EXPECT_EQ(check_device_at_first_use(options).subgroup_size, other);
+    EXPECT_EQ(test_device_capabilities(options).subgroup_size, other);
 }
 
 TEST_F(FirstUseTest, WrongAtomicsLeadToGatheredGradients) {
     std::vector<std::string> notes;
-    set_first_use_check({check_device_at_first_use, [&](const std::string& text) { notes.push_back(text); }});
+    set_device_open_callbacks(
+        {test_device_capabilities, [&](const std::string& text) { notes.push_back(text); }});
     gpu::set_injected_faults("float_atomics");
     Device opened(options);
     const ImageFormationModel model{.sh_direction = ShDirection::surfel};

@@ -40,7 +40,7 @@ struct Setting {
 /// setting.
 std::vector<Setting> providers(const Device& device, int chunk) {
     const Setting brute{"brute force", {}, {.chunk = chunk}, true};
-    if (device.traversal() == RayTracingBackend::software)
+    if (device.get_ray_tracing_backend() == RayTracingBackend::software)
         return {{"lane", {}, {.chunk = chunk, .traversal_mode = BvhTraversalMode::lane}},
                 {"subgroup", {}, {.chunk = chunk, .traversal_mode = BvhTraversalMode::subgroup}},
                 brute};

@@ -84,7 +84,7 @@ protected:
                           const TraceOptions& options) {
         return test::collect(
             device(), get_traversal_kernel_variant(device()),
-            make_trace_kernel_constants(device(), accel.get_bounding_shape(), options, model_),
+            make_trace_kernel_constants(device(), accel.get_proxy_shape_of_surfels(), options, model_),
             make_trace_scene_params(scene, accel.get_device_addresses(), model_), case_.rays, 64);
     }
 
@@ -96,7 +96,7 @@ protected:
         }();
         for (const BvhTraversalMode traversal_mode : {BvhTraversalMode::lane, BvhTraversalMode::subgroup}) {
             if (traversal_mode == BvhTraversalMode::lane &&
-                device().traversal() == RayTracingBackend::ray_query)
+                device().get_ray_tracing_backend() == RayTracingBackend::ray_query)
                 continue;
             const CollectedHits result = collect(scene, accel, {.traversal_mode = traversal_mode});
             std::size_t n_different = 0;
@@ -123,15 +123,15 @@ INSTANTIATE_TEST_SUITE_P(Primitives, ManyRays,
 TEST_P(ManyRays, AgreeAfterBuildRefitAndRebuild) {
     Stream stream(device());
     DeviceScene scene(device(), placed_.scene);
-    scene.set_instance_poses(placed_.world_from_instance);
+    scene.upload_instance_poses_and_wait(placed_.world_from_instance);
     AccelerationStructure accel(device(), scene, {});
     std::mt19937 random(5);
     const auto update = [&](bool rebuild) {
         // The surfel ranges of this case are consecutive, so a surfel has the same index
         // in the case and in the scene.
         scene.get_surfel_parameters().upload(case_.surfels);
-        scene.compute_surfel_records(stream, model_, glm::vec3(0.0f));
-        accel.update_bvh(stream, scene, rebuild);
+        scene.record_surfel_record_computation(stream, model_, glm::vec3(0.0f));
+        accel.record_bvh_refit_or_build(stream, scene, rebuild);
         stream.submit_and_wait();
     };
     update(false);

@@ -18,10 +18,10 @@ protected:
         const test::SceneAndPoses placed = test::to_scene(test_case.surfels, test_case.instances);
         Stream stream(device());
         DeviceScene scene(device(), placed.scene);
-        scene.set_instance_poses(placed.world_from_instance);
+        scene.upload_instance_poses_and_wait(placed.world_from_instance);
         ImageFormationModel model;
         model.primitive = test_case.surfels.primitive;
-        scene.compute_surfel_records(stream, model, glm::vec3(0.0f));
+        scene.record_surfel_record_computation(stream, model, glm::vec3(0.0f));
         stream.submit_and_wait();
         const test::HostBvh bvh(device(), scene);
         const shared::TraceScene trace =
@@ -37,7 +37,8 @@ protected:
 };
 
 TEST_F(SoftwareWalk, ConformanceCases) {
-    if (device().traversal() != RayTracingBackend::software) GTEST_SKIP() << "the software traversal's own";
+    if (device().get_ray_tracing_backend() != RayTracingBackend::software)
+        GTEST_SKIP() << "the software traversal's own";
     std::vector<TraversalCase> cases = test::make_conformance_cases(21, 1000);
     cases.push_back(test::make_crowded_case(22, 120, 500));
     for (const TraversalCase& c : cases) {

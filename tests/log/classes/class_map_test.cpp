@@ -44,7 +44,8 @@ TEST(ClassMap, HasTheMostFrequentClassOfEachCell) {
         make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .people = true});
     const std::vector<int> positions = {0, 1, 3, 4};
     auto counts = count_labels(log, positions);
-    const SurfaceClassMap map = compute_class_map(log, log.world_from_vehicle, positions);
+    const SurfaceClassMap map =
+        compute_map_of_surface_classes(log, log.world_from_vehicle, log.boxes, positions);
     ASSERT_EQ(map.size(), counts.size());
     std::array<std::size_t, kSurfaceClasses> n_cells{};
     for (const SurfaceClassCell& cell : map) {
@@ -59,30 +60,46 @@ TEST(ClassMap, HasTheMostFrequentClassOfEachCell) {
         EXPECT_EQ(n_cells[std::size_t(surface)], 0u) << int(surface) << ": only in moving boxes";
 }
 
+/// Training refines the boxes of a log. Only the refined boxes must count.
+TEST(ClassMap, IgnoresReturnsInTheBoxesThatAreGiven) {
+    LidarSequence log = make_synthetic_street({.n_frames = 4, .rows = 16, .columns = 256, .people = true});
+    const std::vector<BoxTrack> boxes = log.boxes;
+    const SurfaceClassMap expected =
+        compute_map_of_surface_classes(log, log.world_from_vehicle, boxes, {0, 1, 2, 3});
+    for (BoxTrack& box : log.boxes)
+        for (Pose& pose : box.world_from_box.pose) pose.translation.z += 100.0;
+    EXPECT_EQ(compute_map_of_surface_classes(log, log.world_from_vehicle, boxes, {0, 1, 2, 3}), expected);
+    EXPECT_GT(compute_map_of_surface_classes(log, log.world_from_vehicle, log.boxes, {0, 1, 2, 3}).size(),
+              expected.size());
+}
+
 TEST(ClassMap, IgnoresScansWithoutLabels) {
     LidarSequence log = make_synthetic_street({.n_frames = 2, .rows = 8, .columns = 64});
-    const std::size_t n_first = compute_class_map(log, log.world_from_vehicle, {0}).size();
+    const std::size_t n_first =
+        compute_map_of_surface_classes(log, log.world_from_vehicle, log.boxes, {0}).size();
     log.frames[1].scan.classes.clear();
-    EXPECT_EQ(compute_class_map(log, log.world_from_vehicle, {0, 1}).size(), n_first);
+    EXPECT_EQ(compute_map_of_surface_classes(log, log.world_from_vehicle, log.boxes, {0, 1}).size(), n_first);
     log.frames[0].scan.classes.clear();
-    EXPECT_TRUE(compute_class_map(log, log.world_from_vehicle, {0, 1}).empty());
+    EXPECT_TRUE(compute_map_of_surface_classes(log, log.world_from_vehicle, log.boxes, {0, 1}).empty());
 }
 
 TEST(ClassMap, KeepsItsOwnCellsIfAnotherMapIsAdded) {
     SurfaceClassMap map = {{{-1, 2, 3}, SurfaceClass::road}};
-    merge_class_map(map, {{{-1, 2, 3}, SurfaceClass::pole}, {{1, 2, 3}, SurfaceClass::sign}});
+    add_missing_cells_of_class_map(map, {{{-1, 2, 3}, SurfaceClass::pole}, {{1, 2, 3}, SurfaceClass::sign}});
     EXPECT_EQ(map, (SurfaceClassMap{{{-1, 2, 3}, SurfaceClass::road}, {{1, 2, 3}, SurfaceClass::sign}}));
 }
 
 TEST(ClassFinder, FindsTheNearestCell) {
     Random random(3);
     const auto random_vector = [&](double reach) {
-        return glm::dvec3(random.draw_uniform(-reach, reach), random.draw_uniform(-reach, reach),
-                          random.draw_uniform(-reach, reach));
+        return glm::dvec3(random.sample_uniform_number(-reach, reach),
+                          random.sample_uniform_number(-reach, reach),
+                          random.sample_uniform_number(-reach, reach));
     };
     SurfaceClassMap map;
     for (int i = 0; i < 300; ++i)
-        map.push_back({glm::ivec3(random_vector(60.0)), SurfaceClass(random.draw_uniform() * 15.99)});
+        map.push_back(
+            {glm::ivec3(random_vector(60.0)), SurfaceClass(random.sample_uniform_number() * 15.99)});
     const SurfaceClassLookup finder(map);
     std::size_t n_far = 0;
     for (int i = 0; i < 2000; ++i) {
@@ -94,10 +111,10 @@ TEST(ClassFinder, FindsTheNearestCell) {
                 away_m < nearest_m)
                 nearest_m = away_m, expected = cell.surface;
         if (nearest_m > 2.0) expected = SurfaceClass::unknown, ++n_far;
-        ASSERT_EQ(finder.find_nearest_class(point), expected) << i;
+        ASSERT_EQ(finder.find_class_of_nearest_cell(point), expected) << i;
     }
     EXPECT_GT(n_far, 50u);
-    EXPECT_EQ(finder.find_nearest_class(glm::dvec3(0.0, std::nan(""), 0.0)), SurfaceClass::unknown);
+    EXPECT_EQ(finder.find_class_of_nearest_cell(glm::dvec3(0.0, std::nan(""), 0.0)), SurfaceClass::unknown);
 }
 
 TEST(DatasetClasses, AreRelidarsClasses) {

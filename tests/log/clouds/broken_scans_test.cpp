@@ -82,7 +82,7 @@ TEST(BrokenScans, OfKittiAreAsMissingOnes) {
                                  missing.world_from_vehicle.pose[i].translation - missing.world_offset_m;
         EXPECT_LT(glm::length(apart), 1e-9) << i;
     }
-    EXPECT_NO_THROW(check_sequence(left));
+    EXPECT_NO_THROW(require_valid_sequence(left));
 }
 
 /// Reads a drive and returns the error message, or "" if reading succeeds.

@@ -29,7 +29,7 @@ std::string get_error_after(const std::function<void(LidarSequence&)>& damage) {
     LidarSequence log = make_good_sequence();
     damage(log);
     try {
-        check_sequence(log);
+        require_valid_sequence(log);
     } catch (const DataError& error) {
         return error.what();
     }
@@ -44,7 +44,7 @@ std::size_t returned(const Scan& scan) {
 }
 
 TEST(CheckSequence, GoodLogsPass) {
-    EXPECT_NO_THROW(check_sequence(make_good_sequence()));
+    EXPECT_NO_THROW(require_valid_sequence(make_good_sequence()));
     EXPECT_EQ(get_error_after([](LidarSequence& s) {
                   s.frames[1].scan.second_returns.assign(
                       1, {std::vector<float>(128, 0.0f), std::vector<float>(128, 0.0f)});
@@ -78,7 +78,7 @@ TEST(CorrectInversePoses, IfTheScansConfirm) {
         return largest_m;
     };
     LidarSequence log = street;
-    folder::invert_poses_if_inverted(log);
+    folder::correct_poses_if_stored_inverted(log);
     EXPECT_EQ(log.notes, street.notes);
     EXPECT_EQ(largest_error_m(log), 0.0);
     for (Pose& pose : log.world_from_vehicle.pose) {
@@ -87,7 +87,7 @@ TEST(CorrectInversePoses, IfTheScansConfirm) {
     }
     log.world_offset_m = glm::dvec3(0.0);
     EXPECT_GT(largest_error_m(log), 3.0);
-    folder::invert_poses_if_inverted(log);
+    folder::correct_poses_if_stored_inverted(log);
     EXPECT_LT(largest_error_m(log), 1e-6);
     ASSERT_EQ(log.notes.size(), street.notes.size() + 1);
     EXPECT_NE(log.notes.back().find("sensor-from-world"), std::string::npos) << log.notes.back();
@@ -176,12 +176,12 @@ LidarSequence make_sequence_with_gap(double gap_s) {
 
 TEST(CheckGaps, SaysWhereFramesAreMissing) {
     LidarSequence log = make_sequence_with_gap(4.9);
-    check_time_gaps(log);
+    add_notes_about_time_gaps(log);
     ASSERT_EQ(log.notes.size(), 1u);
     EXPECT_THAT(log.notes[0], test::Names("1 gap ... 5.0 s ... frames 6 and 7 ... 0.1 s"));
     for (const double gap_s : {0.0, 0.3}) {
         log = make_sequence_with_gap(gap_s);
-        check_time_gaps(log);
+        add_notes_about_time_gaps(log);
         EXPECT_TRUE(log.notes.empty()) << "frames that a log leaves out";
     }
 }
@@ -189,14 +189,14 @@ TEST(CheckGaps, SaysWhereFramesAreMissing) {
 TEST(CheckGaps, AJumpOfTheClockIsAnError) {
     LidarSequence log = make_sequence_with_gap(3600.0);
     try {
-        check_time_gaps(log);
+        add_notes_about_time_gaps(log);
         FAIL() << "an hour between two frames";
     } catch (const DataError& error) {
         EXPECT_THAT(error.what(), test::Names("frame 7 ... 3600.7 s ... 3600.1 s ... frame 6"));
         EXPECT_EQ(std::string(error.what()).find('\n'), std::string::npos);
     }
     for (LidarFrame& frame : log.frames) frame.time_s = 100.0 * frame.index;
-    EXPECT_NO_THROW(check_time_gaps(log)) << "scans that are taken every 100 s";
+    EXPECT_NO_THROW(add_notes_about_time_gaps(log)) << "scans that are taken every 100 s";
     EXPECT_TRUE(log.notes.empty());
 }
 

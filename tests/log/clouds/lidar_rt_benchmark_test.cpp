@@ -12,13 +12,13 @@ RequestedDriveFrames kitti(const char* name, FrameRange frames = {}) {
     DatasetOptions options;
     options.sequence = name;
     options.frames = frames;
-    return resolve_benchmark_sequence(options, kKitti360Benchmark);
+    return find_requested_drive_and_frames(options, kKitti360Benchmark);
 }
 
 RequestedDriveFrames waymo(const char* name) {
     DatasetOptions options;
     options.sequence = name;
-    return resolve_benchmark_sequence(options, kWaymoBenchmark);
+    return find_requested_drive_and_frames(options, kWaymoBenchmark);
 }
 
 using Frames = std::vector<int>;

@@ -37,7 +37,7 @@ PointTable make_two_points(std::int64_t first_time, std::int64_t second_time) {
     }
     const std::vector<PointField> fields = {{"x", 'F', 4},    {"y", 'F', 4},   {"z", 'F', 4},
                                             {"ring", 'U', 2}, {"red", 'U', 1}, {"timestamp", 'I', 8}};
-    return make_table_of_binary_points(move_to_shared_bytes(std::move(bytes)), fields, 2,
+    return make_table_of_binary_points(make_shared_bytes(std::move(bytes)), fields, 2,
                                        PointMemoryLayout::by_point, "test");
 }
 
@@ -66,7 +66,7 @@ TEST(PointTable, CopiesOutliveTheirTable) {
         copy = table;
     }
     EXPECT_EQ((*copy.find_field(PointAttribute::x))[1], -2.25);
-    copy.remove_fields(PointAttribute::time);
+    copy.remove_fields_with_attribute(PointAttribute::time);
     EXPECT_EQ(copy.find_field(PointAttribute::time), nullptr);
 }
 
@@ -159,12 +159,13 @@ TEST(DroppedRays, MarkTheMaximumRangeOfTheSensor) {
         LidarSequence sequence;
         add_frame(sequence, 0, 0.0, Pose{});
         Scan& scan = sequence.frames[0].scan;
-        scan = make_unordered_scan(LidarPoints{make_measured_points(2000), std::vector<float>(2000, 0.5f)});
+        scan = make_scan_with_one_ray_per_point(
+            LidarPoints{make_measured_points(2000), std::vector<float>(2000, 0.5f)});
         for (std::size_t i = 0; i < 2000; ++i) {
             scan.rays.channel[i] = std::uint16_t(i % 16);
             if (i % 10 == 0) scan.range_m[i] = marker_m * (1.0f + 1e-7f * float(i % 3));
         }
-        drop_fake_max_range_returns(sequence);
+        remove_returns_that_mark_dropped_rays(sequence);
         return scan.count_returns();
     };
     EXPECT_EQ(n_returns(100.0f), 1800u);
@@ -175,11 +176,11 @@ TEST(DroppedRays, MarkTheMaximumRangeOfTheSensor) {
 TEST(PointTable, FindsFieldsByTheirMeaning) {
     for (const char* name : {"intensity", "Intensity", "INTENSITY", "scalar_intensity", "scalar_Intensity",
                              "i", "intensities", "reflectance", "remission", "signal", "amplitude"})
-        EXPECT_EQ(find_field_meaning(name), PointAttribute::intensity) << name;
+        EXPECT_EQ(find_attribute_of_field_name(name), PointAttribute::intensity) << name;
     for (const char* name : {"x", "X", "scalar_x", "point_x", "pos_X", "position.x", "//X"})
-        EXPECT_EQ(find_field_meaning(name), PointAttribute::x) << name;
+        EXPECT_EQ(find_attribute_of_field_name(name), PointAttribute::x) << name;
     for (const char* name : {"nx", "normal_x", "velocity_x", "vx", "x_origin", "rgb", "ambient", "in", ""})
-        EXPECT_EQ(find_field_meaning(name), std::nullopt) << name;
+        EXPECT_EQ(find_attribute_of_field_name(name), std::nullopt) << name;
     const std::vector<glm::vec3> points = make_measured_points(3);
     const PointTable table = make_point_table(points, {{"scalar_x", {7.0f, 7.0f, 7.0f}}});
     EXPECT_EQ((*table.find_field(PointAttribute::x))[1], double(points[1].x))

@@ -44,17 +44,17 @@ struct Truth {
         scan.intensity.assign(scan.rays.size(), 0.0f);
         if (second) scan.second_returns.assign(1, {to_vector(scan.range_m), to_vector(scan.intensity)});
         for (std::size_t i = 0; i < scan.rays.size(); ++i) {
-            if (random.draw_uniform() < 0.2) continue;
-            scan.range_m[i] = float(random.draw_uniform(2.0, 60.0)),
-            scan.intensity[i] = float(random.draw_uniform());
-            if (second && random.draw_uniform() < 0.1)
+            if (random.sample_uniform_number() < 0.2) continue;
+            scan.range_m[i] = float(random.sample_uniform_number(2.0, 60.0)),
+            scan.intensity[i] = float(random.sample_uniform_number());
+            if (second && random.sample_uniform_number() < 0.1)
                 scan.second_returns[0].range_m[i] = scan.range_m[i] + 3.0f,
                 scan.second_returns[0].intensity[i] = 0.25f;
         }
         std::vector<std::size_t> order(scan.rays.size());
         std::iota(order.begin(), order.end(), std::size_t(0));
         for (std::size_t i = order.size(); i-- > 1;)
-            std::swap(order[i], order[std::size_t(random.draw_uint64() % (i + 1))]);
+            std::swap(order[i], order[std::size_t(random.sample_random_uint64() % (i + 1))]);
         for (const std::size_t i : order) {
             if (scan.range_m[i] == 0.0f) continue;
             add(i, scan.range_m[i], scan.intensity[i], 1);
@@ -91,13 +91,15 @@ void expect_same_rays(const Scan& actual, const Scan& truth, float late_s) {
 TEST(SpinningScan, PointsFindTheirRaysAndTheRestIsDropped) {
     Truth truth(sensor());
     truth.points.time_offset_s.clear();
-    expect_same_rays(make_spinning_scan(truth.points, sensor(), fit_uniform_sweep(truth.points, sensor())),
+    expect_same_rays(assign_points_to_rays_of_spinning_scan(
+                         truth.points, sensor(), fit_equal_azimuth_steps_to_points(truth.points, sensor())),
                      truth.scan, 0.0f);
 }
 
 TEST(SpinningScan, RaysTakeTheTimesOfTheirPoints) {
     const Truth truth(sensor());
-    expect_same_rays(make_spinning_scan(truth.points, sensor(), fit_uniform_sweep(truth.points, sensor())),
+    expect_same_rays(assign_points_to_rays_of_spinning_scan(
+                         truth.points, sensor(), fit_equal_azimuth_steps_to_points(truth.points, sensor())),
                      truth.scan, 0.004f);
 }
 
@@ -106,13 +108,15 @@ TEST(SpinningScan, CounterClockwiseHeadsRunTheOtherWay) {
     other.clockwise = false;
     Truth truth(other);
     truth.points.time_offset_s.clear();
-    expect_same_rays(make_spinning_scan(truth.points, other, fit_uniform_sweep(truth.points, other)),
+    expect_same_rays(assign_points_to_rays_of_spinning_scan(
+                         truth.points, other, fit_equal_azimuth_steps_to_points(truth.points, other)),
                      truth.scan, 0.0f);
 }
 
 TEST(SpinningScan, KeepsSecondReturns) {
     const Truth truth(sensor(), true);
-    const Scan actual = make_spinning_scan(truth.points, sensor(), fit_uniform_sweep(truth.points, sensor()));
+    const Scan actual = assign_points_to_rays_of_spinning_scan(
+        truth.points, sensor(), fit_equal_azimuth_steps_to_points(truth.points, sensor()));
     ASSERT_EQ(actual.second_returns.size(), 1u);
     for (std::size_t i = 0; i < truth.scan.rays.size(); ++i) {
         EXPECT_NEAR(actual.range_m[i], truth.scan.range_m[i], 1e-4f);
@@ -133,7 +137,8 @@ TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     for (const double range : {10.0, 12.0, 14.0, 11.0, 9.0, 200.0})
         points.position_m.emplace_back(ray.origin_m + range * ray.direction),
             points.intensity.push_back(2.0f), points.ring.push_back(0);
-    const Scan scan = make_spinning_scan(points, s, fit_uniform_sweep(points, s));
+    const Scan scan =
+        assign_points_to_rays_of_spinning_scan(points, s, fit_equal_azimuth_steps_to_points(points, s));
     EXPECT_EQ(scan.count_returns(), 3u) << "its own ray and those beside it";
     EXPECT_NEAR(*std::max_element(scan.range_m.begin(), scan.range_m.end()), 14.0f, 1e-3f);
     EXPECT_EQ(std::count(scan.intensity.begin(), scan.intensity.end(), 1.0f), 3) << "intensities are cut";
@@ -149,9 +154,9 @@ TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
     one.beams = {{.elevation_rad = 0.0}};
     one.columns = 3;
     const EncoderTickGrid lattice{360, 0.0};
-    const SweepFirings sweep{
-        lattice,
-        {lattice.find_nearest_tick(3.0), lattice.find_nearest_tick(3.0), lattice.find_nearest_tick(1.0)}};
+    const SweepFirings sweep{lattice,
+                             {lattice.find_nearest_encoder_tick(3.0), lattice.find_nearest_encoder_tick(3.0),
+                              lattice.find_nearest_encoder_tick(1.0)}};
     const auto point = [](double azimuth, float range_m) {
         return range_m * glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0);
     };
@@ -161,13 +166,13 @@ TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
                              {0.05f, 0.0f, 0.1f},
                              {},
                              {2, 1, 0}};
-    const Scan scan = make_spinning_scan(points, one, sweep);
+    const Scan scan = assign_points_to_rays_of_spinning_scan(points, one, sweep);
     EXPECT_EQ(scan.rays.time_offset_s, (ScanArray<float>{0.1f, 0.0f, 0.05f}));
     for (std::size_t i = 0; i < 3; ++i)
         EXPECT_NEAR(scan.range_m[i], (std::array{6.0f, 5.0f, 7.0f}[i]), 1e-6f);
     LidarPoints beyond = points;
     beyond.firing[0] = 3;
-    EXPECT_THROW(make_spinning_scan(beyond, one, sweep), UsageError);
+    EXPECT_THROW(assign_points_to_rays_of_spinning_scan(beyond, one, sweep), UsageError);
 }
 
 TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
@@ -176,7 +181,7 @@ TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
     points.intensity = {0.1f, 0.2f, 0.3f, 0.4f, -1.0f};
     points.time_offset_s = {0.0f, 0.0f, 0.01f, 0.02f, 0.03f};
     points.return_number = {1, 2, 1, 1, 1};
-    const Scan scan = make_unordered_scan(points);
+    const Scan scan = make_scan_with_one_ray_per_point(points);
     EXPECT_EQ(scan.rays.rows, 1);
     EXPECT_EQ(scan.rays.columns, 3) << "a point in the sensor has no direction";
     EXPECT_EQ(scan.range_m, (ScanArray<float>{5, 2, 1}));
@@ -188,7 +193,7 @@ TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
 
 std::string error_of(const LidarPoints& points) {
     try {
-        make_spinning_scan(points, sensor(), {{360, 0.0}, {0}});
+        assign_points_to_rays_of_spinning_scan(points, sensor(), {{360, 0.0}, {0}});
     } catch (const UsageError& error) {
         return error.what();
     }
@@ -218,9 +223,10 @@ TEST(UndoCompensation, BringsPointsBackToTheirOwnTimes) {
     LidarPoints points;
     std::vector<glm::vec3> measured;
     for (int i = 0; i < 200; ++i) {
-        const double offset_s = random.draw_uniform(-0.05, 0.05);
-        measured.emplace_back(random.draw_uniform(-30.0, 30.0), random.draw_uniform(-30.0, 30.0),
-                              random.draw_uniform(-2.0, 3.0));
+        const double offset_s = random.sample_uniform_number(-0.05, 0.05);
+        measured.emplace_back(random.sample_uniform_number(-30.0, 30.0),
+                              random.sample_uniform_number(-30.0, 30.0),
+                              random.sample_uniform_number(-2.0, 3.0));
         points.time_offset_s.push_back(float(offset_s));
         const glm::dmat4 compensate =
             glm::inverse(to_matrix(track.interpolate_pose(0.4))) *
@@ -245,7 +251,7 @@ TEST(Tracks, LabelsJoinByIdAndTheWorldMovesAsOne) {
     add_frame(log, 2, 0.2, {{1, 0, 0, 0}, {77.0, 0.0, 0.0}}, 1);
     EXPECT_EQ(log.frames.size(), 4u);
     EXPECT_EQ(log.world_from_vehicle.pose.size(), 3u) << "the pose of that time is known";
-    recentre_sequence(log);
+    move_world_origin_of_log(log);
     EXPECT_EQ(log.world_offset_m, glm::dvec3(1001, 5, 0));
     EXPECT_EQ(log.world_from_vehicle.pose[2].translation, glm::dvec3(1, 0, 0));
     EXPECT_EQ(log.boxes[0].world_from_box.pose[1].translation, glm::dvec3(10, 0, 0));

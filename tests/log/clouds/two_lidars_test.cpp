@@ -28,7 +28,7 @@ TEST(TwoLidars, WorldReturnsAreVehicleTimesMounting) {
         const double t_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
         const glm::dvec4 p = to_matrix(street.world_from_vehicle.interpolate_pose(t_s)) *
                              to_matrix(rear.vehicle_from_sensor) *
-                             glm::dvec4(glm::dvec3(frame.scan.compute_end_point(i)), 1.0);
+                             glm::dvec4(glm::dvec3(frame.scan.compute_return_point_in_sensor_frame(i)), 1.0);
         EXPECT_LT(glm::distance(compute_world_return(street, frame, i).point_m, glm::dvec3(p)),
                   // tolerance: between poses, the LiDAR moves on an arc, but its
                   // interpolated position moves on the chord
@@ -66,7 +66,7 @@ TEST(TwoLidars, BothSeeTheSameRoad) {
 
 TEST(TwoLidars, ATurnIsHeldOutAsAWhole) {
     const LidarSequence street = test::make_two_lidar_street(options());
-    const TrainTestSplit split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     EXPECT_EQ(split.test, (std::vector<int>{20, 21}));
     EXPECT_EQ(split.train.size(), 22u);
     EXPECT_GT(predict_scan_from_neighbours(street, 21, split.train, BoxPointMotion::stay).count_returns(),
@@ -75,7 +75,7 @@ TEST(TwoLidars, ATurnIsHeldOutAsAWhole) {
 
 TEST(TwoLidars, LasersAreCountedThrough) {
     LidarSequence street = test::make_two_lidar_street(options());
-    EXPECT_EQ(street.count_beams(), 36u);
+    EXPECT_EQ(street.count_beams_of_all_lidars(), 36u);
     EXPECT_EQ(street.find_global_beam_number(0, 23), 23);
     EXPECT_EQ(street.find_global_beam_number(1, 0), 24);
     EXPECT_FALSE(street.find_global_beam_number(1, 12).has_value());
@@ -84,7 +84,7 @@ TEST(TwoLidars, LasersAreCountedThrough) {
             if (frame.lidar == 1 && range > 0.0f) range += 0.06f;  // all beams of the second LiDAR
     std::vector<int> all;
     for (int i = 0; i < int(street.frames.size()); ++i) all.push_back(i);
-    ASSERT_TRUE(calibrate_beam_ranges(street, all).adopted);
+    ASSERT_TRUE(fit_and_set_range_offset_of_beams(street, all).adopted);
     double mean[2] = {0.0, 0.0};
     for (int l = 0; l < 2; ++l)
         for (std::size_t b = 4; b < 12; ++b)

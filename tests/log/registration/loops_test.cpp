@@ -21,8 +21,8 @@ LoopClosureOptions make_loop_options() {
 std::vector<std::vector<SubsampledPoint>> thin(const LidarSequence& log) {
     RegistrationOptions movers;
     movers.movers = log.boxes;
-    return downsample_scans(log, group_frames_into_sweeps(log), std::vector<bool>(log.frames.size(), true),
-                            movers, 0.5);
+    return downsample_selected_sweeps(log, group_frames_into_sweeps(log),
+                                      std::vector<bool>(log.frames.size(), true), movers, 0.5);
 }
 
 /// Simulates the drift of odometry by rotating every step slightly sideways and down.

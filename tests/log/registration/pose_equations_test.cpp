@@ -108,7 +108,7 @@ TEST(PoseEquations, StepIsThatOfTheWholeProblem) {
         const Problem p = make_random_problem(seed);
         PoseEquations equations(kPoses + 1);
         for (std::size_t c = 0; c < p.planes.size(); ++c)
-            equations.add_cell_residuals(p.points, p.placed, p.members[c], p.planes[c], p.scale_m);
+            equations.add_plane_residuals_of_cell(p.points, p.placed, p.members[c], p.planes[c], p.scale_m);
         constexpr double kPrior = 1e-4;
         const Eigen::VectorXd actual =
             equations.solve_for_all_pose_steps(p.track, Eigen::VectorXd::Zero(6 * (kPoses + 1)), kPrior);

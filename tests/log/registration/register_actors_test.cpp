@@ -63,7 +63,7 @@ TEST(RegisterActors, CorrectsDriftingLabels) {
     for (std::size_t i = 0; i < street.boxes.size(); ++i)
         street.boxes[i] = add_label_errors(street.boxes[i], i + 1);
     const LidarSequence labelled = street;
-    const TrainTestSplit split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     const ActorRegistrationResult registration = register_actors(street, split.train);
     EXPECT_GT(registration.n_registered, 0u);
     const TrackError before = measure_error_of_track(labelled.boxes[0], exact.boxes[0]),
@@ -81,7 +81,7 @@ TEST(RegisterActors, KeepsExactLabels) {
     options.n_frames = 12, options.rows = 32, options.columns = 512;
     const LidarSequence exact = make_synthetic_street(options);
     LidarSequence street = exact;
-    register_actors(street, split_frames(street, 0).train);
+    register_actors(street, split_frames_into_train_and_test(street, 0).train);
     for (std::size_t i = 0; i < street.boxes.size(); ++i)
         EXPECT_LT(measure_error_of_track(street.boxes[i], exact.boxes[i]).along_m, 0.01) << "box " << i;
 }
@@ -98,7 +98,8 @@ TEST(RegisterActors, FindsStandingCarsWithDriftingLabels) {
         poses[k] =
             poses[k] * Pose{{1.0, 0.0, 0.0, 0.0}, {2.5 * double(k) / double(poses.size()) - 1.25, 0.0, 0.0}};
     ASSERT_TRUE(box.is_moving());
-    const ActorRegistrationResult registration = register_actors(street, split_frames(street, 0).train);
+    const ActorRegistrationResult registration =
+        register_actors(street, split_frames_into_train_and_test(street, 0).train);
     EXPECT_EQ(registration.n_standing, 1u);
     EXPECT_FALSE(box.is_moving());
 }

@@ -35,7 +35,7 @@ RegistrationOptions make_options_without_movers(const std::vector<BoxTrack>& mov
 }
 
 RegistrationResult register_street(const LidarSequence& street, int test_every = 0) {
-    return register_scans(street, split_frames(street, test_every),
+    return register_scans(street, split_frames_into_train_and_test(street, test_every),
                           make_options_without_movers(street.boxes));
 }
 
@@ -68,8 +68,8 @@ TEST(RegisterScans, LongStreetStaysWhereItIs) {
     const LidarSequence street = make_synthetic_street(options);
     const RegistrationResult registration = register_street(street, 10);
     EXPECT_TRUE(registration.lost.empty()) << registration.lost.size() << " scans are lost";
-    const PoseError error =
-        error_of(registration.world_from_vehicle, street.world_from_vehicle, split_frames(street, 10).train);
+    const PoseError error = error_of(registration.world_from_vehicle, street.world_from_vehicle,
+                                     split_frames_into_train_and_test(street, 10).train);
     EXPECT_LT(error.rms_m, 0.03);
     EXPECT_LT(error.worst_m, 0.06);
 }
@@ -77,7 +77,7 @@ TEST(RegisterScans, LongStreetStaysWhereItIs) {
 TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
     const LidarSequence street = make_street_of(21);
     const PoseTrack& exact = street.world_from_vehicle;
-    const TrainTestSplit split = split_frames(street, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     expect_registered(
         register_street(test::set_poses(street, test::perturb_track(exact, 0.05, 0.3 * test::kDegree, 1)),
                         10),
@@ -115,7 +115,7 @@ TEST(RegisterScans, WithoutARollingShutterToo) {
     const PoseTrack exact = street.world_from_vehicle;
     expect_registered(
         register_street(test::set_poses(street, test::perturb_track(exact, 0.05, 0.3 * test::kDegree, 2)), 5),
-        exact, split_frames(street, 5), "all rays at once");
+        exact, split_frames_into_train_and_test(street, 5), "all rays at once");
 }
 
 TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
@@ -145,7 +145,7 @@ TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
 TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
     LidarSequence street = make_street_of(11);
     set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 4));
-    const TrainTestSplit split = split_frames(street, 5);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 5);
     const RegistrationResult registration =
         register_scans(street, split, make_options_without_movers(street.boxes));
     LidarSequence other = street;
@@ -186,10 +186,12 @@ TEST(RegisterScans, CorrectionsBeyondWhatIsAllowedAreNotBelieved) {
     track.pose[4].translation += glm::dvec3(0.3, 0.4, 0.0);
     set_vehicle_poses(street, track);
     RegistrationOptions options = make_options_without_movers(street.boxes);
-    const RegistrationResult registration = register_scans(street, split_frames(street, 0), options);
+    const RegistrationResult registration =
+        register_scans(street, split_frames_into_train_and_test(street, 0), options);
     EXPECT_TRUE(registration.lost.empty()) << "half a metre is found";
     options.largest_m = 0.25;
-    EXPECT_EQ(register_scans(street, split_frames(street, 0), options).lost, std::vector<std::size_t>{4});
+    EXPECT_EQ(register_scans(street, split_frames_into_train_and_test(street, 0), options).lost,
+              std::vector<std::size_t>{4});
 }
 
 TEST(RegisterScans, SaysWhatIsMissing) {
@@ -200,13 +202,14 @@ TEST(RegisterScans, SaysWhatIsMissing) {
     RegistrationOptions options;
     options.stop = [&] { return ++n_polls == 3; };
     set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.0, 1));
-    const RegistrationResult stopped = register_scans(street, split_frames(street, 0), options);
+    const RegistrationResult stopped =
+        register_scans(street, split_frames_into_train_and_test(street, 0), options);
     EXPECT_TRUE(stopped.stopped);
     EXPECT_EQ(stopped.world_from_vehicle.pose[2].translation, street.world_from_vehicle.pose[2].translation);
     for (LidarFrame& frame : street.frames)
         std::fill(frame.scan.range_m.begin(), frame.scan.range_m.end(), 0.0f);
     try {
-        register_scans(street, split_frames(street, 0), {});
+        register_scans(street, split_frames_into_train_and_test(street, 0), {});
         FAIL() << "expected DataError";
     } catch (const DataError& error) {
         EXPECT_THAT(error.what(), test::Names("surface ... 4 training"));

@@ -33,7 +33,7 @@ LidarSequence make_staggered_street(double off_s) {
                         : cast_rays_into_synthetic_street(make_two_lidar_options(), rays,
                                                           together.get_world_from_sensor(1), time_s);
     }
-    check_sequence(street);
+    require_valid_sequence(street);
     return street;
 }
 
@@ -46,7 +46,7 @@ std::vector<int> all_poses(const LidarSequence& street) {
 TEST(SeveralLidars, AreRegisteredAsOneScanOfTheVehicle) {
     const LidarSequence street = test::make_two_lidar_street(make_two_lidar_options());
     const PoseTrack& exact = street.world_from_vehicle;
-    const TrainTestSplit split = split_frames(street, 5);
+    const TrainTestSplit split = split_frames_into_train_and_test(street, 5);
     for (const PoseTrack& wrong : {test::perturb_track(exact, 0.05, 0.3 * test::kDegree, 1),
                                    test::add_drift(exact, 0.2, 0.3 * test::kDegree)}) {
         const RegistrationResult registration = register_scans(test::set_poses(street, wrong), split, {});
@@ -68,7 +68,7 @@ TEST(SeveralLidars, OneFindsWhatTheOtherMissed) {
     PoseTrack wrong = exact;
     wrong.pose[4].translation += glm::dvec3(0.2, -0.3, 0.1);
     const RegistrationResult registration =
-        register_scans(test::set_poses(street, wrong), split_frames(street, 0), {});
+        register_scans(test::set_poses(street, wrong), split_frames_into_train_and_test(street, 0), {});
     EXPECT_TRUE(registration.lost.empty());
     EXPECT_LT(test::error_of(registration.world_from_vehicle, exact, all_poses(street)).worst_m, 0.02);
 }
@@ -88,7 +88,7 @@ TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
             wrong.pose[k] = drift.interpolate_pose(wrong.time_s[k]) *
                             (inverse(sweeps.interpolate_pose(wrong.time_s[k])) * wrong.pose[k]);
         const RegistrationResult registration =
-            register_scans(test::set_poses(street, wrong), split_frames(street, 5), {});
+            register_scans(test::set_poses(street, wrong), split_frames_into_train_and_test(street, 5), {});
         ASSERT_TRUE(registration.done);
         EXPECT_TRUE(registration.lost.empty());
         const test::PoseError error =
@@ -105,7 +105,7 @@ TEST(SeveralLidars, AreFollowedWithoutPoses) {
     RegistrationOptions blind;
     blind.use_pose_motion = false;
     const RegistrationResult registration =
-        register_scans(test::set_poses(street, none), split_frames(street, 5), blind);
+        register_scans(test::set_poses(street, none), split_frames_into_train_and_test(street, 5), blind);
     ASSERT_TRUE(registration.done);
     const test::PoseError error =
         test::error_of(registration.world_from_vehicle, street.world_from_vehicle, all_poses(street));

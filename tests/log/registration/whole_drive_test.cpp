@@ -53,19 +53,23 @@ TEST_F(WholeDrive, FindsPosesBackFromDriftAndJumps) {
         test::error_of(initial_poses, drive().world_from_vehicle, {0, last / 3, 2 * last / 3, last}).worst_m,
         1.0)
         << "the start is far off";
-    expect_registered(register_street(initial_poses, true, split_frames(drive(), 10)), "drift and jumps");
+    expect_registered(register_street(initial_poses, true, split_frames_into_train_and_test(drive(), 10)),
+                      "drift and jumps");
 }
 
 TEST_F(WholeDrive, StaysWithExactPoses) {
-    expect_registered(register_street(drive().world_from_vehicle, true, split_frames(drive(), 10)), "exact");
+    expect_registered(
+        register_street(drive().world_from_vehicle, true, split_frames_into_train_and_test(drive(), 10)),
+        "exact");
 }
 
 TEST_F(WholeDrive, NeedsNoPoses) {
     PoseTrack none = drive().world_from_vehicle;
     for (Pose& pose : none.pose) pose = {};
-    const RegistrationResult registration = register_street(none, false, split_frames(drive(), 10));
+    const RegistrationResult registration =
+        register_street(none, false, split_frames_into_train_and_test(drive(), 10));
     expect_registered(registration, "no poses");
-    const TrainTestSplit split = split_frames(drive(), 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(drive(), 10);
     EXPECT_EQ(
         registration.world_from_vehicle.pose[std::size_t(split.train[split.train.size() / 2])].translation,
         glm::dvec3(0.0))

@@ -60,7 +60,7 @@ TEST(ChannelList, NumbersAndRowsAgree) {
 
 TEST(ChannelList, WhatACallerAddsIsChecked) {
     const auto check = [](const std::string& name, std::size_t count) {
-        check_channel_names_and_sizes(
+        require_valid_channel_names_and_sizes(
             {{{.name = "mine"}, std::vector<float>(3)}, {{.name = name}, std::vector<std::int32_t>(count)}},
             3, "a scan");
     };

@@ -52,7 +52,8 @@ PairedIntensities measured(std::uint64_t seed, const Measure& measure) {
         const double rendered = double(result.rendered.intensity[i]),
                      value = measure(rendered, i % kColumns == 0 ? 0.0 : before, random);
         before = value - rendered;
-        result.measured.push_back(random.draw_uniform() < 0.1 ? kNoIntensity : static_cast<float>(value));
+        result.measured.push_back(random.sample_uniform_number() < 0.1 ? kNoIntensity
+                                                                       : static_cast<float>(value));
     }
     return result;
 }
@@ -71,7 +72,7 @@ const std::vector<std::uint8_t> kAll(kRays, 1);
 double coins(double rendered, double, Random& random) {
     const int n = rendered > 0.7 ? 16 : 4;
     int heads = 0;
-    for (int k = 0; k < n; ++k) heads += random.draw_uniform() < 0.5;
+    for (int k = 0; k < n; ++k) heads += random.sample_uniform_number() < 0.5;
     return (std::round(100.0 * rendered) + heads - n / 2) / 100.0;
 }
 
@@ -90,7 +91,7 @@ TEST(Scatter, DrawsTheDistributionOfEachBrightness) {
         std::vector<double> counts(std::size_t(n) + 1, 0.0);
         double drawn = 0.0;
         for (std::uint64_t seed = 1; seed <= 4; ++seed) {
-            const std::vector<float> one = draw_random_intensities(scatter, image, kAll, seed);
+            const std::vector<float> one = sample_random_intensities(scatter, image, kAll, seed);
             for (std::size_t i = 0; i < kRays; ++i) {
                 if (std::abs(image.intensity[i] - 0.2f * float(panel)) > 0.01f) continue;
                 const int k = int(std::lround(100.0f * one[i])) - 20 * panel + n / 2;
@@ -115,7 +116,7 @@ TEST(Scatter, DrawsTheDistributionOfEachBrightness) {
 /// noise has a variance of 0.0025, and a correlation of 0.8^k between rays k columns
 /// apart.
 double grain(double rendered, double before, Random& random) {
-    return rendered + 0.8 * before + 0.03 * random.draw_standard_normal();
+    return rendered + 0.8 * before + 0.03 * random.sample_standard_normal();
 }
 
 TEST(Scatter, IsCorrelatedAlongABeam) {
@@ -126,7 +127,7 @@ TEST(Scatter, IsCorrelatedAlongABeam) {
     std::array<double, 4> products{};
     double n = 0.0;
     for (std::uint64_t seed = 1; seed <= 8; ++seed) {
-        const std::vector<float> drawn = draw_random_intensities(scatter, image, kAll, seed);
+        const std::vector<float> drawn = sample_random_intensities(scatter, image, kAll, seed);
         for (std::size_t i = 0; i < kRays; ++i) {
             if (i % kColumns < 32) continue;  // the process starts at 0
             for (std::size_t lag = 0; lag < products.size(); ++lag)
@@ -142,12 +143,14 @@ TEST(Scatter, IsCorrelatedAlongABeam) {
 }
 
 /// Returns a value uniformly distributed between 0.5 and 1.5 times the rendered value.
-double even(double rendered, double, Random& random) { return rendered * random.draw_uniform(0.5, 1.5); }
+double even(double rendered, double, Random& random) {
+    return rendered * random.sample_uniform_number(0.5, 1.5);
+}
 
 TEST(Scatter, ContinuousDrawsFollowTheirDistributionFunction) {
     const IntensityScatterModel scatter = fit_intensity_scatter(make_scans(60, even));
     const RenderedIntensityImage image = make_panels();
-    const std::vector<float> drawn = draw_random_intensities(scatter, image, kAll, 5);
+    const std::vector<float> drawn = sample_random_intensities(scatter, image, kAll, 5);
     for (const int panel : {1, 2, 3, 4}) {
         std::vector<double> shares;  // position between 0.5 and 1.5
         for (std::size_t i = 0; i < kRays; ++i)
@@ -169,9 +172,9 @@ TEST(Scatter, TheSeedReproducesAndDroppedRaysHaveNone) {
     EXPECT_EQ(scatter.values, again.values);
     std::vector<std::uint8_t> returns(kRays);
     for (std::size_t i = 0; i < kRays; ++i) returns[i] = i % 3 != 0;
-    const std::vector<float> drawn = draw_random_intensities(scatter, make_panels(), returns, 9);
-    EXPECT_EQ(drawn, draw_random_intensities(again, make_panels(), returns, 9));
-    EXPECT_NE(drawn, draw_random_intensities(scatter, make_panels(), returns, 10));
+    const std::vector<float> drawn = sample_random_intensities(scatter, make_panels(), returns, 9);
+    EXPECT_EQ(drawn, sample_random_intensities(again, make_panels(), returns, 9));
+    EXPECT_NE(drawn, sample_random_intensities(scatter, make_panels(), returns, 10));
     for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(drawn[i] == kNoIntensity, i % 3 == 0) << i;
 }
 
@@ -212,12 +215,14 @@ TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
                 node = &scatter.nodes[std::size_t(node->child) +
                                       (features[std::size_t(node->feature)] <= node->at ? 0 : 1)];
             expected[i] =
-                scatter.values[node->first + std::size_t(Random(hash_integer_pair(11, i)).draw_uniform() *
-                                                         double(node->count))];
+                scatter.values[node->first +
+                               std::size_t(Random(hash_integer_pair(11, i)).sample_uniform_number() *
+                                           double(node->count))];
         }
         const std::vector<std::uint8_t> all(expected.size(), 1);
         for (int repetition = 0; repetition < 20; ++repetition)
-            ASSERT_EQ(draw_random_intensities(scatter, image, all, 11), expected) << rows << " x " << columns;
+            ASSERT_EQ(sample_random_intensities(scatter, image, all, 11), expected)
+                << rows << " x " << columns;
     }
 }
 
@@ -249,7 +254,7 @@ TEST(Scatter, FindsTheStepOfALog) {
     EXPECT_EQ(find_quantisation_step(almost), 0.0);
     std::vector<float> continuous;
     Random random(3);
-    for (int k = 0; k < 5000; ++k) continuous.push_back(static_cast<float>(random.draw_uniform()));
+    for (int k = 0; k < 5000; ++k) continuous.push_back(static_cast<float>(random.sample_uniform_number()));
     EXPECT_EQ(find_quantisation_step(continuous), 0.0);
     IntensityScatterModel scatter;
     scatter.step = 0.01;

@@ -53,7 +53,7 @@ TEST(RangeGrid, NearestPointWinsAPixel) {
     EXPECT_FLOAT_EQ(image.intensity[at], 0.2f);
     EXPECT_EQ(std::count_if(image.source.begin(), image.source.end(), [](int s) { return s >= 0; }), 1);
     EXPECT_THROW(project_points(grid, {{1, 0, 0}}, {}), UsageError);
-    EXPECT_THROW(find_range_grid("kiti360"), UsageError);
+    EXPECT_THROW(get_range_image_grid_by_name("kiti360"), UsageError);
 }
 
 }  // namespace

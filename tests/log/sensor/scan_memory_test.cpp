@@ -57,14 +57,14 @@ TEST(ScanMemory, IsUnlimitedUntilItIsLimited) {
 
 TEST(ScanMemory, ProcessesOfAMachineShareTheDefault) {
     run_in_child_process([] {
-        limit_scan_memory(0, fs::temp_directory_path());
+        store_scans_above_limit_in_file(0, fs::temp_directory_path());
         const ScanArray<float> alone(1 << 18, 1.0f);
         EXPECT_EQ(get_scan_memory_use().in_file, 0u);
         set_scan_process_count(10'000'000);  // each may use some kilobytes
-        limit_scan_memory(0, fs::temp_directory_path());
+        store_scans_above_limit_in_file(0, fs::temp_directory_path());
         const ScanArray<float> one_of_many(1 << 18, 1.0f);
         EXPECT_EQ(get_scan_memory_use().in_file, 1u << 20);
-        limit_scan_memory(8 << 20, fs::temp_directory_path());
+        store_scans_above_limit_in_file(8 << 20, fs::temp_directory_path());
         const ScanArray<float> array_within_limit(1 << 18, 1.0f);
         EXPECT_EQ(get_scan_memory_use().in_file, 1u << 20) << "what a setting gives is each process's own";
     });
@@ -72,7 +72,7 @@ TEST(ScanMemory, ProcessesOfAMachineShareTheDefault) {
 
 TEST(ScanMemory, KeepsWhatIsWrittenWhereverItLies) {
     run_in_child_process([] {
-        limit_scan_memory(3 << 20, fs::temp_directory_path());
+        store_scans_above_limit_in_file(3 << 20, fs::temp_directory_path());
         std::mt19937 random(1);
         std::vector<ScanArray<std::uint32_t>> arrays;
         std::vector<std::uint32_t> first;
@@ -107,7 +107,7 @@ TEST(ScanMemory, KeepsWhatIsWrittenWhereverItLies) {
 
 TEST(ScanMemory, ServesSeveralThreads) {
     run_in_child_process([] {
-        limit_scan_memory(1 << 20, fs::temp_directory_path());
+        store_scans_above_limit_in_file(1 << 20, fs::temp_directory_path());
         std::vector<std::thread> threads;
         for (std::uint32_t t = 0; t < 4; ++t)
             threads.emplace_back([t] {
@@ -133,7 +133,7 @@ TEST(ScanMemory, ALogThatDoesNotFitIsTheSame) {
         const LidarSequence log_in_memory = make_synthetic_street(street);  // 29 MB
         const std::uint64_t of_scans = get_scan_memory_use().in_memory, before = measure_anonymous_bytes();
         EXPECT_GT(of_scans, 20u << 20);
-        limit_scan_memory(1 << 20, fs::temp_directory_path());
+        store_scans_above_limit_in_file(1 << 20, fs::temp_directory_path());
         const LidarSequence log = make_synthetic_street(street);
         EXPECT_GT(get_scan_memory_use().in_file, of_scans * 9 / 10);
         EXPECT_LT(measure_anonymous_bytes(), before + of_scans / 2);
@@ -149,7 +149,7 @@ TEST(ScanMemory, ALogThatDoesNotFitIsTheSame) {
 
 TEST(ScanMemory, AFolderThatCannotTakeThemIsNamed) {
     run_in_child_process([] {
-        limit_scan_memory(1, "/proc/nowhere");
+        store_scans_above_limit_in_file(1, "/proc/nowhere");
         EXPECT_THAT(error_message<DataError>([] { ScanArray<float>(1 << 20); }),
                     test::Names("into memory in '/proc/nowhere': No such file"));
     });
@@ -157,7 +157,7 @@ TEST(ScanMemory, AFolderThatCannotTakeThemIsNamed) {
         const rlimit small{8 << 20, 8 << 20};
         ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &small), 0);
         std::signal(SIGXFSZ, SIG_IGN);
-        limit_scan_memory(1, fs::temp_directory_path());
+        store_scans_above_limit_in_file(1, fs::temp_directory_path());
         std::vector<ScanArray<float>> arrays;
         arrays.emplace_back(1 << 20, 1.0f);
         EXPECT_THAT(error_message<DataError>([&] { arrays.emplace_back(3 << 20, 2.0f); }),

@@ -69,7 +69,7 @@ std::vector<Beam> make_unequal_beams() {
 TEST(IntensityResponse, ComesBackFromSharedPlaces) {
     const std::vector<Beam> truth = make_unequal_beams();
     LidarSequence sequence = drive(truth, 0.01);
-    const IntensityCalibrationResult calibration = calibrate_intensity(sequence, kAll);
+    const IntensityCalibrationResult calibration = fit_and_set_intensity_calibration(sequence, kAll);
     ASSERT_GT(calibration.returns, 2000u);
     EXPECT_GT(calibration.rms_before, 3.0 * calibration.rms_after);
     // Compares beams with each other, because the data do not determine a common scale
@@ -96,7 +96,7 @@ TEST(IntensityResponse, EqualLasersStayEqual) {
     std::vector<Beam> beams = make_unequal_beams();
     for (Beam& beam : beams) beam.intensity_gain = 1.0, beam.intensity_offset = 0.0;
     LidarSequence sequence = drive(beams, 0.02);
-    calibrate_intensity(sequence, kAll);
+    fit_and_set_intensity_calibration(sequence, kAll);
     for (const Beam& beam : sequence.lidars[0].sensor.beams)
         for (const double surface : {0.3, 0.6})
             EXPECT_NEAR(beam.intensity_gain * surface + beam.intensity_offset, surface, 0.015);
@@ -113,14 +113,15 @@ LidarSequence street() {
 void expect_the_streets_fall(const IntensityResponse& calibration, double tolerance) {
     const auto exact = [](double range_m) { return (1.0 - range_m / 160.0) / (1.0 - 10.0 / 160.0); };
     for (const double range_m : {4.0, 7.0, 15.0, 25.0, 40.0})
-        EXPECT_NEAR(calibration.compute_range_factor(range_m) / exact(range_m), 1.0, tolerance) << range_m;
+        EXPECT_NEAR(calibration.compute_intensity_factor_at_range(range_m) / exact(range_m), 1.0, tolerance)
+            << range_m;
     EXPECT_NEAR(calibration.incidence, 0.7, 0.05);
 }
 
 TEST(IntensityResponse, FallWithRangeAndIncidenceIsNotTheLasers) {
     LidarSequence sequence = street();
     const IntensityCalibrationResult calibration =
-        calibrate_intensity(sequence, split_frames(sequence, 0).train);
+        fit_and_set_intensity_calibration(sequence, split_frames_into_train_and_test(sequence, 0).train);
     EXPECT_TRUE(calibration.shared);
     EXPECT_FALSE(calibration.beams);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
@@ -138,7 +139,7 @@ TEST(IntensityResponse, FallAndLasersAreToldApart) {
         for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i)
             frame.scan.intensity[i] *= float(gains[frame.scan.rays.channel[i]]);
     const IntensityCalibrationResult calibration =
-        calibrate_intensity(sequence, split_frames(sequence, 0).train);
+        fit_and_set_intensity_calibration(sequence, split_frames_into_train_and_test(sequence, 0).train);
     EXPECT_TRUE(calibration.shared && calibration.beams);
     // A beam sees the ground at a single range.
     expect_the_streets_fall(sequence.intensity_response, 0.06);
@@ -154,8 +155,8 @@ TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
     LidarSequence original = drive(make_unequal_beams(), 0.01), changed = original;
     for (float& value : changed.frames[5].scan.intensity) value = 0.9f;
     const std::vector<int> without{0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11};
-    calibrate_intensity(original, without);
-    calibrate_intensity(changed, without);
+    fit_and_set_intensity_calibration(original, without);
+    fit_and_set_intensity_calibration(changed, without);
     for (std::size_t b = 0; b < 8; ++b) {
         EXPECT_EQ(original.lidars[0].sensor.beams[b].intensity_gain,
                   changed.lidars[0].sensor.beams[b].intensity_gain);
@@ -166,7 +167,7 @@ TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
 
 TEST(IntensityResponse, NothingSharedLeavesTheSensorAlone) {
     LidarSequence sequence = drive(make_unequal_beams(), 0.0);
-    const IntensityCalibrationResult calibration = calibrate_intensity(sequence, {});
+    const IntensityCalibrationResult calibration = fit_and_set_intensity_calibration(sequence, {});
     EXPECT_EQ(calibration.returns, 0u);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
 }

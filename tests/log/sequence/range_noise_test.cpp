@@ -20,18 +20,19 @@ TEST(RangeNoise, ComesBackFromASmoothStreet) {
     Random random(5);
     for (LidarFrame& frame : street.frames)
         for (float& range : frame.scan.range_m)
-            if (range > 0.0f) range += static_cast<float>(sigma(range) * random.draw_standard_normal());
-    const std::vector<int> all = split_frames(street, 0).train;
-    ASSERT_GT(measure_range_noise(street, all), 10000u);
+            if (range > 0.0f) range += static_cast<float>(sigma(range) * random.sample_standard_normal());
+    const std::vector<int> all = split_frames_into_train_and_test(street, 0).train;
+    ASSERT_GT(measure_and_set_range_noise(street, all), 10000u);
     for (const double cosine : {0.5, 1.0}) {
-        EXPECT_NEAR(street.lidars[0].range_noise.get_noise_sigma_m(8.0, cosine), 0.01, 0.001) << cosine;
-        EXPECT_NEAR(street.lidars[0].range_noise.get_noise_sigma_m(15.0, cosine), 0.01, 0.001) << cosine;
-        EXPECT_NEAR(street.lidars[0].range_noise.get_noise_sigma_m(25.0, cosine), 0.04,
+        EXPECT_NEAR(street.lidars[0].range_noise.get_range_noise_sigma_m(8.0, cosine), 0.01, 0.001) << cosine;
+        EXPECT_NEAR(street.lidars[0].range_noise.get_range_noise_sigma_m(15.0, cosine), 0.01, 0.001)
+            << cosine;
+        EXPECT_NEAR(street.lidars[0].range_noise.get_range_noise_sigma_m(25.0, cosine), 0.04,
                     cosine < 0.6 ? 0.004 : 0.012)
             << cosine << ": so far away little is met squarely, and much of it is edges";
     }
-    EXPECT_EQ(street.lidars[0].range_noise.get_noise_sigma_m(500.0, 1.0),
-              street.lidars[0].range_noise.get_noise_sigma_m(79.0, 1.0))
+    EXPECT_EQ(street.lidars[0].range_noise.get_range_noise_sigma_m(500.0, 1.0),
+              street.lidars[0].range_noise.get_range_noise_sigma_m(79.0, 1.0))
         << "the last bin goes on";
 }
 
@@ -51,17 +52,17 @@ TEST(RangeNoise, EachLidarHasItsOwn) {
     }
     std::vector<int> all;
     for (std::size_t i = 0; i < both.frames.size(); ++i) all.push_back(static_cast<int>(i));
-    ASSERT_GT(measure_range_noise(both, all), 10000u);
-    EXPECT_NEAR(both.lidars[0].range_noise.get_noise_sigma_m(8.0, 1.0), 0.005, 0.0005);
-    EXPECT_NEAR(both.lidars[1].range_noise.get_noise_sigma_m(8.0, 1.0), 0.03, 0.003);
+    ASSERT_GT(measure_and_set_range_noise(both, all), 10000u);
+    EXPECT_NEAR(both.lidars[0].range_noise.get_range_noise_sigma_m(8.0, 1.0), 0.005, 0.0005);
+    EXPECT_NEAR(both.lidars[1].range_noise.get_range_noise_sigma_m(8.0, 1.0), 0.03, 0.003);
     EXPECT_TRUE(both.lidars[2].range_noise.sigma_m.empty());
 }
 
 TEST(RangeNoise, NothingSeenMeasuresNothing) {
     LidarSequence street = make_synthetic_street({.n_frames = 2, .rows = 4, .columns = 16});
-    EXPECT_EQ(measure_range_noise(street, {}), 0u);
+    EXPECT_EQ(measure_and_set_range_noise(street, {}), 0u);
     EXPECT_TRUE(street.lidars[0].range_noise.sigma_m.empty());
-    EXPECT_EQ(street.lidars[0].range_noise.get_noise_sigma_m(10.0, 1.0), 0.0);
+    EXPECT_EQ(street.lidars[0].range_noise.get_range_noise_sigma_m(10.0, 1.0), 0.0);
 }
 
 }  // namespace

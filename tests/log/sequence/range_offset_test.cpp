@@ -61,7 +61,7 @@ const std::vector<int> kTrain{0, 1, 2, 3, 4, 6, 7, 8, 9};
 
 TEST(RangeOffset, ComesBackFromSharedPlanes) {
     LidarSequence sequence = drive();
-    const RangeCalibrationResult calibration = calibrate_beam_ranges(sequence, kTrain);
+    const RangeCalibrationResult calibration = fit_and_set_range_offset_of_beams(sequence, kTrain);
     ASSERT_GT(calibration.returns, 20000u);
     EXPECT_GT(calibration.rms_before, 2.0 * calibration.rms_after);
     // removes the mean of all beams, because a common offset of all beams is hardly
@@ -77,8 +77,8 @@ TEST(RangeOffset, ComesBackFromSharedPlanes) {
 
 TEST(RangeOffset, HeldOutFramesAreNotLookedAt) {
     LidarSequence clean = drive(), garbage = drive(true);
-    calibrate_beam_ranges(clean, kTrain);
-    calibrate_beam_ranges(garbage, kTrain);
+    fit_and_set_range_offset_of_beams(clean, kTrain);
+    fit_and_set_range_offset_of_beams(garbage, kTrain);
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
         EXPECT_EQ(clean.lidars[0].sensor.beams[b].range_offset_m,
                   garbage.lidars[0].sensor.beams[b].range_offset_m);
@@ -104,13 +104,13 @@ TEST(RangeOffset, EqualLasersHaveNone) {
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (frame.scan.range_m[i] > 0.0f)
                 frame.scan.range_m[i] -= float(kOffsets_m[frame.scan.rays.channel[i]]);
-    EXPECT_GT(calibrate_beam_ranges(sequence, kTrain).returns, 20000u);
+    EXPECT_GT(fit_and_set_range_offset_of_beams(sequence, kTrain).returns, 20000u);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.range_offset_m, 0.0);
 }
 
 TEST(RangeOffset, NothingToCompareLeavesTheSensorAlone) {
     LidarSequence sequence = drive();
-    EXPECT_EQ(calibrate_beam_ranges(sequence, {}).returns, 0u);
+    EXPECT_EQ(fit_and_set_range_offset_of_beams(sequence, {}).returns, 0u);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.range_offset_m, 0.0);
 }
 

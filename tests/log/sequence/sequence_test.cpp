@@ -121,7 +121,7 @@ TEST(Scan, PointsAndReturns) {
     scan.rays.direction = {{1, 0, 0}, {0, 1, 0}};
     scan.range_m = {3.0f, 0.0f};
     EXPECT_EQ(scan.count_returns(), 1u);
-    EXPECT_EQ(scan.compute_end_point(0), glm::vec3(3, 0, 1));
+    EXPECT_EQ(scan.compute_return_point_in_sensor_frame(0), glm::vec3(3, 0, 1));
 }
 
 /// Makes a car with `count` labels at intervals of step_s. The labels vary by 9 cm, as in
@@ -224,7 +224,7 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
                 // skips the first ray, which is as close to the end of the turn as to its
                 // start
                 for (std::size_t i = 1; i < 500; i += 7) {
-                    const double facing_s = compute_point_scan_time_s(
+                    const double facing_s = compute_time_when_lidar_faces_point_s(
                         sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
                     ASSERT_NEAR(facing_s, 100.0 + double(rays.time_offset_s[i]), 1e-6)
                         << from_rad << " " << from_s << " " << i;
@@ -253,17 +253,18 @@ TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
         const auto start = find_sweep_start(rays, sequence.lidars[0]);
         EXPECT_EQ(start.has_value(), later_s != 0.0f);
         for (std::size_t i = 0; i < rays.size(); ++i)
-            ASSERT_NEAR(
-                compute_point_scan_time_s(sequence, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}),
-                7.0 + double(rays.time_offset_s[i]), 1.1e-3)
+            ASSERT_NEAR(compute_time_when_lidar_faces_point_s(sequence, 5.0 * glm::dvec3(rays.direction[i]),
+                                                              {7.0, 0, start}),
+                        7.0 + double(rays.time_offset_s[i]), 1.1e-3)
                 << "half a column: " << later_s << " " << i;
     }
     EXPECT_EQ(make_nominal_rays(sequence.lidars[0], 3.0).direction, make_rays(window).direction);
     const RosetteSensor rosette{
         .name = "r", .deflection_rad = 0.1, .first_hz = 30.0, .second_hz = -20.0, .n_rays = 50};
     sequence.lidars[0].pattern = rosette;
-    EXPECT_EQ(compute_point_scan_time_s(sequence, {3, 1, 0}, {7.0, 0, {}}), 7.0);
-    EXPECT_EQ(compute_point_scan_time_s(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}), 7.05)
+    EXPECT_EQ(compute_time_when_lidar_faces_point_s(sequence, {3, 1, 0}, {7.0, 0, {}}), 7.0);
+    EXPECT_EQ(compute_time_when_lidar_faces_point_s(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}),
+              7.05)
         << "half of 0.1 s after its beginning";
     EXPECT_EQ(make_nominal_rays(sequence.lidars[0], 3.3).direction, make_rays(rosette, 3.3).direction);
 }
@@ -282,11 +283,11 @@ TEST(SweepStart, TheUsualOneIsNoneAndNothingIsMadeUp) {
 TEST(Split, EveryTenthOfFiftyButTheFirst) {
     LidarSequence sequence;
     for (int i = 0; i < 50; ++i) sequence.frames.emplace_back().index = i;
-    const TrainTestSplit split = split_frames(sequence, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(sequence, 10);
     EXPECT_EQ(split.test, (std::vector<int>{10, 20, 30, 40}));
     EXPECT_EQ(split.train.size(), 46u);
-    EXPECT_EQ(split_frames(sequence, 0).train.size(), 50u);
-    EXPECT_THROW(split_frames(sequence, 1), UsageError);
+    EXPECT_EQ(split_frames_into_train_and_test(sequence, 0).train.size(), 50u);
+    EXPECT_THROW(split_frames_into_train_and_test(sequence, 1), UsageError);
 }
 
 TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
@@ -300,11 +301,13 @@ TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
         for (const int position : split.test) all.push_back(sequence.frames[std::size_t(position)].index);
         return all;
     };
-    EXPECT_EQ(indices(split_frames(sequence, 10)), sequence.test_frames);
-    EXPECT_EQ(indices(split_frames(sequence, 10, "2353,2400")), (std::vector<int>{2353, 2400}))
+    EXPECT_EQ(indices(split_frames_into_train_and_test(sequence, 10)), sequence.test_frames);
+    EXPECT_EQ(indices(split_frames_into_train_and_test(sequence, 10, "2353,2400")),
+              (std::vector<int>{2353, 2400}))
         << "named ones go first";
-    EXPECT_TRUE(split_frames(sequence, 0).test.empty());
-    EXPECT_EQ(split_frames(sequence, 25).test.size(), 1u) << "another number is another split";
+    EXPECT_TRUE(split_frames_into_train_and_test(sequence, 0).test.empty());
+    EXPECT_EQ(split_frames_into_train_and_test(sequence, 25).test.size(), 1u)
+        << "another number is another split";
 }
 
 /// Makes a log with the frames 100, 103, 106 ... of two LiDARs. The second LiDAR has no
@@ -325,7 +328,7 @@ LidarSequence make_sweeps_of_three() {
 TEST(Split, NamedSweepsAreHeldOutWithAllTheirLidars) {
     const LidarSequence sequence = make_sweeps_of_three();
     const auto held_out = [&](const std::string& list) {
-        const TrainTestSplit split = split_frames(sequence, 10, list);
+        const TrainTestSplit split = split_frames_into_train_and_test(sequence, 10, list);
         std::vector<int> all = split.train;
         all.insert(all.end(), split.test.begin(), split.test.end());
         std::sort(all.begin(), all.end());
@@ -338,18 +341,19 @@ TEST(Split, NamedSweepsAreHeldOutWithAllTheirLidars) {
     EXPECT_EQ(held_out("121, 103"), (std::vector<int>{2, 3, 13, 14})) << "in any order";
     EXPECT_EQ(held_out("106"), std::vector<int>{4});
     EXPECT_EQ(held_out(""), std::vector<int>{}) << "fewer than ten sweeps";
-    EXPECT_EQ(split_frames(sequence, 1, "109").test, (std::vector<int>{5, 6}));
+    EXPECT_EQ(split_frames_into_train_and_test(sequence, 1, "109").test, (std::vector<int>{5, 6}));
 
     LidarSequence ten;
     for (int i = 0; i < 50; ++i) ten.frames.emplace_back().index = i;
-    EXPECT_EQ(split_frames(ten, 0, "13,26,40:45").test, (std::vector<int>{13, 26, 40, 41, 42, 43, 44}));
+    EXPECT_EQ(split_frames_into_train_and_test(ten, 0, "13,26,40:45").test,
+              (std::vector<int>{13, 26, 40, 41, 42, 43, 44}));
 }
 
 TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
     const LidarSequence sequence = make_sweeps_of_three();
     const auto refused = [&](const std::string& list, const std::string& why) {
         try {
-            split_frames(sequence, 10, list);
+            split_frames_into_train_and_test(sequence, 10, list);
             ADD_FAILURE() << list << ": accepted";
         } catch (const UsageError& error) {
             const std::string message = error.what();
@@ -375,12 +379,12 @@ TEST(BoxTrack, KnowsWhatOfItWasLabelled) {
         car.world_from_box.time_s.push_back(0.1 * i);
         car.world_from_box.pose.push_back({{}, {double(i), 0.0, 0.0}});
     }
-    EXPECT_EQ(car.copy_labelled_poses().world_from_box.time_s, car.world_from_box.time_s);
+    EXPECT_EQ(car.copy_track_of_labelled_poses().world_from_box.time_s, car.world_from_box.time_s);
     car.n_before = 2, car.n_after = 1;
-    const PoseTrack labelled = car.copy_labelled_poses().world_from_box;
+    const PoseTrack labelled = car.copy_track_of_labelled_poses().world_from_box;
     EXPECT_EQ(labelled.time_s, (std::vector<double>{0.1 * 2, 0.1 * 3, 0.1 * 4}));
     EXPECT_EQ(labelled.pose.front().translation.x, 2.0);
-    EXPECT_EQ(car.copy_labelled_poses().n_before + car.copy_labelled_poses().n_after, 0u);
+    EXPECT_EQ(car.copy_track_of_labelled_poses().n_before + car.copy_track_of_labelled_poses().n_after, 0u);
 }
 
 }  // namespace

@@ -44,7 +44,8 @@ protected:
              "Car",
              {4, 2, 2},
              {{0.0, 7.9}, {Pose{{1, 0, 0, 0}, {30, 5, 0}}, Pose{{1, 0, 0, 0}, {260, 5, 0}}}}});
-        run = {folder / "run", make_preset("quick"), log, split_frames(log, 10), {}};
+        run = {
+            folder / "run", make_preset_config("quick"), log, split_frames_into_train_and_test(log, 10), {}};
         run.config.refine.enabled = false;
         std::vector<float> xs;
         for (float x = -40.0f; x < 830.0f; x += 7.0f) xs.push_back(x);
@@ -65,7 +66,8 @@ protected:
     /// Saves block `index` in the same way as training. Blocks 0 and 1 contain the car.
     /// In block 0, the car is near the sensor in more frames.
     void save_block(std::size_t index) {
-        const BlockTrainingLog part = extract_block_log(log, run.split, blocks[index], run.config);
+        const BlockTrainingLog part =
+            copy_frames_and_boxes_of_block(log, run.split, blocks[index], run.config);
         folders.push_back(run.folder / "blocks" / ("00" + std::to_string(index)));
         relidar::TrainedRun block{folders.back(), part.config, part.sequence, part.split, full_scene};
         remove_surfels_of_other_blocks(block.scene, log, blocks, index);
@@ -78,14 +80,14 @@ protected:
             block.scene.models.push_back(
                 {"car", std::uint32_t(block.scene.surfels.size()), std::uint32_t(car.size())});
             block.scene.instances.push_back({1, "car"});
-            block.scene.surfels.append(car);
+            block.scene.surfels.append_surfels(car);
         }
         save_run(block);
     }
 
     RenderedScan rendered(const Scene& scene, const Config& config, int frame) {
         ScanRenderer renderer(device(), scene, config, log);
-        return renderer.render(make_configured_sensor(config, log), log.frames[std::size_t(frame)].time_s);
+        return renderer.render(make_sensor_from_config(config, log), log.frames[std::size_t(frame)].time_s);
     }
 
     fs::path folder;
@@ -117,7 +119,7 @@ TEST_F(JoinedBlocks, HasEverySurfelOnceAndTheCarOfTheBlockThatSawItMost) {
     EXPECT_EQ(read.scene.instances[1].track, "car");
     EXPECT_EQ(read.scene.surfels.mean[read.scene.models[1].first].x, 0.0f) << "the car of block 0";
 
-    const Scene all = load_all_blocks(read.scene);
+    const Scene all = copy_scene_with_all_blocks_loaded(read.scene);
     EXPECT_TRUE(all.blocks.empty());
     const auto collect_surfel_positions = [](const Scene& scene) {
         std::multiset<std::tuple<float, float, float>> surfel_positions;
@@ -147,8 +149,8 @@ TEST_F(JoinedBlocks, TakesPosesAndDropsFromTheBlocks) {
 TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
     Config config = run.config;
     config.render.memory_mib = 0;
-    const Scene one = load_all_blocks(run.scene);
-    const SimulatedSensor sensor = make_configured_sensor(config, log);
+    const Scene one = copy_scene_with_all_blocks_loaded(run.scene);
+    const SimulatedSensor sensor = make_sensor_from_config(config, log);
     const std::uint64_t before = device().allocated_bytes();
     std::uint64_t most = 0;
     {
@@ -184,11 +186,12 @@ TEST_F(JoinedBlocks, NamesTheFileThatIsWrong) {
                 Names("blocks/002/model.safetensors ... missing"));
     fs::create_directories(folders[2]);
     fs::copy_file(folders[0] / kModelFile, folders[2] / kModelFile);
-    EXPECT_THAT(get_data_error_message([&] { load_all_blocks(load_run(run.folder).scene); }),
-                Names("blocks/002/model.safetensors: the block"));
+    EXPECT_THAT(
+        get_data_error_message([&] { copy_scene_with_all_blocks_loaded(load_run(run.folder).scene); }),
+        Names("blocks/002/model.safetensors: the block"));
     Scene scene = run.scene;
     scene.blocks[1].file = folder / "aside" / kModelFile;  // outside of the run's folder
-    save_model(run.folder / kModelFile, scene);
+    save_scene_to_model_file(run.folder / kModelFile, scene);
     EXPECT_THAT(get_data_error_message([&] { load_run(run.folder); }), Names("folder ... model"));
 }
 

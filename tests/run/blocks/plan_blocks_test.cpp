@@ -58,7 +58,7 @@ void expect_valid(const LidarSequence& log, const TrainTestSplit& split,
 
 TEST(PlanBlocks, StraightStreetIsCutIntoEqualParts) {
     const LidarSequence log = log_along(201, [](int index) { return glm::dvec3(1.0 * index, 0.0, 0.0); });
-    const TrainTestSplit split = split_frames(log, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(log, 10);
     const std::vector<TrajectoryBlock> blocks = plan_training_blocks(log, split, {60.0, 25.0});
     ASSERT_THAT(blocks, SizeIs(4));  // three blocks of 60 m would cover only 180 m
     for (const TrajectoryBlock& block : blocks) EXPECT_NEAR(block.end_m - block.begin_m, 50.0, 1e-9);
@@ -75,7 +75,7 @@ TEST(PlanBlocks, SecondWayThroughAStreetTeachesTheSameBlocks) {
     const LidarSequence log = log_along(301, [](int index) {
         return index <= 150 ? glm::dvec3(index, 0.0, 0.0) : glm::dvec3(300 - index, 3.0, 0.0);
     });
-    const TrainTestSplit split = split_frames(log, 0);
+    const TrainTestSplit split = split_frames_into_train_and_test(log, 0);
     const std::vector<TrajectoryBlock> blocks = plan_training_blocks(log, split, {50.0, 10.0});
     expect_valid(log, split, blocks, 10.0);
     EXPECT_EQ(std::count(blocks[0].train.begin(), blocks[0].train.end(), 299), 1)
@@ -86,21 +86,21 @@ TEST(PlanBlocks, SecondWayThroughAStreetTeachesTheSameBlocks) {
 TEST(PlanBlocks, StandstillAndGapsAreNoTrouble) {
     const LidarSequence standing = log_along(40, [](int) { return glm::dvec3(1.0, 2.0, 3.0); });
     const std::vector<TrajectoryBlock> one =
-        plan_training_blocks(standing, split_frames(standing, 10), {60.0, 40.0});
+        plan_training_blocks(standing, split_frames_into_train_and_test(standing, 10), {60.0, 40.0});
     ASSERT_THAT(one, SizeIs(1));
     EXPECT_THAT(one[0].recorded_frames, SizeIs(40));
     // a tunnel of 300 m without a sweep
     const LidarSequence gap =
         log_along(40, [](int index) { return glm::dvec3(index < 20 ? index : index + 300, 0.0, 0.0); });
     const std::vector<TrajectoryBlock> blocks =
-        plan_training_blocks(gap, split_frames(gap, 10), {60.0, 40.0});
+        plan_training_blocks(gap, split_frames_into_train_and_test(gap, 10), {60.0, 40.0});
     EXPECT_THAT(blocks, SizeIs(2)) << "a stretch without a sweep is no block";
-    expect_valid(gap, split_frames(gap, 10), blocks, 40.0);
+    expect_valid(gap, split_frames_into_train_and_test(gap, 10), blocks, 40.0);
 }
 
 TEST(PlanBlocks, RefusesABlockThatNothingTrains) {
     const LidarSequence log = log_along(6, [](int index) { return glm::dvec3(100.0 * index, 0.0, 0.0); });
-    TrainTestSplit split = split_frames(log, 0);
+    TrainTestSplit split = split_frames_into_train_and_test(log, 0);
     split.train = {0, 1, 2, 4, 5};
     split.test = {3};
     try {
@@ -119,9 +119,10 @@ TEST(BlockLog, MovesAsTheLogDoes) {
         return index < 200 ? glm::dvec3(80.0, 5.0 * (index - 100), 0.0)
                            : glm::dvec3(0.8 * (299 - index), 2.0, 0.0);
     });
-    const TrainTestSplit split = split_frames(log, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(log, 10);
     const std::vector<TrajectoryBlock> blocks = plan_training_blocks(log, split, {40.0, 15.0});
-    const BlockTrainingLog part = extract_block_log(log, split, blocks[0], make_preset("quick"));
+    const BlockTrainingLog part =
+        copy_frames_and_boxes_of_block(log, split, blocks[0], make_preset_config("quick"));
     EXPECT_EQ(part.config.blocks.length_m, 0.0);
     EXPECT_EQ(part.split.train.size(), blocks[0].train.size());
     for (std::size_t i = 0; i < part.split.train.size(); ++i)
@@ -153,12 +154,12 @@ TEST(BlockLog, HasTheBoxesThatComeNear) {
     box_at("near", 30.0, 2.0, 5.0);
     box_at("far", 350.0, 2.0, 5.0);     // visible while the sensor is at 20 to 50 m
     box_at("later", 30.0, 38.0, 39.0);  // visible after the sensor has passed
-    const TrainTestSplit split = split_frames(log, 10);
+    const TrainTestSplit split = split_frames_into_train_and_test(log, 10);
     const std::vector<TrajectoryBlock> blocks = plan_training_blocks(log, split, {100.0, 40.0});
-    Config config = make_preset("quick");
+    Config config = make_preset_config("quick");
     config.init.actor_tracks = "far,near";
-    const BlockTrainingLog first = extract_block_log(log, split, blocks[0], config),
-                           third = extract_block_log(log, split, blocks[2], config);
+    const BlockTrainingLog first = copy_frames_and_boxes_of_block(log, split, blocks[0], config),
+                           third = copy_frames_and_boxes_of_block(log, split, blocks[2], config);
     ASSERT_THAT(first.sequence.boxes, SizeIs(1));
     EXPECT_EQ(first.sequence.boxes[0].id, "near");
     EXPECT_EQ(first.config.init.actor_tracks, "near");
@@ -172,14 +173,14 @@ TEST(KeepOwnSurfels, EachPlaceBelongsToTheBlockOfTheNearestSweep) {
     const LidarSequence log =
         log_along(120, [](int index) { return glm::dvec3(2.0 * index, 10.0 * std::sin(0.05 * index), 0.0); });
     const std::vector<TrajectoryBlock> blocks =
-        plan_training_blocks(log, split_frames(log, 10), {70.0, 40.0});
+        plan_training_blocks(log, split_frames_into_train_and_test(log, 10), {70.0, 40.0});
     std::vector<float> xs;
     for (float x = -60.0f; x < 300.0f; x += 1.7f) xs.push_back(x);
     Scene all = make_background_scene(test::make_walls_at(xs));
     const Surfels actor = test::make_walls_at({1.0f, 2.0f});
     all.models.push_back({"actor", std::uint32_t(all.surfels.size()), std::uint32_t(actor.size())});
     all.instances.push_back({1, "actor"});
-    all.surfels.append(actor);
+    all.surfels.append_surfels(actor);
     std::size_t n_remaining_surfels = 0;
     for (std::size_t k = 0; k < blocks.size(); ++k) {
         Scene scene = all;

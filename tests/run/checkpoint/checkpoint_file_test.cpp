@@ -150,7 +150,8 @@ TEST_F(CheckpointFile, NumbersThatAreNotFiniteAreRefused) {
         Checkpoint checkpoint = example(400);
         CheckpointWriter write(checkpoint);
         write("moments", std::vector<float>{1.0f, 2.0f, bad});
-        const std::string before = get_data_error_message([&] { check_finite(checkpoint); });
+        const std::string before =
+            get_data_error_message([&] { require_finite_checkpoint_arrays(checkpoint); });
         EXPECT_NE(before.find("row 2 of array \"moments\""), std::string::npos) << before;
         write_checkpoint(folder / "a", checkpoint);
         EXPECT_NE(

@@ -48,7 +48,7 @@ void expect_equal(const Config& first, const Config& second) {
 Config convert_through_toml(const Config& config, const std::filesystem::path& folder) {
     put(folder / "config.toml", to_toml(config));
     Config result;
-    load_config(result, folder / "config.toml");
+    apply_config_file(result, folder / "config.toml");
     return result;
 }
 
@@ -71,7 +71,7 @@ bool change(Config& config, const std::string& key) {
 
 TEST_F(ConfigFile, PresetsRoundTrip) {
     for (const char* name : {"paper", "released", "default", "quick"}) {
-        const Config config = make_preset(name);
+        const Config config = make_preset_config(name);
         EXPECT_EQ(config.preset, name);
         EXPECT_TRUE(convert_through_toml(config, folder) == config)
             << name << ": constants come with the preset";
@@ -79,7 +79,7 @@ TEST_F(ConfigFile, PresetsRoundTrip) {
 }
 
 TEST_F(ConfigFile, EveryKeyRoundTrips) {
-    const Config defaults = make_preset("default");
+    const Config defaults = make_preset_config("default");
     Config all = defaults;
     for (const ConfigKey& entry : list_config_keys(defaults)) {
         if (entry.key == "preset") continue;
@@ -106,13 +106,13 @@ TEST_F(ConfigFile, ValuesReadBackBitByBit) {
 /// A saved file with missing or additional settings was written by a different version
 /// and must be rejected.
 TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
-    const std::string full_toml = to_toml(make_preset("quick"));
+    const std::string full_toml = to_toml(make_preset_config("quick"));
     const auto error = [&](const std::string& text) {
         put(folder / "config.toml", text);
         return get_data_error_message([&] { load_saved_config(folder / "config.toml"); });
     };
     put(folder / "config.toml", full_toml);
-    expect_equal(load_saved_config(folder / "config.toml"), make_preset("quick"));
+    expect_equal(load_saved_config(folder / "config.toml"), make_preset_config("quick"));
     const std::string file = (folder / "config.toml").string() + ": ";
     EXPECT_THAT(
         error(full_toml + "[mars]\ncolour = \"red\"\n"),
@@ -137,12 +137,12 @@ TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
 /// give the same settings.
 TEST_F(ConfigFile, ShortFormReadsBackToTheSame) {
     for (const char* name : {"paper", "quick"}) {
-        Config config = make_preset(name);
+        Config config = make_preset_config(name);
         config.loss.box = 0.25f;
         config.train.iterations = 17;
         put(folder / "short.toml", to_toml_without_defaults(config));
         Config read;
-        load_config(read, folder / "short.toml");
+        apply_config_file(read, folder / "short.toml");
         expect_equal(read, config);
         EXPECT_EQ(to_toml_without_defaults(config).find("keep_hits"), std::string::npos);
         EXPECT_LT(to_toml_without_defaults(config).size(), to_toml(config).size() / 2 + 2000);
@@ -223,12 +223,12 @@ TEST(Config, PresetReplacesEverything) {
     Config config;
     set_config_value(config, "loss.depth", "5");
     set_config_value(config, "preset", "paper");
-    expect_equal(config, make_preset("paper"));
-    EXPECT_THAT(get_usage_error_message([] { make_preset("papr"); }), test::Names("'paper'"));
+    expect_equal(config, make_preset_config("paper"));
+    EXPECT_THAT(get_usage_error_message([] { make_preset_config("papr"); }), test::Names("'paper'"));
 }
 
 TEST(Config, PaperIsThePaper) {
-    const Config c = make_preset("paper");
+    const Config c = make_preset_config("paper");
     EXPECT_EQ(c.train.iterations, 30000);
     EXPECT_EQ(c.train.rays_per_iteration, 0);
     EXPECT_EQ(c.train.sh_degree_interval, 1000);
@@ -248,22 +248,22 @@ TEST(Config, PaperIsThePaper) {
     EXPECT_FALSE(c.loss.normalised_depth);
     EXPECT_EQ(c.image.sh_direction, ShDirection::ray);
     EXPECT_EQ(c.render.range, "expected");
-    EXPECT_EQ(make_base_trace_options(c).chunk, 16);
+    EXPECT_EQ(make_common_trace_options(c).chunk, 16);
     EXPECT_EQ(c.densify.strategy, DensifyStrategy::adaptive);
     EXPECT_EQ(c.densify.gradient_threshold, 2e-4);
     EXPECT_EQ(c.densify.clone_extent_share, 2e-4);
     EXPECT_EQ(c.densify.until, 15000);
-    EXPECT_EQ(make_preset("default").densify.strategy, DensifyStrategy::none);
+    EXPECT_EQ(make_preset_config("default").densify.strategy, DensifyStrategy::none);
 }
 
 /// Compares the presets with docs/method.md section 5: they differ in three weights only.
 TEST(Config, ReleasedDiffersFromThePaperInThreeLosses) {
-    Config c = make_preset("released");
+    Config c = make_preset_config("released");
     EXPECT_EQ(c.loss.intensity_ssim, 0.15f);
     EXPECT_EQ(c.loss.chamfer, 0.0f);
     EXPECT_EQ(c.loss.box, 0.01f);
     EXPECT_EQ(c.train.rays_per_iteration, 0) << "structural similarity is of images";
-    const Config paper = make_preset("paper");
+    const Config paper = make_preset_config("paper");
     c.preset = paper.preset;
     c.loss.intensity_ssim = paper.loss.intensity_ssim, c.loss.chamfer = paper.loss.chamfer,
     c.loss.box = paper.loss.box;
@@ -276,7 +276,7 @@ TEST(Config, EnumFieldsReachTheirStages) {
     set_config_value(config, "train.deterministic", "true");
     EXPECT_EQ(make_backward_options(config).reduction, GradientReduction::gather);
     set_config_value(config, "trace.chunk", "8");
-    EXPECT_EQ(make_base_trace_options(config).chunk, 8);
+    EXPECT_EQ(make_common_trace_options(config).chunk, 8);
 }
 
 /// Training must render the values that the losses need. Rendering must omit these
@@ -287,12 +287,12 @@ TEST(Config, LossesReachTheTraceOfTraining) {
     set_config_value(config, "loss.likelihood", "0.1");
     config.loss.likelihood_scale_m = 0.2f;
     const TraceOptions likelihood = make_training_trace_options(config);
-    EXPECT_FALSE(likelihood.has_surface_outputs());
+    EXPECT_FALSE(likelihood.writes_normals_or_surface_ranges());
     ASSERT_TRUE(likelihood.likelihood);
     EXPECT_EQ(likelihood.likelihood->scale_m, 0.2f);
     EXPECT_TRUE(make_rendering_trace_options(config).normals);
     set_config_value(config, "image.primitive", "gaussian");
-    EXPECT_FALSE(make_rendering_trace_options(config).has_surface_outputs());
+    EXPECT_FALSE(make_rendering_trace_options(config).writes_normals_or_surface_ranges());
     set_config_value(config, "render.range", "mode");
     set_config_value(config, "sensor.return_separation_m", "0.7");
     EXPECT_EQ(make_rendering_trace_options(config).mode_gap_m, 0.7f);
@@ -304,7 +304,7 @@ TEST_F(ConfigFile, BadFilesNameFileAndKey) {
         put(folder / "c.toml", text);
         return get_usage_error_message([&] {
             Config config;
-            load_config(config, folder / "c.toml");
+            apply_config_file(config, folder / "c.toml");
         });
     };
     const std::string file = (folder / "c.toml").string() + ": ";
@@ -324,18 +324,18 @@ TEST_F(ConfigFile, BadFilesNameFileAndKey) {
 TEST_F(ConfigFile, DamagedFilesAreDataErrors) {
     Config config;
     put(folder / "c.toml", "[loss]\ndepth = \n");
-    const std::string message = get_data_error_message([&] { load_config(config, folder / "c.toml"); });
+    const std::string message = get_data_error_message([&] { apply_config_file(config, folder / "c.toml"); });
     EXPECT_THAT(message, test::Names("c.toml:2 ... TOML"));
     std::string dots = "loss";
     for (int i = 0; i < 40000; ++i) dots += ".a";
     put(folder / "c.toml", dots + " = 1\n");
-    EXPECT_THAT(get_data_error_message([&] { load_config(config, folder / "c.toml"); }),
+    EXPECT_THAT(get_data_error_message([&] { apply_config_file(config, folder / "c.toml"); }),
                 test::Names("c.toml:1 ... key"));
     EXPECT_NE(get_data_error_message([&] {
-                  load_config(config, folder / "missing.toml");
+                  apply_config_file(config, folder / "missing.toml");
               }).find("missing.toml: no such file"),
               std::string::npos);
-    EXPECT_NE(get_data_error_message([&] { load_config(config, folder); }).find(folder.string()),
+    EXPECT_NE(get_data_error_message([&] { apply_config_file(config, folder); }).find(folder.string()),
               std::string::npos);
 }
 
@@ -344,16 +344,16 @@ TEST_F(ConfigFile, FileStartsFromItsPresetAndFailsWhole) {
     // without a preset, other settings stay unchanged
     put(folder / "c.toml", "[train]\niterations = 5\n[loss]\ndepth = 1\n");
     set_config_value(config, "train.seed", "42");
-    load_config(config, folder / "c.toml");
+    apply_config_file(config, folder / "c.toml");
     EXPECT_EQ(config.train.iterations, 5);
     EXPECT_EQ(config.train.seed, 42u);
     put(folder / "c.toml", "preset = \"quick\"\n[train]\niterations = 6\n");
-    load_config(config, folder / "c.toml");
-    Config expected = make_preset("quick");
+    apply_config_file(config, folder / "c.toml");
+    Config expected = make_preset_config("quick");
     expected.train.iterations = 6;
     expect_equal(config, expected);
     put(folder / "c.toml", "[train]\niterations = 7\nseed = -1\n");
-    EXPECT_THROW(load_config(config, folder / "c.toml"), UsageError);
+    EXPECT_THROW(apply_config_file(config, folder / "c.toml"), UsageError);
     expect_equal(config, expected);
 }
 

@@ -32,8 +32,8 @@ Pose at(double x, double y, double yaw_rad = 0.0) {
 SceneWithLog example() {
     SceneWithLog d;
     d.scene.surfels = make_numbered_surfels(3, 0.0f);
-    d.scene.surfels.append(make_numbered_surfels(2, 100.0f));
-    d.scene.surfels.append(make_numbered_surfels(4, 200.0f));
+    d.scene.surfels.append_surfels(make_numbered_surfels(2, 100.0f));
+    d.scene.surfels.append_surfels(make_numbered_surfels(4, 200.0f));
     d.scene.models = {
         {"background", 0, 3, {}}, {"van", 3, 2, {2.6f, 1.1f, 1.1f}}, {"car", 5, 4, {2.1f, 1.1f, 0.85f}}};
     d.scene.instances = {{0, ""}, {1, "van"}, {2, "car"}};
@@ -124,10 +124,10 @@ TEST(Edit, RetimedActorsDoTheSameLaterAndAreAbsentOutside) {
     for (const double t : {0.45, 0.6, 0.93})
         expect_near(box(after, "van").world_from_box.interpolate_pose(t),
                     box(before, "van").world_from_box.interpolate_pose(t - 0.4));
-    EXPECT_FALSE(box(after, "van").is_present(0.3));
-    EXPECT_TRUE(box(after, "van").is_present(0.4));
-    EXPECT_TRUE(box(after, "van").is_present(1.3));
-    EXPECT_FALSE(box(after, "van").is_present(1.4));
+    EXPECT_FALSE(box(after, "van").is_observed_at_time(0.3));
+    EXPECT_TRUE(box(after, "van").is_observed_at_time(0.4));
+    EXPECT_TRUE(box(after, "van").is_observed_at_time(1.3));
+    EXPECT_FALSE(box(after, "van").is_observed_at_time(1.4));
 }
 
 TEST(Edit, TrajectoriesAreInterpolatedAndEndWithTheirTimes) {
@@ -139,8 +139,8 @@ TEST(Edit, TrajectoriesAreInterpolatedAndEndWithTheirTimes) {
     expect_near(car.world_from_box.interpolate_pose(0.2), {glm::dquat(1, 0, 0, 0), {10, 0, 0}});
     expect_near(car.world_from_box.interpolate_pose(0.3),
                 {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {12, 1, 0}}, 1e-9);
-    EXPECT_TRUE(car.is_present(0.2) && car.is_present(0.7));
-    EXPECT_FALSE(car.is_present(0.1) || car.is_present(0.8))
+    EXPECT_TRUE(car.is_observed_at_time(0.2) && car.is_observed_at_time(0.7));
+    EXPECT_FALSE(car.is_observed_at_time(0.1) || car.is_observed_at_time(0.8))
         << "half a sweep beside the ends, no more, however sparse the entries";
     track.time_s[1] = 0.2;
     EXPECT_THROW(replace_trajectory(example(), "car", track), DataError);
@@ -228,7 +228,7 @@ using EditedRun = TemporaryFolder;
 TEST_F(EditedRun, IsSavedAndLoadedLikeAnyOther) {
     for (const SceneWithLog& d :
          {copy_track(example(), "van", {}), remove_background(example()), remove_all_actors(example())}) {
-        relidar::TrainedRun run{folder / "run", make_preset("quick"), d.sequence, {{0}, {1}},
+        relidar::TrainedRun run{folder / "run", make_preset_config("quick"), d.sequence, {{0}, {1}},
                                 d.scene,        {{"/a", "--copy"}}};
         for (glm::vec4& q : run.scene.surfels.rotation) q = {1, 0, 0, 0};
         run.sequence.lidars[0].sensor.beams = {{0.0}};

@@ -115,7 +115,7 @@ TEST(Ground, PathFollowsAHill) {
     const NewActorMotion start = place_on_ground(d, placement, "van");
     ASSERT_EQ(start.dataset_path.pose.size(), 5u);
     const SceneWithLog edited = copy_track(d, "van", start);
-    const BoxTrack* copy = find_box(edited.sequence, "van-copy-1");
+    const BoxTrack* copy = find_box_track_by_id(edited.sequence, "van-copy-1");
     ASSERT_NE(copy, nullptr);
     for (int i = 0; i < 4; ++i) {
         const Pose pose = copy->world_from_box.interpolate_pose(i);
@@ -161,8 +161,8 @@ TEST(Ground, IsNeitherARoofNorAWallNorWhatIsFaint) {
         }
     const std::uint32_t n = d.scene.models[0].count;
     Surfels all = d.scene.surfels.slice(0, n);
-    all.append(others);
-    all.append(d.scene.surfels.slice(n, 1));
+    all.append_surfels(others);
+    all.append_surfels(d.scene.surfels.slice(n, 1));
     d.scene.surfels = all;
     d.scene.models[0].count = n + static_cast<std::uint32_t>(others.size());
     d.scene.models[1].first = d.scene.models[0].count;
@@ -179,7 +179,7 @@ TEST(Ground, IsNotTiltedByAFewSurfelsOfWhatStoodThere) {
     add_surfel(rings, {0.6, 0.3, 0.07}, {0, 0, 1});
     add_surfel(rings, {0.6, 0.5, 0.16}, {0, 0, 1});
     const auto n = static_cast<std::uint32_t>(rings.size());
-    rings.append(d.scene.surfels.slice(d.scene.models[0].count, 1));
+    rings.append_surfels(d.scene.surfels.slice(d.scene.models[0].count, 1));
     d.scene.surfels = rings;
     d.scene.models[0].count = d.scene.models[1].first = n;
     const Pose pose = placed(d, 0.0, 0.0, 0.0);
@@ -195,7 +195,7 @@ TEST_F(GroundOfBlocks, IsFoundInTheirFiles) {
     const SceneWithLog full_slope = make_slope();
     const std::uint32_t n = full_slope.scene.models[0].count;
     const auto block_file = folder / "model.safetensors";
-    save_model(block_file, make_background_scene(full_slope.scene.surfels.slice(0, n)));
+    save_scene_to_model_file(block_file, make_background_scene(full_slope.scene.surfels.slice(0, n)));
     SceneWithLog d = full_slope;
     d.scene.surfels = full_slope.scene.surfels.slice(n, 1);
     d.scene.models[0].count = 0;
@@ -224,9 +224,9 @@ TEST(Ground, BelowACarThatHidItIsWhereTheCarStands) {
     Surfels remaining_surfels;  // no surfels within 4.5 m of the van's start
     for (std::size_t i = 0; i < n; ++i)
         if (std::hypot(d.scene.surfels.mean[i].x + 8.0f, d.scene.surfels.mean[i].y) > 4.5f)
-            remaining_surfels.append(d.scene.surfels.slice(i, 1));
+            remaining_surfels.append_surfels(d.scene.surfels.slice(i, 1));
     const auto n_remaining = static_cast<std::uint32_t>(remaining_surfels.size());
-    remaining_surfels.append(d.scene.surfels.slice(n, 1));
+    remaining_surfels.append_surfels(d.scene.surfels.slice(n, 1));
     d.scene.surfels = remaining_surfels;
     d.scene.models[0].count = d.scene.models[1].first = n_remaining;
     const Pose there = d.sequence.boxes[0].world_from_box.pose.front();

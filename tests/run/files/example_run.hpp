@@ -32,7 +32,7 @@ inline Surfels make_example_surfels(std::size_t count) {
 inline TrainedRun make_example_run(const std::filesystem::path& folder) {
     TrainedRun run;
     run.folder = folder;
-    run.config = make_preset("quick");
+    run.config = make_preset_config("quick");
     // must not be 0, because loading replaces 0 by the limit of the log
     run.config.dataset.max_range_m = 80.0;
     run.config.dataset.path = "/data/log \"one\"";

@@ -227,10 +227,10 @@ TEST_F(RunFolder, SweepsAreThoseOfItsFrames) {
 TEST_F(RunFolder, CoverageRoundTripsExactly) {
     const std::filesystem::path file = run.folder / "coverage.safetensors";
     EXPECT_FALSE(std::filesystem::exists(file)) << "nothing is known";
-    run.coverage.add_segment({0.5, 0.5, 0.5}, {-70.0, 33.0, 9.0});
+    run.coverage.add_voxels_on_line_segment({0.5, 0.5, 0.5}, {-70.0, 33.0, 9.0});
     save_run(run);
-    const auto expected = run.coverage.list_cell_blocks(),
-               loaded_blocks = load_run(run.folder).coverage.list_cell_blocks();
+    const auto expected = run.coverage.list_voxel_blocks(),
+               loaded_blocks = load_run(run.folder).coverage.list_voxel_blocks();
     ASSERT_EQ(loaded_blocks.size(), expected.size());
     for (std::size_t i = 0; i < loaded_blocks.size(); ++i) {
         EXPECT_EQ(loaded_blocks[i].grid_index, expected[i].grid_index);
@@ -335,7 +335,7 @@ TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
         const Lidar read = load_run(run.folder).sequence.lidars[0];
         ASSERT_TRUE(read.pattern);
         EXPECT_EQ(read.pattern->index(), pattern.index());
-        EXPECT_EQ(read.period_s(), s.lidars[0].period_s());
+        EXPECT_EQ(read.get_sweep_period_s(), s.lidars[0].get_sweep_period_s());
         const RayTable a = make_nominal_rays(read, 1.7), b = make_nominal_rays(s.lidars[0], 1.7);
         EXPECT_TRUE(a.direction == b.direction && a.origin == b.origin &&
                     a.time_offset_s == b.time_offset_s && a.channel == b.channel);
@@ -502,20 +502,24 @@ TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
 
 TEST_F(RunFolder, UnwritableFoldersFailEarly) {
     put(folder / "file", "x");
-    EXPECT_THAT(get_data_error_message([&] { check_writable(folder / "file"); }), test::Names("create"));
-    EXPECT_THAT(get_data_error_message([&] { check_writable(folder / "file" / "run"); }),
+    EXPECT_THAT(get_data_error_message([&] { create_folder_and_require_writable(folder / "file"); }),
+                test::Names("create"));
+    EXPECT_THAT(get_data_error_message([&] { create_folder_and_require_writable(folder / "file" / "run"); }),
                 test::Names("create"));
     EXPECT_NE(get_data_error_message([&] {
-                  check_writable(folder / std::string(300, 'x'));
+                  create_folder_and_require_writable(folder / std::string(300, 'x'));
               }).find("File name too long"),
               std::string::npos);
     std::filesystem::create_symlink(folder / "loop", folder / "loop");
-    EXPECT_NE(
-        get_data_error_message([&] { check_writable(folder / "loop" / "run"); }).find("Too many levels"),
-        std::string::npos);
-    EXPECT_NE(get_data_error_message([&] { check_writable("/proc/relidar"); }).find("/proc/relidar"),
+    EXPECT_NE(get_data_error_message([&] {
+                  create_folder_and_require_writable(folder / "loop" / "run");
+              }).find("Too many levels"),
               std::string::npos);
-    check_writable(folder / "a" / "b");
+    EXPECT_NE(get_data_error_message([&] {
+                  create_folder_and_require_writable("/proc/relidar");
+              }).find("/proc/relidar"),
+              std::string::npos);
+    create_folder_and_require_writable(folder / "a" / "b");
     EXPECT_TRUE(std::filesystem::is_empty(folder / "a" / "b"));
 }
 

@@ -16,7 +16,7 @@ namespace relidar {
 namespace {
 
 Config native() {
-    Config config = make_preset("quick");
+    Config config = make_preset_config("quick");
     config.sensor.grid = "native";
     return config;
 }
@@ -40,7 +40,8 @@ protected:
     const RangeImage real = make_measured_image(native(), frame.scan);
 
     FrameActorScores compute_all_scores(const RangeImage& rendered) const {
-        return compute_actor_scores(rendered, rendered.range_m, real, street, get_sweep_moment(frame));
+        return compute_actor_scores(rendered, rendered.range_m, real, street,
+                                    get_sweep_timing_of_frame(frame));
     }
     MetricValues scores(const RangeImage& rendered) const { return compute_all_scores(rendered).metrics; }
 };
@@ -96,7 +97,8 @@ TEST_F(ActorScoresOf, APointWhereACarWasIsInItsTail) {
                              box.world_from_box.pose.front().translation);
     };
     for (const BoxTrack& box : street.boxes)
-        if (box.is_present(last.time_s) && (!fastest || path_m(box) > path_m(*fastest))) fastest = &box;
+        if (box.is_observed_at_time(last.time_s) && (!fastest || path_m(box) > path_m(*fastest)))
+            fastest = &box;
     ASSERT_TRUE(fastest);
     ASSERT_GT(path_m(*fastest), 0.5 * fastest->size_m.x + 0.5) << "it must have left the place";
     const Pose sensor_from_world = inverse(street.world_from_vehicle.interpolate_mounted_pose(
@@ -112,7 +114,7 @@ TEST_F(ActorScoresOf, APointWhereACarWasIsInItsTail) {
     ghost.range_m[ray] = float(glm::length(earlier));
     ghost.drop_prob[ray] = 0.0f;
     const FrameActorScores actor_scores =
-        compute_actor_scores(ghost, ghost.range_m, measured, street, get_sweep_moment(last));
+        compute_actor_scores(ghost, ghost.range_m, measured, street, get_sweep_timing_of_frame(last));
     const auto actor = std::ranges::find(actor_scores.actors, fastest->id, &ActorScore::track);
     ASSERT_NE(actor, actor_scores.actors.end());
     EXPECT_EQ(actor->metrics.at("tail"), actor->metrics.at("tail_real") + 1.0);
@@ -140,7 +142,8 @@ TEST_F(ActorScoresOf, TakePointsAtTheMomentOfTheirFiring) {
     for (Pose& pose : world_from_sensor.pose) pose = pose * mounted;
     std::size_t n_people = 0;
     for (const BoxTrack& box : street.boxes) {
-        if (parse_object_kind(box.category) != ObjectKind::person || !box.is_present(frame.time_s)) continue;
+        if (parse_object_kind(box.category) != ObjectKind::person || !box.is_observed_at_time(frame.time_s))
+            continue;
         ++n_people;
         std::size_t expected = 0;
         const glm::dvec3 half = 0.5 * box.size_m + 0.1;
@@ -153,7 +156,7 @@ TEST_F(ActorScoresOf, TakePointsAtTheMomentOfTheirFiring) {
             expected += glm::all(glm::lessThanEqual(glm::abs(p), half)) && p.z >= 0.15 - 0.5 * box.size_m.z;
         }
         const MovingBoxPoints points =
-            collect_points_in_box(real, real.range_m, real, street, get_sweep_moment(frame), box);
+            collect_points_in_box(real, real.range_m, real, street, get_sweep_timing_of_frame(frame), box);
         EXPECT_NEAR(double(points.real_m.size()), double(expected), 2.0)
             << box.id << ": a point at the edge may fall to either side";
     }

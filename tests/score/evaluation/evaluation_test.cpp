@@ -23,9 +23,9 @@ protected:
     void SetUp() override {
         test::DeviceTest::SetUp();
         run.sequence = make_synthetic_street({.n_frames = kFrames, .rows = 8, .columns = 64});
-        run.config = make_preset("quick");
+        run.config = make_preset_config("quick");
         run.config.refine.enabled = false;
-        run.split = split_frames(run.sequence, 0);
+        run.split = split_frames_into_train_and_test(run.sequence, 0);
         run.config.init.voxel_m = 0.5;
         run.scene = initialise_scene(run.sequence, run.split.train, run.config.init);
         positions.resize(kFrames);
@@ -74,7 +74,7 @@ TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
     double sum = 0.0;
     for (int i = 0; i < kFrames; ++i) {
         const ScoredFrame alone =
-            score_frame(renderer, run.config, run.sequence, run.sequence.frames[std::size_t(i)]);
+            render_and_score_frame(renderer, run.config, run.sequence, run.sequence.frames[std::size_t(i)]);
         EXPECT_GT(alone.metrics.size(), 20u);
         for (const auto& [name, value] : alone.metrics) {
             const double actual = evaluation.frames[std::size_t(i)].metrics.at(name);

@@ -58,10 +58,10 @@ TEST(Neighbours, AreTheNearestTrainingFramesMovedByThePoses) {
     const int frames[] = {1, 4};
     for (std::size_t k = 0; k < 2; ++k) {
         const auto f = std::size_t(frames[k]);
-        const glm::dvec3 expected =
-            inverse(s.world_from_vehicle.pose[2]) *
-            (s.world_from_vehicle.pose[f] * glm::dvec3(s.frames[f].scan.compute_end_point(0)));
-        EXPECT_LT(glm::distance(glm::dvec3(points.compute_end_point(k)), expected), 1e-5);
+        const glm::dvec3 expected = inverse(s.world_from_vehicle.pose[2]) *
+                                    (s.world_from_vehicle.pose[f] *
+                                     glm::dvec3(s.frames[f].scan.compute_return_point_in_sensor_frame(0)));
+        EXPECT_LT(glm::distance(glm::dvec3(points.compute_return_point_in_sensor_frame(k)), expected), 1e-5);
         EXPECT_EQ(points.intensity[k], float(frames[k]) + 0.25f);
     }
     // no later frame exists
@@ -78,8 +78,8 @@ TEST(Neighbours, FollowTheRollingShutter) {
     for (std::size_t k = 0; k < 2; ++k) {
         const LidarFrame& from = s.frames[k == 0 ? 1 : 3];
         const glm::dvec3 world = s.world_from_vehicle.interpolate_pose(from.time_s + 0.01) *
-                                 glm::dvec3(from.scan.compute_end_point(0));
-        const glm::dvec3 predicted_m(points.compute_end_point(k));
+                                 glm::dvec3(from.scan.compute_return_point_in_sensor_frame(0));
+        const glm::dvec3 predicted_m(points.compute_return_point_in_sensor_frame(k));
         // a head that turns clockwise
         const double azimuth = std::atan2(predicted_m.y, predicted_m.x),
                      t_s = 0.2 - azimuth / (2.0 * kPi) * s.lidars[0].sensor.period_s;
@@ -104,11 +104,11 @@ TEST(Neighbours, MoveWithTheirBoxes) {
     ASSERT_EQ(moved.range_m.size(), 2u);
     for (std::size_t k = 0; k < 2; ++k) {
         const std::size_t f = k == 0 ? 1 : 3;
-        const glm::dvec3 world(s.frames[f].scan.compute_end_point(0));
-        EXPECT_LT(glm::distance(glm::dvec3(still.compute_end_point(k)), world), 1e-5);
+        const glm::dvec3 world(s.frames[f].scan.compute_return_point_in_sensor_frame(0));
+        EXPECT_LT(glm::distance(glm::dvec3(still.compute_return_point_in_sensor_frame(k)), world), 1e-5);
         const glm::dvec3 expected =
             box.world_from_box.pose[2] * (inverse(box.world_from_box.pose[f]) * world);
-        EXPECT_LT(glm::distance(glm::dvec3(moved.compute_end_point(k)), expected), 1e-5);
+        EXPECT_LT(glm::distance(glm::dvec3(moved.compute_return_point_in_sensor_frame(k)), expected), 1e-5);
     }
     s.boxes[0].world_from_box.time_s.resize(2);  // the box does not exist in sweep 2
     s.boxes[0].world_from_box.pose.resize(2);
@@ -131,7 +131,7 @@ TEST(BinOntoRays, GivesEachRayItsOwnPoint) {
     Scan points{rays, {}, {}};
     for (std::size_t i = 0; i < rays.size(); ++i)
         points.range_m.push_back(uniform(random)), points.intensity.push_back(uniform(random));
-    const Scan scan = bin_points_onto_rays(rays, points);
+    const Scan scan = assign_points_to_nearest_rays(rays, points);
     for (std::size_t i = 0; i < rays.size(); ++i) {
         ASSERT_NEAR(scan.range_m[i], points.range_m[i], 1e-4) << i;
         ASSERT_EQ(scan.intensity[i], points.intensity[i]) << i;
@@ -151,7 +151,7 @@ TEST(BinOntoRays, TakesTheNearestAndLeavesOutWhatNoBeamMeets) {
     points.rays.origin = {rays.origin[ray], rays.origin[ray], rays.origin[ray], {}, {}};
     points.rays.direction = {rays.direction[ray], rays.direction[ray], rays.direction[ray], at(5.4),
                              at(-12.8)};
-    const Scan scan = bin_points_onto_rays(rays, points);
+    const Scan scan = assign_points_to_nearest_rays(rays, points);
     // points at 5.4 and -12.8 degrees are farther from any beam than half the beam
     // spacing
     EXPECT_EQ(scan.count_returns(), 1u);
@@ -159,8 +159,9 @@ TEST(BinOntoRays, TakesTheNearestAndLeavesOutWhatNoBeamMeets) {
     EXPECT_EQ(scan.intensity[ray], 0.1f);
     points.rays.direction[3] = at(5.1);
     points.rays.direction[4] = at(-12.2);
-    EXPECT_EQ(bin_points_onto_rays(rays, points).count_returns(), 3u);
-    EXPECT_THROW((void)bin_points_onto_rays(points.rays, points), DataError);  // the rays have no image order
+    EXPECT_EQ(assign_points_to_nearest_rays(rays, points).count_returns(), 3u);
+    EXPECT_THROW((void)assign_points_to_nearest_rays(points.rays, points),
+                 DataError);  // the rays have no image order
 }
 
 RangeImage image_of(std::vector<float> range_m, std::vector<float> drop_prob) {

@@ -26,9 +26,9 @@ class Sightings : public test::DeviceTest {
 protected:
     double seen(const relidar::TrainedRun& run, BoxSide side) {
         const auto sightings = collect_actor_observations(device(), run);
-        return sightings.empty()
-                   ? 0.0
-                   : compute_observed_surface(kCarSize_m, sightings.at("7")).compute_observed_fraction(side);
+        return sightings.empty() ? 0.0
+                                 : mark_observed_box_surface(kCarSize_m, sightings.at("7"))
+                                       .compute_observed_area_fraction(side);
     }
 };
 
@@ -63,7 +63,7 @@ TEST_F(Sightings, WhatHidesAnActorHidesIt) {
     wall.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
     wall.log_scale[0] = glm::vec2(std::log(5.0f));
     wall.opacity_logit[0] = 8.0f;
-    run.scene = replace_background(run.scene, wall);
+    run.scene = copy_scene_with_new_background(run.scene, wall);
     EXPECT_EQ(seen(run, BoxSide::rear), 0.0);
 }
 
@@ -99,7 +99,8 @@ TEST(MakeAsset, OnlyVehiclesAreMirrored) {
         EXPECT_EQ(asset.facts.kind == ObjectKind::vehicle, is_vehicle) << category;
         EXPECT_EQ(asset.facts.mirrored > 0, is_vehicle) << category;
         EXPECT_EQ(asset.facts.completed > 0.1, is_vehicle) << category;
-        EXPECT_DOUBLE_EQ(asset.facts.compute_covered_fraction(), asset.facts.seen + asset.facts.completed);
+        EXPECT_DOUBLE_EQ(asset.facts.get_observed_or_mirrored_fraction(),
+                         asset.facts.seen + asset.facts.completed);
     }
 }
 
@@ -129,7 +130,7 @@ TEST_F(AssetFiles, SayAgainWhatTheyWereTold) {
     EXPECT_EQ(read_asset_ground_clearance(load_run(folder / "car-7")), 0.15);
     EXPECT_FALSE(read_asset_ground_clearance(run_of(make_plates(), kAhead)));
     ASSERT_EQ(list_asset_folders(folder), std::vector<std::filesystem::path>{folder / "car-7"});
-    const AssetDescription loaded_facts = read_asset_facts(folder / "car-7");
+    const AssetDescription loaded_facts = read_asset_description(folder / "car-7");
     EXPECT_EQ(loaded_facts.name, "car-7");
     EXPECT_EQ(loaded_facts.category, "Car");
     EXPECT_EQ(loaded_facts.kind, ObjectKind::vehicle);
@@ -158,7 +159,7 @@ TEST_F(AssetFiles, DamageIsNamed) {
         nlohmann::json json = nlohmann::json::parse(good);
         json[member] = value;
         put(folder / "car-7" / kAssetFile, json.dump());
-        EXPECT_THAT(get_data_error_message([&] { read_asset_facts(folder / "car-7"); }), Names(member));
+        EXPECT_THAT(get_data_error_message([&] { read_asset_description(folder / "car-7"); }), Names(member));
     }
 }
 
@@ -174,7 +175,7 @@ TEST_F(InsertedAsset, RendersAsTheActorItWas) {
     dataset_from_car.translation += run.sequence.world_offset_m;
     const SceneWithLog inserted =
         insert_track(empty, asset.run.copy_driving_scene(), asset.facts.name, {dataset_from_car});
-    const SimulatedSensor sensor = make_configured_sensor(run.config, run.sequence);
+    const SimulatedSensor sensor = make_sensor_from_config(run.config, run.sequence);
     const RenderedScan before =
         ScanRenderer(device(), run.scene, run.config, run.sequence).render(sensor, 0.5);
     const RenderedScan after =

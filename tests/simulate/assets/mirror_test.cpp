@@ -113,7 +113,7 @@ protected:
 TEST_F(MirroredCar, LooksFromTheUnseenSideAsItDoesFromTheSeenOne) {
     const Surfels left = make_random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
     Surfels guessed = left;  // adds surfels that training left on the unobserved side
-    guessed.append(make_random_surfels(100, {-1.2f, -0.95f, -0.4f}, {1.2f, -0.85f, 0.4f}, 2));
+    guessed.append_surfels(make_random_surfels(100, {-1.2f, -0.95f, -0.4f}, {1.2f, -0.85f, 0.4f}, 2));
     const ActorAsset asset = extract_actor_asset(run_of(guessed, {}), "7", from_outside(left.mean, 8.0));
     EXPECT_EQ(asset.facts.mirrored, left.size());
     EXPECT_EQ(asset.facts.surfels, 2 * left.size()) << "guesses have made room";
@@ -162,7 +162,7 @@ relidar::TrainedRun train_small_run(const Surfels& car, const std::string& categ
     run.sequence.boxes[0].category = category;
     ObservedBoxSurface surface(kCarSize_m);
     for (const glm::vec3& p : car.mean)
-        surface.mark_patch_observed(glm::dvec3(p), {0.0, p.y > 0.0f ? -1.0 : 1.0, 0.0});
+        surface.mark_patch_of_point_as_observed(glm::dvec3(p), {0.0, p.y > 0.0f ? -1.0 : 1.0, 0.0});
     run.scene.models[1].surface = surface;
     return run;
 }
@@ -184,7 +184,7 @@ TEST_F(MirroredCar, AMovedCarReturnsRaysOfTheUnseenSideAtTheMirroredPlane) {
               seen(run, make_rays_from_the_right(-1.0)).median_range_m)
         << "the seen side";
     const ObservedBoxSurface& surface = *edited.scene.models[1].surface;
-    EXPECT_EQ(format_unobserved_sides(surface.compute_covered_fractions()), "front, rear, top");
+    EXPECT_EQ(format_unobserved_sides(surface.compute_covered_fraction_of_each_side()), "front, rear, top");
     EXPECT_EQ(move_track(edited.copy_driving_scene(), "7", {}).scene.surfels.size(),
               edited.scene.surfels.size())
         << "completed once";
@@ -193,9 +193,10 @@ TEST_F(MirroredCar, AMovedCarReturnsRaysOfTheUnseenSideAtTheMirroredPlane) {
 TEST_F(MirroredCar, ASideStaysUnseenIfNoSurfelIsMirrored) {
     Surfels inside = left_plate();
     ObservedBoxSurface surface(kCarSize_m);
-    for (const glm::vec3& p : inside.mean) surface.mark_patch_observed(glm::dvec3(p), {0.0, -1.0, 0.0});
+    for (const glm::vec3& p : inside.mean)
+        surface.mark_patch_of_point_as_observed(glm::dvec3(p), {0.0, -1.0, 0.0});
     for (glm::vec3& mean : inside.mean) mean = glm::vec3(0.0f);
-    EXPECT_EQ(add_mirrored_surfels(inside, surface), 0u);
+    EXPECT_EQ(replace_unobserved_by_mirrored_surfels(inside, surface), 0u);
     EXPECT_FALSE(surface.is_completed);
     EXPECT_EQ(inside.size(), left_plate().size());
 }
@@ -214,7 +215,7 @@ TEST_F(MirroredCar, OnlyASymmetricVehicleIsCompleted) {
         if (right.mean[i].x < -0.1f) rear.push_back(i);
         right.mean[i] *= 0.55f / 0.95f;
     }
-    lopsided.append(right.reorder(rear));
+    lopsided.append_surfels(right.reorder(rear));
     EXPECT_EQ(copy_track(train_small_run(lopsided, "Car").copy_driving_scene(), "7", {}).scene.surfels.size(),
               lopsided.size());
 }

@@ -104,7 +104,7 @@ TEST(Channels, WhatOneScanOfARigHasAloneIsNothingInTheOthers) {
 
 TEST(Channels, ACellHasThemOfItsRay) {
     const RangeImageGrid grid = make_kitti360_grid();
-    const RenderedScan scan = make_marked_scan(5), binned = bin_scan_into_grid(scan, grid);
+    const RenderedScan scan = make_marked_scan(5), binned = project_points_into_grid_image(scan, grid);
     std::set<std::size_t> filled_cells;
     for (std::size_t ray = 0; ray < 5; ++ray) {
         const std::optional<int> cell =
@@ -174,9 +174,9 @@ protected:
     }
     RenderedScan scan(const std::string& sensor = "native") {
         ScanRenderer renderer(device(), scene, config, log);
-        renderer.set_observed_space(
+        renderer.set_observed_voxels(
             compute_observed_coverage(log, log.world_from_vehicle, {0, 1, 2, 3}, config.dataset.max_range_m));
-        return renderer.render(choose_sensor(sensor, config, log), log.frames[1].time_s);
+        return renderer.render(find_or_load_sensor(sensor, config, log), log.frames[1].time_s);
     }
     LidarSequence log;
     Scene scene;
@@ -230,7 +230,7 @@ TEST_F(RenderedChannels, AreWantedByName) {
     ScanRenderer renderer(device(), scene, config, log);
     renderer.enable_optional_channels("spread");
     renderer.enable_optional_channels("spread");
-    EXPECT_EQ(renderer.render(make_configured_sensor(config, log), 0.1).channels.size(), 1u);
+    EXPECT_EQ(renderer.render(make_sensor_from_config(config, log), 0.1).channels.size(), 1u);
     config.image.primitive = PrimitiveType::gaussian;
     scene.surfels.resize(scene.surfels.size(), PrimitiveType::gaussian);
     EXPECT_THROW(ScanRenderer(device(), scene, config, log).enable_optional_channels("normal"), UsageError)

@@ -78,14 +78,14 @@ protected:
     void write(const SimulatedSensor& sensor, bool deskew) {
         std::filesystem::remove_all(folder);
         std::filesystem::create_directories(folder);
-        ScanOutputOptions format = make_scan_format(run, sensor);
+        ScanOutputOptions format = make_default_output_options(run, sensor);
         format.formats = {"npz", "exr", "ply", "pcd", "mcap", "rosbag"};
         format.deskew = deskew;
         ScanRenderer renderer(device(), run);
         ScanFolderWriter scans(folder, format);
         for (const LidarFrame& frame : run.sequence.frames)
             scans.write_scan(frame.index, renderer.render(sensor, frame.time_s));
-        scans.finish();
+        scans.finish_scan_folder();
     }
     std::string text(const char* name) const { return read_contents(folder / name); }
 
@@ -143,16 +143,18 @@ protected:
         for (const char* recording : {"scans.mcap", "rosbag.mcap"}) {
             const LidarSequence log = load_sequence((folder / recording).string(), {});
             EXPECT_EQ(log.rolling_shutter, rolls) << recording;
-            const PoseTrack track = shift_track(log.get_world_from_sensor(0), log.world_offset_m);
+            const PoseTrack track =
+                add_offset_to_track_positions(log.get_world_from_sensor(0), log.world_offset_m);
             std::size_t n = 0;
             for (const LidarFrame& frame : log.frames)
                 for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
                     if (frame.scan.range_m[i] == 0.0f) continue;
                     const double fired_s =
                         frame.time_s + (rolls ? double(frame.scan.rays.time_offset_s[i]) : 0.0);
-                    ASSERT_NEAR(
-                        (track.interpolate_pose(fired_s) * glm::dvec3(frame.scan.compute_end_point(i))).x,
-                        kWall_m, 2.0 * kTolerance_m)
+                    ASSERT_NEAR((track.interpolate_pose(fired_s) *
+                                 glm::dvec3(frame.scan.compute_return_point_in_sensor_frame(i)))
+                                    .x,
+                                kWall_m, 2.0 * kTolerance_m)
                         << recording;
                     ++n;
                 }
@@ -162,7 +164,7 @@ protected:
 };
 
 TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
-    const SimulatedSensor sensor = choose_sensor("VLP-16:96x10", run.config, run.sequence);
+    const SimulatedSensor sensor = find_or_load_sensor("VLP-16:96x10", run.config, run.sequence);
     write(sensor, false);
     expect_statements(false);
     expect_recordings(true);
@@ -203,7 +205,7 @@ TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
 }
 
 TEST_F(CompensatedLog, ItsOwnSensorIsCompensatedAndSaysSo) {
-    write(choose_sensor("native", run.config, run.sequence), false);
+    write(find_or_load_sensor("native", run.config, run.sequence), false);
     expect_statements(true);
     expect_recordings(false);
     const std::vector<TimedPoint> native_points = points();
@@ -216,14 +218,14 @@ TEST_F(CompensatedLog, ItsOwnSensorIsCompensatedAndSaysSo) {
 
 TEST_F(CompensatedLog, TheSettingGivesItsOwnSensorARollingShutter) {
     run.config.sensor.rolling_shutter = RollingShutter::yes;
-    write(choose_sensor("native", run.config, run.sequence), false);
+    write(find_or_load_sensor("native", run.config, run.sequence), false);
     expect_statements(false);
     expect_recordings(true);
     for (const auto& [position_m, time_s] : points())
         EXPECT_NEAR(position_m.x + compute_sensor_x(time_s), kWall_m, kTolerance_m);
 
     run.config.sensor.rolling_shutter = RollingShutter::no;
-    write(choose_sensor("VLP-16:96x10", run.config, run.sequence), false);
+    write(find_or_load_sensor("VLP-16:96x10", run.config, run.sequence), false);
     expect_statements(true);
     for (const auto& [position_m, time_s] : points()) EXPECT_EQ(time_s, kFirst_s);
 }
@@ -233,7 +235,7 @@ TEST_F(CompensatedLog, PointsOfTheServiceToo) {
     ScanRenderer renderer(device(), run);
     for (const char* name : {"native", "VLP-16:96x10"}) {
         const bool rolls = name != std::string("native");
-        renderer.submit_points(choose_sensor(name, run.config, run.sequence),
+        renderer.submit_points(find_or_load_sensor(name, run.config, run.sequence),
                                {kFirst_s, run.sequence.world_from_vehicle}, kFirst_s + 0.05);
         const LidarPoints points = renderer.wait_for_points().points;
         ASSERT_GT(points.size(), 20u);

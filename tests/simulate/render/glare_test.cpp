@@ -178,7 +178,7 @@ TEST_F(GlareInScenes, TheSunIsNoiseAroundItUnlessAWallHidesIt) {
     const Config config;
     const LidarSequence sequence = make_level_beams();
     ScanRenderer renderer(device(), make_background_scene(make_disc_ahead()), config, sequence);
-    const SimulatedSensor sensor = make_configured_sensor(config, sequence);
+    const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
     const RenderedScan dark = renderer.render(sensor, 0.0, {}, 1);
     const auto noise_in = [&](const Sun& sun) {
         renderer.set_weather({.sun = sun});

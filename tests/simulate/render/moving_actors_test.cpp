@@ -88,7 +88,7 @@ protected:
     RenderedScan render(const Scene& scene, const LidarSequence& log, double time_s) {
         Config config;
         ScanRenderer renderer(device(), scene, config, log);
-        return renderer.render(make_configured_sensor(config, log), time_s);
+        return renderer.render(make_sensor_from_config(config, log), time_s);
     }
 };
 
@@ -196,13 +196,13 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
             add_wall(scene.surfels, {float(wall_x_m), float(0.25 * edge + 0.45 * k), 0.0f},
                      glm::quat(0, 0, 0, 1), {2.0f, 0.25f});
         scene.models[0].count = scene.models[1].first = 3;
-        scene.surfels.append(rear);
+        scene.surfels.append_surfels(rear);
         Config config;
         config.render.channels = "class";
         ScanRenderer renderer(device(), scene, config, log);
-        EXPECT_TRUE(renderer.render(make_configured_sensor(config, log), 0.5).actor_views.empty());
+        EXPECT_TRUE(renderer.render(make_sensor_from_config(config, log), 0.5).actor_views.empty());
         renderer.enable_actor_visibility();
-        const RenderedScan scan = renderer.render(make_configured_sensor(config, log), 0.5);
+        const RenderedScan scan = renderer.render(make_sensor_from_config(config, log), 0.5);
         ASSERT_EQ(scan.actor_views.size(), 1u);
         const ActorVisibility& view = scan.actor_views[0];
         EXPECT_EQ(view.track, "actor");
@@ -230,7 +230,7 @@ TEST_F(MovingActors, TheVelocityIsTheRateOfTheRange) {
     add_wall(rear, {-2.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.0f));
     Scene scene = make_one_actor(rear, size_m);
     scene.surfels = wall;
-    scene.surfels.append(rear);
+    scene.surfels.append_surfels(rear);
     scene.models[0].count = scene.models[1].first = 1;
     const PoseAt sensor = [](double t_s) {
         return Pose{glm::angleAxis(0.4 * (t_s - 0.5), glm::dvec3(0, 0, 1)), {15.0 * (t_s - 0.5), 0.0, 0.0}};
@@ -245,7 +245,7 @@ TEST_F(MovingActors, TheVelocityIsTheRateOfTheRange) {
         Config config;
         config.render.channels = "velocity";
         ScanRenderer renderer(device(), scene, config, log);
-        const RenderedScan scan = renderer.render(make_configured_sensor(config, log), 0.5);
+        const RenderedScan scan = renderer.render(make_sensor_from_config(config, log), 0.5);
         const std::vector<float>& velocity = *find_channel_values<float>(scan.channels, "velocity");
         int n[2] = {};
         for (std::size_t i = 0; i < velocity.size(); ++i) {

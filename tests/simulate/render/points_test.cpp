@@ -34,22 +34,22 @@ protected:
         if (IsSkipped() || HasFatalFailure()) return;
         log = make_synthetic_street({.n_frames = 12});
         log.world_offset_m = {455000.0, 5428000.0, 113.0};
-        scene = initialise_scene(log, split_frames(log, 5).train, {});
+        scene = initialise_scene(log, split_frames_into_train_and_test(log, 5).train, {});
     }
     /// Returns the path of a drive through a bend of the street, in the dataset's world
     /// frame.
     PoseTrack bend() const {
-        PoseTrack track = shift_track(log.get_world_from_sensor(0), log.world_offset_m);
+        PoseTrack track = add_offset_to_track_positions(log.get_world_from_sensor(0), log.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
             track.pose[k].rotation =
                 make_rotation(0.4 * double(k), 0.01 * double(k), -0.02 * std::sin(double(k)));
         return track;
     }
     double middle_s() const { return log.frames[log.frames.size() / 2].time_s; }
-    SimulatedSensor sensor(const std::string& name) const { return choose_sensor(name, config, log); }
+    SimulatedSensor sensor(const std::string& name) const { return find_or_load_sensor(name, config, log); }
     void make_renderer() {
         renderer.emplace(device(), scene, config, log);
-        renderer->set_observed_space(
+        renderer->set_observed_voxels(
             compute_observed_coverage(log, log.world_from_vehicle, {0, 2, 4}, config.dataset.max_range_m));
     }
     void TearDown() override {
@@ -161,12 +161,13 @@ TEST(PlacePoints, LieWhereDoublePrecisionPutsThem) {
     Random random(7);
     const std::size_t n = 4000;
     for (std::size_t i = 0; i < n; ++i) {
-        const glm::vec3 random_vector(random.draw_uniform() - 0.5, random.draw_uniform() - 0.5,
-                                      random.draw_uniform() - 0.5);
+        const glm::vec3 random_vector(random.sample_uniform_number() - 0.5,
+                                      random.sample_uniform_number() - 0.5,
+                                      random.sample_uniform_number() - 0.5);
         scan.image.direction.push_back(glm::normalize(random_vector));
         scan.image.origin.emplace_back(0.1f, 0.0f, -0.2f);
-        scan.image.range_m.push_back(float(1.0 + 79.0 * random.draw_uniform()));
-        scan.time_offset_s.push_back(float(0.14 * random.draw_uniform() - 0.07));
+        scan.image.range_m.push_back(float(1.0 + 79.0 * random.sample_uniform_number()));
+        scan.time_offset_s.push_back(float(0.14 * random.sample_uniform_number() - 0.07));
     }
     scan.image.intensity.resize(n), scan.image.drop_prob.resize(n);
     scan.image.rows = 1, scan.image.columns = int(n);

@@ -38,7 +38,7 @@ TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
     // The cell contains a far point with a return, a nearer point with a return, and the
     // nearest point, which is dropped.
     const RenderedScan projected =
-        bin_scan_into_grid(scan_of({a, 0.9f * a, 0.5f * a}, {0.1f, 0.2f, 0.9f}), grid);
+        project_points_into_grid_image(scan_of({a, 0.9f * a, 0.5f * a}, {0.1f, 0.2f, 0.9f}), grid);
     const std::size_t cell = std::size_t(*project_to_pixel_index(grid, glm::dvec3(a)));
     EXPECT_NEAR(projected.image.range_m[cell], 0.9f * glm::length(a), 1e-4f);
     EXPECT_NEAR(projected.image.intensity[cell], 0.2f, 1e-6f);
@@ -61,7 +61,7 @@ TEST(ProjectScan, WhatHedgesBetweenTwoSurfacesIsBinnedByTheDominantOne) {
     scan.image.range_m[0] *= 0.6f;  // the mean range lies between the surface at `a` and a nearer surface
     scan.mean_range_m[0] = scan.image.range_m[0];
     scan.mean_range_m[1] -= 2.5f;
-    const RenderedScan binned = bin_scan_into_grid(scan, grid);
+    const RenderedScan binned = project_points_into_grid_image(scan, grid);
     const std::size_t cell = std::size_t(*project_to_pixel_index(grid, glm::dvec3(a)));
     EXPECT_EQ(binned.instance[cell], 1) << "0.8 a returns, 0.6 a is thin air";
     EXPECT_NEAR(binned.median_range_m[cell], 0.8f * glm::length(a), 1e-4f);
@@ -142,7 +142,7 @@ TEST(ProjectScan, RealAndSimulatedPointsAreBinnedAlike) {
     Config config;
     config.sensor.grid = "kitti360";
     const RangeImage image = make_measured_image(config, real);
-    const RenderedScan projected = bin_scan_into_grid(simulated, make_kitti360_grid());
+    const RenderedScan projected = project_points_into_grid_image(simulated, make_kitti360_grid());
     for (std::size_t i = 0; i < image.range_m.size(); ++i) {
         EXPECT_NEAR(image.range_m[i], projected.image.range_m[i], 1e-5f);
         EXPECT_EQ(image.drop_prob[i], projected.image.drop_prob[i]);

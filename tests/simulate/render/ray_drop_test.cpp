@@ -31,17 +31,18 @@ protected:
     /// Returns a scan of the street without its cars, from a sensor on the path of the
     /// log.
     RenderedScan scan_of(const RayTable& rays, const RayDropNetwork& network) {
-        return scan_of(rays, network, shift_track(log.get_world_from_sensor(0), log.world_offset_m));
+        return scan_of(rays, network,
+                       add_offset_to_track_positions(log.get_world_from_sensor(0), log.world_offset_m));
     }
     RenderedScan scan_of(const RayTable& rays, const RayDropNetwork& network,
                          const PoseTrack& dataset_from_sensor) {
-        SimulatedSensor sensor = choose_sensor("VLP-16:300x10", config, log);
+        SimulatedSensor sensor = find_or_load_sensor("VLP-16:300x10", config, log);
         sensor.rays = rays;
         ScanRenderer renderer(device(), scene, config, log);
         renderer.set_drop_network(network);
         return renderer.render(sensor, {log.frames[3].time_s, dataset_from_sensor, ActorTracksByName{}});
     }
-    RayTable rays() const { return choose_sensor("VLP-16:300x10", config, log).rays; }
+    RayTable rays() const { return find_or_load_sensor("VLP-16:300x10", config, log).rays; }
 
     LidarSequence log;
     Scene scene;
@@ -126,9 +127,10 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
                 of_scan.render.range = range;
                 ScanRenderer renderer(device(), scene, of_scan, log);
                 renderer.set_drop_network(test::make_network_that_never_drops());
-                const ScanRequest request{log.frames[3].time_s,
-                                          shift_track(log.get_world_from_sensor(0), log.world_offset_m)};
-                SimulatedSensor sensor = choose_sensor(name, of_scan, log);
+                const ScanRequest request{
+                    log.frames[3].time_s,
+                    add_offset_to_track_positions(log.get_world_from_sensor(0), log.world_offset_m)};
+                SimulatedSensor sensor = find_or_load_sensor(name, of_scan, log);
                 sensor.limits.min_m = 0.0;
                 const RenderedScan scan = renderer.render(sensor, request);
                 std::size_t n_returns = 0, n_empty = 0;
@@ -157,7 +159,7 @@ TEST_F(RayDrop, WeatherReturnsWhereSurfacesDoNot) {
     renderer.set_drop_network(test::make_network_that_never_drops());
     renderer.set_weather({.fog_visibility_m = 20.0});
     const RenderedScan scan =
-        renderer.render(choose_sensor("VLP-16:300x10", config, log), log.frames[3].time_s);
+        renderer.render(find_or_load_sensor("VLP-16:300x10", config, log), log.frames[3].time_s);
     const std::vector<std::int32_t>& source = *find_channel_values<std::int32_t>(scan.channels, "source");
     std::size_t n_fog = 0;
     for (std::size_t i = 0; i < source.size(); ++i) {

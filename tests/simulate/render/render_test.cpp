@@ -73,7 +73,7 @@ TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
         config.sensor.sub_rays = sub_rays;
         config.sensor.returns = returns;
         ScanRenderer renderer(device(), make_background_scene(make_post_before_wall()), config, sequence);
-        return renderer.render(make_configured_sensor(config, sequence), 0.0);
+        return renderer.render(make_sensor_from_config(config, sequence), 0.0);
     };
     EXPECT_NEAR(render(1, 1).median_range_m[0], 10.0f, 1e-3f) << "the middle of the beam meets the post";
     EXPECT_TRUE(render(9, 1).second_returns.empty());
@@ -102,8 +102,8 @@ TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
     config.sensor.sub_rays = 9, config.sensor.returns = 2;
     ScanRenderer renderer(device(), make_background_scene(make_post_before_wall()), config,
                           make_cross_sequence());
-    const RenderedScan scan =
-        renderer.render(make_sensor_choice({.name = "mixed", .limits = {0.0, 80.0}, .pattern = rays}), 0.0);
+    const RenderedScan scan = renderer.render(
+        make_simulated_sensor({.name = "mixed", .limits = {0.0, 80.0}, .pattern = rays}), 0.0);
     EXPECT_THAT(scan.median_range_m, testing::Pointwise(testing::FloatNear(2e-3f), {10.0f, 14.0f, 10.0f}));
     EXPECT_THAT(scan.second_returns[0].range_m,
                 testing::Pointwise(testing::FloatNear(2e-3f), {0.0f, 10.0f, 0.0f}));
@@ -114,14 +114,14 @@ TEST_F(Render, SubRaysNeedADivergence) {
     Config config;
     config.sensor.sub_rays = 5;
     ScanRenderer renderer(device(), make_background_scene(make_wall_ahead()), config, sequence);
-    EXPECT_THROW(renderer.render(make_configured_sensor(config, sequence), 0.0), UsageError);
+    EXPECT_THROW(renderer.render(make_sensor_from_config(config, sequence), 0.0), UsageError);
     config.sensor.divergence_mrad = 2.0;
     ScanRenderer with(device(), make_background_scene(make_wall_ahead()), config, sequence);
-    EXPECT_EQ(with.render(make_configured_sensor(config, sequence), 0.0).image.range_m.size(), 4u);
+    EXPECT_EQ(with.render(make_sensor_from_config(config, sequence), 0.0).image.range_m.size(), 4u);
     config.sensor.sub_rays = 1;
     config.sensor.returns = 2;
     ScanRenderer two(device(), make_background_scene(make_wall_ahead()), config, sequence);
-    EXPECT_THROW(two.render(make_configured_sensor(config, sequence), 0.0), UsageError);
+    EXPECT_THROW(two.render(make_sensor_from_config(config, sequence), 0.0), UsageError);
 }
 
 TEST_F(Render, WallIsWhereItStands) {
@@ -135,7 +135,7 @@ TEST_F(Render, WallIsWhereItStands) {
     sequence.world_from_vehicle.pose = {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}};
     Config config;
     ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
-    const SimulatedSensor sensor = make_configured_sensor(config, sequence);
+    const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
     std::size_t ahead = 0;
     for (std::size_t i = 0; i < sensor.rays.size(); ++i)
         if (sensor.rays.direction[i].x > 0.999f) ahead = i;
@@ -171,7 +171,7 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
         return int(std::min_element(scan.image.drop_prob.begin(), scan.image.drop_prob.end()) -
                    scan.image.drop_prob.begin());
     };
-    const SimulatedSensor configured_sensor = make_configured_sensor(config, sequence);
+    const SimulatedSensor configured_sensor = make_sensor_from_config(config, sequence);
     EXPECT_TRUE(configured_sensor.follows_sweeps);
     const int nominal = kColumns / 2;  // the azimuth starts at pi and decreases from column to column
     EXPECT_EQ(column_of_post(renderer.render(configured_sensor, 0.0)), nominal) << "a sweep without a shift";
@@ -182,8 +182,8 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
               nominal)
         << "driven by somebody else";
     config.render.follow_sweeps = false;
-    EXPECT_EQ(column_of_post(renderer.render(make_configured_sensor(config, sequence), 1.0)), nominal);
-    EXPECT_FALSE(choose_sensor("HDL-32E", config, sequence).follows_sweeps);
+    EXPECT_EQ(column_of_post(renderer.render(make_sensor_from_config(config, sequence), 1.0)), nominal);
+    EXPECT_FALSE(find_or_load_sensor("HDL-32E", config, sequence).follows_sweeps);
 }
 
 /// Two semi-transparent surfaces are in front of a wall. Half of the light is blocked at
@@ -206,7 +206,7 @@ TEST_F(Render, ModeIsTheHeaviestSurface) {
         Config config;
         config.render.range = range;
         ScanRenderer renderer(device(), make_background_scene(scene), config, sequence);
-        const SimulatedSensor sensor = make_configured_sensor(config, sequence);
+        const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
         const RenderedScan scan = renderer.render(sensor, 0.0);
         for (std::size_t i = 0; i < 4; ++i) {
             const bool ahead = sensor.rays.direction[i].x > 0.9f;
@@ -242,7 +242,7 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
     Config config;
     config.render.range = "normalised";
     ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
-    const SimulatedSensor configured_sensor = make_configured_sensor(config, sequence);
+    const SimulatedSensor configured_sensor = make_sensor_from_config(config, sequence);
     std::size_t ahead = 0;
     for (std::size_t i = 0; i < 4; ++i)
         if (configured_sensor.rays.direction[i].x > 0.9f) ahead = i;
@@ -271,7 +271,7 @@ TEST_F(Render, RangesBeyondTheSensorAreDrops) {
     Config config;
     ScanRenderer renderer(device(), scene, config, sequence);
     const auto dropped = [&](double min_m, double max_m) {
-        SimulatedSensor sensor = make_configured_sensor(config, sequence);
+        SimulatedSensor sensor = make_sensor_from_config(config, sequence);
         sensor.limits = {min_m, max_m};
         const RenderedScan scan = renderer.render(sensor, 0.0);
         const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0});
@@ -291,23 +291,24 @@ TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
     sequence.lidars[0].sensor.min_range_m = 0.5;
     sequence.lidars[0].sensor.max_range_m = 60.0;
     Config config;
-    EXPECT_EQ(make_configured_sensor(config, sequence).limits.min_m, 0.5);
-    EXPECT_EQ(make_configured_sensor(config, sequence).limits.max_m, 60.0);
+    EXPECT_EQ(make_sensor_from_config(config, sequence).limits.min_m, 0.5);
+    EXPECT_EQ(make_sensor_from_config(config, sequence).limits.max_m, 60.0);
     config.dataset.max_range_m = 30.0;
     config.dataset.min_range_m = 2.0;
-    EXPECT_EQ(make_configured_sensor(config, sequence).limits.max_m, 30.0);
-    EXPECT_EQ(choose_sensor("Native", config, sequence).limits.min_m, 2.0);
-    EXPECT_EQ(choose_sensor("VLP-16", config, sequence).limits.max_m, 100.0) << "another sensor has its own";
+    EXPECT_EQ(make_sensor_from_config(config, sequence).limits.max_m, 30.0);
+    EXPECT_EQ(find_or_load_sensor("Native", config, sequence).limits.min_m, 2.0);
+    EXPECT_EQ(find_or_load_sensor("VLP-16", config, sequence).limits.max_m, 100.0)
+        << "another sensor has its own";
     config.sensor.grid = "kitti360";
-    EXPECT_EQ(make_configured_sensor(config, sequence).limits.max_m, 30.0);
+    EXPECT_EQ(make_sensor_from_config(config, sequence).limits.max_m, 30.0);
     config.dataset.max_range_m = sequence.lidars[0].sensor.max_range_m = 200.0;
-    EXPECT_EQ(make_configured_sensor(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
+    EXPECT_EQ(make_sensor_from_config(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
 }
 
 /// Returns a plate 4 m ahead that blocks 30 % of the light, and the wall behind it.
 Surfels make_faint_plate_before_wall() {
     Surfels surfels = make_wall_ahead();
-    surfels.append(make_wall_ahead());
+    surfels.append_surfels(make_wall_ahead());
     surfels.mean[0].x = 4.0f;
     surfels.opacity_logit[0] = std::log(0.3f / 0.7f);
     return surfels;
@@ -319,7 +320,7 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
     Surfels surfels = make_faint_plate_before_wall();
     const LidarSequence sequence = make_cross_sequence();
     Config config;
-    const SimulatedSensor sensor = make_configured_sensor(config, sequence);
+    const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
     const RenderedScan scan =
         ScanRenderer(device(), make_background_scene(surfels), config, sequence).render(sensor, 0.0);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
@@ -345,7 +346,7 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const Surfels surfels = make_faint_plate_before_wall();
     const LidarSequence sequence = make_cross_sequence();
     Config config;
-    const SimulatedSensor sensor = make_configured_sensor(config, sequence);
+    const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                       behind = find_ray_towards(sensor.rays, {-1, 0, 0});
     const RenderedScan plane =
@@ -384,7 +385,7 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
     sequence.world_offset_m = {100.0, 0.0, 0.0};
     for (const bool rolling : {true, false}) {
         sequence.rolling_shutter = rolling;
-        const SimulatedSensor sensor = make_configured_sensor({}, sequence);
+        const SimulatedSensor sensor = make_sensor_from_config({}, sequence);
         const RenderedScan scan =
             ScanRenderer(device(), make_background_scene(make_wall_ahead()), {}, sequence)
                 .render(sensor, 0.5, {{1, 0, 0, 0}, {-1.0, 0.0, 0.0}});
@@ -415,7 +416,7 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
         {0.0, 1.0},
         {Pose{}, Pose{glm::angleAxis(1.0, glm::normalize(glm::dvec3(0.1, 0.2, 1))), {4.0, -1.0, 0.0}}}};
     Config config;
-    const SimulatedSensor sensor = make_configured_sensor(config, sequence);
+    const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
     EXPECT_TRUE(ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence)
                     .render(sensor, 0.5)
                     .channels.empty());
@@ -436,7 +437,7 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
         met += scan.instance[i] >= 0;
     }
     EXPECT_GT(met, 5u);
-    const RenderedScan binned = bin_scan_into_grid(scan, make_kitti360_grid());
+    const RenderedScan binned = project_points_into_grid_image(scan, make_kitti360_grid());
     const std::vector<glm::vec3>& of_cells = *find_channel_values<glm::vec3>(binned.channels, "normal");
     ASSERT_EQ(of_cells.size(), binned.instance.size());
     for (std::size_t i = 0; i < of_cells.size(); ++i)
@@ -488,7 +489,7 @@ TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         Config config;
         config.image.sh_direction = direction;
-        const SimulatedSensor sensor = make_configured_sensor(config, sequence);
+        const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
         const RenderedScan scan = ScanRenderer(device(), scene, config, sequence).render(sensor, 0.0);
         const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                           behind = find_ray_towards(sensor.rays, {-1, 0, 0});
@@ -503,13 +504,13 @@ TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
 TEST_F(Render, OnlyVisibleActorsAreHit) {
     LidarSequence sequence = make_cross_sequence();
     const Scene scene = make_two_placements(sequence);
-    const SimulatedSensor sensor = make_configured_sensor({}, sequence);
+    const SimulatedSensor sensor = make_sensor_from_config({}, sequence);
     ScanRenderer renderer(device(), scene, {}, sequence);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                       behind = find_ray_towards(sensor.rays, {-1, 0, 0}),
                       right = find_ray_towards(sensor.rays, {0, -1, 0});
     const auto labels = [&](const std::vector<std::string>& names) {
-        renderer.set_visible_instances(select_instances(scene, names));
+        renderer.set_visible_instances(mark_instances_with_names(scene, names));
         const RenderedScan scan = renderer.render(sensor, 0.0);
         return std::vector<int>{scan.instance[ahead], scan.instance[behind], scan.instance[right]};
     };
@@ -517,7 +518,7 @@ TEST_F(Render, OnlyVisibleActorsAreHit) {
     EXPECT_EQ(labels({"actors"}), (std::vector<int>{1, 2, -1}));
     EXPECT_EQ(labels({"behind"}), (std::vector<int>{-1, 2, -1}));
     EXPECT_EQ(labels({"behind", "background"}), (std::vector<int>{-1, 2, 0}));
-    EXPECT_THROW(select_instances(scene, {"ahed"}), UsageError);
+    EXPECT_THROW(mark_instances_with_names(scene, {"ahed"}), UsageError);
     EXPECT_THROW(renderer.set_visible_instances({true}), UsageError);
 }
 

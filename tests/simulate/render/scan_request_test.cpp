@@ -54,7 +54,7 @@ Pose make_pose_at_x(double x_m) { return {{1, 0, 0, 0}, kDatasetOrigin_m + glm::
 class ScanRequests : public test::DeviceTest {
 protected:
     const LidarSequence log = make_standing_log();
-    const SimulatedSensor sensor = make_configured_sensor({}, log);
+    const SimulatedSensor sensor = make_sensor_from_config({}, log);
     std::optional<ScanRenderer> renderer;
 
     void SetUp() override {

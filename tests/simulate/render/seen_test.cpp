@@ -18,15 +18,15 @@ protected:
         SyntheticOptions options;
         options.n_frames = 12;
         log = make_synthetic_street(options);
-        split = split_frames(log, 5);
+        split = split_frames_into_train_and_test(log, 5);
         scene = initialise_scene(log, split.train, {});
         config.render.channels = "seen";
     }
     RenderedScan scan(const Pose& offset, const Config& settings, const std::string& sensor = "native") {
         ScanRenderer renderer(device(), scene, settings, log);
-        renderer.set_observed_space(compute_observed_coverage(log, log.world_from_vehicle, split.train,
-                                                              settings.dataset.max_range_m));
-        return renderer.render(choose_sensor(sensor, settings, log),
+        renderer.set_observed_voxels(compute_observed_coverage(log, log.world_from_vehicle, split.train,
+                                                               settings.dataset.max_range_m));
+        return renderer.render(find_or_load_sensor(sensor, settings, log),
                                log.frames[std::size_t(split.test[0])].time_s, offset);
     }
     static const std::vector<float>& seen(const RenderedScan& scan) {
@@ -82,7 +82,7 @@ TEST_F(Seen, BinnedAndMergedScansKeepIt) {
 TEST_F(Seen, WithoutACoverageNothingIsClaimed) {
     ScanRenderer renderer(device(), scene, config, log);
     const RenderedScan native_scan =
-        renderer.render(choose_sensor("native", config, log), log.frames[0].time_s);
+        renderer.render(find_or_load_sensor("native", config, log), log.frames[0].time_s);
     EXPECT_FALSE(native_scan.unseen_share.has_value());
     EXPECT_TRUE(native_scan.channels.empty());
 }

@@ -75,7 +75,7 @@ TEST_F(SensorRaysTest, AreFiredFromWhereTheSensorIsThen) {
 
 TEST_F(SensorRaysTest, OnlyPosesOfTheSweepGoUp) {
     const PoseTrack track = bend(1.0, 1000);
-    const auto poses = list_poses_through_sweep(track, 15.0, -0.05, 0.05);
+    const auto poses = list_poses_between_time_offsets(track, 15.0, -0.05, 0.05);
     EXPECT_LE(poses.front().time_offset_s, -0.05f);
     EXPECT_GE(poses.back().time_offset_s, 0.05f);
     EXPECT_LE(poses.size(), 6u);
@@ -111,9 +111,11 @@ Expected compute_expected(const shared::RenderedRay& ray, const Beam& beam, doub
     if (weight < double(options.min_weight)) chosen = 0.0;
     if (options.range == "expected") chosen = ray.depth;
     const double surface = median > 0.0 ? median : chosen;
-    Expected e{beam.to_measured_range(chosen), beam.to_measured_range(surface),
-               beam.to_measured_range(median > 0.0 ? normalised : surface),
-               beam.to_measured_intensity(ray.intensity, options.response.compute_range_factor(surface)),
+    Expected e{beam.convert_surface_to_measured_range_m(chosen),
+               beam.convert_surface_to_measured_range_m(surface),
+               beam.convert_surface_to_measured_range_m(median > 0.0 ? normalised : surface),
+               beam.convert_surface_to_measured_intensity(
+                   ray.intensity, options.response.compute_intensity_factor_at_range(surface)),
                0.0};
     const double hit = std::exp(double(ray.hit_logit)), drop = std::exp(double(ray.drop_logit));
     const bool is_met = weight >= double(options.min_weight) && e.range_m > 0.0 && e.median_m > 0.0;
@@ -157,7 +159,7 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
         ASSERT_EQ(measured.size(), rays.size());
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const shared::MeasuredRay& m = measured[i];
-            const Expected e = compute_expected(rendering[i], find_beam(beams, rays.channel[i]),
+            const Expected e = compute_expected(rendering[i], find_beam_of_channel(beams, rays.channel[i]),
                                                 1.0 - double(never(i)), of_rays[i].mode, how);
             EXPECT_NEAR(m.range_m, e.range_m, 2e-5) << range << i;
             EXPECT_NEAR(m.median_range_m, e.median_m, 2e-5) << range << i;
@@ -268,7 +270,7 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
         RayDropRefiner refiner(device(), trained);
         const std::vector<float> expected = refiner.predict_drop_probabilities(image);
         measure();
-        on_device.record_drop_network(stream, refiner.get_drop_pass(),
+        on_device.record_drop_network(stream, refiner.get_ray_drop_inference(),
                                       glm::vec3(scan.world_from_sensor.translation - first_origin_m));
         on_device.wait_for_measurements(stream);
         const std::span<const float> actual = on_device.wait_for_drop_probabilities(stream);

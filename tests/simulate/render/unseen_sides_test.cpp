@@ -17,10 +17,11 @@ Scene make_van_scene(double rear_y_m) {
     scene.models = {{"background", 0, 0, {}}, {"van", 0, 0, {2.0f, 1.0f, 0.8f}}};
     ObservedBoxSurface surface({4.0, 2.0, 1.6});
     for (std::size_t s = 0; s < kBoxSides; ++s)
-        surface.parse_observed_patches(
+        surface.try_parse_and_set_observed_patches(
             BoxSide(s), std::string(surface.format_observed_patches(BoxSide(s)).size(), s == 1 ? '0' : '1'));
     for (double y = rear_y_m + 0.05; y < 1.0; y += 0.1)
-        for (double z = -0.75; z < 0.8; z += 0.1) surface.mark_patch_observed({-2.0, y, z}, {1.0, 0.0, 0.0});
+        for (double z = -0.75; z < 0.8; z += 0.1)
+            surface.mark_patch_of_point_as_observed({-2.0, y, z}, {1.0, 0.0, 0.0});
     scene.models[1].surface = surface;
     scene.instances = {{0, ""}, {1, "van"}};
     return scene;

@@ -159,7 +159,7 @@ TEST(WeatherOnScans, SecondReturnsSayWhyTheyAreThere) {
         ASSERT_TRUE(second[i] != kSurface || range_m == 20.0f || range_m == 22.0f);
         behind_fog += get_sources(scan)[i] == kFog && second[i] == kSurface && range_m == 22.0f;
         ScanChannel of_points{scan.channels.back().info, std::vector<std::int32_t>{}};
-        append_return_value(of_points, scan.channels.back(), i, 2);
+        append_value_of_one_return(of_points, scan.channels.back(), i, 2);
         ASSERT_EQ(std::get<std::vector<std::int32_t>>(of_points.values)[0], second[i]);
     }
     EXPECT_GT(behind_fog, kRays / 2);
@@ -226,7 +226,7 @@ TEST_F(RenderedWeather, NeedsALogWithIntensities) {
 TEST_F(RenderedWeather, IsThatOfTheNextScan) {
     ScanRenderer renderer(device(), scene, config, log);
     const auto render = [&](const std::string& sensor, std::optional<std::uint64_t> sample = {}) {
-        return renderer.render(choose_sensor(sensor, config, log), log.frames[1].time_s, {}, sample);
+        return renderer.render(find_or_load_sensor(sensor, config, log), log.frames[1].time_s, {}, sample);
     };
     const RenderedScan clear = render("native"), clear_sample = render("native", 3);
     EXPECT_EQ(find_channel_values<std::int32_t>(clear.channels, "source"), nullptr);

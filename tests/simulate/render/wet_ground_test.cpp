@@ -39,7 +39,7 @@ Surfels make_ground_before_wall() {
     for (int x = -20; x < 12; ++x) {
         for (int y = -12; y <= 12; ++y) {
             disc.mean[0] = {float(x), float(y), -0.5f};
-            scene.append(disc);
+            scene.append_surfels(disc);
         }
     }
     return scene;
@@ -64,7 +64,7 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
     const Config config;
     const LidarSequence sequence = make_sequence_looking_down();
     ScanRenderer renderer(device(), make_background_scene(make_ground_before_wall()), config, sequence);
-    const SimulatedSensor sensor = make_configured_sensor(config, sequence);
+    const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
     const RenderedScan dry = renderer.render(sensor, 0.0);
     renderer.set_weather({.wet_mm = 2.0});
     const RenderedScan wet = renderer.render(sensor, 0.0);

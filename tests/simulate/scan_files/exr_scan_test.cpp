@@ -44,7 +44,7 @@ TEST_F(ExrScans, AreReadAsScans) {
     const auto write = [&] {
         ScanFolderWriter scans(folder / "scans", format);
         scans.write_scan(5, truth);
-        scans.finish();
+        scans.finish_scan_folder();
     };
     std::filesystem::create_directories(folder / "scans");
     write();

@@ -102,7 +102,7 @@ protected:
         format.frame = frame, format.deskew = deskew;
         ScanFolderWriter scans(folder, format);
         scans.write_scan(0, make_lane_change());
-        scans.finish();
+        scans.finish_scan_folder();
     }
     static void expect_places(const std::string& description, const Pose& world_from_points,
                               const std::vector<glm::dvec3>& points) {
@@ -164,7 +164,7 @@ TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
     format.formats = {"npz", "exr", "ply"};
     ScanFolderWriter scans(folder, format);
     scans.write_scan(0, scan);
-    scans.finish();
+    scans.finish_scan_folder();
     const auto arrays = read_npz(file("npz"));
     EXPECT_EQ(find_array(arrays, "why")->convert_to_floats(), (std::vector<float>{1, 2, 0, 0}));
     EXPECT_EQ(find_array(arrays, "why_2")->convert_to_floats(), (std::vector<float>{5, -1, -1, 7}));

@@ -100,7 +100,7 @@ std::vector<SeenPoint> compute_truth() {
 /// @param zero_s time in the recording at which the time of the log is zero
 std::vector<SeenPoint> read_again(const LidarSequence& log, double zero_s) {
     std::vector<SeenPoint> points;
-    const PoseTrack track = shift_track(log.get_world_from_sensor(0), log.world_offset_m);
+    const PoseTrack track = add_offset_to_track_positions(log.get_world_from_sensor(0), log.world_offset_m);
     for (const LidarFrame& frame : log.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
@@ -153,7 +153,7 @@ void expect_actors(const LidarSequence& log, const glm::dvec3& moved_m) {
     SCOPED_TRACE(testing::PrintToString(log.notes));
     ASSERT_EQ(log.boxes.size(), 2u);
     for (const BoxTrack& expected_box : actors()) {
-        const BoxTrack* loaded_box = find_box(log, expected_box.id);
+        const BoxTrack* loaded_box = find_box_track_by_id(log, expected_box.id);
         ASSERT_NE(loaded_box, nullptr) << expected_box.id;
         EXPECT_EQ(loaded_box->category, expected_box.category);
         EXPECT_LT(glm::distance(loaded_box->size_m, expected_box.size_m), 1e-9);
@@ -209,7 +209,7 @@ TEST_F(RecordedLog, OfEitherKindIsTheSameLog) {
     format.world_offset_m = {1.0, 2.0, 3.0};
     ScanFolderWriter scans(folder, format);
     for (int k = 0; k < kFrames; ++k) scans.write_scan(k, room(1.0 + kPeriod_s * k));
-    scans.finish();
+    scans.finish_scan_folder();
     for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
         const LidarSequence log = load_sequence((folder / name).string(), {});
         expect_same(log, true);
@@ -269,7 +269,7 @@ TEST_F(RecordedLog, BoxesHoldThePointsOfMovingActors) {
     format.actors = {make_car_behind()};
     ScanFolderWriter scans(folder, format);
     for (int k = 0; k < kFrames; ++k) scans.write_scan(k, make_scan_of_car(1.0 + kPeriod_s * k));
-    scans.finish();
+    scans.finish_scan_folder();
     for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
         const LidarSequence log = load_sequence((folder / name).string(), {});
         ASSERT_EQ(log.boxes.size(), 1u) << testing::PrintToString(log.notes);

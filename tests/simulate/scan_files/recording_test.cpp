@@ -83,7 +83,7 @@ TEST_F(Recordings, AppearWhenTheyAreFinished) {
     scans.write_scan(0, make_two_rays(1.0));
     for (const std::string& name : files())
         EXPECT_EQ(name.front(), '.') << name << ": nothing has a final name yet";
-    scans.finish();
+    scans.finish_scan_folder();
     EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap", "scans.json"));
     EXPECT_THAT(read_contents(folder / "scans.json"),
                 testing::HasSubstr("\"recordings\": [\n  \"scans.mcap\",\n  \"rosbag.mcap\"\n ]"));
@@ -108,7 +108,7 @@ TEST_F(Recordings, ScansJsonHasTheBoxesAtTheTimeOfTheirRay) {
     scans.write_scan(0, scan);
     scan.actor_views.clear();
     scans.write_scan(1, scan);
-    scans.finish();
+    scans.finish_scan_folder();
     std::string text = read_contents(folder / "scans.json");
     std::erase_if(text, [](char character) { return character == ' ' || character == '\n'; });
     EXPECT_THAT(text,
@@ -130,7 +130,7 @@ TEST_F(Recordings, LeaveNothingWhereTheRenderingWasInterrupted) {
 TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
     ScanFolderWriter scans(folder, format);
     for (int i = 0; i < 3; ++i) scans.write_scan(i, make_two_rays(1.0 + 0.1 * i));
-    scans.finish();
+    scans.finish_scan_folder();
     for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
         const std::string bytes = read_contents(folder / name);
         ASSERT_EQ(bytes.substr(0, 8), kMagic);
@@ -173,7 +173,7 @@ TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
 TEST_F(Recordings, TimesBeforeTheBeginningAreMovedByWholeSeconds) {
     ScanFolderWriter scans(folder, format);
     scans.write_scan(0, make_two_rays(0.0));  // its first ray is fired at -0.05 s
-    scans.finish();
+    scans.finish_scan_folder();
     const std::string bytes = read_contents(folder / "rosbag.mcap");
     const auto all = records(bytes, 8, bytes.size() - 8);
     EXPECT_NEAR(double(number<std::uint64_t>(bytes, all.find(8)->second.body)), 0.95e9, 5.0)
@@ -191,13 +191,13 @@ TEST_F(Recordings, TimesThatNoFileHasAreRefused) {
 
 TEST_F(Recordings, OfARigAreOne) {
     ScanOutputOptions left = format, right = format;
-    set_recording_topic(left, "left"), set_recording_topic(right, "2nd-right");
+    set_topic_and_frame_id_from_name(left, "left"), set_topic_and_frame_id_from_name(right, "2nd-right");
     ScanRecordingsWriter recordings(folder, {left, right});
     const std::vector<RenderedScan> scans{make_two_rays(1.0), make_two_rays(1.0)};
     recordings.write_scans(scans);
     EXPECT_THAT(error_message<UsageError>([&] { recordings.write_scans(std::span(scans).first(1)); }),
                 Names("found 1 scans, expected 2"));
-    recordings.finish();
+    recordings.finish_recordings();
     EXPECT_THAT(recordings.list_file_names(), ElementsAre("scans.mcap", "rosbag.mcap"));
     EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap"));
     for (const char* name : {"scans.mcap", "rosbag.mcap"})

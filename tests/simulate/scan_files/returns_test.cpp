@@ -148,7 +148,7 @@ TEST_F(Returns, AreAsManyInEveryFormat) {
     log.world_from_vehicle = {{1.0}, {Pose{{1, 0, 0, 0}, {0.0, 0.0, kHeight_m}}}};
     log.rolling_shutter = false;
     const Config config;
-    const SimulatedSensor choice = make_configured_sensor(config, log);
+    const SimulatedSensor choice = make_sensor_from_config(config, log);
     ScanRenderer renderer(device(), make_background_scene(make_plate_below()), config, log);
     renderer.set_drop_network(test::make_network_that_never_drops());
     const RenderedScan scan = renderer.render(choice, 1.0);
@@ -166,7 +166,7 @@ TEST_F(Returns, AreAsManyInEveryFormat) {
     format.formats = {"npz", "exr", "png", "ply", "pcd", "bin", "mcap", "rosbag"};
     ScanFolderWriter scans(files.folder, format);
     scans.write_scan(0, scan);
-    scans.finish();
+    scans.finish_scan_folder();
     const auto file = [&](const char* extension) {
         return files.folder / (std::string("frame_000000.") + extension);
     };

@@ -73,11 +73,11 @@ TEST(Weather, EachRowOfTheTableIsComplete) {
         EXPECT_NE(make_weather_help().find(effect->form), std::string::npos) << effect->form;
         EXPECT_TRUE(effect->form.starts_with(effect->name)) << effect->form;
         EXPECT_NE(effect->prepare, nullptr) << effect->name;
-        EXPECT_FALSE(effect->is_active_in({})) << effect->name;
+        EXPECT_FALSE(effect->is_effect_active_in_weather({})) << effect->name;
         std::istringstream examples{std::string(effect->examples)};
         int n = 0;
         for (std::string example; examples >> example; ++n)
-            EXPECT_TRUE(effect->is_active_in(parse_weather(example))) << example;
+            EXPECT_TRUE(effect->is_effect_active_in_weather(parse_weather(example))) << example;
         EXPECT_GT(n, 0) << effect->name;
     }
 }

@@ -61,20 +61,25 @@ TEST(Sunlight, IsShotNoiseOfItsPhotons) {
         return std::sqrt(3.0 * electrons) / of_signal;
     };
     const Sun sun{0.0, 0.0, 100.0}, half{0.0, 0.0, 50.0};
-    EXPECT_NEAR(compute_sun_noise(sun, sensor, 2.0 * kDegree, 0.0, true) / expected(0.65 * 5.0 / 4.0), 1.0,
-                1e-3);
-    EXPECT_NEAR(compute_sun_noise(half, sensor, 2.0 * kDegree, 0.0, true) / expected(0.325 * 5.0 / 4.0), 1.0,
-                1e-3);
     EXPECT_NEAR(
-        compute_sun_noise(sun, sensor, 2.0 * kDegree, 0.4, false) / expected(0.65 * (1.25 + 0.4 / kPi)), 1.0,
+        compute_sunlight_noise_power(sun, sensor, 2.0 * kDegree, 0.0, true) / expected(0.65 * 5.0 / 4.0), 1.0,
         1e-3);
-    const double disc_sr = kPi * 4.65e-3 * 4.65e-3, glare = 5.0 * std::pow(kDegree / 4.65e-3, 2);
-    EXPECT_NEAR(compute_sun_noise(sun, sensor, 0.0, 0.0, true) / expected(0.65 * (glare + 1.0 / disc_sr)),
+    EXPECT_NEAR(
+        compute_sunlight_noise_power(half, sensor, 2.0 * kDegree, 0.0, true) / expected(0.325 * 5.0 / 4.0),
+        1.0, 1e-3);
+    EXPECT_NEAR(compute_sunlight_noise_power(sun, sensor, 2.0 * kDegree, 0.4, false) /
+                    expected(0.65 * (1.25 + 0.4 / kPi)),
                 1.0, 1e-3);
-    EXPECT_NEAR(compute_sun_noise(sun, sensor, 4.65e-3, 0.0, true) / expected(0.65 * (glare + 0.5 / disc_sr)),
+    const double disc_sr = kPi * 4.65e-3 * 4.65e-3, glare = 5.0 * std::pow(kDegree / 4.65e-3, 2);
+    EXPECT_NEAR(
+        compute_sunlight_noise_power(sun, sensor, 0.0, 0.0, true) / expected(0.65 * (glare + 1.0 / disc_sr)),
+        1.0, 1e-3);
+    EXPECT_NEAR(compute_sunlight_noise_power(sun, sensor, 4.65e-3, 0.0, true) /
+                    expected(0.65 * (glare + 0.5 / disc_sr)),
                 1.0, 1e-3)
         << "half of it";
-    EXPECT_NEAR(compute_sun_noise(sun, sensor, 0.0, 0.0, false) / expected(0.65 * glare), 1.0, 1e-3)
+    EXPECT_NEAR(compute_sunlight_noise_power(sun, sensor, 0.0, 0.0, false) / expected(0.65 * glare), 1.0,
+                1e-3)
         << "something is before it";
 }
 
@@ -84,8 +89,9 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
     const WeatherSensorProperties sensor = make_sensor_to_60_m();
     const double seconds = 2.0 * (60.0 - 1.0) / kLight_m_s;
     for (const double off_deg : {0.35, 0.4, 0.5}) {
-        const double level = sensor.compute_min_detectable_power() /
-                             compute_sun_noise({0.0, 0.0, 100.0}, sensor, off_deg * kDegree, 0.0, true);
+        const double level =
+            sensor.compute_min_detectable_power() /
+            compute_sunlight_noise_power({0.0, 0.0, 100.0}, sensor, off_deg * kDegree, 0.0, true);
         const double n = seconds / (2.0 * std::sqrt(3.0) * sensor.pulse_s) * std::exp(-0.5 * level * level);
         const WeatherRaySimulator air = make_air_beside_sun(off_deg, 100.0, sensor);
         std::vector<double> counts(21), expected(21, kPulses * (1.0 - std::exp(-n)) / 20.0);
@@ -114,7 +120,7 @@ TEST(Sunlight, HidesWeakTargets) {
     const Sun sun{0.0, 0.0, 100.0};
     const WeatherRaySimulator air = make_air_beside_sun(0.3, 100.0, sensor);
     for (const double reflectivity : {0.002, 0.004}) {
-        const double sigma = compute_sun_noise(sun, sensor, 0.3 * kDegree, reflectivity, false);
+        const double sigma = compute_sunlight_noise_power(sun, sensor, 0.3 * kDegree, reflectivity, false);
         const double crests = 2.0 * 59.0 / kLight_m_s / (2.0 * std::sqrt(3.0) * sensor.pulse_s);
         const double half_m =
             std::sqrt(reflectivity / (sigma * std::sqrt(2.0 * std::log(crests / std::log(2.0)))));

@@ -65,12 +65,13 @@ BenchTimes measure_benchmark_times(Device& device, const BenchCase& bench_case) 
                                   .keep_hits = static_cast<std::uint32_t>(bench_case.config.trace.keep_hits)};
     const auto rendered = [&] {
         Renderer image(device, bench_case.scene, bench_case.config.image,
-                       {.trace = make_base_trace_options(bench_case.config), .n_rays = n_rays});
-        image.prepare_view(bench_case.placed, bench_case.view_origin_m);
+                       {.trace = make_common_trace_options(bench_case.config), .n_rays = n_rays});
+        image.record_view_preparation(bench_case.placed, bench_case.view_origin_m);
         return image.render_rays(bench_case.rays);
     };
-    TrainingStep step(device, bench_case, options,
-                      make_noisy_loss_targets(rendered(), bench_case.config.loss.normalised_depth));
+    TrainingStep step(
+        device, bench_case, options,
+        make_loss_targets_from_noisy_image(rendered(), bench_case.config.loss.normalised_depth));
     Renderer& renderer = step.renderer;
     Stream& stream = renderer.stream();
     const Array<DeviceRay> rays(device, std::span<const DeviceRay>(to_device_rays(bench_case.rays)), "rays");
@@ -85,14 +86,14 @@ BenchTimes measure_benchmark_times(Device& device, const BenchCase& bench_case) 
     const auto repeat = [&] {
         throw_if_interrupted();
         time(iteration, [&] {
-            renderer.prepare_view(bench_case.placed, bench_case.view_origin_m);
+            renderer.record_view_preparation(bench_case.placed, bench_case.view_origin_m);
             renderer.record_forward_pass(batch);
             step.record_loss_kernels(batch);
             step.differentiable.record_backward_pass();
             step.record_optimizer_kernels();
         });
-        time(build, [&] { renderer.accel().update_bvh(stream, renderer.scene(), true); });
-        time(refit, [&] { renderer.accel().update_bvh(stream, renderer.scene()); });
+        time(build, [&] { renderer.accel().record_bvh_refit_or_build(stream, renderer.scene(), true); });
+        time(refit, [&] { renderer.accel().record_bvh_refit_or_build(stream, renderer.scene()); });
         time(forward, [&] { renderer.record_forward_pass(batch); });
         step.record_loss_kernels(batch);
         stream.submit_and_wait();
@@ -117,7 +118,8 @@ BenchTimes measure_benchmark_times(Device& device, const BenchCase& bench_case) 
 /// next scans.
 double measure_scans_per_second(ScanRenderer& renderer, const TrainedRun& run,
                                 std::span<const MountedSimulatedSensor> sensors) {
-    const PoseTrack path = shift_track(run.sequence.get_world_from_sensor(0), run.sequence.world_offset_m);
+    const PoseTrack path =
+        add_offset_to_track_positions(run.sequence.get_world_from_sensor(0), run.sequence.world_offset_m);
     const double first_s = path.time_s.front(), length_s = path.time_s.back() - first_s;
     const auto submit = [&](int scan) {
         const double time_s = first_s + length_s * (scan + 0.5) / kScans;
@@ -147,8 +149,8 @@ void measure_scan_rates(Device& device, const TrainedRun& run, const std::string
                         BenchTimes& bench_times) {
     ScanRenderer renderer(device, run);
     const std::vector<MountedSimulatedSensor> sensors =
-        list_simulated_sensors(sensor_or_rig_name.empty() ? "native" : sensor_or_rig_name,
-                               read_sensor_rig(sensor_or_rig_name), run, 0);
+        list_sensors_of_rig_or_single_sensor(sensor_or_rig_name.empty() ? "native" : sensor_or_rig_name,
+                                             read_sensor_rig(sensor_or_rig_name), run, 0);
     bench_times.scans_per_s = measure_scans_per_second(renderer, run, sensors);
     if (sensors.size() == 1) return;
     double seconds = 0.0;
@@ -158,7 +160,7 @@ void measure_scan_rates(Device& device, const TrainedRun& run, const std::string
 }
 
 const char* get_ray_tracing_backend_name(const Device& device) {
-    return device.traversal() == RayTracingBackend::software ? "software" : "ray_query";
+    return device.get_ray_tracing_backend() == RayTracingBackend::software ? "software" : "ray_query";
 }
 
 std::string format_benchmark_report(const BenchCase& bench_case, const BenchTimes& bench_times,
@@ -212,10 +214,10 @@ std::string make_benchmark_report_json(const BenchCase& bench_case, const BenchT
 void run_speed_benchmark(const BenchOptions& options) {
     std::optional<TrainedRun> run;
     if (!options.run.empty()) run = load_run(options.run);
-    Device device(make_device_options(options.device));
+    Device device(convert_to_device_options(options.device));
     const BenchCase bench =
         run ? make_benchmark_from_run(*run)
-            : make_street_benchmark(100000, false, make_benchmark_rays(64, 1024, 2.0, -24.9));
+            : make_synthetic_street_benchmark(100000, false, make_benchmark_rays(64, 1024, 2.0, -24.9));
     BenchTimes times = measure_benchmark_times(device, bench);
     if (run) measure_scan_rates(device, *run, options.sensor, times);
     if (!options.json.empty())

@@ -11,7 +11,8 @@
 
 namespace relidar::cli {
 
-BenchCase make_street_benchmark(std::uint32_t n_surfels, bool shrink_with_count, const RayTable& rays) {
+BenchCase make_synthetic_street_benchmark(std::uint32_t n_surfels, bool smaller_scales_for_more_surfels,
+                                          const RayTable& rays) {
     BenchCase bench;
     bench.name = "benchmark street";
     bench.rows = rays.rows;
@@ -20,9 +21,10 @@ BenchCase make_street_benchmark(std::uint32_t n_surfels, bool shrink_with_count,
     // The rays are already in the world frame, because it equals the sensor frame of the
     // benchmark street.
     bench.rays = {to_vector(rays.origin), to_vector(rays.direction)};
-    const Surfels surfels = make_benchmark_street_surfels(n_surfels, 20261120, shrink_with_count);
+    const Surfels surfels =
+        make_benchmark_street_surfels(n_surfels, 20261120, smaller_scales_for_more_surfels);
     bench.scene = make_background_scene(surfels.reorder(compute_kd_tree_order(surfels.mean)));
-    bench.config = make_preset("paper");
+    bench.config = make_preset_config("paper");
     bench.placed.resize(1);
     return bench;
 }
@@ -35,7 +37,7 @@ BenchCase make_benchmark_from_run(const TrainedRun& run) {
                         run.folder.string()));
     const LidarFrame& frame =
         run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
-    const SimulatedSensor sensor = make_configured_sensor(run.config, run.sequence, frame.lidar);
+    const SimulatedSensor sensor = make_sensor_from_config(run.config, run.sequence, frame.lidar);
     RayTable table = sensor.rays;
     if (table.size() == 0) table = make_nominal_rays(run.sequence.get_lidar(frame), frame.time_s);
     if (table.size() == 0)
@@ -48,15 +50,15 @@ BenchCase make_benchmark_from_run(const TrainedRun& run) {
     bench.columns = table.columns;
     const PoseTrack track = run.sequence.get_world_from_sensor(frame.lidar);
     bench.view_origin_m = glm::vec3(track.interpolate_pose(frame.time_s).translation);
-    const bool rolls = has_rolling_shutter(sensor, run.config);
+    const bool rolls = fires_rays_at_different_times(sensor, run.config);
     for (std::size_t i = 0; i < table.size(); ++i) {
         const WorldRay ray = make_world_ray(track, frame.time_s, table, i, rolls);
         bench.rays.origin.emplace_back(ray.origin_m);
         bench.rays.direction.emplace_back(ray.direction);
         bench.rays.time_s.push_back(rolls ? table.time_offset_s[i] : 0.0f);
     }
-    bench.placed = compute_instance_poses(run.scene, run.sequence, get_sweep_moment(frame));
-    bench.scene = load_all_blocks(run.scene);
+    bench.placed = compute_instance_poses(run.scene, run.sequence, get_sweep_timing_of_frame(frame));
+    bench.scene = copy_scene_with_all_blocks_loaded(run.scene);
     bench.config = run.config;
     return bench;
 }

@@ -27,8 +27,10 @@ struct BenchCase {
 };
 
 /// Creates a benchmark of the synthetic benchmark street with the settings of the paper.
-/// @param shrink_with_count if true, the surfels become smaller as their number grows
-BenchCase make_street_benchmark(std::uint32_t n_surfels, bool shrink_with_count, const RayTable& rays);
+/// @param smaller_scales_for_more_surfels if true, the surfels become smaller as their
+/// number grows
+BenchCase make_synthetic_street_benchmark(std::uint32_t n_surfels, bool smaller_scales_for_more_surfels,
+                                          const RayTable& rays);
 
 /// Creates a benchmark from a trained run. Casts the rays of the run's sensor at the
 /// first held-out frame.

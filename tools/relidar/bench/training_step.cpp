@@ -10,15 +10,15 @@
 
 namespace relidar::cli {
 
-std::vector<DeviceTarget> make_noisy_loss_targets(const RenderedRayValues& rendering,
-                                                  bool divide_depth_by_weight) {
+std::vector<DeviceTarget> make_loss_targets_from_noisy_image(const RenderedRayValues& rendering,
+                                                             bool is_depth_divided_by_weight) {
     constexpr float kRangeNoise_m = 0.1f, kIntensityNoise = 0.05f, kSolid = 0.5f;
     std::mt19937 random(1);
     const auto noise = [&] { return static_cast<float>(random()) / 2147483648.0f - 1.0f; };
     std::vector<DeviceTarget> targets(rendering.size(), {.range_m = 0.0f, .intensity = 0.0f, .weight = 1.0f});
     for (std::size_t i = 0; i < targets.size(); ++i) {
         if (!(rendering.weight[i] > kSolid)) continue;
-        const float range_m = rendering.depth[i] / (divide_depth_by_weight ? rendering.weight[i] : 1.0f);
+        const float range_m = rendering.depth[i] / (is_depth_divided_by_weight ? rendering.weight[i] : 1.0f);
         targets[i].range_m = std::max(range_m + kRangeNoise_m * noise(), 0.01f);
         targets[i].intensity = rendering.intensity[i] + kIntensityNoise * noise();
     }

@@ -16,8 +16,8 @@ struct BenchCase;
 /// Creates target values for the losses. Adds uniform noise to a rendered image, because
 /// the gradient of an L1 loss is zero where the image equals the target. A ray with a low
 /// rendered weight becomes a dropped ray (a ray without return).
-std::vector<DeviceTarget> make_noisy_loss_targets(const RenderedRayValues& rendering,
-                                                  bool divide_depth_by_weight);
+std::vector<DeviceTarget> make_loss_targets_from_noisy_image(const RenderedRayValues& rendering,
+                                                             bool is_depth_divided_by_weight);
 
 /// Runs one training step for a benchmark. All learning rates are 0, so that the step
 /// does not change the scene.

@@ -43,7 +43,7 @@ CheckResult check_adam_optimizer(CheckedDevice& tested_device) {
         const double difference = std::abs(actual[i] - expected[i]);
         error = std::isfinite(difference) ? std::max(error, difference) : HUGE_VAL;
     }
-    return compare_error_with_tolerance(error, 1e-6);
+    return make_check_result_from_error(error, 1e-6);
 }
 
 }  // namespace relidar::cli

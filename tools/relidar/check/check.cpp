@@ -94,10 +94,11 @@ std::string make_check_report_json(const DeviceInfo& device_info,
 }
 
 /// Returns all checks. If a run is given, also the checks of its scene.
-std::vector<DeviceCheck> list_device_and_run_checks(const std::string& run_folder) {
+std::vector<DeviceCheck> list_device_checks_and_run_checks(const std::string& run_folder_or_empty) {
     std::vector<DeviceCheck> checks(get_builtin_device_checks().begin(), get_builtin_device_checks().end());
-    if (run_folder.empty()) return checks;
-    const auto bench = std::make_shared<const BenchCase>(make_benchmark_from_run(load_run(run_folder)));
+    if (run_folder_or_empty.empty()) return checks;
+    const auto bench =
+        std::make_shared<const BenchCase>(make_benchmark_from_run(load_run(run_folder_or_empty)));
     checks.push_back({"run, software", [bench](CheckedDevice& c) {
                           return check_run_rendering(c, RayTracingBackend::software, *bench);
                       }});
@@ -111,13 +112,13 @@ void run_device_checks(const CheckOptions& options) {
     // By default, relidar avoids methods that fail on the device. This setting turns that
     // off, so that the checks show whether the driver computes correctly.
     const ScopedDeviceTestResults trusting(DeviceTestResults{});
-    CheckedDevice checked(make_device_options(options.device));
+    CheckedDevice checked(convert_to_device_options(options.device));
     const DeviceInfo& info = checked.get_default_device().info();
     print(fmt::format("device   {}\ndriver   {}\nrelidar  {}\n\n", info.name, info.driver, RELIDAR_VERSION));
     std::vector<NamedCheckResult> rows;
     std::vector<std::string> wrong_names;
     bool is_lost = false;
-    for (const DeviceCheck& check : list_device_and_run_checks(options.run)) {
+    for (const DeviceCheck& check : list_device_checks_and_run_checks(options.run)) {
         throw_if_interrupted();
         rows.push_back(run_device_check(check, checked, is_lost));
         const NamedCheckResult& row = rows.back();

@@ -31,7 +31,7 @@ std::span<const DeviceCheck> get_builtin_device_checks() {
     return checks;
 }
 
-CheckResult compare_error_with_tolerance(double error, double tolerance) {
+CheckResult make_check_result_from_error(double error, double tolerance) {
     // If the error is NaN, this comparison is false, so NaN counts as wrong.
     const bool is_right = error <= tolerance;
     return {is_right ? CheckResult::CheckOutcome::right : CheckResult::CheckOutcome::wrong,
@@ -52,8 +52,8 @@ CheckedDevice::CheckedDevice(const DeviceOptions& options)
     options_.index = default_->info().index;
 }
 
-Device& CheckedDevice::get_device_with_backend(RayTracingBackend backend) {
-    if (default_->traversal() == backend) return *default_;
+Device& CheckedDevice::get_or_open_device_with_backend(RayTracingBackend backend) {
+    if (default_->get_ray_tracing_backend() == backend) return *default_;
     std::unique_ptr<Device>& device = others_[backend];
     if (!device) {
         DeviceOptions options = options_;

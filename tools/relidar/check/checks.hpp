@@ -24,12 +24,12 @@ struct CheckResult {
     std::string text;  ///< Size of the error, or the reason why the check is wrong or unsupported.
 };
 /// Returns the result "right" if the error is at most the tolerance, otherwise "wrong".
-CheckResult compare_error_with_tolerance(double error, double tolerance);
+CheckResult make_check_result_from_error(double error, double tolerance);
 CheckResult make_failed_check_result(const std::string& reason);
 CheckResult make_unsupported_check_result(const std::string& reason);
 /// Returns the reason why a device cannot use a method to trace rays. The text is empty
 /// if the device can use it.
-std::string get_unsupported_backend_reason(const DeviceInfo& device_info, RayTracingBackend backend);
+std::string explain_unsupported_backend(const DeviceInfo& device_info, RayTracingBackend backend);
 
 /// A device under test. It is opened separately for each ray tracing method (software or
 /// ray query) that the checks need.
@@ -40,7 +40,7 @@ public:
     Device& get_default_device() { return *default_; }
     /// Returns the device with the given method to trace rays. Opens the device at the
     /// first call.
-    Device& get_device_with_backend(RayTracingBackend backend);
+    Device& get_or_open_device_with_backend(RayTracingBackend backend);
     const DeviceOptions& get_device_options() const { return options_; }
 
 private:

@@ -11,14 +11,14 @@ namespace relidar::cli {
 CheckResult check_long_kernel_dispatch(CheckedDevice& tested_device) {
     constexpr double kLong_s = 0.25;
     // Runs the kernel once, so that its compile time is not measured.
-    compute_atomic_sum_error(tested_device.get_default_device(), true);
+    test_atomic_adds_and_get_max_error(tested_device.get_default_device(), true);
     // Each iteration starts four times as many threads as the previous iteration. The
     // loop stops when a dispatch takes 0.25 s, so the last dispatch takes about one
     // second at most.
     for (std::uint32_t n_threads = 1u << 18; n_threads <= 1u << 28; n_threads *= 4) {
         double seconds = 0.0;
         const double error =
-            measure_compare_and_swap_error(tested_device.get_default_device(), n_threads, seconds);
+            test_swap_adds_and_get_max_error(tested_device.get_default_device(), n_threads, seconds);
         if (error != 0.0)
             return make_failed_check_result(fmt::format(
                 "a computation of {:.2f} s gave sums with an error of {:.1e}, expected exact sums", seconds,

@@ -17,7 +17,7 @@ namespace {
 
 using reference::ImageBatch;
 
-std::vector<double> draw_normal_samples(std::size_t n_samples) {
+std::vector<double> sample_normal_distribution(std::size_t n_samples) {
     static std::mt19937 random(5);
     std::normal_distribution<float> normal;
     std::vector<double> values(n_samples);
@@ -26,7 +26,7 @@ std::vector<double> draw_normal_samples(std::size_t n_samples) {
 }
 
 template <class Meaning = void>
-Array<float, Meaning> upload_as_float_array(Device& device, const std::vector<double>& values) {
+Array<float, Meaning> upload_doubles_as_float_array(Device& device, const std::vector<double>& values) {
     const std::vector<float> floats(values.begin(), values.end());
     return {device, std::span<const float>(floats), "values of a layer"};
 }
@@ -50,20 +50,20 @@ double compute_max_relative_error(const std::vector<float>& actual, const std::v
     return worst / largest;
 }
 
-double measure_convolution_error(Device& device, int n_kernel_taps) {
+double compute_convolution_error_on_gpu(Device& device, int n_kernel_taps) {
     const int n_in = 9, n_out = 17;
     ImageBatch from(2, n_in, 7, 33), d_to(2, n_out, 7, 33);
-    from.values = draw_normal_samples(from.values.size());
-    d_to.values = draw_normal_samples(d_to.values.size());
-    const std::vector<double> weights = draw_normal_samples(std::size_t(n_in * n_out * n_kernel_taps)),
-                              bias = draw_normal_samples(std::size_t(n_out));
+    from.values = sample_normal_distribution(from.values.size());
+    d_to.values = sample_normal_distribution(d_to.values.size());
+    const std::vector<double> weights = sample_normal_distribution(std::size_t(n_in * n_out * n_kernel_taps)),
+                              bias = sample_normal_distribution(std::size_t(n_out));
     const refine::Tensor inputs = upload_images_as_tensor(device, from),
                          d_outputs = upload_images_as_tensor(device, d_to),
                          outputs = upload_images_as_tensor(device, d_to),
                          d_inputs = upload_images_as_tensor(device, from);
-    const auto weights_there = upload_as_float_array<shared::ConvWeights>(device, weights),
-               d_weights = upload_as_float_array<shared::ConvWeights>(device, weights);
-    const auto bias_there = upload_as_float_array<shared::ConvBias>(device, bias);
+    const auto weights_there = upload_doubles_as_float_array<shared::ConvWeights>(device, weights),
+               d_weights = upload_doubles_as_float_array<shared::ConvWeights>(device, weights);
+    const auto bias_there = upload_doubles_as_float_array<shared::ConvBias>(device, bias);
     refine::ConvolutionKernels conv(device, std::uint32_t(n_kernel_taps));
     conv.reserve_partial_sums(device, conv.count_partial_sum_floats(inputs.grid, n_in, n_out));
     Stream stream(device);
@@ -88,10 +88,11 @@ double measure_convolution_error(Device& device, int n_kernel_taps) {
 
 CheckResult check_network_convolutions(CheckedDevice& tested_device) {
     Device& device = tested_device.get_default_device();
-    if (const std::string missing = list_features_missing_for_networks(device); !missing.empty())
+    if (const std::string missing = list_missing_network_features(device); !missing.empty())
         return make_unsupported_check_result("missing " + missing);
-    return compare_error_with_tolerance(
-        std::max(measure_convolution_error(device, 1), measure_convolution_error(device, 9)), 1e-5);
+    return make_check_result_from_error(
+        std::max(compute_convolution_error_on_gpu(device, 1), compute_convolution_error_on_gpu(device, 9)),
+        1e-5);
 }
 
 }  // namespace relidar::cli

@@ -18,7 +18,7 @@ namespace {
 
 using Words = std::vector<std::uint32_t>;
 
-Words draw_random_uint32s(std::size_t n_values) {
+Words sample_random_uint32s(std::size_t n_values) {
     std::mt19937 random(7);
     Words words(n_values);
     for (std::uint32_t& x : words) x = static_cast<std::uint32_t>(random());
@@ -29,7 +29,7 @@ Words draw_random_uint32s(std::size_t n_values) {
 /// @return true if the sorted keys and their order equal the result of a stable sort on
 /// the host
 bool is_radix_sort_correct(Device& device, std::uint32_t n_keys, std::uint32_t capacity) {
-    const Words keys = draw_random_uint32s(capacity);
+    const Words keys = sample_random_uint32s(capacity);
     const Array<std::uint32_t, shared::SortCount> count(device, Words{n_keys}, "number of keys");
     const Array<std::uint32_t, shared::SortKeys> first(device, std::span<const std::uint32_t>(keys), "keys"),
         second(device, capacity, "sorted keys");
@@ -56,12 +56,12 @@ CheckResult check_prefix_sum(CheckedDevice& tested_device) {
     PrefixSum prefix_sum(device);
     Stream stream(device);
     for (const std::uint32_t n : {1u, 255u, 4096u, 4097u, 1'000'003u}) {
-        Words counts = draw_random_uint32s(n);
+        Words counts = sample_random_uint32s(n);
         for (std::uint32_t& x : counts) x %= 1000u;
         const Array<std::uint32_t, shared::ScanCounts> in(device, std::span<const std::uint32_t>(counts),
                                                           "counts");
         const Array<std::uint32_t, shared::ScanPrefix> out(device, n, "prefix sums");
-        prefix_sum.reserve(device, n);
+        prefix_sum.reserve_scratch_memory(device, n);
         prefix_sum.run(stream, {in.address()}, out.address(), n);
         stream.submit_and_wait();
         std::exclusive_scan(counts.begin(), counts.end(), counts.begin(), 0u);

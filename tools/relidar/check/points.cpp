@@ -21,8 +21,8 @@ CheckResult check_device_point_cloud(CheckedDevice& tested_device) {
     const Scene scene = initialise_scene(log, {0, 1, 2}, {});
     const Config config;
     ScanRenderer renderer(tested_device.get_default_device(), scene, config, log);
-    const SimulatedSensor sensor = choose_sensor("VLP-16:128x10", config, log);
-    const PoseTrack track = shift_track(log.get_world_from_sensor(0), log.world_offset_m);
+    const SimulatedSensor sensor = find_or_load_sensor("VLP-16:128x10", config, log);
+    const PoseTrack track = add_offset_to_track_positions(log.get_world_from_sensor(0), log.world_offset_m);
     const double time_s = log.frames[1].time_s;
     renderer.submit_points(sensor, {time_s, track}, time_s);
     const LidarPoints actual = renderer.wait_for_points().points;
@@ -36,7 +36,7 @@ CheckResult check_device_point_cloud(CheckedDevice& tested_device) {
         const double distance_m = glm::distance(actual.position_m[i], expected.position_m[i]);
         error_m = std::isfinite(distance_m) ? std::max(error_m, distance_m) : HUGE_VAL;
     }
-    return compare_error_with_tolerance(error_m, 1e-4);
+    return make_check_result_from_error(error_m, 1e-4);
 }
 
 }  // namespace relidar::cli

@@ -53,7 +53,7 @@ RenderAndGradients run_forward_and_backward_pass(Device& device) {
 #undef RELIDAR_COPY
     }
     differentiable.get_last_rendered_batch().upstream->upload(upstream);
-    renderer.prepare_view(placed.world_from_instance, glm::vec3(pass.scene.view_origin));
+    renderer.record_view_preparation(placed.world_from_instance, glm::vec3(pass.scene.view_origin));
     renderer.record_forward_pass({&rays, 0, 1, n_rays});
     differentiable.record_backward_pass();
     pass.rendering = renderer.download_rendering();
@@ -109,18 +109,18 @@ double compute_relative_image_error(const RenderAndGradients& pass,
 
 }  // namespace
 
-std::string get_unsupported_backend_reason(const DeviceInfo& device_info, RayTracingBackend backend) {
+std::string explain_unsupported_backend(const DeviceInfo& device_info, RayTracingBackend backend) {
     return backend == RayTracingBackend::ray_query ? device_info.why_not_ray_query
                                                    : device_info.why_not_software;
 }
 
 CheckResult check_bvh_ray_hits(CheckedDevice& tested_device, RayTracingBackend backend) {
     const std::string missing =
-        get_unsupported_backend_reason(tested_device.get_default_device().info(), backend);
+        explain_unsupported_backend(tested_device.get_default_device().info(), backend);
     if (!missing.empty()) return make_unsupported_check_result("missing " + missing);
-    const int n_built = count_wrongly_traced_rays(tested_device.get_device_with_backend(backend),
+    const int n_built = count_wrongly_traced_rays(tested_device.get_or_open_device_with_backend(backend),
                                                   AccelTreeState::built),
-              n_refitted = count_wrongly_traced_rays(tested_device.get_device_with_backend(backend),
+              n_refitted = count_wrongly_traced_rays(tested_device.get_or_open_device_with_backend(backend),
                                                      AccelTreeState::refitted);
     if (n_built + n_refitted == 0)
         return {CheckResult::CheckOutcome::right, "all rays hit the same surfels as on the host"};
@@ -132,15 +132,15 @@ CheckResult check_bvh_ray_hits(CheckedDevice& tested_device, RayTracingBackend b
 
 CheckResult check_images_and_gradients(CheckedDevice& tested_device, RayTracingBackend backend) {
     const std::string missing =
-        get_unsupported_backend_reason(tested_device.get_default_device().info(), backend);
+        explain_unsupported_backend(tested_device.get_default_device().info(), backend);
     if (!missing.empty()) return make_unsupported_check_result("missing " + missing);
     const RenderAndGradients pass =
-        run_forward_and_backward_pass(tested_device.get_device_with_backend(backend));
+        run_forward_and_backward_pass(tested_device.get_or_open_device_with_backend(backend));
     const reference::BruteForce brute(pass.scene.world, pass.settings.image,
                                       reference::Precision::double_record);
-    const CheckResult image = compare_error_with_tolerance(compute_relative_image_error(pass, brute),
+    const CheckResult image = make_check_result_from_error(compute_relative_image_error(pass, brute),
                                                            std::sqrt(test::kKernelNmse)),
-                      gradient = compare_error_with_tolerance(compute_max_gradient_error(pass, brute),
+                      gradient = make_check_result_from_error(compute_max_gradient_error(pass, brute),
                                                               test::kKernelGradient);
     return {std::max(image.kind, gradient.kind),
             fmt::format("image: {}; gradients: {}", image.text, gradient.text)};

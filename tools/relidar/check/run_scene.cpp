@@ -49,8 +49,8 @@ bool is_ray_near_surfel(const reference::LocalRay<double>& ray, const reference:
 
 /// Converts the surfels that the rays can hit to double precision, with one range of
 /// surfels per instance.
-reference::World collect_surfels_near_rays(const BenchCase& bench_case,
-                                           const std::vector<reference::Ray>& rays) {
+reference::World copy_surfels_near_rays_as_doubles(const BenchCase& bench_case,
+                                                   const std::vector<reference::Ray>& rays) {
     reference::World world;
     for (std::size_t i = 0; i < bench_case.scene.instances.size(); ++i) {
         const InstancePose& pose = bench_case.placed[i];
@@ -80,18 +80,18 @@ reference::World collect_surfels_near_rays(const BenchCase& bench_case,
 
 /// Largest difference of the values of a ray. The difference is relative for values above
 /// 1, for example ranges.
-double compute_max_pixel_difference(const RenderedRayValues& rendering, std::size_t ray,
-                                    const reference::Pixel& expected) {
+double compute_max_ray_value_difference(const RenderedRayValues& rendering, std::size_t ray_index,
+                                        const reference::Pixel& expected_values) {
     double worst = 0.0;
     const auto compare_value = [&](double value, double expected_value) {
         const double difference = std::abs(value - expected_value) / std::max(1.0, std::abs(expected_value));
         worst = std::isfinite(difference) ? std::max(worst, difference) : HUGE_VAL;
     };
 #define RELIDAR_COMPARE(name, built, value, input, slope, meaning) \
-    compare_value(rendering.name[ray], expected.name);
+    compare_value(rendering.name[ray_index], expected_values.name);
     RELIDAR_IMAGE_VALUES(RELIDAR_COMPARE)
 #undef RELIDAR_COMPARE
-    compare_value(rendering.transmittance[ray], expected.transmittance);
+    compare_value(rendering.transmittance[ray_index], expected_values.transmittance);
     return worst;
 }
 
@@ -100,23 +100,23 @@ double compute_max_pixel_difference(const RenderedRayValues& rendering, std::siz
 CheckResult check_run_rendering(CheckedDevice& tested_device, RayTracingBackend backend,
                                 const BenchCase& bench_case) {
     const std::string missing =
-        get_unsupported_backend_reason(tested_device.get_default_device().info(), backend);
+        explain_unsupported_backend(tested_device.get_default_device().info(), backend);
     if (!missing.empty()) return make_unsupported_check_result("missing " + missing);
     const WorldRays rays = select_evenly_spaced_rays(bench_case.rays);
     Renderer renderer(
-        tested_device.get_device_with_backend(backend), bench_case.scene, bench_case.config.image,
-        {.trace = make_base_trace_options(bench_case.config), .n_rays = std::uint32_t(rays.size())});
-    renderer.prepare_view(bench_case.placed, bench_case.view_origin_m);
+        tested_device.get_or_open_device_with_backend(backend), bench_case.scene, bench_case.config.image,
+        {.trace = make_common_trace_options(bench_case.config), .n_rays = std::uint32_t(rays.size())});
+    renderer.record_view_preparation(bench_case.placed, bench_case.view_origin_m);
     const RenderedRayValues rendering = renderer.render_rays(rays);
 
     const std::vector<reference::Ray> exact_rays = test::to_reference(rays);
-    const reference::World world = collect_surfels_near_rays(bench_case, exact_rays);
+    const reference::World world = copy_surfels_near_rays_as_doubles(bench_case, exact_rays);
     const reference::Settings settings{.image = bench_case.config.image,
                                        .view_origin = glm::dvec3(bench_case.view_origin_m)};
     const reference::BruteForce brute(world, settings.image, reference::Precision::double_record);
     std::vector<double> differences;
     for (std::size_t i = 0; i < rays.size(); ++i)
-        differences.push_back(compute_max_pixel_difference(
+        differences.push_back(compute_max_ray_value_difference(
             rendering, i, reference::render_all_at_once(world, brute, settings, exact_rays[i])));
     const auto n_wrong = std::ranges::count_if(differences, [](double d) { return !(d <= kValueTolerance); });
     std::ranges::sort(differences);

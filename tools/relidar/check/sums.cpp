@@ -25,22 +25,24 @@ CheckResult check_float_atomics(CheckedDevice& tested_device) {
     if (!tested_device.get_default_device().info().float_atomics)
         return make_unsupported_check_result(
             "the device lacks the Vulkan extension VK_EXT_shader_atomic_float");
-    return make_sum_check_result(compute_atomic_sum_error(tested_device.get_default_device(), false));
+    return make_sum_check_result(
+        test_atomic_adds_and_get_max_error(tested_device.get_default_device(), false));
 }
 
 CheckResult check_float_compare_and_swap(CheckedDevice& tested_device) {
-    return make_sum_check_result(compute_atomic_sum_error(tested_device.get_default_device(), true));
+    return make_sum_check_result(
+        test_atomic_adds_and_get_max_error(tested_device.get_default_device(), true));
 }
 
 CheckResult check_subgroup_operations(CheckedDevice& tested_device) {
     const DeviceInfo& info = tested_device.get_default_device().info();
     if (!info.can_require_subgroup_size)
         return make_unsupported_check_result("the device does not report its subgroup size");
-    const std::vector<int> sizes = list_subgroup_sizes(tested_device.get_default_device());
+    const std::vector<int> sizes = list_requestable_subgroup_sizes(tested_device.get_default_device());
     for (const int lanes : sizes) {
         const ScopedDeviceTestResults trusting(DeviceTestResults{.subgroup_size = lanes});
         Device device(tested_device.get_device_options());
-        const std::string text = describe_subgroup_failure(device);
+        const std::string text = test_subgroups_and_describe_error(device);
         if (!text.empty())
             return make_failed_check_result(fmt::format("subgroups of {} lanes: {}", lanes, text));
     }

@@ -29,23 +29,25 @@ const CameraAxes kViews[] = {{{0, -1, 0}, {-1, 0, 0}, {0, 0, 1}},
                              {{1, 0, 0}, {0, -1, 0}, {0, 0, 1}},
                              {{-1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
 
-double compute_view_extent_m(const glm::dvec3& axis, const glm::dvec3& box_size_m) {
-    return glm::dot(glm::abs(axis), box_size_m) + 2.0 * kAround_m;
+double compute_box_extent_with_margin_m(const glm::dvec3& view_axis, const glm::dvec3& box_size_m) {
+    return glm::dot(glm::abs(view_axis), box_size_m) + 2.0 * kAround_m;
 }
 
 /// Returns one ray per pixel in the box frame, row by row from the upper left pixel. All
 /// rays have the same direction.
-RayTable make_parallel_view_rays(const CameraAxes& view, const glm::dvec3& box_size_m, double pixel_size_m) {
+RayTable make_orthographic_camera_rays(const CameraAxes& camera_axes, const glm::dvec3& box_size_m,
+                                       double pixel_size_m) {
     RayTable rays;
-    rays.rows = int(std::ceil(compute_view_extent_m(view.up, box_size_m) / pixel_size_m));
-    rays.columns = int(std::ceil(compute_view_extent_m(view.right, box_size_m) / pixel_size_m));
-    const glm::dvec3 from = -(0.5 * glm::length(box_size_m) + 1.0) * view.along;
+    rays.rows = int(std::ceil(compute_box_extent_with_margin_m(camera_axes.up, box_size_m) / pixel_size_m));
+    rays.columns =
+        int(std::ceil(compute_box_extent_with_margin_m(camera_axes.right, box_size_m) / pixel_size_m));
+    const glm::dvec3 from = -(0.5 * glm::length(box_size_m) + 1.0) * camera_axes.along;
     for (int row = 0; row < rays.rows; ++row) {
         for (int column = 0; column < rays.columns; ++column) {
             const double right_m = (column + 0.5 - 0.5 * rays.columns) * pixel_size_m,
                          up_m = (0.5 * rays.rows - row - 0.5) * pixel_size_m;
-            rays.origin.push_back(glm::vec3(from + right_m * view.right + up_m * view.up));
-            rays.direction.push_back(glm::vec3(view.along));
+            rays.origin.push_back(glm::vec3(from + right_m * camera_axes.right + up_m * camera_axes.up));
+            rays.direction.push_back(glm::vec3(camera_axes.along));
             rays.time_offset_s.push_back(0.0f);
             rays.channel.push_back(0);
         }
@@ -55,11 +57,11 @@ RayTable make_parallel_view_rays(const CameraAxes& view, const glm::dvec3& box_s
 
 /// Returns the brightness of each pixel, from 0 to 1. A value of -1 means that the pixel
 /// shows no surface.
-std::vector<float> compute_pixel_brightness(const RenderedScan& scan, const CameraAxes& view,
+std::vector<float> compute_pixel_brightness(const RenderedScan& scan, const CameraAxes& camera_axes,
                                             const glm::dquat& world_from_box,
                                             float full_brightness_intensity) {
     std::vector<float> shade(scan.weight.size(), -1.0f);
-    const glm::vec3 along(world_from_box * view.along);
+    const glm::vec3 along(world_from_box * camera_axes.along);
     const auto* normals = find_channel_values<glm::vec3>(scan.channels, "normal");
     for (std::size_t i = 0; i < shade.size(); ++i) {
         if (scan.weight[i] < kLeastWeight) continue;
@@ -84,8 +86,8 @@ float find_95th_percentile_intensity(const std::vector<RenderedScan>& scans) {
 }
 
 /// Draws one view of the asset into the canvas.
-/// @param row, column position of the view's upper left pixel in the canvas
-void draw_asset_view(Image& canvas, int row, int column, const RenderedScan& scan,
+/// @param top_left_row, column position of the view's upper left pixel in the canvas
+void draw_asset_view(Image& canvas, int top_left_row, int top_left_column, const RenderedScan& scan,
                      const std::vector<float>& pixel_brightness, const ObservedBoxSurface& surface) {
     for (int r = 0; r < scan.image.rows; ++r) {
         for (int c = 0; c < scan.image.columns; ++c) {
@@ -93,7 +95,8 @@ void draw_asset_view(Image& canvas, int row, int column, const RenderedScan& sca
             if (pixel_brightness[i] < 0.0f) continue;
             const glm::vec3 point_m = scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i];
             const bool of_mirror = surface.is_observed_only_in_mirror(glm::dvec3(point_m));
-            std::uint8_t* pixel = &canvas.rgb[std::size_t(3 * ((row + r) * canvas.columns + column + c))];
+            std::uint8_t* pixel =
+                &canvas.rgb[std::size_t(3 * ((top_left_row + r) * canvas.columns + top_left_column + c))];
             for (int k = 0; k < 3; ++k)
                 pixel[k] = std::uint8_t(255.0f * pixel_brightness[i] * (of_mirror && k < 2 ? 0.7f : 1.0f));
         }
@@ -117,7 +120,7 @@ Image draw_asset_picture(Device& device, const ActorAsset& asset, const Observed
     std::vector<RenderedScan> scans;
     for (const CameraAxes& view : kViews)
         scans.push_back(renderer.render(
-            {.rays = make_parallel_view_rays(view, box.size_m, pixel_m), .name = "parallel rays"},
+            {.rays = make_orthographic_camera_rays(view, box.size_m, pixel_m), .name = "parallel rays"},
             {time_s, stands, ActorTracksByName{{asset.facts.name, stands}}}));
     const auto rows = [&](int view) { return scans[std::size_t(view)].image.rows; };
     const auto columns = [&](int view) { return scans[std::size_t(view)].image.columns; };

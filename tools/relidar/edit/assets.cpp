@@ -50,14 +50,15 @@ std::string format_observed_side_fractions(const AssetDescription& asset_descrip
 
 /// Returns the reason why an actor is not saved as an asset. The text is empty if the
 /// actor is saved.
-std::string explain_asset_rejection(const AssetDescription& asset_description,
-                                    const ActorObservations& observations, double min_score) {
+std::string explain_why_asset_is_not_saved(const AssetDescription& asset_description,
+                                           const ActorObservations& observations,
+                                           double min_covered_fraction) {
     if (observations.points_m.empty()) return "no ray of the training frames hits this actor";
-    if (asset_description.compute_covered_fraction() >= min_score) return "";
+    if (asset_description.get_observed_or_mirrored_fraction() >= min_covered_fraction) return "";
     return fmt::format(
         "the score of the actor is {:.2f}, expected at least {:.2f} (--least); the log observed these "
         "shares of its sides: {}{}",
-        asset_description.compute_covered_fraction(), min_score,
+        asset_description.get_observed_or_mirrored_fraction(), min_covered_fraction,
         format_observed_side_fractions(asset_description),
         asset_description.completed > 0.0
             ? fmt::format("; mirroring completed a share of {:.2f} of its surface",
@@ -80,7 +81,7 @@ std::vector<std::string> list_actor_track_ids(const TrainedRun& run) {
 
 /// Adds a number to the name of an asset if another asset already has this name. Names
 /// can collide, because characters that are not allowed in folder names are replaced.
-void make_asset_name_unique(ActorAsset& asset, std::set<std::string>& used_names) {
+void add_number_to_used_asset_name(ActorAsset& asset, std::set<std::string>& used_names) {
     const std::string stem = asset.facts.name;
     std::string name = stem;
     for (int n = 2; !used_names.insert(name).second; ++n) name = fmt::format("{}-{}", stem, n);
@@ -90,8 +91,9 @@ void make_asset_name_unique(ActorAsset& asset, std::set<std::string>& used_names
 }
 
 std::vector<std::string> format_asset_table_row(const AssetDescription& asset_description) {
-    std::vector<std::string> row{asset_description.name, asset_description.category,
-                                 fmt::format("{:.2f}", asset_description.compute_covered_fraction())};
+    std::vector<std::string> row{
+        asset_description.name, asset_description.category,
+        fmt::format("{:.2f}", asset_description.get_observed_or_mirrored_fraction())};
     for (const double side : asset_description.seen_sides) row.push_back(fmt::format("{:.2f}", side));
     for (const double value : {asset_description.completed, asset_description.nearest_m})
         row.push_back(fmt::format("{:.2f}", value));
@@ -106,10 +108,10 @@ void run_assets_command(const AssetOptions& options) {
     const StagedFolder folder(options.out);
     const TrainedRun run = load_run(options.run);
     const std::vector<std::string> tracks = list_actor_track_ids(run);
-    Device device(make_device_options(options.device));
+    Device device(convert_to_device_options(options.device));
     TerminalProgress progress(options.quiet);
     const std::map<std::string, ActorObservations> sightings =
-        collect_actor_observations(device, run, make_progress_callback(progress));
+        collect_actor_observations(device, run, make_terminal_progress_callback(progress));
     std::vector<std::vector<std::string>> rows{{"asset", "class", "score", "front", "rear", "left", "right",
                                                 "top", "mirrored", "nearest_m", "surfels"}};
     std::set<std::string> used_names;
@@ -119,15 +121,16 @@ void run_assets_command(const AssetOptions& options) {
         const ActorObservations actor_sightings =
             match == sightings.end() ? ActorObservations{} : match->second;
         ActorAsset asset = extract_actor_asset(run, track, actor_sightings);
-        if (const std::string reason = explain_asset_rejection(asset.facts, actor_sightings, options.least);
+        if (const std::string reason =
+                explain_why_asset_is_not_saved(asset.facts, actor_sightings, options.least);
             !reason.empty()) {
             skipped += fmt::format("skipped {} ({}): {}\n", track, asset.facts.category, reason);
             continue;
         }
-        make_asset_name_unique(asset, used_names);
+        add_number_to_used_asset_name(asset, used_names);
         save_asset(asset, folder.path() / asset.facts.name);
         const Image views =
-            draw_asset_picture(device, asset, compute_observed_surface(asset.facts.size_m, actor_sightings));
+            draw_asset_picture(device, asset, mark_observed_box_surface(asset.facts.size_m, actor_sightings));
         write_png(folder.path() / asset.facts.name / "views.png", views);
         rows.push_back(format_asset_table_row(asset.facts));
     }
@@ -136,7 +139,7 @@ void run_assets_command(const AssetOptions& options) {
         throw DataError(
             fmt::format("no asset is saved, because no actor of run {} has a sufficient score: {}",
                         options.run, replace_control_characters(skipped)));
-    folder.move_folder_to_final_path();
+    folder.move_folder_and_replace_existing();
     if (options.quiet) return;
     print(format_table(rows) + skipped +
           fmt::format("saved {} of {} actors in {}\n", rows.size() - 1, tracks.size(), options.out));

@@ -30,7 +30,7 @@ struct EditOptions {
     bool quiet = false;
 };
 
-void require_output_differs_from_input(const EditOptions& options) {
+void require_output_is_not_edited_run(const EditOptions& options) {
     std::error_code failed;
     if (std::filesystem::equivalent(options.run, options.out, failed))
         throw UsageError(fmt::format(
@@ -49,8 +49,8 @@ std::vector<std::string> list_added_or_moved_track_ids(const SceneWithLog& drivi
                                                        const LidarSequence& original_log) {
     std::vector<std::string> placed;
     for (const ModelInstance& instance : driving_scene.scene.instances) {
-        const BoxTrack *now = find_box(driving_scene.sequence, instance.track),
-                       *then = find_box(original_log, instance.track);
+        const BoxTrack *now = find_box_track_by_id(driving_scene.sequence, instance.track),
+                       *then = find_box_track_by_id(original_log, instance.track);
         if (now && (!then || !are_pose_tracks_identical(now->world_from_box, then->world_from_box)))
             placed.push_back(instance.track);
     }
@@ -59,11 +59,11 @@ std::vector<std::string> list_added_or_moved_track_ids(const SceneWithLog& drivi
 
 /// Returns a warning line for each added or moved actor that has too few surfels. An
 /// actor needs more surfels if it is closer to the sensor.
-std::string format_sparse_actor_warnings(const SceneWithLog& driving_scene,
-                                         const LidarSequence& original_log) {
+std::string format_warnings_of_too_few_surfels(const SceneWithLog& driving_scene,
+                                               const LidarSequence& original_log) {
     std::string text;
     for (const std::string& track : list_added_or_moved_track_ids(driving_scene, original_log)) {
-        const ActorModelResolution detail = measure_actor_resolution(driving_scene, track);
+        const ActorModelResolution detail = compare_ray_and_surfel_count_of_actor(driving_scene, track);
         if (!detail.has_too_few_surfels()) continue;
         text += fmt::format(
             "note: actor {} is {:.1f} m from the sensor at {:.2f} s, where {} rays hit its box. It will show "
@@ -78,22 +78,23 @@ void run_edit_command(const EditOptions& options) {
         throw UsageError(
             "no edit is given; expected at least one of --remove, --move, --retime, --trajectory, "
             "--copy, --insert, --scenario, --keep and --from-ply (see `relidar edit --help`)");
-    require_output_differs_from_input(options);
+    require_output_is_not_edited_run(options);
     const RunFolderWriter edited(options.out, options.force);
     TrainedRun run = load_run(options.run);
     if (!options.ply.empty())
-        run.scene = read_surfel_ply(options.ply, load_all_blocks(run.scene), run.config.image.primitive);
+        run.scene = read_surfel_ply(options.ply, copy_scene_with_all_blocks_loaded(run.scene),
+                                    run.config.image.primitive);
     const std::string origin = make_absolute_path(options.run);
     SceneWithLog driving{std::move(run.scene), std::move(run.sequence)};
     const LidarSequence before = copy_without_frames(driving.sequence);
     std::string text;
     for (const EditArgument& edit : options.edits) {
-        EditResult applied = apply_typed_edit(std::move(driving), edit);
+        EditResult applied = apply_command_line_edit(std::move(driving), edit);
         driving = std::move(applied.driving);
         run.edits.push_back({origin, fmt::format("{} {}", edit.option, edit.value)});
         text += applied.said + "\n" + (applied.note.empty() ? "" : "note: " + applied.note + "\n");
     }
-    text += format_sparse_actor_warnings(driving, before);
+    text += format_warnings_of_too_few_surfels(driving, before);
     run.replace_driving_scene(std::move(driving));
     edited.save_run_to_folder(run);
     if (!options.quiet)

@@ -28,7 +28,7 @@ constexpr double kFarOff_m = 1e6;
     throw UsageError(fmt::format("{}: found \"{}\", expected {}", edit.option, edit.value, expected_value));
 }
 
-const char* get_edit_value_syntax(const EditArgument& edit) {
+const char* get_expected_value_syntax_of_option(const EditArgument& edit) {
     const auto& options = list_edit_options();
     return std::find_if(options.begin(), options.end(),
                         [&](const EditOption& o) { return edit.option == o.option; })
@@ -37,21 +37,23 @@ const char* get_edit_value_syntax(const EditArgument& edit) {
 
 /// Splits a text at `separator_position` and leaves out the character there. Throws an
 /// error if a part is empty.
-std::pair<std::string, std::string> split_edit_value_at(const EditArgument& edit, const std::string& text,
-                                                        std::size_t separator_position) {
+std::pair<std::string, std::string> split_text_at_required_separator(const EditArgument& edit_for_errors,
+                                                                     const std::string& text,
+                                                                     std::size_t separator_position) {
     if (separator_position == std::string::npos || separator_position == 0 ||
         separator_position + 1 == text.size())
-        throw_edit_error(edit, get_edit_value_syntax(edit));
+        throw_edit_error(edit_for_errors, get_expected_value_syntax_of_option(edit_for_errors));
     return {text.substr(0, separator_position), text.substr(separator_position + 1)};
 }
 
-std::vector<double> parse_edit_numbers(const EditArgument& edit, const std::string& text,
-                                       std::size_t min_count, std::size_t max_count) {
-    const std::vector<double> values = parse_number_list(edit.option, text);
+std::vector<double> parse_comma_separated_edit_numbers(const EditArgument& edit_for_errors,
+                                                       const std::string& text, std::size_t min_count,
+                                                       std::size_t max_count) {
+    const std::vector<double> values = parse_number_list(edit_for_errors.option, text);
     if (values.size() < min_count || values.size() > max_count)
-        throw_edit_error(edit, get_edit_value_syntax(edit));
+        throw_edit_error(edit_for_errors, get_expected_value_syntax_of_option(edit_for_errors));
     for (const double v : values)
-        if (std::abs(v) > 1e9) throw_edit_error(edit, "numbers from -1e9 to 1e9");
+        if (std::abs(v) > 1e9) throw_edit_error(edit_for_errors, "numbers from -1e9 to 1e9");
     return values;
 }
 
@@ -67,15 +69,20 @@ Pose make_pose_from_numbers(const std::vector<double>& xyz_yaw_pitch_roll) {
 
 /// Parses a place on the ground, "x,y,ground[,yaw_deg]". Returns no value if the third
 /// field is a number, so that the text is a full pose.
-std::optional<GroundPlacement> parse_ground_placement(const EditArgument& edit, const std::string& text) {
+std::optional<GroundPlacement> parse_ground_placement_if_present(const EditArgument& edit_for_errors,
+                                                                 const std::string& text) {
     constexpr std::string_view kWord = ",ground";
     const std::size_t at = text.find(kWord);
     if (at == std::string::npos) return {};
-    const std::vector<double> xy = parse_edit_numbers(edit, text.substr(0, at), 2, 2);
+    const std::vector<double> xy =
+        parse_comma_separated_edit_numbers(edit_for_errors, text.substr(0, at), 2, 2);
     GroundPlacement placement{{xy[0], xy[1]}};
     const std::string rest = text.substr(at + kWord.size());
-    if (!rest.empty() && rest[0] != ',') throw_edit_error(edit, get_edit_value_syntax(edit));
-    if (!rest.empty()) placement.yaw_rad = parse_edit_numbers(edit, rest.substr(1), 1, 1)[0] * kPi / 180.0;
+    if (!rest.empty() && rest[0] != ',')
+        throw_edit_error(edit_for_errors, get_expected_value_syntax_of_option(edit_for_errors));
+    if (!rest.empty())
+        placement.yaw_rad =
+            parse_comma_separated_edit_numbers(edit_for_errors, rest.substr(1), 1, 1)[0] * kPi / 180.0;
     return placement;
 }
 
@@ -89,27 +96,33 @@ struct ActorToInsert {
 
 /// Parses a start pose with an optional speed. The text is
 /// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]".
-NewActorMotion parse_start_pose_and_speed(const EditArgument& edit, const std::string& text,
-                                          const SceneWithLog& driving_scene, const ActorToInsert& actor) {
-    const std::size_t colon = text.find(':');
-    const double speed_mps =
-        colon == std::string::npos ? 0.0 : parse_edit_numbers(edit, text.substr(colon + 1), 1, 1)[0];
-    if (std::abs(speed_mps) > kFarOff_m) throw_edit_error(edit, "a speed from -1e6 to 1e6 m/s");
-    const std::string position_text = text.substr(0, colon);
-    if (std::optional<GroundPlacement> ground = parse_ground_placement(edit, position_text)) {
+NewActorMotion parse_actor_start_pose_and_speed(const EditArgument& edit_for_errors,
+                                                const std::string& pose_and_speed_text,
+                                                const SceneWithLog& driving_scene,
+                                                const ActorToInsert& actor) {
+    const std::size_t colon = pose_and_speed_text.find(':');
+    const double speed_mps = colon == std::string::npos
+                                 ? 0.0
+                                 : parse_comma_separated_edit_numbers(
+                                       edit_for_errors, pose_and_speed_text.substr(colon + 1), 1, 1)[0];
+    if (std::abs(speed_mps) > kFarOff_m) throw_edit_error(edit_for_errors, "a speed from -1e6 to 1e6 m/s");
+    const std::string position_text = pose_and_speed_text.substr(0, colon);
+    if (std::optional<GroundPlacement> ground =
+            parse_ground_placement_if_present(edit_for_errors, position_text)) {
         ground->speed_mps = speed_mps;
         ground->clearance_m = actor.clearance_m;
         return compute_actor_start_on_ground({driving_scene.scene, driving_scene.sequence}, *ground,
                                              {actor.owner.scene, actor.owner.sequence}, actor.track);
     }
-    const std::vector<double> pose = parse_edit_numbers(edit, position_text, 4, 6);
-    if (pose.size() == 5) throw_edit_error(edit, get_edit_value_syntax(edit));
+    const std::vector<double> pose = parse_comma_separated_edit_numbers(edit_for_errors, position_text, 4, 6);
+    if (pose.size() == 5)
+        throw_edit_error(edit_for_errors, get_expected_value_syntax_of_option(edit_for_errors));
     return {make_pose_from_numbers(pose), speed_mps};
 }
 
 /// Describes height and tilt of an actor that was placed on the ground, because the
 /// program computed them. Returns an empty text for other actors.
-std::string describe_pose_on_ground(const NewActorMotion& start, const std::string& placement_text) {
+std::string describe_computed_ground_pose(const NewActorMotion& start, const std::string& placement_text) {
     if (placement_text.find(",ground") == std::string::npos) return "";
     const glm::dvec3& p = start.dataset_from_box.translation;
     const double tilt_deg =
@@ -121,7 +134,7 @@ std::string describe_pose_on_ground(const NewActorMotion& start, const std::stri
 
 /// Returns a warning if the actor moves over ground that the log has not observed. The
 /// height of such ground is a guess.
-std::string format_unobserved_ground_warning(const NewActorMotion& start, const std::string& track_id) {
+std::string format_warning_if_ground_unobserved(const NewActorMotion& start, const std::string& track_id) {
     if (start.unseen_m == 0.0) return "";
     return fmt::format(
         "actor {}: the log did not record the ground below {:.0f} m of its path, so the height there is only "
@@ -131,17 +144,18 @@ std::string format_unobserved_ground_warning(const NewActorMotion& start, const 
 
 /// Returns a note on the sides of an actor that the log has not observed. Completed sides
 /// are mirror images. The remaining sides have no surfels, so rays pass through them.
-std::string format_unobserved_sides_note(const SceneWithLog& driving_scene, const std::string& track_id) {
+std::string describe_unobserved_sides_of_actor(const SceneWithLog& driving_scene,
+                                               const std::string& track_id) {
     const auto actor = std::ranges::find(driving_scene.scene.instances, track_id, &ModelInstance::track);
     const std::optional<ObservedBoxSurface>& surface = driving_scene.scene.models[actor->model].surface;
     if (!surface) return "";
     std::vector<std::string> parts;
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        const double share = surface->compute_mirrored_fraction(BoxSide(s));
+        const double share = surface->compute_mirrored_area_fraction(BoxSide(s));
         if (surface->is_completed && share >= double(kUnseenSide))
             parts.push_back(fmt::format("{:.0f} % of the {}", 100.0 * share, get_name(BoxSide(s))));
     }
-    const std::string unseen = format_unobserved_sides(surface->compute_covered_fractions());
+    const std::string unseen = format_unobserved_sides(surface->compute_covered_fraction_of_each_side());
     std::string text;
     if (!parts.empty())
         text = fmt::format(
@@ -163,7 +177,7 @@ std::string join_nonempty_notes(const std::vector<std::string>& notes) {
     return text;
 }
 
-const std::string& get_last_instance_track_id(const SceneWithLog& driving_scene) {
+const std::string& get_track_id_of_last_instance(const SceneWithLog& driving_scene) {
     return driving_scene.scene.instances.back().track;
 }
 
@@ -172,25 +186,27 @@ EditResult apply_remove_edit(SceneWithLog driving_scene, const EditArgument& edi
 }
 
 EditResult apply_move_edit(SceneWithLog driving_scene, const EditArgument& edit) {
-    const auto [track, offset] = split_edit_value_at(edit, edit.value, edit.value.rfind(':'));
-    driving_scene = move_track(std::move(driving_scene), track,
-                               make_pose_from_numbers(parse_edit_numbers(edit, offset, 3, 4)));
-    const std::string note = format_unobserved_sides_note(driving_scene, track);
+    const auto [track, offset] = split_text_at_required_separator(edit, edit.value, edit.value.rfind(':'));
+    driving_scene =
+        move_track(std::move(driving_scene), track,
+                   make_pose_from_numbers(parse_comma_separated_edit_numbers(edit, offset, 3, 4)));
+    const std::string note = describe_unobserved_sides_of_actor(driving_scene, track);
     return {std::move(driving_scene), "moved " + track, note};
 }
 
 /// Returns true if the actor is present in at least one frame of the log.
 bool is_actor_in_any_frame(const SceneWithLog& driving_scene, const std::string& track_id) {
-    const BoxTrack* box = find_box(driving_scene.sequence, track_id);
-    return box && std::ranges::any_of(driving_scene.sequence.frames,
-                                      [&](const LidarFrame& f) { return box->is_present(f.time_s); });
+    const BoxTrack* box = find_box_track_by_id(driving_scene.sequence, track_id);
+    return box && std::ranges::any_of(driving_scene.sequence.frames, [&](const LidarFrame& f) {
+               return box->is_observed_at_time(f.time_s);
+           });
 }
 
 /// Returns a warning if an edit removes an actor from frames of the log, for example
 /// because its motion is delayed.
 /// @param original_box track of the actor before the edit; null for a new actor
-std::string format_actor_absence_warning(const SceneWithLog& driving_scene, const std::string& track_id,
-                                         const BoxTrack* original_box) {
+std::string format_warning_if_actor_misses_frames(const SceneWithLog& driving_scene,
+                                                  const std::string& track_id, const BoxTrack* original_box) {
     if (!is_actor_in_any_frame(driving_scene, track_id))
         return fmt::format(
             "actor {} is not visible in any frame, because all times of its trajectory are outside the time "
@@ -199,42 +215,46 @@ std::string format_actor_absence_warning(const SceneWithLog& driving_scene, cons
     return original_box ? describe_frames_without_actor(*original_box, driving_scene.sequence) : "";
 }
 
-BoxTrack copy_box_track_if_known(const SceneWithLog& driving_scene, const std::string& track_id) {
-    const BoxTrack* box = find_box(driving_scene.sequence, track_id);
+BoxTrack copy_box_track_or_empty(const SceneWithLog& driving_scene, const std::string& track_id) {
+    const BoxTrack* box = find_box_track_by_id(driving_scene.sequence, track_id);
     // Returns an empty track if the actor is unknown. The edit itself reports this error
     // later.
     return box ? *box : BoxTrack{};
 }
 
-EditResult apply_retime_edit(SceneWithLog driving_scene, const EditArgument& edit) {
-    const auto [track, seconds] = split_edit_value_at(edit, edit.value, edit.value.rfind(':'));
-    const BoxTrack before = copy_box_track_if_known(driving_scene, track);
-    driving_scene = delay_track(std::move(driving_scene), track, parse_edit_numbers(edit, seconds, 1, 1)[0]);
-    const std::string note = join_nonempty_notes({format_actor_absence_warning(driving_scene, track, &before),
-                                                  format_unobserved_sides_note(driving_scene, track)});
+EditResult apply_motion_delay_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+    const auto [track, seconds] = split_text_at_required_separator(edit, edit.value, edit.value.rfind(':'));
+    const BoxTrack before = copy_box_track_or_empty(driving_scene, track);
+    driving_scene = delay_track(std::move(driving_scene), track,
+                                parse_comma_separated_edit_numbers(edit, seconds, 1, 1)[0]);
+    const std::string note =
+        join_nonempty_notes({format_warning_if_actor_misses_frames(driving_scene, track, &before),
+                             describe_unobserved_sides_of_actor(driving_scene, track)});
     return {std::move(driving_scene), fmt::format("delayed the motion of {} by {} s", track, seconds), note};
 }
 
-EditResult apply_trajectory_edit(SceneWithLog driving_scene, const EditArgument& edit) {
-    const auto [track, file] = split_edit_value_at(edit, edit.value, edit.value.find(':'));
-    const BoxTrack before = copy_box_track_if_known(driving_scene, track);
+EditResult apply_new_trajectory_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+    const auto [track, file] = split_text_at_required_separator(edit, edit.value, edit.value.find(':'));
+    const BoxTrack before = copy_box_track_or_empty(driving_scene, track);
     driving_scene = replace_trajectory(std::move(driving_scene), track, read_trajectory_csv(file));
-    const std::string note = join_nonempty_notes({format_actor_absence_warning(driving_scene, track, &before),
-                                                  format_unobserved_sides_note(driving_scene, track)});
+    const std::string note =
+        join_nonempty_notes({format_warning_if_actor_misses_frames(driving_scene, track, &before),
+                             describe_unobserved_sides_of_actor(driving_scene, track)});
     return {std::move(driving_scene), fmt::format("{} follows {}", track, file), note};
 }
 
 EditResult apply_copy_edit(SceneWithLog driving_scene, const EditArgument& edit) {
-    const auto [track, place] = split_edit_value_at(edit, edit.value, edit.value.rfind('@'));
+    const auto [track, place] = split_text_at_required_separator(edit, edit.value, edit.value.rfind('@'));
     const NewActorMotion start =
-        parse_start_pose_and_speed(edit, place, driving_scene, {driving_scene, track, {}});
+        parse_actor_start_pose_and_speed(edit, place, driving_scene, {driving_scene, track, {}});
     driving_scene = copy_track(std::move(driving_scene), track, start);
     return {driving_scene,
-            fmt::format("copied {} as {}{}", track, get_last_instance_track_id(driving_scene),
-                        describe_pose_on_ground(start, place)),
+            fmt::format("copied {} as {}{}", track, get_track_id_of_last_instance(driving_scene),
+                        describe_computed_ground_pose(start, place)),
             join_nonempty_notes(
-                {format_unobserved_ground_warning(start, get_last_instance_track_id(driving_scene)),
-                 format_unobserved_sides_note(driving_scene, get_last_instance_track_id(driving_scene))})};
+                {format_warning_if_ground_unobserved(start, get_track_id_of_last_instance(driving_scene)),
+                 describe_unobserved_sides_of_actor(driving_scene,
+                                                    get_track_id_of_last_instance(driving_scene))})};
 }
 
 /// An actor that is inserted from another run or from an asset.
@@ -245,11 +265,13 @@ struct ExternalActor {
 };
 
 /// Loads an actor from a folder. The text is "RUN#TRACK" or "ASSET".
-ExternalActor load_external_actor(const EditArgument& edit, const std::string& run_track_or_asset) {
-    const bool named = run_track_or_asset.find('#') != std::string::npos;
+ExternalActor load_actor_from_run_or_asset(const EditArgument& edit_for_errors,
+                                           const std::string& run_and_track_or_asset_folder) {
+    const bool named = run_and_track_or_asset_folder.find('#') != std::string::npos;
     const auto [folder, named_track] =
-        named ? split_edit_value_at(edit, run_track_or_asset, run_track_or_asset.rfind('#'))
-              : std::pair(run_track_or_asset, std::string());
+        named ? split_text_at_required_separator(edit_for_errors, run_and_track_or_asset_folder,
+                                                 run_and_track_or_asset_folder.rfind('#'))
+              : std::pair(run_and_track_or_asset_folder, std::string());
     TrainedRun run = load_run(folder);
     const std::string track = named ? named_track : get_only_actor_track(run);
     SceneWithLog owner = run.copy_driving_scene();
@@ -257,7 +279,7 @@ ExternalActor load_external_actor(const EditArgument& edit, const std::string& r
 }
 
 /// Returns a warning if the actor was recorded with another type of sensor than this run.
-std::string format_sensor_mismatch_warning(const ExternalActor& actor, const SceneWithLog& driving_scene) {
+std::string format_warning_if_sensors_differ(const ExternalActor& actor, const SceneWithLog& driving_scene) {
     const SpinningSensor &actor_sensor = actor.run.sequence.lidars[0].sensor,
                          &run_sensor = driving_scene.sequence.lidars[0].sensor;
     if (actor_sensor.name == run_sensor.name && actor_sensor.beams.size() == run_sensor.beams.size())
@@ -271,96 +293,98 @@ std::string format_sensor_mismatch_warning(const ExternalActor& actor, const Sce
 }
 
 EditResult apply_insert_edit(SceneWithLog driving_scene, const EditArgument& edit) {
-    const auto [what, place] = split_edit_value_at(edit, edit.value, edit.value.rfind('@'));
-    const ExternalActor actor = load_external_actor(edit, what);
-    const NewActorMotion start = parse_start_pose_and_speed(
+    const auto [what, place] = split_text_at_required_separator(edit, edit.value, edit.value.rfind('@'));
+    const ExternalActor actor = load_actor_from_run_or_asset(edit, what);
+    const NewActorMotion start = parse_actor_start_pose_and_speed(
         edit, place, driving_scene, {actor.owner, actor.track, read_asset_ground_clearance(actor.run)});
-    const std::string sensor = format_sensor_mismatch_warning(actor, driving_scene);
+    const std::string sensor = format_warning_if_sensors_differ(actor, driving_scene);
     driving_scene = insert_track(std::move(driving_scene), actor.owner, actor.track, start);
     const std::string note = join_nonempty_notes(
-        {sensor, format_unobserved_ground_warning(start, get_last_instance_track_id(driving_scene)),
-         format_unobserved_sides_note(driving_scene, get_last_instance_track_id(driving_scene))});
-    const std::string placed = describe_pose_on_ground(start, place);
+        {sensor, format_warning_if_ground_unobserved(start, get_track_id_of_last_instance(driving_scene)),
+         describe_unobserved_sides_of_actor(driving_scene, get_track_id_of_last_instance(driving_scene))});
+    const std::string placed = describe_computed_ground_pose(start, place);
     return {driving_scene,
             fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder,
-                        get_last_instance_track_id(driving_scene), placed),
+                        get_track_id_of_last_instance(driving_scene), placed),
             note};
 }
 
-bool has_track(const SceneWithLog& driving_scene, const std::string& track_id) {
+bool is_track_in_scene_instances(const SceneWithLog& driving_scene, const std::string& track_id) {
     return std::ranges::any_of(driving_scene.scene.instances, [&](const ModelInstance& i) {
         return !track_id.empty() && i.track == track_id;
     });
 }
 
-glm::dvec3 get_track_box_size_m(const SceneWithLog& driving_scene, const std::string& track_id) {
+glm::dvec3 get_box_size_or_zero_m(const SceneWithLog& driving_scene, const std::string& track_id) {
     const auto box = std::ranges::find(driving_scene.sequence.boxes, track_id, &BoxTrack::id);
     return box == driving_scene.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m;
 }
 
 /// Parses "ENTITY=ACTOR,ENTITY=ACTOR". Each pair assigns an actor to an entity of an
 /// OpenSCENARIO file.
-std::map<std::string, std::string> parse_entity_actor_pairs(const EditArgument& edit,
+std::map<std::string, std::string> parse_entity_actor_pairs(const EditArgument& edit_for_errors,
                                                             const std::string& text) {
     std::map<std::string, std::string> roles;
     std::istringstream words(text);
     for (std::string word; std::getline(words, word, ',');) {
-        auto [entity, actor] = split_edit_value_at(edit, word, word.find('='));
+        auto [entity, actor] = split_text_at_required_separator(edit_for_errors, word, word.find('='));
         if (!roles.emplace(entity, actor).second)
-            throw_edit_error(edit, fmt::format("the entity {} only once", entity));
+            throw_edit_error(edit_for_errors, fmt::format("the entity {} only once", entity));
     }
     return roles;
 }
 
-void append_warning_note(std::string& notes, const std::string& new_note) {
+void append_note_if_not_empty(std::string& notes, const std::string& new_note) {
     if (!new_note.empty()) notes += (notes.empty() ? "" : "; ") + new_note;
 }
 
 /// Moves an actor along the trajectory of an entity of an OpenSCENARIO file. If the run
 /// does not contain the actor, inserts it from another run or an asset.
-void move_actor_along_entity_path(const EditArgument& edit, const ScenarioEntity& entity,
-                                  const std::string& actor_text, EditResult& applied_edit) {
+void find_or_insert_actor_and_move_it(const EditArgument& edit, const ScenarioEntity& entity,
+                                      const std::string& track_or_external_actor, EditResult& applied_edit) {
     SceneWithLog& driving = applied_edit.driving;
-    std::string track = actor_text;
-    const bool is_in_scene = has_track(driving, actor_text);
-    const BoxTrack before = copy_box_track_if_known(driving, actor_text);
+    std::string track = track_or_external_actor;
+    const bool is_in_scene = is_track_in_scene_instances(driving, track_or_external_actor);
+    const BoxTrack before = copy_box_track_or_empty(driving, track_or_external_actor);
     if (!is_in_scene) {
-        if (actor_text.find('#') == std::string::npos && !std::filesystem::exists(actor_text))
+        if (track_or_external_actor.find('#') == std::string::npos &&
+            !std::filesystem::exists(track_or_external_actor))
             throw_edit_error(edit, fmt::format("{0}=TRACK with a track of this run, {0}=RUN#TRACK, or "
                                                "{0}=ASSET with the folder of an asset",
                                                entity.name));
-        const ExternalActor actor = load_external_actor(edit, actor_text);
-        append_warning_note(applied_edit.note, format_sensor_mismatch_warning(actor, driving));
+        const ExternalActor actor = load_actor_from_run_or_asset(edit, track_or_external_actor);
+        append_note_if_not_empty(applied_edit.note, format_warning_if_sensors_differ(actor, driving));
         driving = insert_track(std::move(driving), actor.owner, actor.track, {});
-        track = get_last_instance_track_id(driving);
+        track = get_track_id_of_last_instance(driving);
     }
     const double begin_s = driving.sequence.frames.front().time_s;
-    driving = replace_trajectory(std::move(driving), track,
-                                 convert_to_box_track(entity, begin_s, get_track_box_size_m(driving, track)));
+    driving =
+        replace_trajectory(std::move(driving), track,
+                           convert_to_box_track(entity, begin_s, get_box_size_or_zero_m(driving, track)));
     applied_edit.said += fmt::format("{}{} follows {} of {}", applied_edit.said.empty() ? "" : "\n", track,
                                      entity.name, edit.value.substr(0, edit.value.find('@')));
-    append_warning_note(applied_edit.note,
-                        format_actor_absence_warning(driving, track, is_in_scene ? &before : nullptr));
-    append_warning_note(applied_edit.note, format_unobserved_sides_note(driving, track));
+    append_note_if_not_empty(applied_edit.note, format_warning_if_actor_misses_frames(
+                                                    driving, track, is_in_scene ? &before : nullptr));
+    append_note_if_not_empty(applied_edit.note, describe_unobserved_sides_of_actor(driving, track));
     if (!entity.ignored.empty())
-        append_warning_note(applied_edit.note,
-                            fmt::format("the element {} of entity {} is not supported and is ignored",
-                                        fmt::join(entity.ignored, ", "), entity.name));
+        append_note_if_not_empty(applied_edit.note,
+                                 fmt::format("the element {} of entity {} is not supported and is ignored",
+                                             fmt::join(entity.ignored, ", "), entity.name));
 }
 
-EditResult apply_scenario_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+EditResult apply_openscenario_edit(SceneWithLog driving_scene, const EditArgument& edit) {
     const std::size_t at = edit.value.find('@');
     const std::string file = edit.value.substr(0, at);
     std::map<std::string, std::string> roles;
     if (at != std::string::npos)
-        roles = parse_entity_actor_pairs(edit, split_edit_value_at(edit, edit.value, at).second);
+        roles = parse_entity_actor_pairs(edit, split_text_at_required_separator(edit, edit.value, at).second);
     EditResult applied{std::move(driving_scene), "", ""};
     for (const ScenarioEntity& entity : read_openscenario_entities(file)) {
         const auto role = roles.extract(entity.name);
         const bool follows = !entity.world_from_reference.pose.empty();
-        const std::string what = role                                      ? role.mapped()
-                                 : has_track(applied.driving, entity.name) ? entity.name
-                                                                           : "";
+        const std::string what = role                                                        ? role.mapped()
+                                 : is_track_in_scene_instances(applied.driving, entity.name) ? entity.name
+                                                                                             : "";
         if (role && what != "-" && !follows)
             throw_edit_error(
                 edit,
@@ -371,12 +395,12 @@ EditResult apply_scenario_edit(SceneWithLog driving_scene, const EditArgument& e
                              fmt::format("also an actor for the entity: {0}=TRACK, {0}=RUN#TRACK, {0}=ASSET "
                                          "or {0}=- (ignore), because the run has no actor with the name {0}",
                                          entity.name));
-        if (follows && what != "-") move_actor_along_entity_path(edit, entity, what, applied);
+        if (follows && what != "-") find_or_insert_actor_and_move_it(edit, entity, what, applied);
         else
-            append_warning_note(applied.note,
-                                fmt::format("entity {} {}", entity.name,
-                                            follows ? "is ignored, because the option says so"
-                                                    : "is ignored, because it has no trajectory"));
+            append_note_if_not_empty(applied.note,
+                                     fmt::format("entity {} {}", entity.name,
+                                                 follows ? "is ignored, because the option says so"
+                                                         : "is ignored, because it has no trajectory"));
     }
     if (!roles.empty())
         throw_edit_error(edit, fmt::format("only entities of the file, but the file has no entity {}",
@@ -386,7 +410,7 @@ EditResult apply_scenario_edit(SceneWithLog driving_scene, const EditArgument& e
     return applied;
 }
 
-EditResult apply_keep_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+EditResult apply_keep_only_edit(SceneWithLog driving_scene, const EditArgument& edit) {
     if (edit.value == "background")
         return {remove_all_actors(std::move(driving_scene)), "kept only the background", ""};
     if (edit.value == "actors")
@@ -421,12 +445,17 @@ const std::vector<EditOption>& list_edit_options() {
     return options;
 }
 
-EditResult apply_typed_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+EditResult apply_command_line_edit(SceneWithLog driving_scene, const EditArgument& edit) {
     using Apply = EditResult (*)(SceneWithLog, const EditArgument&);
     static const std::vector<std::pair<std::string, Apply>> functions{
-        {"--remove", apply_remove_edit},         {"--move", apply_move_edit}, {"--retime", apply_retime_edit},
-        {"--trajectory", apply_trajectory_edit}, {"--copy", apply_copy_edit}, {"--insert", apply_insert_edit},
-        {"--scenario", apply_scenario_edit},     {"--keep", apply_keep_edit}};
+        {"--remove", apply_remove_edit},
+        {"--move", apply_move_edit},
+        {"--retime", apply_motion_delay_edit},
+        {"--trajectory", apply_new_trajectory_edit},
+        {"--copy", apply_copy_edit},
+        {"--insert", apply_insert_edit},
+        {"--scenario", apply_openscenario_edit},
+        {"--keep", apply_keep_only_edit}};
     const auto function = std::find_if(functions.begin(), functions.end(),
                                        [&](const auto& f) { return f.first == edit.option; });
     try {

@@ -36,6 +36,6 @@ struct EditResult {
 /// @throws UsageError if the value is malformed or the track does not exist; the message
 /// names the option and the value
 /// @throws DataError if a file is malformed
-EditResult apply_typed_edit(SceneWithLog driving_scene, const EditArgument& edit);
+EditResult apply_command_line_edit(SceneWithLog driving_scene, const EditArgument& edit);
 
 }  // namespace relidar::cli

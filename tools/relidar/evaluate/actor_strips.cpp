@@ -23,7 +23,7 @@ constexpr float kErrorScale_m = 0.3f;  // distance that the brightest colour of 
 
 /// Returns the rays of a frame that may hit the box, as a list without image rows and
 /// columns.
-Scan select_rays_near_box(const TrainedRun& run, const LidarFrame& frame, const BoxTrack& box) {
+Scan select_scan_rays_near_box(const TrainedRun& run, const LidarFrame& frame, const BoxTrack& box) {
     const Pose sensor = run.sequence.world_from_vehicle.interpolate_mounted_pose(
         frame.time_s, run.sequence.get_lidar(frame).vehicle_from_sensor);
     const glm::dvec3 about = inverse(sensor) * box.world_from_box.interpolate_pose(frame.time_s).translation;
@@ -46,7 +46,7 @@ Scan select_rays_near_box(const TrainedRun& run, const LidarFrame& frame, const 
 std::vector<const LidarFrame*> list_frames_with_box(const TrainedRun& run, const BoxTrack& box) {
     std::vector<const LidarFrame*> frames;
     for (const LidarFrame& frame : run.sequence.frames)
-        if (frame.lidar == 0 && frame.scan.range_m.size() > 0 && box.is_present(frame.time_s))
+        if (frame.lidar == 0 && frame.scan.range_m.size() > 0 && box.is_observed_at_time(frame.time_s))
             frames.push_back(&frame);
     return frames;
 }
@@ -69,7 +69,7 @@ struct WalkingActorFrames {
 WalkingActorFrames find_nearest_walking_actor(const TrainedRun& run) {
     WalkingActorFrames nearest;
     for (const ModelInstance& instance : run.scene.instances) {
-        const BoxTrack* box = find_box(run.sequence, instance.track);
+        const BoxTrack* box = find_box_track_by_id(run.sequence, instance.track);
         if (!box || !(run.scene.models[std::size_t(instance.model)].stride_m > 0.0f)) continue;
         const std::vector<const LidarFrame*> frames = list_frames_with_box(run, *box);
         for (std::size_t first = 0; first + kFrames <= frames.size(); ++first) {
@@ -91,20 +91,21 @@ struct PictureDot {
 };
 
 /// Draws several sets of dots side by side.
-/// @param half_size_m half width and half height of each panel, metres
+/// @param panel_half_size_m half width and half height of each panel, metres
 /// @param min_value value at the lower end of the colour map; `max_value` is the upper
 /// end
-Image draw_dot_panels(const std::vector<std::vector<PictureDot>>& panels, const glm::dvec2& half_size_m,
-                      float min_value, float max_value, const char* colour_map_name) {
-    const int width = int(2.0 * (half_size_m.x + kBeside_m) * kPixels_per_m),
-              rows = int(2.0 * (half_size_m.y + kBeside_m) * kPixels_per_m);
-    const int columns = width * int(panels.size());
+Image draw_dots_in_side_by_side_panels(const std::vector<std::vector<PictureDot>>& dots_of_each_panel,
+                                       const glm::dvec2& panel_half_size_m, float min_value, float max_value,
+                                       const char* colour_map_name) {
+    const int width = int(2.0 * (panel_half_size_m.x + kBeside_m) * kPixels_per_m),
+              rows = int(2.0 * (panel_half_size_m.y + kBeside_m) * kPixels_per_m);
+    const int columns = width * int(dots_of_each_panel.size());
     std::vector<float> values(std::size_t(rows) * std::size_t(columns),
                               std::numeric_limits<float>::quiet_NaN());
-    for (std::size_t k = 0; k < panels.size(); ++k)
-        for (const PictureDot& dot : panels[k]) {
-            const int x = int((dot.right_m + half_size_m.x + kBeside_m) * kPixels_per_m);
-            const int y = int((half_size_m.y + kBeside_m - dot.up_m) * kPixels_per_m);
+    for (std::size_t k = 0; k < dots_of_each_panel.size(); ++k)
+        for (const PictureDot& dot : dots_of_each_panel[k]) {
+            const int x = int((dot.right_m + panel_half_size_m.x + kBeside_m) * kPixels_per_m);
+            const int y = int((panel_half_size_m.y + kBeside_m - dot.up_m) * kPixels_per_m);
             for (int row = std::max(y, 0); row < std::min(y + kDot, rows); ++row)
                 for (int column = std::max(x, 0); column < std::min(x + kDot, width - 1); ++column)
                     values[std::size_t(row) * std::size_t(columns) + k * std::size_t(width) +
@@ -115,30 +116,30 @@ Image draw_dot_panels(const std::vector<std::vector<PictureDot>>& panels, const 
 
 /// Returns the dots of points in the frame of a box, seen along a horizontal direction.
 /// The value of a dot is the distance from the box centre along the direction.
-std::vector<PictureDot> project_points_to_dots(const std::vector<glm::dvec3>& points_m,
-                                               const glm::dvec2& view_direction) {
+std::vector<PictureDot> project_box_points_to_picture_dots(const std::vector<glm::dvec3>& points_m,
+                                                           const glm::dvec2& horizontal_view_direction) {
     std::vector<PictureDot> dots;
     for (const glm::dvec3& p : points_m)
-        dots.push_back({view_direction.y * p.x - view_direction.x * p.y, p.z,
-                        float(view_direction.x * p.x + view_direction.y * p.y)});
+        dots.push_back({horizontal_view_direction.y * p.x - horizontal_view_direction.x * p.y, p.z,
+                        float(horizontal_view_direction.x * p.x + horizontal_view_direction.y * p.y)});
     return dots;
 }
 
 /// Renders the scene with the rays of a frame that may hit an actor. Returns the real and
 /// the simulated points in its box.
-MovingBoxPoints render_and_collect_box_points(ScanRenderer& renderer, const TrainedRun& run,
-                                              const Config& config, const LidarFrame& frame,
-                                              const BoxTrack& box) {
-    const Scan scan = select_rays_near_box(run, frame, box);
+MovingBoxPoints collect_real_and_rendered_box_points(ScanRenderer& renderer, const TrainedRun& run,
+                                                     const Config& config, const LidarFrame& frame,
+                                                     const BoxTrack& box) {
+    const Scan scan = select_scan_rays_near_box(run, frame, box);
     if (scan.rays.size() == 0) return {};
-    SimulatedSensor sensor = make_configured_sensor(config, run.sequence, frame.lidar);
+    SimulatedSensor sensor = make_sensor_from_config(config, run.sequence, frame.lidar);
     sensor.rays = scan.rays;
     sensor.follows_sweeps = false;
     sensor.rolling_shutter = run.sequence.rolling_shutter;
     const RenderedScan rendered = renderer.render(sensor, frame.time_s);
     return collect_points_in_box(rendered.image, select_point_ranges(rendered, config),
-                                 make_measured_image(config, scan), run.sequence, get_sweep_moment(frame),
-                                 box);
+                                 make_measured_image(config, scan), run.sequence,
+                                 get_sweep_timing_of_frame(frame), box);
 }
 
 /// Returns the settings for pictures, in which each ray has no sub-rays and at most one
@@ -151,7 +152,7 @@ Config make_actor_picture_config(const TrainedRun& run) {
 }
 
 /// Sets the value of each simulated dot to the distance from the nearest real point.
-void set_dot_values_to_errors(std::vector<PictureDot>& dots, const MovingBoxPoints& box_points) {
+void set_dot_values_to_distance_errors(std::vector<PictureDot>& dots, const MovingBoxPoints& box_points) {
     for (std::size_t i = 0; i < dots.size(); ++i) {
         double nearest_m = std::numeric_limits<double>::max();
         for (const glm::dvec3& real_m : box_points.real_m)
@@ -164,14 +165,16 @@ void set_dot_values_to_errors(std::vector<PictureDot>& dots, const MovingBoxPoin
 /// few real points.
 std::optional<ReportFigure> draw_actor_comparison_figure(ScanRenderer& renderer, const TrainedRun& run,
                                                          const Config& config, const ActorScore& actor) {
-    const BoxTrack* box = find_box(run.sequence, actor.track);
+    const BoxTrack* box = find_box_track_by_id(run.sequence, actor.track);
     if (!box) return std::nullopt;
     std::vector<std::vector<PictureDot>> real, simulated, errors;
     std::size_t n = 0;
     for (const int position : run.split.test) {
         const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
-        if (real.size() == kFrames || frame.scan.range_m.empty() || !box->is_present(frame.time_s)) continue;
-        const MovingBoxPoints points = render_and_collect_box_points(renderer, run, config, frame, *box);
+        if (real.size() == kFrames || frame.scan.range_m.empty() || !box->is_observed_at_time(frame.time_s))
+            continue;
+        const MovingBoxPoints points =
+            collect_real_and_rendered_box_points(renderer, run, config, frame, *box);
         if (points.real_m.empty() && points.simulated_m.empty()) continue;
         const glm::dvec3 sensor_m =
             run.sequence.get_world_from_sensor(frame.lidar).interpolate_pose(frame.time_s).translation;
@@ -179,10 +182,10 @@ std::optional<ReportFigure> draw_actor_comparison_figure(ScanRenderer& renderer,
                                          sensor_m);
         const glm::dvec2 direction = -sensor_in_box_m / std::max(glm::length(sensor_in_box_m), 1e-6);
         n += points.real_m.size();
-        real.push_back(project_points_to_dots(points.real_m, direction));
-        simulated.push_back(project_points_to_dots(points.simulated_m, direction));
+        real.push_back(project_box_points_to_picture_dots(points.real_m, direction));
+        simulated.push_back(project_box_points_to_picture_dots(points.simulated_m, direction));
         errors.push_back(simulated.back());
-        set_dot_values_to_errors(errors.back(), points);
+        set_dot_values_to_distance_errors(errors.back(), points);
     }
     if (real.empty() || n < real.size() * kFewestPoints) return std::nullopt;
     const double radius_m = 0.5 * std::hypot(box->size_m.x, box->size_m.y);
@@ -191,10 +194,10 @@ std::optional<ReportFigure> draw_actor_comparison_figure(ScanRenderer& renderer,
     return ReportFigure{
         fmt::format("{} {}: held-out frames, as the sensor sees them, coloured by distance", actor.category,
                     actor.track),
-        {{"real", draw_dot_panels(real, half_m, -deepest, deepest, "turbo")},
-         {"simulated", draw_dot_panels(simulated, half_m, -deepest, deepest, "turbo")},
+        {{"real", draw_dots_in_side_by_side_panels(real, half_m, -deepest, deepest, "turbo")},
+         {"simulated", draw_dots_in_side_by_side_panels(simulated, half_m, -deepest, deepest, "turbo")},
          {fmt::format("distance of simulated points from the nearest real point, 0 to {} m", kErrorScale_m),
-          draw_dot_panels(errors, half_m, 0.0f, kErrorScale_m, "heat")}}};
+          draw_dots_in_side_by_side_panels(errors, half_m, 0.0f, kErrorScale_m, "heat")}}};
 }
 
 }  // namespace
@@ -209,10 +212,10 @@ std::optional<ReportFigure> draw_walking_actor_figure(Device& device, const Trai
     std::size_t n = 0;
     for (const LidarFrame* frame : walking_actor.frames) {
         const MovingBoxPoints points =
-            render_and_collect_box_points(renderer, run, config, *frame, *walking_actor.box);
+            collect_real_and_rendered_box_points(renderer, run, config, *frame, *walking_actor.box);
         n += points.real_m.size();
-        real.push_back(project_points_to_dots(points.real_m, to_the_left));
-        simulated.push_back(project_points_to_dots(points.simulated_m, to_the_left));
+        real.push_back(project_box_points_to_picture_dots(points.real_m, to_the_left));
+        simulated.push_back(project_box_points_to_picture_dots(points.simulated_m, to_the_left));
     }
     if (n < kFrames * kFewestPoints) return std::nullopt;
     const glm::dvec2 half_m(0.5 * walking_actor.box->size_m.x, 0.5 * walking_actor.box->size_m.z);
@@ -223,8 +226,8 @@ std::optional<ReportFigure> draw_walking_actor_figure(Device& device, const Trai
                     walking_actor.box->category, walking_actor.box->id,
                     parse_object_kind(walking_actor.box->category) == ObjectKind::cyclist ? "rides" : "walks",
                     walking_actor.distance_m),
-        {{"real", draw_dot_panels(real, half_m, -half, half, "turbo")},
-         {"simulated", draw_dot_panels(simulated, half_m, -half, half, "turbo")}}};
+        {{"real", draw_dots_in_side_by_side_panels(real, half_m, -half, half, "turbo")},
+         {"simulated", draw_dots_in_side_by_side_panels(simulated, half_m, -half, half, "turbo")}}};
 }
 
 std::vector<ReportFigure> draw_worst_actor_figures(Device& device, const TrainedRun& run,

@@ -47,8 +47,8 @@ struct EvalOptions {
     bool quiet = false;
 };
 
-void apply_eval_settings(Config& config, const EvalOptions& options) {
-    apply_setting_texts(config, options.sets);
+void apply_setting_overrides(Config& config, const EvalOptions& options) {
+    parse_and_apply_setting_texts(config, options.sets);
 }
 
 void require_held_out_frames(const TrainTestSplit& split, const std::string& run_or_log_path) {
@@ -68,28 +68,29 @@ struct EvaluationOutputs {
     EvaluationOutputs(const std::filesystem::path& metrics_file, const std::string& picture_folder,
                       const MpiProcessGroup& ranks)
         : file(metrics_file), pictures(picture_folder) {
-        if (ranks.is_first() && !file.empty())
+        if (ranks.is_first_mpi_process() && !file.empty())
             of_file.emplace(file.has_parent_path() ? file.parent_path() : ".");
-        if (ranks.is_first() && !pictures.empty()) of_pictures.emplace(pictures);
+        if (ranks.is_first_mpi_process() && !pictures.empty()) of_pictures.emplace(pictures);
         ranks.wait_for_all_ranks();
     }
 
-    void write_frame_pictures(const ScoredFrame& frame, const Config& config) const {
+    void write_frame_pictures_if_requested(const ScoredFrame& frame, const Config& config) const {
         if (!pictures.empty()) write_comparison_pictures(pictures, frame, config.dataset.max_range_m);
     }
 };
 
-void write_evaluation_results(const EvaluationOutputs& output, const EvaluationResult& evaluation,
-                              const Config& config, const EvaluationProvenance& origin, bool quiet) {
+void write_and_print_evaluation_metrics(const EvaluationOutputs& output, const EvaluationResult& evaluation,
+                                        const Config& config, const EvaluationProvenance& provenance,
+                                        bool quiet) {
     end_progress_line();
-    if (!output.file.empty()) write_text_file(output.file, make_metrics_json(evaluation, config, origin));
+    if (!output.file.empty()) write_text_file(output.file, make_metrics_json(evaluation, config, provenance));
     if (quiet) return;
-    print(format_metric_tables(evaluation, origin.baseline));
+    print(format_metric_tables(evaluation, provenance.baseline));
     print(fmt::format("\n{} held-out frames", evaluation.frames.size()));
     if (evaluation.trace_ms > 0.0)
         print(fmt::format(", {:.1f} ms of tracing per frame, {:.3f} Mrays/s, {} of device memory",
                           evaluation.trace_ms, evaluation.mrays_per_s,
-                          format_byte_size(origin.peak_device_bytes)));
+                          format_byte_size(provenance.peak_device_bytes)));
     if (!output.file.empty()) print("\nmetrics  " + make_absolute_path(output.file.string()));
     print("\n");
 }
@@ -106,9 +107,9 @@ void write_and_open_report_page(const std::filesystem::path& page_file, const Re
 }
 
 /// Returns a note that explains what the scores of an edited run mean.
-std::string format_edited_run_note(const TrainedRun& run) {
+std::string explain_scores_of_edited_run(const TrainedRun& run) {
     if (run.edits.empty()) return "";
-    if (can_compute_exact_scans(run))
+    if (is_edited_synthetic_street_run(run))
         return "note: the synthetic street was rendered again with the run's edits and without noise; "
                "the scores edited/* use only the pixels that the edits change\n";
     return "note: the run is edited, but the log shows the scene before the edits; the scores of changed "
@@ -117,17 +118,17 @@ std::string format_edited_run_note(const TrainedRun& run) {
 
 /// Adds scores of only those pixels that an edit has changed.
 /// @param original_scan exact scan of the street without the edit
-void add_edited_pixel_scores(ScoredFrame& frame, const Config& config, const Scan& original_scan) {
-    frame.metrics.merge(
-        evaluate_regions(frame.rendered.image, frame.real,
-                         {find_edited_region(frame.real, make_measured_image(config, original_scan))}));
+void add_metrics_of_edited_pixels(ScoredFrame& frame, const Config& config, const Scan& original_scan) {
+    frame.metrics.merge(evaluate_regions(
+        frame.rendered.image, frame.real,
+        {find_pixels_changed_by_edit(frame.real, make_measured_image(config, original_scan))}));
 }
 
 /// Keeps only the frames that this process scores. The other MPI processes score the
 /// remaining frames.
-void keep_frames_of_this_rank(std::vector<int>& frame_positions, const MpiProcessGroup& ranks) {
+void select_frames_of_this_process(std::vector<int>& frame_positions, const MpiProcessGroup& ranks) {
     const ProcessGroup::PartRange share =
-        ranks.get_process_group().compute_assigned_range(frame_positions.size());
+        ranks.get_process_group().get_range_of_process(frame_positions.size());
     frame_positions = {frame_positions.begin() + std::ptrdiff_t(share.begin),
                        frame_positions.begin() + std::ptrdiff_t(share.end)};
 }
@@ -135,8 +136,8 @@ void keep_frames_of_this_rank(std::vector<int>& frame_positions, const MpiProces
 /// Loads the scans of the held-out frames. For an edited synthetic street, computes the
 /// scans exactly.
 /// @return exact scans of the street before the edits; empty for other logs
-std::vector<Scan> load_held_out_scans(TrainedRun& run, const LidarSequence& log) {
-    if (can_compute_exact_scans(run)) return set_exact_held_out_scans(run);
+std::vector<Scan> set_held_out_scans_of_run(TrainedRun& run, const LidarSequence& log) {
+    if (is_edited_synthetic_street_run(run)) return replace_held_out_by_exact_scans(run);
     copy_scans_into_run(run, run.split.test, log);
     return {};
 }
@@ -145,30 +146,30 @@ void evaluate_trained_run(const EvalOptions& options, const MpiProcessGroup& ran
                           const std::string& command_line) {
     // The command writes metrics.json to the run's folder, so no other process may.
     std::optional<FolderLock> lock;
-    if (ranks.is_first() && options.out.empty() && is_run_folder(options.target))
+    if (ranks.is_first_mpi_process() && options.out.empty() && is_run_folder(options.target))
         lock.emplace(options.target);
     std::vector<std::string> setting_names = list_rendering_setting_names();
     setting_names.push_back("dataset.");
-    check_settings_have_effect(options.sets, setting_names, "eval");
+    require_settings_with_effect(options.sets, setting_names, "eval");
     TrainedRun run = load_run(options.target);
-    apply_eval_settings(run.config, options);
-    run.config = resolve_max_range(std::move(run.config), run.sequence);
+    apply_setting_overrides(run.config, options);
+    run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
     if (options.no_refine) run.config.refine.enabled = false;
     const EvaluationOutputs output(
         options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out),
         options.pictures, ranks);
     require_held_out_frames(run.split, run.folder.string());
     const std::vector<int> all_test = run.split.test;
-    keep_frames_of_this_rank(run.split.test, ranks);
-    Device device(make_device_options(options.device));
+    select_frames_of_this_process(run.split.test, ranks);
+    Device device(convert_to_device_options(options.device));
     const LidarSequence log = load_dataset(run.config, options.quiet);
-    const std::vector<Scan> before = load_held_out_scans(run, log);
+    const std::vector<Scan> before = set_held_out_scans_of_run(run, log);
     if (!options.baseline.empty()) copy_scans_into_run(run, run.split.train, log);
 
     install_interrupt_handlers();
     const auto start = std::chrono::steady_clock::now();
     TerminalProgress progress(options.quiet);
-    const auto callback = make_interruptible_callback(progress);
+    const auto callback = make_interruptible_progress_callback(progress);
     std::optional<EvaluationResult> baseline;
     if (!options.baseline.empty())
         baseline = gather_evaluation_from_ranks(
@@ -176,21 +177,21 @@ void evaluate_trained_run(const EvalOptions& options, const MpiProcessGroup& ran
     ScanRenderer renderer(device, run);
     std::size_t n_scored_frames = 0;
     const auto process_frame = [&](ScoredFrame& frame) {
-        if (!before.empty()) add_edited_pixel_scores(frame, run.config, before[n_scored_frames++]);
-        output.write_frame_pictures(frame, run.config);
+        if (!before.empty()) add_metrics_of_edited_pixels(frame, run.config, before[n_scored_frames++]);
+        output.write_frame_pictures_if_requested(frame, run.config);
     };
     EvaluationResult evaluation = gather_evaluation_from_ranks(
         evaluate_frames(renderer, run.config, run.sequence, run.split.test, callback, process_frame), ranks);
-    if (!ranks.is_first()) return;
-    if (!options.quiet) print(format_edited_run_note(run));
-    write_evaluation_results(
+    if (!ranks.is_first_mpi_process()) return;
+    if (!options.quiet) print(explain_scores_of_edited_run(run));
+    write_and_print_evaluation_metrics(
         output, evaluation, run.config,
         {make_absolute_path(run.folder.string()), device.info().name, device.peak_allocated_bytes(),
          measure_seconds_since(start), baseline ? &*baseline : nullptr},
         options.quiet);
     if (!output.pictures.empty()) {
         run.split.test = all_test;
-        if (ranks.size() > 1) (void)load_held_out_scans(run, log);
+        if (ranks.size() > 1) (void)set_held_out_scans_of_run(run, log);
         write_worst_actor_pictures(output.pictures, device, run, evaluation);
     }
     if (!options.open) return;
@@ -209,39 +210,42 @@ const std::vector<std::string> kBaselineSettings = {
 
 /// Scores a baseline on a log. A baseline needs neither a trained run nor a GPU.
 void evaluate_baseline_on_log(const EvalOptions& options, const MpiProcessGroup& ranks) {
-    check_settings_have_effect(options.sets, kBaselineSettings, "eval LOG --baseline");
-    Config config = make_preset("default");
-    apply_eval_settings(config, options);
+    require_settings_with_effect(options.sets, kBaselineSettings, "eval LOG --baseline");
+    Config config = make_preset_config("default");
+    apply_setting_overrides(config, options);
     config.dataset.path = make_dataset_path_absolute(options.target);
-    apply_log_part(config, options.part);
+    set_log_frames_and_sequence(config, options.part);
     const EvaluationOutputs output(options.out, options.pictures, ranks);
     const LidarSequence log = load_dataset(config, options.quiet);
     if (!options.quiet)
         for (const std::string& text : log.notes) print_note(text);
-    config = resolve_max_range(std::move(config), log);
-    TrainTestSplit split = split_frames(log, config.dataset.test_every, config.dataset.test_frames);
+    config = replace_automatic_max_range(std::move(config), log);
+    TrainTestSplit split =
+        split_frames_into_train_and_test(log, config.dataset.test_every, config.dataset.test_frames);
     require_held_out_frames(split, options.target);
-    keep_frames_of_this_rank(split.test, ranks);
+    select_frames_of_this_process(split.test, ranks);
 
     install_interrupt_handlers();
     const auto start = std::chrono::steady_clock::now();
     TerminalProgress progress(options.quiet);
-    const auto process_frame = [&](const ScoredFrame& frame) { output.write_frame_pictures(frame, config); };
-    const EvaluationResult evaluation =
-        gather_evaluation_from_ranks(evaluate_baseline(options.baseline, config, log, split,
-                                                       make_interruptible_callback(progress), process_frame),
-                                     ranks);
-    if (ranks.is_first())
-        write_evaluation_results(output, evaluation, config, {"", "none", 0, measure_seconds_since(start)},
-                                 options.quiet);
+    const auto process_frame = [&](const ScoredFrame& frame) {
+        output.write_frame_pictures_if_requested(frame, config);
+    };
+    const EvaluationResult evaluation = gather_evaluation_from_ranks(
+        evaluate_baseline(options.baseline, config, log, split,
+                          make_interruptible_progress_callback(progress), process_frame),
+        ranks);
+    if (ranks.is_first_mpi_process())
+        write_and_print_evaluation_metrics(output, evaluation, config,
+                                           {"", "none", 0, measure_seconds_since(start)}, options.quiet);
 }
 
 void run_eval_command(const EvalOptions& command_options, const std::string& command_line) {
     const MpiProcessGroup ranks;
     EvalOptions options = command_options;
-    options.quiet = options.quiet || !ranks.is_first();
+    options.quiet = options.quiet || !ranks.is_first_mpi_process();
     if (!options.tables.empty()) {
-        if (ranks.is_first()) write_score_tables(options.targets, options.tables);
+        if (ranks.is_first_mpi_process()) write_score_tables(options.targets, options.tables);
         if (!options.quiet)
             for (const std::string& file : options.tables) print("table  " + make_absolute_path(file) + "\n");
         return;
@@ -252,7 +256,7 @@ void run_eval_command(const EvalOptions& command_options, const std::string& com
             "scores of several runs",
             options.targets.size()));
     options.target = options.targets.front();
-    options.device = ranks.select_device_for_rank(options.device);
+    options.device = ranks.select_device_unless_user_chose(options.device);
     if (options.open && ranks.size() > 1)
         throw UsageError(
             fmt::format("--open: found {} MPI processes; expected one, because the page has pictures of all "
@@ -278,7 +282,7 @@ void run_eval_command(const EvalOptions& command_options, const std::string& com
 
 /// Checks that the option --table is not combined with options for scoring.
 /// @throws UsageError if such an option is given
-void check_table_option_conflicts(const CLI::App& command) {
+void require_no_scoring_options_with_table(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {
         if (option->count() == 0 || option->get_positional() || option->check_lname("table") ||
             option->check_lname("quiet"))
@@ -327,7 +331,7 @@ void add_eval_command(CLI::App& app, ParsedCommand& selected_command) {
             "also score a simple baseline for comparison: nearest uses the two neighbouring real scans, "
             "moved to the held-out pose; nearest-actors also moves the points in boxes along their tracks")
         ->type_name("NAME");
-    add_log_selection_options(*command, options->part);
+    add_frames_and_sequence_options(*command, options->part);
     command
         ->add_option("--pictures", options->pictures,
                      "folder for pictures of each held-out frame and of each moving box: real, rendered, "
@@ -350,7 +354,7 @@ void add_eval_command(CLI::App& app, ParsedCommand& selected_command) {
         ->allow_extra_args(false);
     command->footer(kEvalHelp);
     command->callback([&selected_command, options, command] {
-        if (!options->tables.empty()) check_table_option_conflicts(*command);
+        if (!options->tables.empty()) require_no_scoring_options_with_table(*command);
         selected_command.run = [&selected_command, options] {
             run_eval_command(*options, selected_command.command_line);
         };

@@ -16,7 +16,7 @@ class MpiProcessGroup;
 
 /// Returns a callback that shows the progress of an evaluation. After Ctrl-C, the
 /// callback throws an Error with exit code 130 to stop the evaluation.
-relidar::ProgressReporter make_interruptible_callback(TerminalProgress& terminal_progress);
+relidar::ProgressReporter make_interruptible_progress_callback(TerminalProgress& terminal_progress);
 
 /// Returns the five most important scores for the terminal, one per line. A missing score
 /// is left out.
@@ -53,6 +53,6 @@ struct EvaluationProvenance {
 /// Returns the text of the file metrics.json. It contains the scores of each frame, their
 /// means, the evaluation protocol, timings, device and memory.
 std::string make_metrics_json(const EvaluationResult& evaluation, const Config& config,
-                              const EvaluationProvenance& origin);
+                              const EvaluationProvenance& provenance);
 
 }  // namespace relidar::cli

@@ -51,7 +51,7 @@ constexpr const char* kClasses =
 constexpr const char* kColumns[] = {"pixels",      "returned",     "depth_medae_m",
                                     "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 
-Json make_metric_protocol_json(const Config& config) {
+Json make_evaluation_protocol_json(const Config& config) {
     const std::string lpips = find_lpips_weights_path();
     return {
         {"frames",
@@ -76,7 +76,7 @@ Json make_metric_protocol_json(const Config& config) {
         {"drop_threshold", {{"peer", 0.4}, {"strict", 0.5}, {"regions", 0.5}}}};
 }
 
-bool is_frame_level_metric(const std::string& metric_name) {
+bool is_metric_of_whole_frame(const std::string& metric_name) {
     return metric_name.starts_with("peer/") || metric_name.starts_with("strict/") ||
            metric_name.starts_with("points/") || metric_name.starts_with("actors/") ||
            metric_name.starts_with("classes/");
@@ -113,7 +113,7 @@ TextTableRows make_metric_table_rows(const EvaluationResult& evaluation, const E
     if (spread) rows.back().insert(rows.back().end(), {"lowest", "highest"});
     if (baseline) rows.back().push_back(baseline->title);
     for (const auto& [name, mean_value] : evaluation.mean) {
-        if (!is_frame_level_metric(name)) continue;
+        if (!is_metric_of_whole_frame(name)) continue;
         rows.push_back({name, format_four_significant_digits(mean_value)});
         const auto [low, high] = find_metric_min_and_max(evaluation, name);
         if (spread)
@@ -129,7 +129,7 @@ TextTableRows make_region_metric_rows(const EvaluationResult& evaluation) {
     for (const char* column : kColumns) rows.back().emplace_back(column);
     std::set<std::string> regions;
     for (const auto& [name, value] : evaluation.mean)
-        if (!is_frame_level_metric(name)) regions.insert(name.substr(0, name.find('/')));
+        if (!is_metric_of_whole_frame(name)) regions.insert(name.substr(0, name.find('/')));
     for (const std::string& region : regions) {
         rows.push_back({region});
         for (const char* column : kColumns)
@@ -159,8 +159,9 @@ std::vector<std::vector<std::string>> make_worst_actor_table_rows(const Evaluati
     return rows;
 }
 
-relidar::ProgressReporter make_interruptible_callback(TerminalProgress& terminal_progress) {
-    return [show = make_progress_callback(terminal_progress)](std::string_view description, double done) {
+relidar::ProgressReporter make_interruptible_progress_callback(TerminalProgress& terminal_progress) {
+    return [show = make_terminal_progress_callback(terminal_progress)](std::string_view description,
+                                                                       double done) {
         throw_if_interrupted();
         show(description, done);
     };
@@ -219,14 +220,14 @@ Json make_scored_frames_json(const EvaluationResult& evaluation) {
 }
 
 std::string make_metrics_json(const EvaluationResult& evaluation, const Config& config,
-                              const EvaluationProvenance& origin) {
+                              const EvaluationProvenance& provenance) {
     Json json = {{"format", "relidar metrics"},
                  {"version", 1},
                  {"relidar", RELIDAR_VERSION},
                  {"scored", evaluation.title},
-                 {"run", origin.run},
+                 {"run", provenance.run},
                  {"dataset", config.dataset.path},
-                 {"protocol", make_metric_protocol_json(config)},
+                 {"protocol", make_evaluation_protocol_json(config)},
                  {"mean", evaluation.mean},
                  {"actors", make_actor_scores_json(evaluation.actors)},
                  {"frames", make_scored_frames_json(evaluation)},
@@ -234,13 +235,13 @@ std::string make_metrics_json(const EvaluationResult& evaluation, const Config& 
                   {{"kernel_ms", evaluation.kernel_ms},
                    {"trace_ms", evaluation.trace_ms},
                    {"mrays_per_s", evaluation.mrays_per_s},
-                   {"seconds", origin.seconds}}},
-                 {"device", origin.device},
-                 {"peak_device_bytes", origin.peak_device_bytes}};
-    if (origin.baseline)
-        json["baseline"] = {{"scored", origin.baseline->title},
-                            {"mean", origin.baseline->mean},
-                            {"frames", make_scored_frames_json(*origin.baseline)}};
+                   {"seconds", provenance.seconds}}},
+                 {"device", provenance.device},
+                 {"peak_device_bytes", provenance.peak_device_bytes}};
+    if (provenance.baseline)
+        json["baseline"] = {{"scored", provenance.baseline->title},
+                            {"mean", provenance.baseline->mean},
+                            {"frames", make_scored_frames_json(*provenance.baseline)}};
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

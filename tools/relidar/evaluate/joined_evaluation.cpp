@@ -35,7 +35,7 @@ EvaluationResult gather_evaluation_from_ranks(const EvaluationResult& local_eval
     if (ranks.size() == 1) return local_evaluation;
     const std::vector<std::string> all =
         ranks.gather_texts_on_first_rank(make_scored_frames_json(local_evaluation).dump());
-    if (!ranks.is_first()) return local_evaluation;
+    if (!ranks.is_first_mpi_process()) return local_evaluation;
     std::vector<ScoredFrame> frames = local_evaluation.frames;
     for (std::size_t r = 1; r < all.size(); ++r) append_scored_frames_from_json(frames, all[r]);
     EvaluationResult evaluation = summarise_evaluation(std::move(frames), {});

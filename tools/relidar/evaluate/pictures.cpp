@@ -45,17 +45,17 @@ std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, cons
                                 scale, "heat", shown);
     };
     ReportFigure drops{title + ": ray drop",
-                       {{real_caption_caption + ", white: dropped rays", draw_drop_picture(real)}}};
+                       {{real_caption_caption + ", white: dropped rays", draw_ray_drop_picture(real)}}};
     if (const auto* of_surfels = find_channel_values<float>(frame.rendered.channels, "surfel_drop_prob")) {
         RangeImage surfels = rendered;
         surfels.drop_prob = *of_surfels;
-        drops.images.emplace_back("drop probability of the surfels", draw_drop_picture(surfels));
+        drops.images.emplace_back("drop probability of the surfels", draw_ray_drop_picture(surfels));
         drops.images.emplace_back("absolute error of the drop probability of the surfels",
                                   error(real.drop_prob, surfels.drop_prob, 1.0f, {}));
         drops.images.emplace_back("rendered drop probability, corrected by the network",
-                                  draw_drop_picture(rendered));
+                                  draw_ray_drop_picture(rendered));
     } else {
-        drops.images.emplace_back("rendered drop probability", draw_drop_picture(rendered));
+        drops.images.emplace_back("rendered drop probability", draw_ray_drop_picture(rendered));
     }
     drops.images.emplace_back("absolute error of the drop probability, black: 0, white: 1",
                               error(real.drop_prob, rendered.drop_prob, 1.0f, {}));
@@ -92,13 +92,13 @@ void write_comparison_pictures(const std::filesystem::path& folder, const Scored
     }
 }
 
-Image draw_real_and_rendered_range(const ScoredFrame& frame, double max_range_m) {
+Image draw_real_above_rendered_range(const ScoredFrame& frame, double max_range_m) {
     return stack_images_vertically(
         {draw_range_picture(frame.real, max_range_m), draw_range_picture(frame.rendered.image, max_range_m)},
         compute_vertical_scale(frame.real));
 }
 
-Image draw_ray_pattern(const RayTable& rays) {
+Image draw_rays_as_coloured_dots(const RayTable& rays) {
     constexpr double kSector_rad = 20.0 * kPi / 180.0, kMargin_rad = 0.5 * kPi / 180.0;
     constexpr int kWidth = 1200, kDot = 2;
     std::vector<glm::dvec2> angle;  // Azimuth and elevation of each ray.

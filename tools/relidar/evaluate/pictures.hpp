@@ -32,12 +32,12 @@ void write_comparison_pictures(const std::filesystem::path& folder, const Scored
                                double max_range_m);
 
 /// Draws the rendered range image below the real range image.
-Image draw_real_and_rendered_range(const ScoredFrame& frame, double max_range_m);
+Image draw_real_above_rendered_range(const ScoredFrame& frame, double max_range_m);
 
 /// Draws the ray pattern of a sensor. Each ray is a dot whose colour shows its firing
 /// time. Azimuth increases to the right as seen from the sensor, and elevation increases
 /// upwards. If the sensor covers all azimuths, the picture shows only the 40 degrees
 /// ahead.
-Image draw_ray_pattern(const RayTable& rays);
+Image draw_rays_as_coloured_dots(const RayTable& rays);
 
 }  // namespace relidar::cli

@@ -11,12 +11,13 @@
 
 namespace relidar::cli {
 
-ReportView make_point_comparison_view(const ScoredFrame& frame, const Config& config,
-                                      const std::string& title, const std::string& real_label_name) {
+ReportView make_3d_view_of_real_and_rendered_points(const ScoredFrame& frame, const Config& config,
+                                                    const std::string& title,
+                                                    const std::string& label_of_real_points_name) {
     const RangeImage &rendered = frame.rendered.image, &real = frame.real;
     const std::vector<float>& range_m = select_point_ranges(frame.rendered, config);
     FiringPoseInterpolator sensor(frame.rendered, inverse(frame.rendered.world_from_sensor));
-    ReportCloud measured{real_label_name, {}, {}, {}}, simulated{"simulated", {}, {}, {}};
+    ReportCloud measured{label_of_real_points_name, {}, {}, {}}, simulated{"simulated", {}, {}, {}};
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         const bool has_real = real.range_m[i] > 0.0f,
                    has_simulated = is_ray_returned(rendered.drop_prob[i], range_m[i]);
@@ -82,7 +83,7 @@ std::vector<ReportKeyMetric> get_key_metrics() {
          "peak signal to noise, dropped rays as 0 m; more is better"}};
 }
 
-std::string describe_mean_quality(const MetricValues& mean_metrics) {
+std::string make_sentence_about_mean_quality(const MetricValues& mean_metrics) {
     const auto error = mean_metrics.find("strict/depth_medae_m"),
                drops = mean_metrics.find("strict/drop_accuracy");
     if (error == mean_metrics.end() || drops == mean_metrics.end()) return "";

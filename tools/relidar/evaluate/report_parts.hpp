@@ -19,9 +19,10 @@ namespace relidar::cli {
 
 /// Creates a 3D view that shows the real and the simulated points of a frame together.
 /// All points are in the sensor frame at the time of the frame.
-/// @param real_label label of the real points
-ReportView make_point_comparison_view(const ScoredFrame& frame, const Config& config,
-                                      const std::string& title, const std::string& real_label);
+/// @param label_of_real_points label of the real points
+ReportView make_3d_view_of_real_and_rendered_points(const ScoredFrame& frame, const Config& config,
+                                                    const std::string& title,
+                                                    const std::string& label_of_real_points);
 
 /// Creates a bar chart of the range errors. Each bar shows the shares of rays with small
 /// and large errors, for one interval of the real range.
@@ -33,6 +34,6 @@ std::vector<ReportKeyMetric> get_key_metrics();
 /// Returns a sentence about the quality of a run. Example: "half of all ranges are within
 /// 2.1 cm of the real ones, and 97.3 % of all rays return or drop as they did". The text
 /// is empty if the metrics are missing.
-std::string describe_mean_quality(const MetricValues& mean_metrics);
+std::string make_sentence_about_mean_quality(const MetricValues& mean_metrics);
 
 }  // namespace relidar::cli

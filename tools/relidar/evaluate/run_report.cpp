@@ -17,7 +17,7 @@ std::string format_frame_count(std::size_t count) {
     return fmt::format("{} frame{}", count, count == 1 ? "" : "s");
 }
 
-std::vector<ReportCurve> make_loss_curves(const TrainResult& result) {
+std::vector<ReportCurve> make_curves_of_loss_terms(const TrainResult& result) {
     std::vector<ReportCurve> curves{{"loss/total", {}, {}}};
     for (const char* name : kLossTermNames) curves.push_back({std::string("loss/") + name, {}, {}});
     std::vector<bool> used(curves.size(), false);
@@ -62,14 +62,15 @@ Report make_training_report(const TrainedRun& run, const TrainResult& result, co
                                  result.train_s > 0.0 ? done / result.train_s : 0.0)},
         {"Device", device.info().name},
         {"Driver", device.info().driver},
-        {"Traversal", device.traversal() == RayTracingBackend::software ? "software" : "ray query"},
+        {"Traversal",
+         device.get_ray_tracing_backend() == RayTracingBackend::software ? "software" : "ray query"},
         {"Peak device memory", format_byte_size(result.peak_device_bytes)},
         {"relidar", RELIDAR_VERSION}};
     if (const std::vector<BoxTrack> masked =
             find_boxes_without_model(run.scene, run.sequence, run.config.init);
         !masked.empty())
         report.facts.emplace_back("Moving objects that are not trained", format_box_list(masked));
-    report.curves = make_loss_curves(result);
+    report.curves = make_curves_of_loss_terms(result);
     if (const MetricValues times = compute_mean_kernel_ms(result.times); !times.empty())
         report.timings_ms.emplace_back("Training: mean time of one kernel launch", times);
     return report;
@@ -89,9 +90,9 @@ Report make_evaluation_report(const TrainedRun& run, const EvaluationResult& eva
 }
 
 void add_evaluation_to_report(Report& report, const EvaluationResult& evaluation, const TrainedRun& run,
-                              const EvaluationLabels& title) {
+                              const EvaluationLabels& labels) {
     if (evaluation.frames.empty()) return;
-    if (const std::string good = describe_mean_quality(evaluation.mean);
+    if (const std::string good = make_sentence_about_mean_quality(evaluation.mean);
         report.metrics.empty() && !good.empty() && report.summary.ends_with('.')) {
         report.summary.pop_back();
         report.summary += fmt::format("; on {} that did not train the scene, {}.",
@@ -99,25 +100,27 @@ void add_evaluation_to_report(Report& report, const EvaluationResult& evaluation
     }
     report.key_metrics = get_key_metrics();
     report.metrics.emplace_back(
-        fmt::format("{} ({})", title.column, format_frame_count(evaluation.frames.size())), evaluation.mean);
-    report.facts.emplace_back(fmt::format("Rendering, {}", title.column),
+        fmt::format("{} ({})", labels.column, format_frame_count(evaluation.frames.size())), evaluation.mean);
+    report.facts.emplace_back(fmt::format("Rendering, {}", labels.column),
                               fmt::format("{:.1f} ms per frame", evaluation.trace_ms));
     if (!evaluation.kernel_ms.empty())
         report.timings_ms.emplace_back(
-            fmt::format("Rendering, {}: mean time of one kernel launch", title.column), evaluation.kernel_ms);
+            fmt::format("Rendering, {}: mean time of one kernel launch", labels.column),
+            evaluation.kernel_ms);
     const ScoredFrame& shown = evaluation.frames[evaluation.frames.size() / 2];
-    const std::string name = fmt::format("Frame {}, {}", shown.frame, title.column);
-    report.views.push_back(make_point_comparison_view(shown, run.config, name + ": points", title.real));
+    const std::string name = fmt::format("Frame {}, {}", shown.frame, labels.column);
+    report.views.push_back(
+        make_3d_view_of_real_and_rendered_points(shown, run.config, name + ": points", labels.real));
     report.bars.push_back(
-        make_error_by_range_chart(evaluation, fmt::format("Errors by range, {}", title.column)));
+        make_error_by_range_chart(evaluation, fmt::format("Errors by range, {}", labels.column)));
     report.tables.push_back(
-        {fmt::format("Moving objects, {}", title.column),
+        {fmt::format("Moving objects, {}", labels.column),
          "Points of all frames in each moving box. The box with the highest share of errors above 0.3 m is "
          "first. Bias: median of simulated minus real ranges. F1: score of the rays that return from the "
          "box. Trail points: simulated points where the object is only at other times.",
          make_worst_actor_table_rows(evaluation)});
     for (ReportFigure& figure :
-         make_comparison_figures(shown, name, title.real, run.config.dataset.max_range_m))
+         make_comparison_figures(shown, name, labels.real, run.config.dataset.max_range_m))
         report.figures.push_back(std::move(figure));
 }
 

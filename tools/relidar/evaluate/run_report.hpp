@@ -29,7 +29,7 @@ struct EvaluationLabels {
 /// range, moving objects, and the points and pictures of one frame. The first call also
 /// extends the summary of the report.
 void add_evaluation_to_report(Report& report, const EvaluationResult& evaluation, const TrainedRun& run,
-                              const EvaluationLabels& title);
+                              const EvaluationLabels& labels);
 
 /// Returns a report that contains only an evaluation and no facts about the training.
 Report make_evaluation_report(const TrainedRun& run, const EvaluationResult& evaluation, const Device& device,

@@ -63,7 +63,7 @@ std::vector<MetricValues> collect_mean_metrics(const std::vector<ScoredRun>& run
 /// Returns the names of the protocol settings that differ between the runs, such as
 /// "grid, range". The table warns about them, because scores of different protocols are
 /// not comparable.
-std::string list_protocol_differences(const std::vector<ScoredRun>& runs) {
+std::string list_differing_protocol_keys(const std::vector<ScoredRun>& runs) {
     std::set<std::string> keys;
     const ScoredRun* first = nullptr;
     for (const ScoredRun& run : runs) {
@@ -75,8 +75,8 @@ std::string list_protocol_differences(const std::vector<ScoredRun>& runs) {
     return fmt::format("{}", fmt::join(keys, ", "));
 }
 
-std::string format_protocol_warning(const std::vector<ScoredRun>& runs) {
-    const std::string keys = list_protocol_differences(runs);
+std::string format_warning_if_protocols_differ(const std::vector<ScoredRun>& runs) {
+    const std::string keys = list_differing_protocol_keys(runs);
     return keys.empty()
                ? ""
                : fmt::format(
@@ -123,7 +123,7 @@ std::string format_markdown_score_table(const std::vector<ScoredRun>& runs) {
                             format_four_significant_digits(run.training_s)},
                            run.mean);
     if (rows.size() > 1) text += line({fmt::format("mean of {} runs", rows.size()), "", "", ""}, mean_row);
-    const std::string note = format_protocol_warning(runs);
+    const std::string note = format_warning_if_protocols_differ(runs);
     return note.empty() ? text : text + "\n" + note + "\n";
 }
 
@@ -152,8 +152,8 @@ void write_html_score_page(const fs::path& file, const std::vector<ScoredRun>& r
     const std::vector<MetricValues> rows = collect_mean_metrics(runs);
     Report report;
     report.title = fmt::format("relidar: scores of {} runs", runs.size());
-    report.summary =
-        fmt::format("{} of {} runs have scores. {}", rows.size(), runs.size(), format_protocol_warning(runs));
+    report.summary = fmt::format("{} of {} runs have scores. {}", rows.size(), runs.size(),
+                                 format_warning_if_protocols_differ(runs));
     report.key_metrics = get_key_metrics();
     std::set<std::string> logs;
     for (const ScoredRun& run : runs) {
@@ -165,7 +165,7 @@ void write_html_score_page(const fs::path& file, const std::vector<ScoredRun>& r
         logs.insert(fmt::format("{} {}", run.log, run.n_frames));
         report.metrics.emplace_back(run.name, run.mean);
     }
-    report.same_scans = logs.size() < 2 && list_protocol_differences(runs).empty();
+    report.same_scans = logs.size() < 2 && list_differing_protocol_keys(runs).empty();
     if (rows.size() > 1) report.metrics.emplace_back("mean", compute_mean_metrics(rows));
     write_report(file, report);
 }

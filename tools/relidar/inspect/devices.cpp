@@ -17,8 +17,8 @@ namespace {
 
 /// Returns the name of the method to trace rays that `--traversal auto` selects on this
 /// device.
-std::string get_automatic_backend_name(const DeviceInfo& device_info) {
-    switch (choose_best_traversal(device_info)) {
+std::string get_name_of_best_backend(const DeviceInfo& device_info) {
+    switch (choose_best_ray_tracing_backend(device_info)) {
         case RayTracingBackend::ray_query:
             return "ray_query";
         case RayTracingBackend::software:
@@ -45,7 +45,7 @@ void print_devices_json(const std::vector<DeviceInfo>& devices) {
                         {"timestamps", d.timestamps},
                         {"usable", d.why_not_usable.empty()},
                         {"why_not_usable", d.why_not_usable},
-                        {"traversal", get_automatic_backend_name(d)}});
+                        {"traversal", get_name_of_best_backend(d)}});
     }
     print(json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n");
 }
@@ -58,7 +58,7 @@ void print_device_table(const std::vector<DeviceInfo>& devices) {
         rows.push_back({fmt::format("{}", d.index), d.name, d.type, d.api_version,
                         format_byte_size(d.memory_bytes), d.ray_query ? "yes" : "no",
                         d.software ? "yes" : "no", d.float_atomics ? "yes" : "no",
-                        get_automatic_backend_name(d)});
+                        get_name_of_best_backend(d)});
         notes += fmt::format("\n{}  driver: {}", d.index, d.driver);
         if (!d.why_not_usable.empty())
             notes += fmt::format("\n   relidar cannot use this device: missing {}", d.why_not_usable);

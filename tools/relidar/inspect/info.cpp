@@ -28,7 +28,7 @@ struct InfoOptions {
 
 void print_run_info(const InfoOptions& options) {
     const RunSummary summary = summarise(load_run(options.path));
-    print(options.json ? to_json(summary) : to_text(summary));
+    print(options.json ? format_summary_as_json(summary) : format_summary_as_text(summary));
 }
 
 /// Prints how many training iterations are finished, if the run has not saved a scene
@@ -51,7 +51,7 @@ void print_log_info(const InfoOptions& options) {
     constexpr std::size_t kMostScans = 64;
     Config config = make_config_from_settings(options.settings);
     config.dataset.path = options.path;
-    apply_log_part(config, options.part);
+    set_log_frames_and_sequence(config, options.part);
     LogSummary summary =
         summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
     const bool is_long = std::ranges::any_of(
@@ -59,7 +59,7 @@ void print_log_info(const InfoOptions& options) {
     // True if the summary is based on a part of the scans. Some log readers ignore the
     // limit and read all scans.
     summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;
-    print(options.json ? to_json(summary) : to_text(summary));
+    print(options.json ? format_summary_as_json(summary) : format_summary_as_text(summary));
 }
 
 }  // namespace
@@ -68,7 +68,7 @@ void add_info_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("info", "print a summary of a log or a run");
     const auto options = std::make_shared<InfoOptions>();
     command->add_option("DATASET|RUN", options->path, "log (path, or kind:path) or run folder")->required();
-    add_log_selection_options(*command, options->part);
+    add_frames_and_sequence_options(*command, options->part);
     add_setting_override_option(*command, options->settings.sets);
     command->add_flag("--json", options->json, "print JSON");
     command->add_flag(
@@ -81,7 +81,7 @@ void add_info_command(CLI::App& app, ParsedCommand& selected_command) {
     command->callback([&selected_command, options] {
         selected_command.run = [options] {
             const bool is_of_run = is_run_folder(options->path) || contains_run(options->path);
-            check_settings_have_effect(
+            require_settings_with_effect(
                 options->settings.sets,
                 is_of_run ? std::vector<std::string>{}
                           : std::vector<std::string>{"dataset.", "sensor.rolling_shutter", "init."},

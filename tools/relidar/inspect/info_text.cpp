@@ -22,7 +22,7 @@ double compute_path_length_m(const PoseTrack& track) {
     return length;
 }
 
-std::optional<double> compute_return_fraction(const LidarSequence& sequence) {
+std::optional<double> compute_fraction_of_rays_with_return(const LidarSequence& sequence) {
     std::size_t n_returns = 0, n_rays = 0;
     for (const LidarFrame& frame : sequence.frames) {
         n_returns += frame.scan.count_returns();
@@ -32,13 +32,13 @@ std::optional<double> compute_return_fraction(const LidarSequence& sequence) {
     return static_cast<double>(n_returns) / static_cast<double>(n_rays);
 }
 
-std::string format_name_value_line(const std::string& name, const std::string& value) {
-    return value.empty() ? "" : fmt::format("{:<12}{}\n", name, value);
+std::string format_name_value_line(const std::string& value_name, const std::string& value) {
+    return value.empty() ? "" : fmt::format("{:<12}{}\n", value_name, value);
 }
 
 /// Returns the class of a box, such as "car". If the size of the box was guessed, adds
 /// the class that was used for the guess.
-std::string format_box_class(const BoxSummary& box) {
+std::string format_box_class_and_size_guess(const BoxSummary& box) {
     return box.size_guess.empty() ? box.category : fmt::format("{}, {}?", box.category, box.size_guess);
 }
 
@@ -70,7 +70,7 @@ std::string format_box_table(const std::vector<BoxSummary>& boxes, bool show_ins
                                                 "path length", "mean speed", "start x,y,z,yaw_deg"}};
     if (show_instance_columns) rows[0].insert(rows[0].end(), {"instance", "surfels"});
     for (const BoxSummary& b : boxes) {
-        rows.push_back({b.id, format_box_class(b), fmt::format("{:.2f} m", b.size_m.x),
+        rows.push_back({b.id, format_box_class_and_size_guess(b), fmt::format("{:.2f} m", b.size_m.x),
                         fmt::format("{:.2f} m", b.size_m.y), fmt::format("{:.2f} m", b.size_m.z),
                         b.n_frames ? fmt::format("{}-{}", b.first_frame, b.last_frame) : "none",
                         fmt::format("{:.1f} m", b.path_m),
@@ -148,7 +148,7 @@ BoxSummary summarise(const LidarSequence& sequence, const BoxTrack& box) {
     summary.size_guess = box.size_guess;
     summary.n_unlabelled_frames = box.n_before + box.n_after;
     for (const LidarFrame& frame : sequence.frames) {
-        if (!box.is_present(frame.time_s)) continue;
+        if (!box.is_observed_at_time(frame.time_s)) continue;
         if (summary.n_frames++ == 0) summary.first_frame = frame.index;
         summary.last_frame = frame.index;
     }
@@ -186,7 +186,7 @@ LidarSummary summarise(const LidarSequence& sequence, int lidar_index) {
     if (lidar.pattern) {  // A sensor that does not spin has no beam table, so its nominal rays are used.
         const RayTable rays = make_nominal_rays(lidar, 0.0);
         const auto [lowest, highest] = std::ranges::minmax(rays.direction, {}, &glm::vec3::z);
-        l.n_beams = std::size_t(rays.rows), l.columns = rays.columns, l.period_s = lidar.period_s();
+        l.n_beams = std::size_t(rays.rows), l.columns = rays.columns, l.period_s = lidar.get_sweep_period_s();
         l.bottom_deg = std::asin(double(lowest.z)) * 180.0 / kPi,
         l.top_deg = std::asin(double(highest.z)) * 180.0 / kPi;
     }
@@ -260,7 +260,7 @@ LogSummary summarise(const LidarSequence& sequence, const SceneInitialisationOpt
         log.seconds = sequence.frames.back().time_s - sequence.frames.front().time_s;
     }
     log.path_m = compute_path_length_m(sequence.world_from_vehicle);
-    log.returns_share = compute_return_fraction(sequence);
+    log.returns_share = compute_fraction_of_rays_with_return(sequence);
     log.n_scans_read = std::size_t(std::ranges::count_if(
         sequence.frames, [](const LidarFrame& f) { return f.scan.range_m.size() > 0; }));
     for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box));
@@ -306,9 +306,9 @@ RunSummary summarise(const TrainedRun& run) {
     return summary;
 }
 
-std::string to_text(const LogSummary& log) { return format_summary_text(log, false); }
+std::string format_summary_as_text(const LogSummary& log) { return format_summary_text(log, false); }
 
-std::string to_text(const RunSummary& run) {
+std::string format_summary_as_text(const RunSummary& run) {
     const std::string other = run.primitive == ImageFormationModel{}.primitive
                                   ? ""
                                   : fmt::format(" {}", get_primitive_kind(run.primitive).label);
@@ -338,9 +338,9 @@ std::string to_text(const RunSummary& run) {
     return text + format_summary_text(run.log, true) + "\n" + format_table(rows);
 }
 
-std::string to_json(const LogSummary& log) { return dump_json(make_summary_json(log)); }
+std::string format_summary_as_json(const LogSummary& log) { return dump_json(make_summary_json(log)); }
 
-std::string to_json(const RunSummary& run) {
+std::string format_summary_as_json(const RunSummary& run) {
     Json json = {{"preset", run.preset},
                  {"iterations", run.iterations},
                  {"surfels", run.n_surfels},

@@ -92,9 +92,9 @@ struct RunSummary {
 };
 RunSummary summarise(const TrainedRun& run);
 
-std::string to_text(const LogSummary& log);
-std::string to_text(const RunSummary& run);
-std::string to_json(const LogSummary& log);
-std::string to_json(const RunSummary& run);
+std::string format_summary_as_text(const LogSummary& log);
+std::string format_summary_as_text(const RunSummary& run);
+std::string format_summary_as_json(const LogSummary& log);
+std::string format_summary_as_json(const RunSummary& run);
 
 }  // namespace relidar::cli

@@ -104,7 +104,8 @@ void print_sensor_description(const SensorsOptions& options) {
         print("\n" + format_table(rows));
     }
     if (!options.out.empty()) {
-        write_png(options.out, draw_ray_pattern(rays), {{"relidar", fmt::format("rays of {}", sensor.name)}});
+        write_png(options.out, draw_rays_as_coloured_dots(rays),
+                  {{"relidar", fmt::format("rays of {}", sensor.name)}});
         print(fmt::format(
             "\npicture     {}: x is the azimuth, y the elevation, the colour is the firing time\n",
             options.out));

@@ -30,8 +30,8 @@ std::vector<int> list_frame_positions_in_range(const TrainedRun& run, const Fram
 
 }  // namespace
 
-std::vector<int> select_frame_positions(const TrainedRun& run, const std::optional<std::string>& frames_text,
-                                        bool quiet) {
+std::vector<int> select_frame_positions_by_text(const TrainedRun& run,
+                                                const std::optional<std::string>& frames_text, bool quiet) {
     if (!frames_text && run.split.test.empty()) {
         if (!quiet)
             print_note(fmt::format("{} has no held-out frames, so all {} frames are rendered instead",
@@ -47,7 +47,7 @@ std::vector<int> select_frame_positions(const TrainedRun& run, const std::option
     if (name.empty()) {
         const FrameRange range = parse_frame_range(which);
         positions = list_frame_positions_in_range(run, range);
-        if (!positions.empty()) print_missing_frames_note(range, last, run.folder.string());
+        if (!positions.empty()) print_note_if_frames_after_log_end(range, last, run.folder.string());
     }
     if (positions.empty()) {
         throw UsageError(

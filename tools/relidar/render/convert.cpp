@@ -32,7 +32,7 @@ struct ConvertOptions {
 
 /// Writes a log as a capture file with the network packets that the sensor would send.
 /// Also sends the packets if the user has set an address.
-void write_log_as_packets(const LidarSequence& sequence, const ConvertOptions& options) {
+void write_and_send_log_as_packets(const LidarSequence& sequence, const ConvertOptions& options) {
     const std::filesystem::path out = options.out;
     if (!options.overwrite && std::filesystem::exists(out))
         throw UsageError(
@@ -41,7 +41,7 @@ void write_log_as_packets(const LidarSequence& sequence, const ConvertOptions& o
                         options.out));
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     TerminalProgress progress(options.quiet);
-    const relidar::ProgressReporter shown = make_progress_callback(progress);
+    const relidar::ProgressReporter shown = make_terminal_progress_callback(progress);
     std::optional<PacketQueue> queue;
     if (!options.packets.address.empty()) queue.emplace(options.packets, 1);
     const std::size_t n = save_packets(
@@ -63,8 +63,8 @@ void write_log_as_packets(const LidarSequence& sequence, const ConvertOptions& o
 }
 
 void run_convert_command(const ConvertOptions& options) {
-    check_settings_have_effect(options.settings.sets, {"dataset.", "sensor.rolling_shutter"}, "convert");
-    check_packet_target(options.packets);
+    require_settings_with_effect(options.settings.sets, {"dataset.", "sensor.rolling_shutter"}, "convert");
+    require_valid_packet_destination(options.packets);
     const bool writes_packets = std::filesystem::path(options.out).extension() == ".pcap";
     if (!options.packets.address.empty() && !writes_packets)
         throw UsageError(fmt::format("--udp: found --out {}; expected --out FILE.pcap", options.out));
@@ -77,9 +77,9 @@ void run_convert_command(const ConvertOptions& options) {
     }
     const LidarSequence sequence = load_dataset(config, options.quiet);
     install_interrupt_handlers();
-    if (writes_packets) return write_log_as_packets(sequence, options);
+    if (writes_packets) return write_and_send_log_as_packets(sequence, options);
     TerminalProgress progress(options.quiet);
-    const relidar::ProgressReporter shown = make_progress_callback(progress);
+    const relidar::ProgressReporter shown = make_terminal_progress_callback(progress);
     const bool has_poses = config.dataset.poses != kNoPoses && sequence.has_poses;
     save_folder(sequence, options.out,
                 {options.overwrite, has_poses, [&](std::string_view description, double done) {
@@ -117,9 +117,9 @@ void add_convert_command(CLI::App& app, ParsedCommand& selected_command) {
     command->add_option("--frames", options->frames, "frames to convert, first:end (default: all)")
         ->type_name("A:B");
     add_setting_override_option(*command, options->settings.sets);
-    add_packet_options(*command, options->packets,
-                       "with --out FILE.pcap: also send the packets to this address",
-                       "write the file first, then send the packets with the timing of the sensor");
+    add_packet_destination_options(
+        *command, options->packets, "with --out FILE.pcap: also send the packets to this address",
+        "write the file first, then send the packets with the timing of the sensor");
     command->add_flag("--force", options->overwrite, "replace an existing folder or file of this name");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(kConvertHelp);

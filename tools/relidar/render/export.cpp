@@ -34,17 +34,17 @@ std::string format_surfel_and_model_counts(const Scene& scene) {
 }
 
 /// Returns the path of the log's first LiDAR in the world frame of the dataset.
-PoseTrack make_sensor_trajectory(const LidarSequence& sequence) {
-    return shift_track(sequence.get_world_from_sensor(0), sequence.world_offset_m);
+PoseTrack get_first_lidar_trajectory_in_dataset(const LidarSequence& sequence) {
+    return add_offset_to_track_positions(sequence.get_world_from_sensor(0), sequence.world_offset_m);
 }
 
 /// Writes the scene of each frame as a PLY file, such as FOLDER/000010.ply. The actors
 /// are at their poses at the time of the frame. Positions are in relidar's world frame.
 void export_frames_as_ply(const ExportOptions& options) {
     const TrainedRun run = load_run(options.run);
-    const std::vector<int> positions = select_frame_positions(run, options.frames, options.quiet);
+    const std::vector<int> positions = select_frame_positions_by_text(run, options.frames, options.quiet);
     const LockedFolder folder(options.out);
-    const Scene scene = load_all_blocks(run.scene);
+    const Scene scene = copy_scene_with_all_blocks_loaded(run.scene);
     const glm::dvec3& offset = run.sequence.world_offset_m;
     install_interrupt_handlers();
     TerminalProgress progress(options.quiet);
@@ -52,8 +52,8 @@ void export_frames_as_ply(const ExportOptions& options) {
         throw_if_interrupted();
         progress.show_step_progress("writing scenes", done, positions.size());
         const LidarFrame& frame = run.sequence.frames[std::size_t(positions[done])];
-        const Surfels surfels = bake_surfels_to_world(
-            scene, compute_instance_poses(scene, run.sequence, get_sweep_moment(frame)));
+        const Surfels surfels = transform_all_surfels_to_world(
+            scene, compute_instance_poses(scene, run.sequence, get_sweep_timing_of_frame(frame)));
         write_surfel_ply(folder.path() / fmt::format("{:06}.ply", frame.index), surfels,
                          {{"time_s", fmt::format("{}", frame.time_s)},
                           {"add_to_positions_m", fmt::format("{} {} {}", offset.x, offset.y, offset.z)}});
@@ -85,8 +85,8 @@ void run_export_command(const ExportOptions& options) {
     }
     const TrainedRun run = load_run(options.run);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
-    if (*format == ".ply") write_surfel_ply(out, load_all_blocks(run.scene));
-    else write_trajectory_csv(out, make_sensor_trajectory(run.sequence));
+    if (*format == ".ply") write_surfel_ply(out, copy_scene_with_all_blocks_loaded(run.scene));
+    else write_trajectory_csv(out, get_first_lidar_trajectory_in_dataset(run.sequence));
     const std::string written = *format == ".ply"
                                     ? format_surfel_and_model_counts(run.scene)
                                     : fmt::format("{} poses", run.sequence.world_from_vehicle.pose.size());

@@ -73,31 +73,32 @@ struct QueuedPacket {
 
 }  // namespace
 
-void add_packet_options(CLI::App& command, PacketDestination& target, const std::string& udp_help_text,
-                        const std::string& realtime_help_text) {
-    command.add_option("--udp", target.address, udp_help_text)->type_name("HOST:PORT");
-    command.add_flag("--realtime", target.is_realtime, "with --udp: " + realtime_help_text);
+void add_packet_destination_options(CLI::App& command, PacketDestination& parsed_destination,
+                                    const std::string& udp_help_text, const std::string& realtime_help_text) {
+    command.add_option("--udp", parsed_destination.address, udp_help_text)->type_name("HOST:PORT");
+    command.add_flag("--realtime", parsed_destination.is_realtime, "with --udp: " + realtime_help_text);
 }
 
-void check_packet_target(const PacketDestination& target) {
-    if (!target.address.empty()) (void)parse_host_port(target.address, "--udp", 1);
-    else if (target.is_realtime)
+void require_valid_packet_destination(const PacketDestination& destination) {
+    if (!destination.address.empty()) (void)parse_host_port(destination.address, "--udp", 1);
+    else if (destination.is_realtime)
         throw UsageError("--realtime can only be used with --udp HOST:PORT, the address of the receiver");
 }
 
-void check_packet_options(const PacketDestination& target, const std::vector<std::string>& formats,
-                          bool merges_scans, int n_processes) {
-    if (!target.address.empty() && n_processes > 1)
+void require_valid_packet_options(const PacketDestination& destination,
+                                  const std::vector<std::string>& output_file_formats,
+                                  bool is_merging_sensor_scans, int n_processes) {
+    if (!destination.address.empty() && n_processes > 1)
         throw UsageError(fmt::format(
             "--udp: found {} MPI processes; expected one, because a single process sends the packets",
             n_processes));
-    const bool writes_packets =
-        !target.address.empty() || std::ranges::find(formats, "pcap") != formats.end();
-    if (writes_packets && merges_scans)
+    const bool writes_packets = !destination.address.empty() ||
+                                std::ranges::find(output_file_formats, "pcap") != output_file_formats.end();
+    if (writes_packets && is_merging_sensor_scans)
         throw UsageError(
             "--merge: found --udp or --format pcap; expected neither, because packets hold the "
             "scan of a single sensor");
-    check_packet_target(target);
+    require_valid_packet_destination(destination);
 }
 
 struct PacketQueue::Impl {
@@ -153,7 +154,7 @@ void PacketSender::send_or_queue_scans(std::span<const RenderedScan> scans) {
 
 void PacketSender::send_queued_packets() { impl_->queue.send_queued_packets(); }
 
-std::string PacketSender::send_remaining_packets() {
+std::string PacketSender::send_remaining_and_describe_result() {
     impl_->queue.send_or_queue_packets(impl_->packets.flush_remaining_packets());
     impl_->queue.send_queued_packets();
     return fmt::format("{} packets sent by UDP\n", impl_->queue.get_sent_packet_count());

@@ -33,18 +33,20 @@ struct PacketDestination {
 };
 /// @param udp_help_text  help text for --udp
 /// @param realtime_help_text  help text for --realtime
-void add_packet_options(CLI::App& command, PacketDestination& target, const std::string& udp_help_text,
-                        const std::string& realtime_help_text);
+void add_packet_destination_options(CLI::App& command, PacketDestination& parsed_destination,
+                                    const std::string& udp_help_text, const std::string& realtime_help_text);
 /// @throws UsageError if the address is invalid, or --realtime is used without --udp
-void check_packet_target(const PacketDestination& target);
+void require_valid_packet_destination(const PacketDestination& destination);
 /// Checks the options for sending packets of rendered scans.
-/// @param formats  formats of the output files
-/// @param merges_scans  true if the scans of all sensors are merged into one
+/// @param output_file_formats  formats of the output files
+/// @param is_merging_sensor_scans  true if the scans of all sensors are merged into one
 /// @param n_processes  number of MPI processes
-/// @throws UsageError in the same cases as check_packet_target(). Also if the packets
-/// would be those of merged scans, or if several processes would send packets.
-void check_packet_options(const PacketDestination& target, const std::vector<std::string>& formats,
-                          bool merges_scans, int n_processes);
+/// @throws UsageError in the same cases as require_valid_packet_destination(). Also if
+/// the packets would be those of merged scans, or if several processes would send
+/// packets.
+void require_valid_packet_options(const PacketDestination& destination,
+                                  const std::vector<std::string>& output_file_formats,
+                                  bool is_merging_sensor_scans, int n_processes);
 
 /// Sends packets to a UDP socket per sensor.
 class PacketQueue {
@@ -76,14 +78,14 @@ public:
     ~PacketSender();
 
     /// Sends the packets of one sweep, or stores them until send_queued_packets() or
-    /// send_remaining_packets() sends them.
+    /// send_remaining_and_describe_result() sends them.
     /// @param scans  one scan for each sensor
     void send_or_queue_scans(std::span<const RenderedScan> scans);
     /// Sends the stored packets with the timing of the sensor.
     void send_queued_packets();
     /// Sends the remaining packets.
     /// @return a line that tells the user how many packets were sent
-    std::string send_remaining_packets();
+    std::string send_remaining_and_describe_result();
 
 private:
     struct Impl;

@@ -26,42 +26,43 @@ std::filesystem::path get_synthetic_street_folder(const TrainedRun& run) {
 
 /// Returns the number of the synthetic car from which a model was trained. The name of
 /// the model is this number, even after an edit.
-std::size_t parse_synthetic_car_number(const SurfelModel& model, const std::string& track_id) {
+std::size_t get_synthetic_car_number_of_model(const SurfelModel& model,
+                                              const std::string& track_id_for_errors) {
     std::size_t car = 0;
     const auto [end, error] = std::from_chars(model.name.data(), model.name.data() + model.name.size(), car);
     if (error != std::errc() || end != model.name.data() + model.name.size())
         throw DataError(fmt::format(
             "cannot render the edited street: track {} has the model \"{}\"; expected the number of "
             "a car of the synthetic street",
-            track_id, model.name));
+            track_id_for_errors, model.name));
     return car;
 }
 
 std::vector<SyntheticCar> list_synthetic_cars(const TrainedRun& run) {
     std::vector<SyntheticCar> cars;
     for (const ModelInstance& instance : run.scene.instances) {
-        const BoxTrack* box = find_box(run.sequence, instance.track);
+        const BoxTrack* box = find_box_track_by_id(run.sequence, instance.track);
         if (box)
             cars.push_back(
-                {parse_synthetic_car_number(run.scene.models[instance.model], instance.track), *box});
+                {get_synthetic_car_number_of_model(run.scene.models[instance.model], instance.track), *box});
     }
     return cars;
 }
 
 }  // namespace
 
-bool can_compute_exact_scans(const TrainedRun& run) {
+bool is_edited_synthetic_street_run(const TrainedRun& run) {
     if (run.edits.empty()) return false;
     const std::string& path = run.config.dataset.path;
     return path.starts_with(kKind) ||
            std::filesystem::exists(get_synthetic_street_folder(run) / "street.toml");
 }
 
-std::vector<Scan> set_exact_held_out_scans(TrainedRun& run) {
+std::vector<Scan> replace_held_out_by_exact_scans(TrainedRun& run) {
     const SyntheticOptions street = read_synthetic_options(get_synthetic_street_folder(run));
     const std::vector<SyntheticCar> cars = list_synthetic_cars(run);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
-    const RangeLimits limits = make_configured_sensor(run.config, run.sequence).limits;
+    const RangeLimits limits = make_sensor_from_config(run.config, run.sequence).limits;
     // uses LiDAR 0, because a synthetic street has exactly one LiDAR
     const PoseTrack track = run.sequence.get_world_from_sensor(0);
     std::vector<Scan> before;
@@ -74,7 +75,7 @@ std::vector<Scan> set_exact_held_out_scans(TrainedRun& run) {
     return before;
 }
 
-PixelRegion find_edited_region(const RangeImage& edited_image, const RangeImage& original_image) {
+PixelRegion find_pixels_changed_by_edit(const RangeImage& edited_image, const RangeImage& original_image) {
     PixelRegion region{"edited", std::vector<bool>(edited_image.range_m.size())};
     for (std::size_t i = 0; i < region.pixels.size(); ++i)
         region.pixels[i] = std::abs(edited_image.range_m[i] - original_image.range_m[i]) > kSameRange_m;

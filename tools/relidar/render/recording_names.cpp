@@ -22,45 +22,47 @@ std::string replace_name_placeholder(std::string text, const std::string& sensor
 
 }  // namespace
 
-void add_recording_options(CLI::App& command, RecordingNames& names) {
+void add_topic_and_frame_id_options(CLI::App& command, RecordingNames& parsed_names) {
     command
         .add_option(
-            "--topic", names.topic,
+            "--topic", parsed_names.topic,
             "topic of the point clouds in mcap and rosbag; {name} stands for the sensor's name in a rig or "
             "the log (default: /lidar/points, or /lidar/{name}/points if the sensor has a name)")
         ->type_name("NAME");
     command
         .add_option(
-            "--frame-id", names.frame_id,
+            "--frame-id", parsed_names.frame_id,
             "frame id of the sensor in mcap and rosbag; may also contain {name} (default: lidar, or {name})")
         ->type_name("NAME");
 }
 
-void check_recording_names(const RecordingNames& names, const std::vector<std::string>& formats,
-                           bool is_rig) {
+void require_valid_recording_names(const RecordingNames& name_templates,
+                                   const std::vector<std::string>& output_file_formats,
+                                   bool has_several_sensors) {
     const auto check = [&](const char* option, const std::string& text) {
         if (text.empty()) return;
-        if (std::ranges::none_of(formats, is_recording_format))
+        if (std::ranges::none_of(output_file_formats, is_recording_format))
             throw UsageError(fmt::format(
                 "{} has no effect on the selected formats; expected mcap or rosbag in --format, because "
                 "other files have no topics and frame ids",
                 option));
-        if (is_rig && text.find(kName) == std::string::npos)
+        if (has_several_sensors && text.find(kName) == std::string::npos)
             throw UsageError(fmt::format(
                 "{}: found \"{}\" for all sensors of a rig; expected a text that contains {}, which is "
                 "replaced by the name of each sensor",
                 option, text, kName));
     };
-    check("--topic", names.topic), check("--frame-id", names.frame_id);
+    check("--topic", name_templates.topic), check("--frame-id", name_templates.frame_id);
 }
 
-void set_topic_and_frame_id(ScanOutputOptions& format, const std::string& sensor_name,
-                            const RecordingNames& names) {
-    relidar::set_recording_topic(format, sensor_name);
-    const std::string name = sensor_name.empty() ? format.frame_id : sensor_name;
-    if (!names.topic.empty())
-        format.topic = replace_name_placeholder(names.topic, make_valid_topic_name(name));
-    if (!names.frame_id.empty()) format.frame_id = replace_name_placeholder(names.frame_id, name);
+void set_topic_and_frame_id(ScanOutputOptions& output_options, const std::string& sensor_name,
+                            const RecordingNames& name_templates) {
+    relidar::set_topic_and_frame_id_from_name(output_options, sensor_name);
+    const std::string name = sensor_name.empty() ? output_options.frame_id : sensor_name;
+    if (!name_templates.topic.empty())
+        output_options.topic = replace_name_placeholder(name_templates.topic, make_valid_topic_name(name));
+    if (!name_templates.frame_id.empty())
+        output_options.frame_id = replace_name_placeholder(name_templates.frame_id, name);
 }
 
 }  // namespace relidar::cli

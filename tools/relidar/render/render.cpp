@@ -92,7 +92,7 @@ std::vector<std::string> parse_file_formats(const std::string& format_list) {
     const std::vector<std::string> known_formats = list_scan_formats();
     std::vector<std::string> formats;
     for (const std::string& word : split_text(format_list, ',')) {
-        const std::string name = trim_blanks(word);
+        const std::string name = trim_spaces_and_tabs(word);
         const std::optional<std::string> format = find_name_ignoring_case(name, known_formats);
         if (!format)
             throw UsageError(fmt::format("--format: \"{}\" is unknown{} (known formats: {})", name,
@@ -112,11 +112,11 @@ PointCoordinateFrame parse_point_frame(const std::string& name) {
 
 /// Removes the boxes of actors that are not rendered, so that they do not appear in
 /// recordings.
-void remove_hidden_actor_boxes(ScanOutputOptions& format, const TrainedRun& run,
-                               const std::vector<std::string>& visible_parts) {
+void keep_boxes_of_visible_parts(ScanOutputOptions& output_options, const TrainedRun& run,
+                                 const std::vector<std::string>& visible_parts) {
     if (visible_parts.empty()) return;
-    const std::vector<bool> shown = select_instances(run.scene, visible_parts);
-    std::erase_if(format.actors, [&](const BoxTrack& box) {
+    const std::vector<bool> shown = mark_instances_with_names(run.scene, visible_parts);
+    std::erase_if(output_options.actors, [&](const BoxTrack& box) {
         for (std::size_t i = 0; i < shown.size(); ++i)
             if (run.scene.instances[i].track == box.id) return !shown[i];
         return true;
@@ -128,7 +128,7 @@ void remove_hidden_actor_boxes(ScanOutputOptions& format, const TrainedRun& run,
 ScanOutputOptions make_scan_output_format(const RenderOptions& options, const TrainedRun& run,
                                           const SimulatedSensor& sensor, const Pose& sensor_offset,
                                           const std::string& rig_sensor_name) {
-    ScanOutputOptions format = make_scan_format(run, sensor);
+    ScanOutputOptions format = make_default_output_options(run, sensor);
     format.offset = sensor_offset;
     set_topic_and_frame_id(
         format,
@@ -139,7 +139,7 @@ ScanOutputOptions make_scan_output_format(const RenderOptions& options, const Tr
     format.frame = parse_point_frame(options.point_frame);
     format.deskew = options.deskew;
     format.only = options.only;
-    remove_hidden_actor_boxes(format, run, options.only);
+    keep_boxes_of_visible_parts(format, run, options.only);
     format.sample = options.sample;
     format.weather = parse_weather(options.weather);
     return format;
@@ -147,7 +147,7 @@ ScanOutputOptions make_scan_output_format(const RenderOptions& options, const Tr
 
 /// Checks that the command would not overwrite files in the output folder.
 /// @throws UsageError if the folder is a run, or if --force is needed to replace scans
-void check_no_files_overwritten(const std::filesystem::path& folder, const RenderOptions& options) {
+void require_no_files_overwritten(const std::filesystem::path& folder, const RenderOptions& options) {
     if (contains_run(folder))
         throw UsageError(fmt::format(
             "--out {}: this is a run folder; choose a different folder for its scans", folder.string()));
@@ -163,17 +163,19 @@ void check_no_files_overwritten(const std::filesystem::path& folder, const Rende
 
 /// Checks all options that do not depend on the run, before the run is loaded.
 /// @throws UsageError if an option is invalid
-void check_render_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
+void require_valid_render_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
     for (const std::string& format : parse_file_formats(options.formats))
         if (ranks.size() > 1 && is_recording_format(format))
             throw UsageError(fmt::format(
                 "--format {}: found {} MPI processes; expected one, because this format stores all scans "
                 "in one file",
                 format, ranks.size()));
-    check_recording_names(options.names, parse_file_formats(options.formats), is_rig && !options.merge);
+    require_valid_recording_names(options.names, parse_file_formats(options.formats),
+                                  is_rig && !options.merge);
     parse_point_frame(options.point_frame), parse_weather(options.weather);
-    check_packet_options(options.packets, parse_file_formats(options.formats), options.merge, ranks.size());
-    if (ranks.is_first()) check_no_files_overwritten(options.out, options);
+    require_valid_packet_options(options.packets, parse_file_formats(options.formats), options.merge,
+                                 ranks.size());
+    if (ranks.is_first_mpi_process()) require_no_files_overwritten(options.out, options);
     if (options.merge && !is_rig)
         throw UsageError("--merge needs a rig with several sensors, but --sensor names a single sensor");
     const TrajectoryOptions& t = options.trajectory;
@@ -193,10 +195,10 @@ struct NumberedScanTime {
     double time_s;
 };
 
-std::vector<NumberedScanTime> list_sweeps_of_log_frames(const TrainedRun& run, const RenderOptions& options,
-                                                        int lidar_index) {
+std::vector<NumberedScanTime> list_sweeps_of_frames(const TrainedRun& run, const RenderOptions& options,
+                                                    int lidar_index) {
     std::vector<NumberedScanTime> sweeps;
-    for (const int position : select_frame_positions(run, options.frames, options.quiet)) {
+    for (const int position : select_frame_positions_by_text(run, options.frames, options.quiet)) {
         const LidarFrame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
         if (frame.lidar == lidar_index) sweeps.push_back({frame.index, frame.time_s});
     }
@@ -206,12 +208,12 @@ std::vector<NumberedScanTime> list_sweeps_of_log_frames(const TrainedRun& run, c
     return sweeps;
 }
 
-std::vector<NumberedScanTime> list_sweeps_along_track(const TrainedRun& run, const RenderOptions& options,
-                                                      const PoseTrack& sensor_track, int lidar_index) {
-    const std::vector<double> times_s =
-        list_scan_times(options.trajectory, sensor_track,
-                        1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar_index)].period_s());
-    if (!options.quiet) print_trajectory_outside_log_notes(run, sensor_track, times_s);
+std::vector<NumberedScanTime> list_sweeps_on_trajectory(const TrainedRun& run, const RenderOptions& options,
+                                                        const PoseTrack& sensor_track, int lidar_index) {
+    const std::vector<double> times_s = list_scan_times_on_trajectory(
+        options.trajectory, sensor_track,
+        1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar_index)].get_sweep_period_s());
+    if (!options.quiet) print_notes_if_trajectory_leaves_log(run, sensor_track, times_s);
     std::vector<NumberedScanTime> sweeps;
     for (const double t : times_s) sweeps.push_back({static_cast<int>(sweeps.size()), t});
     return sweeps;
@@ -233,13 +235,13 @@ std::vector<ScanOutputOptions> make_output_format_per_sensor(
 }
 
 /// Returns the output format of scans that merge all sensors of a rig.
-ScanOutputOptions make_merged_output_format(const RenderOptions& options, const TrainedRun& run,
-                                            const std::vector<MountedSimulatedSensor>& targets,
-                                            const Pose& sensor_offset) {
-    SimulatedSensor rig = targets.front().sensor;
+ScanOutputOptions make_merged_rig_output_options(const RenderOptions& options, const TrainedRun& run,
+                                                 const std::vector<MountedSimulatedSensor>& rig_sensors,
+                                                 const Pose& sensor_offset) {
+    SimulatedSensor rig = rig_sensors.front().sensor;
     rig.name = std::filesystem::path(options.sensor).stem().string();
-    for (const MountedSimulatedSensor& w : targets) rig.returns = std::max(rig.returns, w.sensor.returns);
-    for (const MountedSimulatedSensor& w : targets)
+    for (const MountedSimulatedSensor& w : rig_sensors) rig.returns = std::max(rig.returns, w.sensor.returns);
+    for (const MountedSimulatedSensor& w : rig_sensors)
         rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m),
                       std::max(rig.limits.max_m, w.sensor.limits.max_m)};
     return make_scan_output_format(options, run, rig, sensor_offset, "");
@@ -257,39 +259,40 @@ struct RenderOutputs {
 /// Creates the output folders in the first MPI process. The other processes wait and then
 /// open these folders.
 RenderOutputs create_output_folders(const RenderOptions& options, const TrainedRun& run,
-                                    const std::vector<MountedSimulatedSensor>& targets,
+                                    const std::vector<MountedSimulatedSensor>& rendered_sensors,
                                     const Pose& sensor_offset, const MpiProcessGroup& ranks) {
     RenderOutputs output;
     std::vector<ScanOutputOptions> sensors;
-    if (!ranks.is_first()) ranks.wait_for_all_ranks();
+    if (!ranks.is_first_mpi_process()) ranks.wait_for_all_ranks();
     const auto add = [&](const std::filesystem::path& folder, const ScanOutputOptions& format) {
-        if (!ranks.is_first())
+        if (!ranks.is_first_mpi_process())
             return output.folders.push_back(ScanFolderWriter::open_shared_folder(folder, format));
         if (folder != options.out)
-            check_no_files_overwritten(folder, options), std::filesystem::create_directories(folder);
+            require_no_files_overwritten(folder, options), std::filesystem::create_directories(folder);
         output.folders.emplace_back(folder, format);
     };
-    if (options.merge) sensors = {make_merged_output_format(options, run, targets, sensor_offset)};
-    else sensors = make_output_format_per_sensor(options, run, targets, sensor_offset);
+    if (options.merge)
+        sensors = {make_merged_rig_output_options(options, run, rendered_sensors, sensor_offset)};
+    else sensors = make_output_format_per_sensor(options, run, rendered_sensors, sensor_offset);
     if (!options.packets.address.empty())
         output.sender = std::make_unique<PacketSender>(options.packets, sensors);
-    const bool is_rig = !options.merge && !targets.front().folder.empty();
-    if (is_rig && ranks.is_first()) output.recordings.emplace(options.out, sensors);
+    const bool is_rig = !options.merge && !rendered_sensors.front().folder.empty();
+    if (is_rig && ranks.is_first_mpi_process()) output.recordings.emplace(options.out, sensors);
     for (std::size_t s = 0; s < sensors.size(); ++s) {
         if (is_rig) std::erase_if(sensors[s].formats, is_recording_format);
-        add(is_rig ? std::filesystem::path(options.out) / targets[s].folder
+        add(is_rig ? std::filesystem::path(options.out) / rendered_sensors[s].folder
                    : std::filesystem::path(options.out),
             sensors[s]);
     }
-    if (ranks.is_first()) ranks.wait_for_all_ranks();
+    if (ranks.is_first_mpi_process()) ranks.wait_for_all_ranks();
     return output;
 }
 
 /// Writes the list of scans of all MPI processes, and completes the recordings.
 void finish_output_files(RenderOutputs& output, const MpiProcessGroup& ranks, bool quiet) {
-    if (output.recordings) output.recordings->finish();
+    if (output.recordings) output.recordings->finish_recordings();
     if (output.sender) {
-        const std::string sent = output.sender->send_remaining_packets();
+        const std::string sent = output.sender->send_remaining_and_describe_result();
         if (!quiet) print(sent);
     }
     for (ScanFolderWriter& folder : output.folders) {
@@ -299,8 +302,8 @@ void finish_output_files(RenderOutputs& output, const MpiProcessGroup& ranks, bo
             if (!of_one.empty())
                 for (const std::string& entry : split_text(of_one, '\n')) entries.push_back(entry);
         folder.set_summary_entries(std::move(entries));
-        if (ranks.is_first()) folder.finish();
-        if (!quiet) print_unobserved_space_note(folder.get_summary_entries(), folder.path().string());
+        if (ranks.is_first_mpi_process()) folder.finish_scan_folder();
+        if (!quiet) print_note_on_unseen_space(folder.get_summary_entries(), folder.path().string());
     }
 }
 
@@ -324,21 +327,21 @@ public:
         for (const MountedSimulatedSensor& w : targets_) {
             throw_if_interrupted();
             scans.push_back(
-                follows_user_trajectory()
+                has_user_trajectory_file()
                     ? renderer_.render(w.sensor, {sweep.time_s, compute_mounted_track(track_, w.mounting)},
                                        options_.sample)
                     : renderer_.render(w.sensor, sweep.time_s, offset_ * w.mounting, options_.sample));
             trace_ms_ += scans.back().trace_ms;
             n_rays_ += double(scans.back().image.range_m.size());
             scans.back().unseen_sides = find_unobserved_actor_sides(scans.back(), run_.scene, run_.sequence);
-            add_scan_statistics(scans.back());
+            count_returns_and_unseen_rays(scans.back());
         }
         if (output.sender) output.sender->send_or_queue_scans(scans);
         if (options_.merge) scans = {merge_scans(scans, mountings_)};
         for (std::size_t s = 0; s < scans.size(); ++s) output.folders[s].write_scan(sweep.number, scans[s]);
         if (output.recordings) output.recordings->write_scans(scans);
     }
-    bool follows_user_trajectory() const { return !options_.trajectory.file.empty(); }
+    bool has_user_trajectory_file() const { return !options_.trajectory.file.empty(); }
     /// Returns a one-line summary for the user.
     /// @param n_local_sweeps number of sweeps that this process has rendered
     /// @param n_total_sweeps number of sweeps that all MPI processes have rendered
@@ -369,7 +372,7 @@ private:
     double trace_ms_ = 0.0, n_rays_ = 0.0, n_returns_ = 0.0, n_unseen_ = 0.0;
     bool has_unseen_share_ = false;
 
-    void add_scan_statistics(const RenderedScan& scan) {
+    void count_returns_and_unseen_rays(const RenderedScan& scan) {
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
             n_returns_ += is_ray_returned(scan.image.drop_prob[i], scan.image.range_m[i]);
         if (!scan.unseen_share) return;
@@ -381,50 +384,48 @@ private:
 void run_render_command(const RenderOptions& command_options) {
     const MpiProcessGroup ranks;
     RenderOptions options = command_options;
-    options.quiet = options.quiet || !ranks.is_first();
-    options.device = ranks.select_device_for_rank(options.device);
+    options.quiet = options.quiet || !ranks.is_first_mpi_process();
+    options.device = ranks.select_device_unless_user_chose(options.device);
     const SensorRig rig = read_sensor_rig(options.sensor);
-    check_render_options(options, rig.has_value(), ranks);
+    require_valid_render_options(options, rig.has_value(), ranks);
     const Pose offset = parse_sensor_offset(options.offset);
     const bool drives = !options.trajectory.file.empty();
     const PoseTrack track =
         drives ? compute_mounted_track(read_trajectory_csv(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
-    // Only the first MPI process locks the folder, because the destructor may remove the
-    // folder.
-    if (ranks.is_first()) folder.emplace(options.out);
-    check_settings_have_effect(options.sets, list_rendering_setting_names(), "render");
+    // Only the first MPI process locks the folder, which the destructor may remove.
+    if (ranks.is_first_mpi_process()) folder.emplace(options.out);
+    require_settings_with_effect(options.sets, list_rendering_setting_names(), "render");
     TrainedRun run = load_run(options.run);
-    apply_setting_texts(run.config, options.sets);
-    run.config = resolve_max_range(std::move(run.config), run.sequence);
+    parse_and_apply_setting_texts(run.config, options.sets);
+    run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
     if (options.channels) set_config_value(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
     const int lidar = find_lidar_index_by_name(run.sequence, options.lidar);
-    const std::vector<NumberedScanTime> sweeps = drives ? list_sweeps_along_track(run, options, track, lidar)
-                                                        : list_sweeps_of_log_frames(run, options, lidar);
+    const auto sweeps = drives ? list_sweeps_on_trajectory(run, options, track, lidar)
+                               : list_sweeps_of_frames(run, options, lidar);
     const std::vector<MountedSimulatedSensor> targets =
-        list_simulated_sensors(options.sensor, rig, run, lidar);
-    const std::vector<bool> shown = select_instances(run.scene, options.only);
-    Device device(make_device_options(options.device));
+        list_sensors_of_rig_or_single_sensor(options.sensor, rig, run, lidar);
+    const std::vector<bool> shown = mark_instances_with_names(run.scene, options.only);
+    Device device(convert_to_device_options(options.device));
     ScanRenderer renderer(device, run);
     if (!options.only.empty()) renderer.set_visible_instances(shown);
     if (options.boxes) renderer.enable_actor_visibility();
     renderer.set_weather(parse_weather(options.weather));
     RenderOutputs output = create_output_folders(options, run, targets, offset, ranks);
-
     if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() &&
         !options.quiet)
         print_note(fmt::format("{} has no range noise: --sample keeps ranges exact", run.folder.string()));
-    if (options.sample && !options.quiet) print_missing_intensity_noise_note(run, lidar);
-    if (!options.quiet) print_weather_assumptions_note(parse_weather(options.weather));
+    if (options.sample && !options.quiet) print_note_if_intensity_noise_missing(run, lidar);
+    if (!options.quiet) print_sensor_assumptions_of_weather(parse_weather(options.weather));
     for (const MountedSimulatedSensor& w : targets)
         if (!options.quiet)
-            print_motion_compensation_note(run, w.sensor),
-                print_unused_drop_network_note(run, renderer, w.sensor);
+            print_note_if_log_is_motion_compensated(run, w.sensor),
+                print_note_if_drop_network_is_unused(run, renderer, w.sensor);
     install_interrupt_handlers();
     TerminalProgress progress(options.quiet);
     SweepRenderer sweep_renderer(renderer, run, options, targets, offset, subdivide_turning_segments(track));
-    const ProcessGroup::PartRange share = ranks.get_process_group().compute_assigned_range(sweeps.size());
+    const ProcessGroup::PartRange share = ranks.get_process_group().get_range_of_process(sweeps.size());
     for (std::size_t i = share.begin; i < share.end; ++i) {
         sweep_renderer.render_and_write_sweep(sweeps[i], output);
         progress.show_step_progress(
@@ -474,11 +475,12 @@ void add_output_file_options(CLI::App& command, RenderOptions& options) {
     command.add_flag("--deskew", options.deskew,
                      "transform all points of a scan to the sensor frame at the time of the scan (in mcap "
                      "and rosbag: of its stamp), as in a motion-compensated log");
-    add_recording_options(command, options.names);
-    add_packet_options(command, options.packets,
-                       "also send the scans as packets of the sensor to this address; each further sensor of "
-                       "a rig uses the next port",
-                       "render first, then send the packets with the timing of the sensor");
+    add_topic_and_frame_id_options(command, options.names);
+    add_packet_destination_options(
+        command, options.packets,
+        "also send the scans as packets of the sensor to this address; each further sensor of "
+        "a rig uses the next port",
+        "render first, then send the packets with the timing of the sensor");
     command.add_flag("--merge", options.merge,
                      "merge the scans of a rig's sensors into one scan in the frame of the rig (default: a "
                      "folder for each sensor)");
@@ -538,9 +540,7 @@ void add_render_command(CLI::App& app, ParsedCommand& selected_command) {
                     "\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"
-                    "  relidar render run --out cars --only actors --format ply\n"
                     "  relidar render run --out lane --trajectory trajectory.csv --rate 20 --format pcd\n"
-                    "  relidar render run --out left --frames 10:20 --offset 0,2,1,0 --format npz,ply\n"
                     "  relidar render run --out fog --weather fog=50 --sample 1 --format ply\n"
                     "  mpirun -n 8 relidar render run --out scans --frames all");
     const auto run = [options] { run_render_command(*options); };

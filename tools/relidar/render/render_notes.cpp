@@ -11,9 +11,9 @@
 
 namespace relidar::cli {
 
-void print_motion_compensation_note(const TrainedRun& run, const SimulatedSensor& sensor) {
+void print_note_if_log_is_motion_compensated(const TrainedRun& run, const SimulatedSensor& sensor) {
     if (run.config.sensor.rolling_shutter != RollingShutter::automatic ||
-        has_rolling_shutter(sensor, run.config))
+        fires_rays_at_different_times(sensor, run.config))
         return;
     print_note(fmt::format(
         "scans of the sensor {} are motion-compensated like the log: all rays are fired at the time of the "
@@ -21,25 +21,25 @@ void print_motion_compensation_note(const TrainedRun& run, const SimulatedSensor
         sensor.name));
 }
 
-void print_unused_drop_network_note(const TrainedRun& run, const ScanRenderer& renderer,
-                                    const SimulatedSensor& sensor) {
+void print_note_if_drop_network_is_unused(const TrainedRun& run, const ScanRenderer& renderer,
+                                          const SimulatedSensor& sensor) {
     if (!run.config.refine.enabled || run.drop_network.empty() || renderer.has_drop_network_for(sensor))
         return;
-    print_note(
-        fmt::format("the ray-drop network of run {} needs {} images of at least {} x {} pixels; for scans of "
-                    "the sensor {} the surfels alone therefore decide which rays drop",
-                    run.folder.string(), run.drop_network.image, run.drop_network.compute_min_image_side(),
-                    run.drop_network.compute_min_image_side(), sensor.name));
+    print_note(fmt::format(
+        "the ray-drop network of run {} needs {} images of at least {} x {} pixels; for scans of "
+        "the sensor {} the surfels alone therefore decide which rays drop",
+        run.folder.string(), run.drop_network.image, run.drop_network.compute_min_image_rows_and_columns(),
+        run.drop_network.compute_min_image_rows_and_columns(), sensor.name));
 }
 
-void print_missing_intensity_noise_note(const TrainedRun& run, int lidar_index) {
+void print_note_if_intensity_noise_missing(const TrainedRun& run, int lidar_index) {
     const auto at = std::size_t(lidar_index);
     if (at < run.intensity_scatter.size() && !run.intensity_scatter[at].empty()) return;
     print_note(fmt::format("{} has no intensity noise: --sample keeps the most likely intensities",
                            run.folder.string()));
 }
 
-void print_weather_assumptions_note(const Weather& weather) {
+void print_sensor_assumptions_of_weather(const Weather& weather) {
     if (weather.is_clear()) return;
     print_note(
         fmt::format("weather {}: the wavelength of the sensors is unknown, so 905 nm is assumed; if a beam "
@@ -76,8 +76,8 @@ void print_unobserved_sides_note(const std::vector<nlohmann::json>& scans, const
 
 }  // namespace
 
-void print_unobserved_space_note(const std::vector<std::string>& scan_json_entries,
-                                 const std::string& scan_folder) {
+void print_note_on_unseen_space(const std::vector<std::string>& scan_json_entries,
+                                const std::string& scan_folder) {
     std::vector<nlohmann::json> scans;
     for (const std::string& entry : scan_json_entries) scans.push_back(nlohmann::json::parse(entry));
     print_unobserved_sides_note(scans, scan_folder, "unseen_sides",

@@ -82,9 +82,9 @@ serve::ServerOptions make_server_options(const ServeCommandOptions& options) {
     server.memory_mib = std::uint64_t(options.memory_mib);
     server.sensorsim = parse_sensorsim_pose_order(options);
     (void)parse_host_port(server.listen, "--listen", 0);
-    check_packet_target(options.packets);
+    require_valid_packet_destination(options.packets);
     server.weather = parse_weather(options.weather);
-    server.device = make_device_options(options.device);
+    server.device = convert_to_device_options(options.device);
     return server;
 }
 
@@ -97,8 +97,8 @@ public:
         target_.is_interruptible = false;  // the server answers the pending calls
     }
 
-    void send_scan_packets(const TrainedRun& run, const SimulatedSensor& sensor,
-                           const std::string& sensor_name, const RenderedScan& scan) {
+    void send_or_queue_packets_of_scan(const TrainedRun& run, const SimulatedSensor& sensor,
+                                       const std::string& sensor_name, const RenderedScan& scan) {
         if (sensor_name.empty() && !sensor.is_log_lidar)
             throw UsageError(
                 fmt::format("cannot write packets of a sensor that the request describes; expected "
@@ -107,9 +107,9 @@ public:
         const std::lock_guard lock(mutex_);
         const std::string key =
             fmt::format("{} {} {} {}", run.folder.string(), sensor.lidar, sensor.returns, sensor_name);
-        if (key != key_ || scan.time_s <= last_s_) flush_pending_packets();
+        if (key != key_ || scan.time_s <= last_s_) send_remaining_packets_and_reset();
         if (!sender_) {
-            ScanOutputOptions format = make_scan_format(run, sensor);
+            ScanOutputOptions format = make_default_output_options(run, sensor);
             if (!sensor_name.empty())
                 if (const auto spinning = find_spinning_sensor(sensor_name, sensor))
                     format.packets.sensor = spinning;
@@ -127,8 +127,8 @@ public:
     }
 
     /// Sends the packets that wait for the next scan.
-    void flush_pending_packets() {
-        if (sender_) (void)sender_->send_remaining_packets();
+    void send_remaining_packets_and_reset() {
+        if (sender_) (void)sender_->send_remaining_and_describe_result();
         sender_.reset();
     }
 
@@ -152,15 +152,15 @@ void limit_malloc_to_one_arena() {
 
 void run_serve_command(const ServeCommandOptions& options) {
     limit_malloc_to_one_arena();
-    raise_file_descriptor_limit();
+    raise_open_file_limit_to_maximum();
     serve::ServerOptions server_settings = make_server_options(options);
     PacketScanSender sender(options.packets);
     if (!options.packets.address.empty())
         server_settings.on_scan = [&sender](const TrainedRun& run, const SimulatedSensor& sensor,
                                             const std::string& name, const RenderedScan& scan) {
-            sender.send_scan_packets(run, sensor, name, scan);
+            sender.send_or_queue_packets_of_scan(run, sensor, name, scan);
         };
-    if (!options.quiet) print_weather_assumptions_note(server_settings.weather);
+    if (!options.quiet) print_sensor_assumptions_of_weather(server_settings.weather);
     const std::string host = server_settings.listen.substr(0, server_settings.listen.rfind(':'));
     if (!is_loopback_host(host))
         print_note(fmt::format(
@@ -187,7 +187,7 @@ void run_serve_command(const ServeCommandOptions& options) {
     if (!options.quiet)
         print_note("interrupted: finishing the pending calls; a second Ctrl-C ends immediately");
     server.stop_and_wait(kPatience);
-    sender.flush_pending_packets();
+    sender.send_remaining_packets_and_reset();
 }
 
 constexpr const char* kServeHelp =
@@ -244,9 +244,10 @@ void add_serve_command(CLI::App& app, ParsedCommand& selected_command) {
             "--queue", options->queue,
             "maximum number of waiting calls; further calls fail with RESOURCE_EXHAUSTED (default: 64)")
         ->type_name("N");
-    add_packet_options(*command, options->packets,
-                       "also send the scans of RenderLidar as packets of the sensor to this address",
-                       "send the packets with the timing of the sensor, then answer the call");
+    add_packet_destination_options(
+        *command, options->packets,
+        "also send the scans of RenderLidar as packets of the sensor to this address",
+        "send the packets with the timing of the sensor, then answer the call");
     command
         ->add_option("--tls-cert", options->server.tls_cert,
                      "certificate chain in PEM; turns on encryption, together with --tls-key")

@@ -36,8 +36,7 @@ std::optional<SpinningSensor> find_spinning_sensor(const std::string& name_or_fi
 /// Returns the sensors that the command simulates.
 /// @param sensor_name_or_file  name or file of the sensor; empty means the sensor of the
 /// log
-std::vector<MountedSimulatedSensor> list_simulated_sensors(const std::string& sensor_name_or_file,
-                                                           const SensorRig& rig, const TrainedRun& run,
-                                                           int lidar_index);
+std::vector<MountedSimulatedSensor> list_sensors_of_rig_or_single_sensor(
+    const std::string& sensor_name_or_file, const SensorRig& rig, const TrainedRun& run, int lidar_index);
 
 }  // namespace relidar::cli

@@ -44,18 +44,20 @@ double compute_distance_to_track_m(const PoseTrack& recorded_track, const glm::d
 
 }  // namespace
 
-std::vector<double> list_scan_times(const TrajectoryOptions& choice, const PoseTrack& sensor_track,
-                                    double log_rate_hz) {
+std::vector<double> list_scan_times_on_trajectory(const TrajectoryOptions& trajectory_options,
+                                                  const PoseTrack& sensor_track, double log_rate_hz) {
     const double begin = sensor_track.time_s.front(), end = sensor_track.time_s.back();
-    if (choice.rate_hz && !(*choice.rate_hz > 0.0 && std::isfinite(*choice.rate_hz)))
-        throw UsageError(
-            fmt::format("--rate: found {}; expected a number of scans per second above 0", *choice.rate_hz));
-    const TimeSteps steps = choice.times.empty()
-                                ? TimeSteps{begin, end, 1.0 / choice.rate_hz.value_or(log_rate_hz)}
-                                : parse_time_steps(choice.times);
+    if (trajectory_options.rate_hz &&
+        !(*trajectory_options.rate_hz > 0.0 && std::isfinite(*trajectory_options.rate_hz)))
+        throw UsageError(fmt::format("--rate: found {}; expected a number of scans per second above 0",
+                                     *trajectory_options.rate_hz));
+    const TimeSteps steps =
+        trajectory_options.times.empty()
+            ? TimeSteps{begin, end, 1.0 / trajectory_options.rate_hz.value_or(log_rate_hz)}
+            : parse_time_steps(trajectory_options.times);
     if (!(steps.step > 0.0) || !(steps.last >= steps.first))
-        throw UsageError(
-            fmt::format("--times: found \"{}\"; expected FIRST < LAST and a STEP above 0", choice.times));
+        throw UsageError(fmt::format("--times: found \"{}\"; expected FIRST < LAST and a STEP above 0",
+                                     trajectory_options.times));
     if (steps.first < begin || steps.last > end) {
         throw UsageError(fmt::format(
             "--times: found {} to {} s; expected times within those of the trajectory, {} to {} s",
@@ -72,8 +74,8 @@ std::vector<double> list_scan_times(const TrajectoryOptions& choice, const PoseT
     return times;
 }
 
-void print_trajectory_outside_log_notes(const TrainedRun& run, const PoseTrack& sensor_track,
-                                        const std::vector<double>& times_s) {
+void print_notes_if_trajectory_leaves_log(const TrainedRun& run, const PoseTrack& sensor_track,
+                                          const std::vector<double>& times_s) {
     const LidarSequence& log = run.sequence;
     double farthest = 0.0;
     for (const double t : times_s)

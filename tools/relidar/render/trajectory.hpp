@@ -31,12 +31,12 @@ struct TrajectoryOptions {
 /// Returns the times of the scans on a trajectory.
 /// @throws UsageError if the rate or the times are invalid, or if a time is outside the
 /// trajectory
-std::vector<double> list_scan_times(const TrajectoryOptions& choice, const PoseTrack& sensor_track,
-                                    double log_rate_hz);
+std::vector<double> list_scan_times_on_trajectory(const TrajectoryOptions& trajectory_options,
+                                                  const PoseTrack& sensor_track, double log_rate_hz);
 
 /// Prints a note if a trajectory is far from the recorded path. Prints another note if it
 /// continues after the end of the log, because actors exist only during the log.
-void print_trajectory_outside_log_notes(const TrainedRun& run, const PoseTrack& sensor_track,
-                                        const std::vector<double>& times_s);
+void print_notes_if_trajectory_leaves_log(const TrainedRun& run, const PoseTrack& sensor_track,
+                                          const std::vector<double>& times_s);
 
 }  // namespace relidar::cli

@@ -71,50 +71,53 @@ view::WebServerOptions make_server_options(const ViewOptions& options) {
     view::WebServerOptions server;
     server.address = options.address;
     server.port = options.port;
-    server.assets = view::list_page_assets();
-    view::check_ip_address(options.address);
-    if (!is_loopback_host(options.address)) server.token = view::make_random_token();
+    server.assets = view::get_web_page_files();
+    view::require_valid_ip_address(options.address);
+    if (!is_loopback_host(options.address)) server.token = view::make_random_access_token();
     return server;
 }
 
 void run_view_command(const ViewOptions& options) {
-    raise_file_descriptor_limit();
+    raise_open_file_limit_to_maximum();
     // Checks the address of the server before the run is loaded, because loading takes a
     // long time.
     const view::WebServerOptions server_settings = make_server_options(options);
-    check_settings_have_effect(options.sets, list_rendering_setting_names(), "view");
+    require_settings_with_effect(options.sets, list_rendering_setting_names(), "view");
     TrainedRun run = load_run(options.run);
-    apply_setting_texts(run.config, options.sets);
-    run.config = resolve_max_range(std::move(run.config), run.sequence);
+    parse_and_apply_setting_texts(run.config, options.sets);
+    run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
     if (options.channels) set_config_value(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
     std::optional<OutputFolder> made;  // Removes the folder at exit if it is still empty.
     if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path folder = get_save_folder(options, run);
-    Device device(make_device_options(options.device));
+    Device device(convert_to_device_options(options.device));
     // Server that sends the results of the session to the browser. The server also calls
     // the session and the player, so it must be destroyed before them.
     view::WebServer* out = nullptr;
     view::ViewerSession session(
         std::move(run), load_other_runs(options.inserts), device, folder,
         {[&](view::TabId tab, std::string text) { out->send_text(tab, std::move(text)); },
-         [&](view::TabId tab, std::string frame) { out->send_newest_scan(tab, std::move(frame)); }});
+         [&](view::TabId tab, std::string frame) {
+             out->send_scan_and_drop_queued_older_scan(tab, std::move(frame));
+         }});
     view::FoxglovePlayer foxglove(
         session.get_run(), device,
         {[&](view::ClientId client, std::string text) { out->send_text(client, std::move(text)); },
          [&](view::ClientId client, std::vector<std::string> scan) {
-             out->send_if_idle(client, std::move(scan));
+             out->send_messages_unless_client_is_slow(client, std::move(scan));
          }});
-    view::WebServer server(server_settings, {[&](view::ClientId tab) { session.open_tab(tab); },
-                                             [&](view::ClientId client, std::string text) {
-                                                 if (!foxglove.handle_client_message(client, text))
-                                                     session.handle_tab_message(client, text);
-                                             },
-                                             [&](view::ClientId client) {
-                                                 foxglove.remove_client(client);
-                                                 session.close_tab(client);
-                                             },
-                                             [&](view::ClientId client) { foxglove.add_client(client); }});
+    view::WebServer server(server_settings,
+                           {[&](view::ClientId tab) { session.open_tab(tab); },
+                            [&](view::ClientId client, std::string text) {
+                                if (!foxglove.handle_message_if_client_is_known(client, text))
+                                    session.handle_tab_message(client, text);
+                            },
+                            [&](view::ClientId client) {
+                                foxglove.remove_client(client);
+                                session.close_tab(client);
+                            },
+                            [&](view::ClientId client) { foxglove.add_client_and_send_topics(client); }});
     out = &server;
     install_interrupt_handlers();
     print(server.get_page_url() + "\n");
@@ -123,9 +126,10 @@ void run_view_command(const ViewOptions& options) {
                                                     : "only clients that know this address have access";
     if (!options.quiet) print_note(fmt::format("{}; Ctrl-C ends the program", who));
     if (options.open) open_in_browser(server.get_page_url());
-    while (!is_interrupted()) session.run_next_job(foxglove.send_next_scan_if_due(kViewPatience));
-    session.finish_pending_jobs();
-    server.close_gracefully(kGoodbye);
+    while (!is_interrupted())
+        session.wait_for_and_run_next_request(foxglove.send_scan_if_due_and_get_wait_time(kViewPatience));
+    session.run_pending_requests_and_stop();
+    server.reject_new_and_close_after_sending(kGoodbye);
 }
 
 constexpr const char* kViewHelp =

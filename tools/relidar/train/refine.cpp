@@ -32,7 +32,7 @@ struct RefineCommandOptions {
 
 /// Loads the checkpoint from which training resumes.
 /// @return no value if training starts from the beginning
-std::optional<Checkpoint> load_resume_checkpoint(const RefineCommandOptions& options) {
+std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const RefineCommandOptions& options) {
     const std::filesystem::path folder = get_network_checkpoint_folder(options.run);
     if (!options.resume) {
         if (!list_checkpoints(folder).empty())
@@ -51,7 +51,7 @@ std::optional<Checkpoint> load_resume_checkpoint(const RefineCommandOptions& opt
 }
 
 /// Returns the command line that resumes this training.
-std::string make_resume_command(const RefineCommandOptions& options) {
+std::string format_refine_resume_command(const RefineCommandOptions& options) {
     std::string command = "relidar refine --resume " + quote_word_for_shell(options.run);
     for (const std::string& word : make_device_arguments(options.device)) command += " " + word;
     return command;
@@ -73,7 +73,7 @@ void train_and_save_drop_network(Device& device, TrainedRun& run, const RefineCo
         throw Error(
             ExitCode::interrupted,
             fmt::format("interrupted: the ray-drop network of run {} is unchanged{}", run.folder.string(),
-                        can_go_on ? "; continue with: " + make_resume_command(options) : ""));
+                        can_go_on ? "; continue with: " + format_refine_resume_command(options) : ""));
     }
     save_run(run);
 }
@@ -85,7 +85,7 @@ EvaluationResult score_held_out_frames(Device& device, TrainedRun run, bool use_
     ScanRenderer renderer(device, run);
     TerminalProgress progress(quiet);
     return evaluate_frames(renderer, run.config, run.sequence, run.split.test,
-                           make_interruptible_callback(progress));
+                           make_interruptible_progress_callback(progress));
 }
 
 /// Scores the run without and with the ray-drop network. Prints both scores and writes
@@ -108,20 +108,20 @@ void run_refine_command(const RefineCommandOptions& options) {
     std::optional<FolderLock> lock;
     if (is_run_folder(options.run)) lock.emplace(options.run);
     TrainedRun run = load_run(options.run);
-    const std::optional<Checkpoint> start = load_resume_checkpoint(options);
-    if (start) restore_network_settings(*start, run.config);
+    const std::optional<Checkpoint> start = load_newest_checkpoint_if_resuming(options);
+    if (start) copy_network_settings_into_config(*start, run.config);
     std::vector<std::string> used = list_rendering_setting_names();
     used.insert(used.end(), {"dataset.", "refine.", "train.seed", "train.checkpoint_minutes"});
-    check_settings_have_effect(options.sets, used, "refine");
-    apply_setting_texts(run.config, options.sets);
-    run.config = resolve_max_range(std::move(run.config), run.sequence);
+    require_settings_with_effect(options.sets, used, "refine");
+    parse_and_apply_setting_texts(run.config, options.sets);
+    run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
     run.config.refine.enabled = true;
-    check_writable(run.folder);
-    Device device(make_device_options(options.device));
+    create_folder_and_require_writable(run.folder);
+    Device device(convert_to_device_options(options.device));
     const LidarSequence log = load_dataset(run.config, options.quiet);
     copy_scans_into_run(run, run.split.train, log);
     if (!options.no_eval) copy_scans_into_run(run, run.split.test, log);
-    if (start) check_network_training_resumable(*start, run);
+    if (start) require_network_training_is_resumable(*start, run);
     else remove_network_checkpoints(run.folder);
 
     train_and_save_drop_network(device, run, options, start ? &*start : nullptr);

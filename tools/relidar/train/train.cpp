@@ -56,7 +56,7 @@ bool is_file(const fs::path& path) {
 
 /// Decides which argument is the log and which is the output folder, because the option
 /// --resume can precede either of them.
-TrainOptions resolve_log_and_output_folder(TrainOptions options) {
+TrainOptions assign_log_and_output_folder(TrainOptions options) {
     if (options.out.empty()) options.out = options.resume_folder;
     else if (options.dataset.empty())
         options.dataset = options.resume_folder == options.out ? "" : options.resume_folder;
@@ -75,17 +75,17 @@ TrainOptions resolve_log_and_output_folder(TrainOptions options) {
 
 /// Returns the settings of a training. A resumed training uses its saved settings. If
 /// --preset or --config is given, these options replace the saved settings.
-Config make_initial_config(const TrainOptions& options) {
+Config load_resumed_or_make_new_config(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
     if (!options.resume || options.from_preset || !is_file(saved))
         return make_config_from_settings(options.settings);
     Config config = load_saved_config(saved);
-    apply_setting_texts(config, options.settings.sets);
+    parse_and_apply_setting_texts(config, options.settings.sets);
     return config;
 }
 
 Config make_training_config(const TrainOptions& options) {
-    Config config = make_initial_config(options);
+    Config config = load_resumed_or_make_new_config(options);
     if (const fs::path saved = fs::path(options.out) / kConfigFile;
         options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
         // A maximum range of 0 means automatic. The resumed training uses the range that
@@ -98,7 +98,7 @@ Config make_training_config(const TrainOptions& options) {
                         options.dataset));
     if (!options.dataset.empty()) config.dataset.path = make_dataset_path_absolute(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = make_absolute_path(config.dataset.poses);
-    apply_log_part(config, options.part);
+    set_log_frames_and_sequence(config, options.part);
     if (std::string length = options.blocks; !length.empty()) {
         if (length.ends_with('m')) length.pop_back();
         set_config_value(config, "blocks.length_m", length);
@@ -115,22 +115,23 @@ bool is_training_finished(const fs::path& run_folder, const Config& config) {
 }
 
 /// Returns true if two configurations have equal values for all settings of a group.
-bool are_setting_groups_equal(const Config& first, const Config& second, std::string_view group_prefix) {
+bool is_setting_group_equal(const Config& first, const Config& second, std::string_view setting_name_prefix) {
     const std::vector<ConfigKey> x = list_config_keys(first), y = list_config_keys(second);
     for (std::size_t i = 0; i < x.size(); ++i)
-        if (x[i].key.starts_with(group_prefix) && x[i].value != y[i].value) return false;
+        if (x[i].key.starts_with(setting_name_prefix) && x[i].value != y[i].value) return false;
     return true;
 }
 
 /// Compares the current settings with the settings of a finished run.
 /// @throws UsageError if the run was trained with other settings
-void check_settings_unchanged(const fs::path& run_folder, const Config& config) {
+void require_settings_of_finished_run(const fs::path& run_folder, const Config& current_config) {
     const Config trained = load_saved_config(run_folder / kConfigFile);
-    std::string key = find_differing_setting(trained, config);
-    if (key.empty() && trained.dataset.path != config.dataset.path) key = "dataset.path";
-    if (key.empty() && trained.dataset.sequence != config.dataset.sequence) key = "dataset.sequence";
+    std::string key = find_setting_that_prevents_resuming(trained, current_config);
+    if (key.empty() && trained.dataset.path != current_config.dataset.path) key = "dataset.path";
+    if (key.empty() && trained.dataset.sequence != current_config.dataset.sequence) key = "dataset.sequence";
     for (const char* group : {"refine.", "render."})
-        if (key.empty() && !are_setting_groups_equal(trained, config, group)) key = std::string(group) + "*";
+        if (key.empty() && !is_setting_group_equal(trained, current_config, group))
+            key = std::string(group) + "*";
     if (!key.empty())
         throw UsageError(fmt::format(
             "cannot resume {}: its finished training used another value of the setting {}; expected "
@@ -142,19 +143,19 @@ void check_settings_unchanged(const fs::path& run_folder, const Config& config) 
 /// Returns true if the scene of a run is trained with these settings, but later steps are
 /// missing. Later steps are the placement of held-out scans, the intensity noise, the
 /// ray-drop network, the scores and the report.
-bool has_scene_but_no_report(const fs::path& run_folder, const Config& config) {
+bool has_trained_scene_but_no_report(const fs::path& run_folder, const Config& config) {
     if (!is_file(run_folder / "scene.json") || is_file(run_folder / "report.html") ||
         read_last_logged_iteration(run_folder) < config.train.iterations)
         return false;
     const Config trained = load_saved_config(run_folder / kConfigFile);
     const auto log_of = [](const DatasetConfig& d) { return std::tie(d.path, d.sequence, d.poses); };
     return log_of(trained.dataset) == log_of(config.dataset) &&
-           find_differing_setting(trained, config).empty();
+           find_setting_that_prevents_resuming(trained, config).empty();
 }
 
 /// Loads the checkpoint from which training resumes.
 /// @return no value if training starts from the beginning
-std::optional<Checkpoint> load_resume_checkpoint(const TrainOptions& options) {
+std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const TrainOptions& options) {
     const fs::path folder = options.out;
     std::optional<Checkpoint> start = load_newest_checkpoint(get_checkpoint_folder(folder), print_note);
     if (start) return start;
@@ -167,20 +168,20 @@ std::optional<Checkpoint> load_resume_checkpoint(const TrainOptions& options) {
     return std::nullopt;
 }
 
-void print_training_start(const LidarSequence& sequence, const TrainTestSplit& split, const Device& device,
-                          const Checkpoint* start_checkpoint) {
-    print(
-        fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name,
-                    sequence.frames.size(), split.train.size(), split.test.size(), device.info().name,
-                    device.traversal() == RayTracingBackend::software ? "software traversal" : "ray query"));
+void print_frames_and_device_of_training(const LidarSequence& sequence, const TrainTestSplit& split,
+                                         const Device& device, const Checkpoint* checkpoint_to_resume) {
+    print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name,
+                      sequence.frames.size(), split.train.size(), split.test.size(), device.info().name,
+                      device.get_ray_tracing_backend() == RayTracingBackend::software ? "software traversal"
+                                                                                      : "ray query"));
     for (const std::string& note : sequence.notes) print("note    " + note + "\n");
-    if (start_checkpoint)
-        print(fmt::format("resume  training continues from iteration {}\n", start_checkpoint->iteration));
+    if (checkpoint_to_resume)
+        print(fmt::format("resume  training continues from iteration {}\n", checkpoint_to_resume->iteration));
     std::fflush(stdout);
 }
 
 /// Returns the command line that resumes this training.
-std::string make_resume_command(const TrainOptions& options) {
+std::string format_train_resume_command(const TrainOptions& options) {
     std::string command = "relidar train --resume " + quote_word_for_shell(options.out);
     for (const std::string& word : make_device_arguments(options.device)) command += " " + word;
     return command;
@@ -188,14 +189,16 @@ std::string make_resume_command(const TrainOptions& options) {
 
 /// Trains the scene. If the training fails, throws an error whose message names the last
 /// checkpoint and the command that resumes the training.
-TrainResult train_with_resume_hint(Device& device, const TrainedRun& run, const TrainOptions& options,
-                                   const Checkpoint* start_checkpoint, StageTimes& stage_times) {
+TrainResult train_scene_or_throw_with_resume_hint(Device& device, const TrainedRun& run,
+                                                  const TrainOptions& options,
+                                                  const Checkpoint* checkpoint_to_resume,
+                                                  StageTimes& stage_times) {
     const fs::path checkpoints = get_checkpoint_folder(run.folder);
     try {
         return train_scene_with_progress(device, run.sequence, run.split, run.config, run.folder,
                                          options.quiet,
                                          {.checkpoints = checkpoints,
-                                          .start = start_checkpoint,
+                                          .start = checkpoint_to_resume,
                                           .stop = {},
                                           .note = {},
                                           .stages = &stage_times});
@@ -205,30 +208,31 @@ TrainResult train_with_resume_hint(Device& device, const TrainedRun& run, const 
         throw Error(error.code(), fmt::format("{}; {}: {}", error.what(),
                                               has_checkpoint ? "the last checkpoint is saved; continue with"
                                                              : "start again with",
-                                              make_resume_command(options)));
+                                              format_train_resume_command(options)));
     }
 }
 
 /// Returns the error message for a user who interrupts a step after the scene was saved.
-Error make_interruption_error(const char* step_description, const TrainedRun& run,
-                              const TrainOptions& options) {
+Error make_error_with_resume_command(const char* interrupted_step, const TrainedRun& run,
+                                     const TrainOptions& options) {
     return Error(ExitCode::interrupted,
                  fmt::format("interrupted while {}; the scene is saved in {}; continue with: {}",
-                             step_description, run.folder.string(), make_resume_command(options)));
+                             interrupted_step, run.folder.string(), format_train_resume_command(options)));
 }
 
 /// Runs the steps after the training of the scene and before the training of the ray-drop
 /// network. These steps align the held-out scans and learn the intensity noise.
-void align_scans_and_learn_noise_or_throw(Device& device, TrainedRun& run, const TrainOptions& options,
-                                          StageTimes& stage_times) {
-    if (align_scans_and_learn_noise(device, run, options.quiet, stage_times) == TrainingEndReason::stopped)
-        throw make_interruption_error("held-out scans were aligned and intensity scatter was learned", run,
-                                      options);
+void align_held_out_and_learn_noise_or_throw(Device& device, TrainedRun& run, const TrainOptions& options,
+                                             StageTimes& stage_times) {
+    if (align_held_out_and_learn_noise(device, run, options.quiet, stage_times) == TrainingEndReason::stopped)
+        throw make_error_with_resume_command("held-out scans were aligned and intensity scatter was learned",
+                                             run, options);
 }
 
 /// Scores the held-out frames and writes the scores to metrics.json.
 /// @return an empty evaluation if the log has no held-out frames
-EvaluationResult score_held_out_frames(Device& device, const TrainedRun& run, const TrainOptions& options) {
+EvaluationResult evaluate_held_out_and_write_metrics(Device& device, const TrainedRun& run,
+                                                     const TrainOptions& options) {
     if (run.split.test.empty() || options.no_eval) return {};
     ScanRenderer renderer(device, run);
     TerminalProgress progress(options.quiet);
@@ -236,10 +240,10 @@ EvaluationResult score_held_out_frames(Device& device, const TrainedRun& run, co
     EvaluationResult evaluation;
     try {
         evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test,
-                                     make_interruptible_callback(progress));
+                                     make_interruptible_progress_callback(progress));
     } catch (const Error& error) {
         if (error.code() != ExitCode::interrupted) throw;
-        throw make_interruption_error("held-out frames were scored", run, options);
+        throw make_error_with_resume_command("held-out frames were scored", run, options);
     }
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     write_text_file(run.folder / "metrics.json",
@@ -264,10 +268,10 @@ void score_and_write_training_report(Device& device, const TrainedRun& run, cons
                 "interrupted after iteration {} of {}; the current scene is saved in {}; continue with: "
                 "{}",
                 result.iterations, run.config.train.iterations, run.folder.string(),
-                make_resume_command(options)));
+                format_train_resume_command(options)));
     }
     stage_times.start_stage("evaluate");
-    const EvaluationResult evaluation = score_held_out_frames(device, run, options);
+    const EvaluationResult evaluation = evaluate_held_out_and_write_metrics(device, run, options);
     stage_times.start_stage("report");
     add_evaluation_to_report(report, evaluation, run, {"held out", "real"});
     for (ReportFigure& strip : draw_worst_actor_figures(device, run, evaluation))
@@ -291,11 +295,11 @@ void score_and_write_training_report(Device& device, const TrainedRun& run, cons
 /// Loads the checkpoint from which the training of the ray-drop network resumes. If the
 /// checkpoint belongs to another scene or other settings, prints a note and returns no
 /// value.
-std::optional<Checkpoint> find_network_resume_checkpoint(const TrainedRun& run) {
+std::optional<Checkpoint> load_matching_network_checkpoint(const TrainedRun& run) {
     try {
         std::optional<Checkpoint> start =
             load_newest_checkpoint(get_network_checkpoint_folder(run.folder), print_note);
-        if (start) check_network_training_resumable(*start, run);
+        if (start) require_network_training_is_resumable(*start, run);
         return start;
     } catch (const Error& error) {
         print_note(fmt::format("{}; the network is therefore trained from the beginning", error.what()));
@@ -305,9 +309,9 @@ std::optional<Checkpoint> find_network_resume_checkpoint(const TrainedRun& run) 
 
 /// Trains the ray-drop network of a saved scene and saves the network. Only prints a note
 /// if the log has no suitable training data, or if the device cannot run the network.
-void refine_and_save_drop_network(Device& device, TrainedRun& run, const TrainOptions& options,
-                                  StageTimes& stage_times) {
-    const std::optional<Checkpoint> start = find_network_resume_checkpoint(run);
+void train_and_save_drop_network_if_possible(Device& device, TrainedRun& run, const TrainOptions& options,
+                                             StageTimes& stage_times) {
+    const std::optional<Checkpoint> start = load_matching_network_checkpoint(run);
     if (!start) remove_network_checkpoints(run.folder);
     else if (!options.quiet)
         print(fmt::format("resume  training of the ray-drop network continues from step {}\n",
@@ -322,7 +326,7 @@ void refine_and_save_drop_network(Device& device, TrainedRun& run, const TrainOp
                                              .stages = &stage_times};
         if (train_drop_network_with_progress(device, run, options.quiet, session) ==
             TrainingEndReason::stopped)
-            throw make_interruption_error("the ray-drop network was trained", run, options);
+            throw make_error_with_resume_command("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
         // The checkpoints are useless, because a resumed training would fail with the
         // same error.
@@ -347,37 +351,37 @@ TrainResult read_train_result_from_log(const fs::path& run_folder) {
 
 /// Resumes a run whose scene is already trained. Runs only the missing steps, such as the
 /// ray-drop network and the scores.
-void run_missing_training_steps(const TrainOptions& options, const Config& config,
-                                const std::string& command_line) {
+void run_steps_missing_after_scene_training(const TrainOptions& options, const Config& config,
+                                            const std::string& command_line) {
     const RunOutputFolder folder(options.out, ExistingRunPolicy::keep);
     TrainedRun run = load_run(options.out);
     const bool has_network =
-        !run.drop_network.empty() && are_setting_groups_equal(run.config, config, "refine.");
+        !run.drop_network.empty() && is_setting_group_equal(run.config, config, "refine.");
     run.config = config;
-    Device device(make_device_options(options.device));
+    Device device(convert_to_device_options(options.device));
     StageTimes stages;
     stages.start_stage("read");
     const LidarSequence log = load_dataset(config, options.quiet);
     copy_scans_into_run(run, run.split.train, log);
     copy_scans_into_run(run, run.split.test, log);
     if (!options.quiet) {
-        print_training_start(run.sequence, run.split, device, nullptr);
+        print_frames_and_device_of_training(run.sequence, run.split, device, nullptr);
         print("resume  all iterations are done; continuing with the steps after them\n");
     }
     install_interrupt_handlers();
-    if (!run.held_out_placed) align_scans_and_learn_noise_or_throw(device, run, options, stages);
+    if (!run.held_out_placed) align_held_out_and_learn_noise_or_throw(device, run, options, stages);
     // The network is trained, so its checkpoints are obsolete. A process that was killed
     // may have left them.
     if (has_network) remove_network_checkpoints(run.folder);
-    else if (config.refine.enabled) refine_and_save_drop_network(device, run, options, stages);
+    else if (config.refine.enabled) train_and_save_drop_network_if_possible(device, run, options, stages);
     TrainResult result = read_train_result_from_log(run.folder);
     result.peak_device_bytes = device.peak_allocated_bytes();
     score_and_write_training_report(device, run, result, options, command_line, stages);
 }
 
 /// Removes old files from the folder of a run before its training starts or resumes.
-void prepare_run_folder(const fs::path& run_folder, const Config& config, bool keep_blocks,
-                        bool keep_checkpoints) {
+void remove_old_results_and_save_config(const fs::path& run_folder, const Config& config, bool keep_blocks,
+                                        bool keep_checkpoints) {
     remove_run_result_files(run_folder);
     remove_network_checkpoints(run_folder);
     if (!keep_checkpoints) remove_checkpoints(get_checkpoint_folder(run_folder));
@@ -395,64 +399,71 @@ void require_blocks_for_multiple_ranks(const MpiProcessGroup& ranks, bool trains
             ranks.size()));
 }
 
+std::string format_training_is_finished(const std::string& run_folder, int n_iterations) {
+    return fmt::format(
+        "{} has already finished all {} iterations, so nothing is trained; increase "
+        "train.iterations to continue\n",
+        run_folder, n_iterations);
+}
+
 void run_train_command(const TrainOptions& command_options, const std::string& command_line) {
     const MpiProcessGroup ranks;
-    TrainOptions options = resolve_log_and_output_folder(command_options);
-    options.quiet = options.quiet || !ranks.is_first();
-    options.device = ranks.select_device_for_rank(options.device);
+    TrainOptions options = assign_log_and_output_folder(command_options);
+    options.quiet = options.quiet || !ranks.is_first_mpi_process();
+    options.device = ranks.select_device_unless_user_chose(options.device);
     Config config = make_training_config(options);
     if (options.resume && !options.force && is_training_finished(options.out, config)) {
-        check_settings_unchanged(options.out, config);
-        if (!options.quiet)
-            print(
-                fmt::format("{} has already finished all {} iterations, so nothing is trained; increase "
-                            "train.iterations to continue\n",
-                            options.out, config.train.iterations));
+        require_settings_of_finished_run(options.out, config);
+        if (!options.quiet) print(format_training_is_finished(options.out, config.train.iterations));
         return;
     }
     const bool resume = options.resume && !options.force;
-    if (!options.no_eval) check_lpips_weights();
-    if (resume && has_scene_but_no_report(options.out, config)) {
-        if (ranks.is_first()) run_missing_training_steps(options, config, command_line);
+    if (!options.no_eval) require_readable_lpips_weights();
+    if (resume && has_trained_scene_but_no_report(options.out, config)) {
+        if (ranks.is_first_mpi_process())
+            run_steps_missing_after_scene_training(options, config, command_line);
         return;
     }
     const bool in_blocks = config.blocks.length_m > 0.0;
     require_blocks_for_multiple_ranks(ranks, in_blocks);
     std::optional<RunOutputFolder> folder;
-    if (ranks.is_first())
+    if (ranks.is_first_mpi_process())
         folder.emplace(options.out, resume          ? ExistingRunPolicy::keep
                                     : options.force ? ExistingRunPolicy::replace
                                                     : ExistingRunPolicy::refuse);
-    if (resume && in_blocks) check_trained_block_settings(options.out, config);
-    std::optional<Checkpoint> start = resume && !in_blocks ? load_resume_checkpoint(options) : std::nullopt;
-    Device device(make_device_options(options.device));
+    if (resume && in_blocks) require_settings_of_trained_blocks(options.out, config);
+    std::optional<Checkpoint> start =
+        resume && !in_blocks ? load_newest_checkpoint_if_resuming(options) : std::nullopt;
+    Device device(convert_to_device_options(options.device));
     StageTimes stages;
     stages.start_stage("read");
     LidarSequence sequence = load_dataset(config, options.quiet);
-    config = resolve_max_range(std::move(config), sequence);
+    config = replace_automatic_max_range(std::move(config), sequence);
     const TrainTestSplit split =
-        split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
-    if (!options.quiet) print_training_start(sequence, split, device, start ? &*start : nullptr);
-
+        split_frames_into_train_and_test(sequence, config.dataset.test_every, config.dataset.test_frames);
+    if (!options.quiet)
+        print_frames_and_device_of_training(sequence, split, device, start ? &*start : nullptr);
     install_interrupt_handlers();
-    prepare_sequence_for_training(sequence, split, config, options.quiet, ranks.get_process_group(), &stages);
-    if (start) check_training_resumable(*start, sequence, split, config);
-    if (folder) prepare_run_folder(folder->path(), config, resume && in_blocks, start.has_value());
+    prepare_log_with_progress(sequence, split, config, options.quiet, ranks.get_process_group(), &stages);
+    if (start) require_training_is_resumable(*start, sequence, split, config);
+    if (folder)
+        remove_old_results_and_save_config(folder->path(), config, resume && in_blocks, start.has_value());
     ranks.wait_for_all_ranks();
     TrainedRun run{options.out, config, std::move(sequence), split, {}, {}};
     if (in_blocks) stages.start_stage("train");
     TrainResult result =
-        in_blocks ? train_blocks(device, run, {ranks, options.quiet, make_resume_command(options)})
-                  : train_with_resume_hint(device, run, options, start ? &*start : nullptr, stages);
-    if (!ranks.is_first()) return;
+        in_blocks
+            ? train_blocks(device, run, {ranks, options.quiet, format_train_resume_command(options)})
+            : train_scene_or_throw_with_resume_hint(device, run, options, start ? &*start : nullptr, stages);
+    if (!ranks.is_first_mpi_process()) return;
     end_progress_line();
     start.reset();
     if (!in_blocks) move_result_into_run(run, result);
     stages.start_stage("save");
     save_run(run);
-    if (!result.interrupted) align_scans_and_learn_noise_or_throw(device, run, options, stages);
+    if (!result.interrupted) align_held_out_and_learn_noise_or_throw(device, run, options, stages);
     if (config.refine.enabled && !result.interrupted)
-        refine_and_save_drop_network(device, run, options, stages);
+        train_and_save_drop_network_if_possible(device, run, options, stages);
     score_and_write_training_report(device, run, result, options, command_line, stages);
 }
 
@@ -485,8 +496,8 @@ void add_train_command(CLI::App& app, ParsedCommand& selected_command) {
     const auto options = std::make_shared<TrainOptions>();
     command->add_option("DATASET", options->dataset, "log: a path, whose format is recognised, or KIND:PATH");
     command->add_option("--out", options->out, "run folder to create")->type_name("RUN");
-    add_log_selection_options(*command, options->part);
-    add_settings_options(*command, options->settings);
+    add_frames_and_sequence_options(*command, options->part);
+    add_preset_config_and_set_options(*command, options->settings);
     command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")
         ->type_name("S");
     command

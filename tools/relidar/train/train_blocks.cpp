@@ -26,7 +26,7 @@ using Clock = std::chrono::steady_clock;
 
 /// Returns true if a setting may differ between the blocks of a scene, which are trained
 /// separately.
-bool can_differ_between_blocks(const std::string& setting_key) {
+bool may_setting_differ_between_blocks(const std::string& setting_key) {
     // Actor settings may differ, because each block lists only its own actors.
     constexpr std::array kFree{"dataset.path",           "dataset.memory_mib", "train.log_every",
                                "train.frame_memory_mib", "init.actor_classes", "init.actor_tracks"};
@@ -38,11 +38,12 @@ bool can_differ_between_blocks(const std::string& setting_key) {
 
 /// Compares the settings of a trained block with the current settings.
 /// @throws DataError if the block was trained with other settings
-void check_block_settings(const fs::path& block_folder, const Config& block_config,
-                          const Config& current_config) {
-    const std::vector<ConfigKey> was = list_config_keys(block_config), is = list_config_keys(current_config);
+void require_same_settings_as_trained_block(const fs::path& block_folder, const Config& trained_block_config,
+                                            const Config& current_config) {
+    const std::vector<ConfigKey> was = list_config_keys(trained_block_config),
+                                 is = list_config_keys(current_config);
     for (std::size_t i = 0; i < is.size(); ++i)
-        if (!can_differ_between_blocks(is[i].key) && was[i].value != is[i].value)
+        if (!may_setting_differ_between_blocks(is[i].key) && was[i].value != is[i].value)
             throw DataError(fmt::format(
                 "cannot resume: {} was trained with {} = {}, but now the value is {}; use the same "
                 "value, or --force to train all blocks again",
@@ -51,12 +52,14 @@ void check_block_settings(const fs::path& block_folder, const Config& block_conf
 
 /// Compares the frames of a trained block with the current frames.
 /// @throws DataError if the block was trained on other frames
-void check_block_frames(const TrainedRun& trained_block, const BlockTrainingLog& block_log) {
+void require_same_frames_as_trained_block(const TrainedRun& trained_block,
+                                          const BlockTrainingLog& current_block_log) {
     const auto is_same = [](const LidarFrame& first, const LidarFrame& second) {
         return first.index == second.index && first.lidar == second.lidar;
     };
-    const std::vector<LidarFrame>&was = trained_block.sequence.frames, &is = block_log.sequence.frames;
-    if (trained_block.split.train != block_log.split.train ||
+    const std::vector<LidarFrame>&was = trained_block.sequence.frames,
+          &is = current_block_log.sequence.frames;
+    if (trained_block.split.train != current_block_log.split.train ||
         !std::equal(was.begin(), was.end(), is.begin(), is.end(), is_same))
         throw DataError(fmt::format(
             "cannot resume: {} was trained on {} frames from {} to {}, but now it has {} frames from "
@@ -69,21 +72,21 @@ void check_block_frames(const TrainedRun& trained_block, const BlockTrainingLog&
 /// the losses.
 class BlockTrainTotals {
 public:
-    void add_block_log(const std::vector<TrainProgress>& training_log) {
+    void add_block_progress_to_sums(const std::vector<TrainProgress>& block_progress) {
         ++n_;
-        if (!training_log.empty()) seconds_ += training_log.back().seconds;
-        for (std::size_t i = 0; i < training_log.size(); ++i) {
+        if (!block_progress.empty()) seconds_ += block_progress.back().seconds;
+        for (std::size_t i = 0; i < block_progress.size(); ++i) {
             if (i == sum_.log.size()) sum_.log.emplace_back();
             TrainProgress& line = sum_.log[i];
-            line.iteration = training_log[i].iteration;
-            line.loss += training_log[i].loss;
-            line.n_surfels += training_log[i].n_surfels;
-            line.seconds += training_log[i].seconds;
-            for (std::size_t k = 0; k < line.terms.size(); ++k) line.terms[k] += training_log[i].terms[k];
+            line.iteration = block_progress[i].iteration;
+            line.loss += block_progress[i].loss;
+            line.n_surfels += block_progress[i].n_surfels;
+            line.seconds += block_progress[i].seconds;
+            for (std::size_t k = 0; k < line.terms.size(); ++k) line.terms[k] += block_progress[i].terms[k];
         }
     }
-    void add_block_result(const TrainResult& result) {
-        add_block_log(result.log);
+    void add_block_result_to_sums(const TrainResult& result) {
+        add_block_progress_to_sums(result.log);
         sum_.initialise_s += result.initialise_s;
         sum_.peak_device_bytes = std::max(sum_.peak_device_bytes, result.peak_device_bytes);
         sum_.times.add_times(result.times);
@@ -130,11 +133,12 @@ public:
         std::vector<std::size_t> others;
         for (std::size_t k = 0; k < blocks_.size(); ++k) {
             folders.push_back(get_blocks_folder(run_.folder) / fmt::format("{:03}", k));
-            if (!try_train_block(k, folders.back())) others.push_back(k);
+            if (!train_block_if_not_done_or_locked(k, folders.back())) others.push_back(k);
         }
         how_.ranks.wait_for_all_ranks();
-        if (!how_.ranks.is_first()) return {};
-        for (const std::size_t k : others) total_.add_block_log(read_training_log_file(folders[k]));
+        if (!how_.ranks.is_first_mpi_process()) return {};
+        for (const std::size_t k : others)
+            total_.add_block_progress_to_sums(read_training_log_file(folders[k]));
         join_trained_blocks(run_, blocks_, folders);
         train_actors_in_joined_scene();
         TrainResult result = total_.compute_mean_block_result(run_.config.train.iterations);
@@ -146,18 +150,18 @@ private:
     /// Trains block `block_index` in a folder. Does nothing if the block is already
     /// trained, or if another MPI process trains it.
     /// @return true if this call has trained the block
-    bool try_train_block(std::size_t block_index, const fs::path& block_folder) {
+    bool train_block_if_not_done_or_locked(std::size_t block_index, const fs::path& block_folder) {
         std::error_code failed;
         // Ignores the error here, because locking the folder reports the same error
         // below.
         fs::create_directories(block_folder, failed);
-        const std::unique_ptr<FolderLock> lock = FolderLock::try_lock(block_folder);
+        const std::unique_ptr<FolderLock> lock = FolderLock::try_lock_folder(block_folder);
         if (!lock) return false;
         BlockTrainingLog log =
-            extract_block_log(run_.sequence, run_.split, blocks_[block_index], run_.config);
+            copy_frames_and_boxes_of_block(run_.sequence, run_.split, blocks_[block_index], run_.config);
         if (fs::is_regular_file(block_folder / "scene.json", failed)) {
             const TrainedRun trained = load_run(block_folder);
-            check_block_frames(trained, log);
+            require_same_frames_as_trained_block(trained, log);
             // Removes old checkpoints. They still exist if an earlier process was killed
             // before it removed them.
             remove_checkpoints(get_checkpoint_folder(block_folder));
@@ -168,11 +172,11 @@ private:
         try {
             TrainResult result = train_or_resume_block(log, block_folder);
             end_progress_line();
-            total_.add_block_result(result);
+            total_.add_block_result_to_sums(result);
             save_trained_block(block_index, std::move(log), block_folder, result);
         } catch (const Error& error) {
-            throw Error(error.code(), append_resume_hint(fmt::format("{}: {}", format_block_name(block_index),
-                                                                     error.what())));
+            throw Error(error.code(), append_resume_command(fmt::format(
+                                          "{}: {}", format_block_name(block_index), error.what())));
         }
         seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
         ++trained_;
@@ -195,13 +199,13 @@ private:
                 throw Error(ExitCode::interrupted,
                             "interrupted while actors were trained together with the joined background");
         } catch (const Error& error) {
-            throw Error(error.code(), append_resume_hint(error.what()));
+            throw Error(error.code(), append_resume_command(error.what()));
         }
         end_progress_line();
     }
 
     /// Appends the command that resumes the training to an error message.
-    std::string append_resume_hint(const std::string& error_message) const {
+    std::string append_resume_command(const std::string& error_message) const {
         return fmt::format("{}; the trained blocks are saved; continue with: {}", error_message, how_.resume);
     }
 
@@ -253,14 +257,14 @@ private:
 
 }  // namespace
 
-void check_trained_block_settings(const fs::path& run_folder, const Config& config) {
+void require_settings_of_trained_blocks(const fs::path& run_folder, const Config& config) {
     std::error_code failed;
     std::vector<fs::path> folders;
     for (const auto& entry : fs::directory_iterator(get_blocks_folder(run_folder), failed))
         if (fs::is_regular_file(entry.path() / "scene.json", failed)) folders.push_back(entry.path());
     std::sort(folders.begin(), folders.end());
     for (const fs::path& folder : folders) {
-        check_block_settings(folder, load_saved_config(folder / "config.toml"), config);
+        require_same_settings_as_trained_block(folder, load_saved_config(folder / "config.toml"), config);
     }
 }
 

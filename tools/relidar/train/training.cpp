@@ -19,18 +19,19 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::string format_progress_json_line(const TrainProgress& progress) {
-    nlohmann::ordered_json json = {{"iteration", progress.iteration},
-                                   {"seconds", progress.seconds},
-                                   {"iterations_per_second", progress.iterations_per_second},
-                                   {"loss", progress.loss}};
-    for (std::size_t k = 0; k < progress.terms.size(); ++k) json[kLossTermNames[k]] = progress.terms[k];
-    json["surfels"] = progress.n_surfels;
-    if (const DensifyReport& d = progress.densified; d.added || d.count_removed_surfels())
+std::string format_progress_json_line(const TrainProgress& progress_entry) {
+    nlohmann::ordered_json json = {{"iteration", progress_entry.iteration},
+                                   {"seconds", progress_entry.seconds},
+                                   {"iterations_per_second", progress_entry.iterations_per_second},
+                                   {"loss", progress_entry.loss}};
+    for (std::size_t k = 0; k < progress_entry.terms.size(); ++k)
+        json[kLossTermNames[k]] = progress_entry.terms[k];
+    json["surfels"] = progress_entry.n_surfels;
+    if (const DensifyReport& d = progress_entry.densified; d.added || d.count_removed_surfels())
         json["densified"] = {{"added", d.added},     {"clones_wanted", d.clones}, {"splits_wanted", d.splits},
                              {"invalid", d.invalid}, {"faint", d.faint},          {"large", d.large},
                              {"outside", d.outside}};
-    if (!progress.densified.note.empty()) json["note"] = progress.densified.note;
+    if (!progress_entry.densified.note.empty()) json["note"] = progress_entry.densified.note;
     return json.dump() + "\n";
 }
 
@@ -41,14 +42,15 @@ std::string format_training_log(const std::vector<TrainProgress>& log_entries) {
 }
 
 /// Writes the file log.jsonl during training. If the disk is full, prints a note only
-/// once. At the end, rewrite_log_if_incomplete() tries to write the complete file again.
+/// once. At the end, rewrite_log_if_write_failed() tries to write the complete file
+/// again.
 class LogFile {
 public:
     LogFile(fs::path path, const std::vector<TrainProgress>& earlier_entries) : path_(std::move(path)) {
         write_text_file(path_, format_training_log(earlier_entries));
         file_.open(path_, std::ios::binary | std::ios::app);
     }
-    void append_log_entry(const TrainProgress& progress) {
+    void append_and_flush_log_entry(const TrainProgress& progress) {
         if (lost_ || (file_ << format_progress_json_line(progress)).flush()) return;
         lost_ = true;
         print_note(fmt::format(
@@ -56,7 +58,7 @@ public:
             "without it",
             path_.string()));
     }
-    void rewrite_log_if_incomplete(const std::vector<TrainProgress>& log_entries) {
+    void rewrite_log_if_write_failed(const std::vector<TrainProgress>& log_entries) {
         if (!lost_) return;
         try {
             write_text_file(path_, format_training_log(log_entries));
@@ -75,8 +77,8 @@ private:
 /// scans moved. After Ctrl-C, the scans keep their previous poses.
 void align_held_out_scans_with_progress(Device& device, TrainedRun& run, bool quiet) {
     TerminalProgress progress(quiet);
-    const HeldOutPoseReport placed =
-        place_held_out(device, run, {make_progress_callback(progress), is_interrupted});
+    const HeldOutPoseReport placed = estimate_held_out_vehicle_poses(
+        device, run, {make_terminal_progress_callback(progress), is_interrupted});
     end_progress_line();
     if (quiet || placed.scans == 0) return;
     print(
@@ -88,8 +90,8 @@ void align_held_out_scans_with_progress(Device& device, TrainedRun& run, bool qu
 
 }  // namespace
 
-void prepare_sequence_for_training(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
-                                   bool quiet, const ProcessGroup& process_group, StageTimes* stage_times) {
+void prepare_log_with_progress(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
+                               bool quiet, const ProcessGroup& process_group, StageTimes* stage_times) {
     TerminalProgress progress(quiet);
     const auto report_line = [&](const std::string& line) {
         if (quiet) return;
@@ -97,8 +99,9 @@ void prepare_sequence_for_training(LidarSequence& sequence, const TrainTestSplit
         print(line + "\n");
         std::fflush(stdout);
     };
-    prepare_log(sequence, split, config,
-                {report_line, is_interrupted, make_progress_callback(progress), stage_times, process_group});
+    prepare_log(
+        sequence, split, config,
+        {report_line, is_interrupted, make_terminal_progress_callback(progress), stage_times, process_group});
 }
 
 TrainResult train_scene_with_progress(Device& device, const LidarSequence& sequence,
@@ -108,7 +111,8 @@ TrainResult train_scene_with_progress(Device& device, const LidarSequence& seque
     LogFile log(run_folder / "log.jsonl",
                 session.start ? read_training_log(*session.start, config) : std::vector<TrainProgress>{});
     TerminalProgress progress(quiet);
-    session.progress = [show = make_progress_callback(progress)](std::string_view description, double done) {
+    session.progress = [show = make_terminal_progress_callback(progress)](std::string_view description,
+                                                                          double done) {
         if (is_interrupted())
             throw Error(ExitCode::interrupted, "interrupted before the first iteration of training");
         show(description, done);
@@ -120,11 +124,11 @@ TrainResult train_scene_with_progress(Device& device, const LidarSequence& seque
         [&](const TrainProgress& p) {
             if (!p.densified.note.empty()) print_note(p.densified.note);
             progress.show_progress_text(format_progress_line(p), p.iteration == p.n_iterations);
-            log.append_log_entry(p);
+            log.append_and_flush_log_entry(p);
             return true;
         },
         session);
-    log.rewrite_log_if_incomplete(result.log);
+    log.rewrite_log_if_write_failed(result.log);
     return result;
 }
 
@@ -132,20 +136,21 @@ namespace {
 
 /// Measures the noise of the LiDAR intensities and shows the progress. After Ctrl-C, the
 /// noise remains unknown.
-void learn_intensity_noise(Device& device, TrainedRun& run, bool quiet) {
+void learn_intensity_noise_with_progress(Device& device, TrainedRun& run, bool quiet) {
     TerminalProgress progress(quiet);
-    run.intensity_scatter = learn_scatter(device, run, {make_progress_callback(progress), is_interrupted});
+    run.intensity_scatter = fit_intensity_scatter_per_lidar(
+        device, run, {make_terminal_progress_callback(progress), is_interrupted});
     end_progress_line();
 }
 
 }  // namespace
 
-TrainingEndReason align_scans_and_learn_noise(Device& device, TrainedRun& run, bool quiet,
-                                              StageTimes& stage_times) {
+TrainingEndReason align_held_out_and_learn_noise(Device& device, TrainedRun& run, bool quiet,
+                                                 StageTimes& stage_times) {
     stage_times.start_stage("place");
     align_held_out_scans_with_progress(device, run, quiet);
     stage_times.start_stage("scatter");
-    learn_intensity_noise(device, run, quiet);
+    learn_intensity_noise_with_progress(device, run, quiet);
     if (is_interrupted()) return TrainingEndReason::stopped;
     stage_times.start_stage("save");
     save_run(run);
@@ -155,7 +160,7 @@ TrainingEndReason align_scans_and_learn_noise(Device& device, TrainedRun& run, b
 TrainingEndReason train_drop_network_with_progress(Device& device, TrainedRun& run, bool quiet,
                                                    RayDropTrainingSession session) {
     TerminalProgress progress(quiet);
-    session.progress = make_progress_callback(progress);
+    session.progress = make_terminal_progress_callback(progress);
     session.stop = is_interrupted;
     session.note = print_note;
     session.step = [&](const RayDropTrainProgress& p) {

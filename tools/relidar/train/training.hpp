@@ -14,9 +14,9 @@ namespace relidar::cli {
 /// Prepares a log for training: registers scans, calibrates beams and finds moving
 /// objects, as the settings require. Shows the progress.
 /// @throws Error with exit code 130 after Ctrl-C
-void prepare_sequence_for_training(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
-                                   bool quiet, const ProcessGroup& process_group = {},
-                                   StageTimes* stage_times = nullptr);
+void prepare_log_with_progress(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
+                               bool quiet, const ProcessGroup& process_group = {},
+                               StageTimes* stage_times = nullptr);
 
 /// Trains a scene and shows a progress line on stderr. Each progress report is also a
 /// JSON line in log.jsonl. A resumed training keeps the lines before its checkpoint.
@@ -34,8 +34,8 @@ TrainResult train_scene_with_progress(Device& device, const LidarSequence& seque
 /// @param stage_times receives the times of "place", "scatter" and "save"
 /// @return `stopped` if the user interrupted; the folder then holds the scene without
 /// these results
-TrainingEndReason align_scans_and_learn_noise(Device& device, TrainedRun& run, bool quiet,
-                                              StageTimes& stage_times);
+TrainingEndReason align_held_out_and_learn_noise(Device& device, TrainedRun& run, bool quiet,
+                                                 StageTimes& stage_times);
 
 /// Trains the ray-drop network of a run and shows a progress line. The scans of the log
 /// must be loaded.

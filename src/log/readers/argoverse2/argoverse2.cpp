@@ -179,8 +179,8 @@ LidarSweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vect
                             ScanErrorCollector& broken_scans) {
     std::optional<std::array<int, 2>> halves;
     for (std::size_t at = 0; at < files.size() && !halves; ++at)
-        broken_scans.read_or_mark_broken(at, [&] {
-            halves = match_lidars_to_laser_groups(
+        broken_scans.call_and_record_scan_errors(at, [&] {
+            halves = find_laser_group_of_each_lidar(
                 read_sweep(files[at].path), {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
         });
     std::array<PoseTrack, 2> ways;
@@ -188,11 +188,11 @@ LidarSweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vect
         ways[l] = compute_mounted_track(vehicle_track, lidars[l].vehicle_from_sensor);
     LidarSweepPairs sweeps(files.size());
     parallel_for_with_progress(files.size(), progress, "reading sweeps", [&](std::size_t at) {
-        broken_scans.read_or_mark_broken(at, [&] {
+        broken_scans.call_and_record_scan_errors(at, [&] {
             const RawSweep raw = read_sweep(files[at].path);
             for (std::size_t l = 0; l < 2; ++l)
-                sweeps[at][l] =
-                    extract_lidar_sweep(raw, halves->at(l), lidars[l], ways[l], vehicle_track.time_s[at]);
+                sweeps[at][l] = extract_points_of_laser_group(raw, halves->at(l), lidars[l], ways[l],
+                                                              vehicle_track.time_s[at]);
         });
     });
     return sweeps;
@@ -203,7 +203,7 @@ LidarSweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vect
 void append_sweeps_as_frames(LidarSequence& sequence, const std::vector<SweepFile>& sweep_files,
                              const PoseTrack& vehicle_poses, LidarSweepPairs sweeps,
                              const ProgressReporter& progress, const ScanErrorCollector& broken_scans) {
-    broken_scans.add_broken_scan_notes(sequence, sweep_files.size());
+    broken_scans.add_broken_scan_notes_or_throw(sequence, sweep_files.size());
     std::vector<LidarSweepPoints*> of_frame;
     std::size_t missing = 0;
     for (std::size_t at = 0; at < sweep_files.size(); ++at) {
@@ -230,8 +230,8 @@ void append_sweeps_as_frames(LidarSequence& sequence, const std::vector<SweepFil
     parallel_for_with_progress(
         of_frame.size(), progress, "assigning points to the fired rays", [&](std::size_t index) {
             LidarFrame& frame = sequence.frames[index];
-            frame.scan = make_spinning_scan(of_frame[index]->points, sequence.get_lidar(frame).sensor,
-                                            of_frame[index]->sweep);
+            frame.scan = assign_points_to_rays_of_spinning_scan(
+                of_frame[index]->points, sequence.get_lidar(frame).sensor, of_frame[index]->sweep);
             *of_frame[index] = {};
         });
 }
@@ -273,7 +273,7 @@ std::vector<BoxTrack> read_box_tracks_at_sweeps(const fs::path& annotation_file,
 }  // namespace
 
 LidarSequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
-    check_is_folder(log_folder, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
+    require_existing_folder(log_folder, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
     const fs::path folder = fs::canonical(log_folder);
     const std::vector<SweepFile> all = list_sweeps(folder / "sensors" / "lidar"),
                                  sweeps = select_sweeps_in_range(all, options.frames);
@@ -295,7 +295,7 @@ LidarSequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& 
     LidarSweepPairs read = read_sweeps(sweeps, sequence.lidars, vehicle_track, options.progress, broken);
     append_sweeps_as_frames(sequence, sweeps, vehicle_track, std::move(read), options.progress, broken);
     kitti::replace_vehicle_poses_from_file(sequence, options.poses_file);
-    recentre_sequence(sequence);
+    move_world_origin_of_log(sequence);
     return sequence;
 }
 

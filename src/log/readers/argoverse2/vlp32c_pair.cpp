@@ -49,7 +49,8 @@ std::array<LaserRowTiming, kLasers> make_vlp32c_laser_table() {
 
 /// Returns the mean absolute difference between the elevation of a point and of its
 /// laser. Limits each difference to one degree, so that outliers have little influence.
-double compute_mean_elevation_error(const RawSweep& sweep, int laser_group, const Pose& vehicle_from_lidar) {
+double compute_mean_laser_elevation_error(const RawSweep& sweep, int laser_group,
+                                          const Pose& vehicle_from_lidar) {
     const std::array<LaserRowTiming, kLasers> laser_table = make_vlp32c_laser_table();
     const Pose lidar_from_vehicle = inverse(vehicle_from_lidar);
     double sum = 0.0, n = 0.0;
@@ -68,12 +69,12 @@ double compute_mean_elevation_error(const RawSweep& sweep, int laser_group, cons
 /// Returns for each point the number of its firing cycle, in which all lasers fire once.
 /// Counts from the time stamp of the sweep. The stamp is not the start of a cycle, so the
 /// start is estimated from all points.
-std::vector<int> compute_firing_cycle_numbers(const std::vector<double>& cycle_start_times_ns) {
+std::vector<int> compute_firing_cycle_of_each_point(const std::vector<double>& cycle_start_of_each_point_ns) {
     std::complex<double> sum = 0.0;
-    for (const double t : cycle_start_times_ns) sum += std::polar(1.0, 2.0 * kPi * t / kCycle_ns);
+    for (const double t : cycle_start_of_each_point_ns) sum += std::polar(1.0, 2.0 * kPi * t / kCycle_ns);
     const double phase_ns = std::arg(sum) / (2.0 * kPi) * kCycle_ns;
     std::vector<int> numbers;
-    for (const double t : cycle_start_times_ns)
+    for (const double t : cycle_start_of_each_point_ns)
         numbers.push_back(int(std::lround((t - phase_ns) / kCycle_ns)));
     return numbers;
 }
@@ -92,17 +93,17 @@ SpinningSensor make_vlp32c_sensor(bool clockwise) {
     return sensor;
 }
 
-std::array<int, 2> match_lidars_to_laser_groups(const RawSweep& sweep,
-                                                const std::array<Pose, 2>& vehicle_from_lidar) {
-    const double straight = compute_mean_elevation_error(sweep, 0, vehicle_from_lidar[0]) +
-                            compute_mean_elevation_error(sweep, 1, vehicle_from_lidar[1]);
-    const double crossed = compute_mean_elevation_error(sweep, 1, vehicle_from_lidar[0]) +
-                           compute_mean_elevation_error(sweep, 0, vehicle_from_lidar[1]);
+std::array<int, 2> find_laser_group_of_each_lidar(const RawSweep& sweep,
+                                                  const std::array<Pose, 2>& vehicle_from_lidar) {
+    const double straight = compute_mean_laser_elevation_error(sweep, 0, vehicle_from_lidar[0]) +
+                            compute_mean_laser_elevation_error(sweep, 1, vehicle_from_lidar[1]);
+    const double crossed = compute_mean_laser_elevation_error(sweep, 1, vehicle_from_lidar[0]) +
+                           compute_mean_laser_elevation_error(sweep, 0, vehicle_from_lidar[1]);
     return straight <= crossed ? std::array{0, 1} : std::array{1, 0};
 }
 
-LidarSweepPoints extract_lidar_sweep(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
-                                     const PoseTrack& world_from_sensor, double sweep_time_s) {
+LidarSweepPoints extract_points_of_laser_group(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
+                                               const PoseTrack& world_from_sensor, double sweep_time_s) {
     const std::array<LaserRowTiming, kLasers> laser_table = make_vlp32c_laser_table();
     const Pose lidar_from_vehicle = inverse(lidar.vehicle_from_sensor);
     LidarSweepPoints result;
@@ -119,8 +120,8 @@ LidarSweepPoints extract_lidar_sweep(const RawSweep& raw_sweep, int laser_group,
     if (result.points.size() == 0) return result;
     undo_motion_compensation(result.points, world_from_sensor, sweep_time_s);
     const double step_rad = (lidar.sensor.clockwise ? -2.0 : 2.0) * kPi * kRate_hz * kCycle_ns * 1e-9;
-    result.sweep = assign_points_to_firings(result.points, compute_firing_cycle_numbers(first_pair_ns),
-                                            lidar.sensor, step_rad);
+    result.sweep = estimate_sweep_and_assign_firings(
+        result.points, compute_firing_cycle_of_each_point(first_pair_ns), lidar.sensor, step_rad);
     return result;
 }
 

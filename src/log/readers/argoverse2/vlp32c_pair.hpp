@@ -29,8 +29,8 @@ SpinningSensor make_vlp32c_sensor(bool clockwise);
 /// Finds out which LiDAR has the laser numbers 0 to 31. Returns {0, 1} for the first
 /// LiDAR and {1, 0} for the second. Compares the elevations of points with the elevations
 /// of the lasers in both cases.
-std::array<int, 2> match_lidars_to_laser_groups(const RawSweep& sweep,
-                                                const std::array<Pose, 2>& vehicle_from_lidar);
+std::array<int, 2> find_laser_group_of_each_lidar(const RawSweep& sweep,
+                                                  const std::array<Pose, 2>& vehicle_from_lidar);
 
 /// The points that one LiDAR measured in a sweep.
 struct LidarSweepPoints {
@@ -44,7 +44,7 @@ struct LidarSweepPoints {
 /// firing. Keeps firings without points, for example where the vehicle blocks all beams.
 /// @param world_from_sensor  poses with which the dataset moved the points to the time
 /// of the sweep
-LidarSweepPoints extract_lidar_sweep(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
-                                     const PoseTrack& world_from_sensor, double sweep_time_s);
+LidarSweepPoints extract_points_of_laser_group(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
+                                               const PoseTrack& world_from_sensor, double sweep_time_s);
 
 }  // namespace relidar::argoverse2

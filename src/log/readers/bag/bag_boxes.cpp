@@ -34,7 +34,7 @@ public:
         if (cached_entry == apart_.end())
             cached_entry =
                 apart_
-                    .emplace(frame_id, transform_context_.frames.find_relative_poses(
+                    .emplace(frame_id, transform_context_.frames.find_pose_function_between_frames(
                                            transform_context_.vehicle, frame_id,
                                            transform_context_.poses.clock, transform_context_.poses.zero_ns))
                     .first;
@@ -90,7 +90,7 @@ public:
         : transform_context_(places), frames_(places), first_s_(first_s), last_s_(last_s) {}
 
     bool is_in_time_range(double t_s) const { return t_s >= first_s_ && t_s <= last_s_; }
-    double compute_time_since_start_s(std::int64_t header_stamp_ns, std::int64_t recording_time_ns) const {
+    double choose_stamp_as_log_time_s(std::int64_t header_stamp_ns, std::int64_t recording_time_ns) const {
         const bool is_recorded = transform_context_.poses.clock == LogClock::recorder || header_stamp_ns == 0;
         return 1e-9 *
                double((is_recorded ? recording_time_ns : header_stamp_ns) - transform_context_.poses.zero_ns);
@@ -98,7 +98,7 @@ public:
 
     void add_labels_in_world_frame(const BoxListMessage& box_list, std::int64_t recording_time_ns) {
         for (const BoxMessage& box : box_list.boxes) {
-            const double t_s = compute_time_since_start_s(box.header.stamp_ns, recording_time_ns);
+            const double t_s = choose_stamp_as_log_time_s(box.header.stamp_ns, recording_time_ns);
             if (box.id.empty() || !is_in_time_range(t_s)) continue;
             const std::optional<Pose> world_from_frame =
                 frames_.find_frame_pose_in_world(box.header.frame, t_s);
@@ -112,7 +112,7 @@ public:
         }
     }
 
-    LoadedBoxTracks make_box_tracks() {
+    LoadedBoxTracks make_tracks_of_collected_labels() {
         LoadedBoxTracks result;
         if (n_unplaced_ > 0)
             result.notes.push_back(fmt::format(
@@ -141,17 +141,17 @@ private:
 }  // namespace
 
 LoadedBoxTracks read_box_tracks_from_bag(const BagRecording& bag, const BoxTopic& box_topic,
-                                         const BoxTransformContext& world_transforms,
+                                         const BoxTransformContext& transform_context,
                                          const std::vector<double>& frame_times_s) {
     const double step_s = compute_median_interval_s(frame_times_s);
-    BoxMessageReader reader(world_transforms, frame_times_s.front() - step_s, frame_times_s.back() + step_s);
+    BoxMessageReader reader(transform_context, frame_times_s.front() - step_s, frame_times_s.back() + step_s);
     for (const BoxIndexEntry& entry : box_topic.lists)
-        if (reader.is_in_time_range(reader.compute_time_since_start_s(entry.stamp_ns, entry.log_ns)))
+        if (reader.is_in_time_range(reader.choose_stamp_as_log_time_s(entry.stamp_ns, entry.log_ns)))
             reader.add_labels_in_world_frame(
                 read_boxes_of_message(bag.topics()[box_topic.topic],
                                       bag.read_message_bytes(entry.message_position).bytes),
                 entry.log_ns);
-    return reader.make_box_tracks();
+    return reader.make_tracks_of_collected_labels();
 }
 
 }  // namespace relidar::bag

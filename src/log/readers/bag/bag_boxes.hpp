@@ -35,7 +35,7 @@ struct LoadedBoxTracks {
 /// times up to one time step before the first or after the last frame.
 /// @param frame_times_s  times of the frames of the log in seconds, ascending
 LoadedBoxTracks read_box_tracks_from_bag(const BagRecording& bag, const BoxTopic& box_topic,
-                                         const BoxTransformContext& world_transforms,
+                                         const BoxTransformContext& transform_context,
                                          const std::vector<double>& frame_times_s);
 
 }  // namespace relidar::bag

@@ -38,7 +38,7 @@ struct RosbagMetadata {
 };
 
 std::string remove_quotes(std::string_view text) {
-    text = trim_spaces(text);
+    text = trim_blanks_at_both_ends(text);
     if (text.size() >= 2 && (text.front() == '"' || text.front() == '\'') && text.back() == text.front())
         text = text.substr(1, text.size() - 2);
     return std::string(text);
@@ -48,7 +48,7 @@ RosbagMetadata read_rosbag2_metadata(const fs::path& file) {
     RosbagMetadata metadata;
     bool in_files = false;
     for (const std::string& line : split_lines(read_text_file(file))) {
-        const std::string_view text = trim_spaces(line);
+        const std::string_view text = trim_blanks_at_both_ends(line);
         const auto value_of = [&](std::string_view key) { return remove_quotes(text.substr(key.size())); };
         if (text.starts_with("relative_file_paths:")) in_files = true;
         else if (in_files && text.starts_with("- ")) metadata.files.push_back(value_of("- "));
@@ -152,11 +152,11 @@ void BagRecording::for_each_message(const TopicFilter& filter, const MessageCall
     }
 }
 
-SharedBytes BagRecording::read_message_bytes(const MessagePosition& location) const {
+SharedBytes BagRecording::read_message_bytes(const MessagePosition& message_position) const {
     try {
-        return files_.at(location.file)->read_message_bytes(location);
+        return files_.at(message_position.file)->read_message_bytes(message_position);
     } catch (const DataError& error) {
-        throw DataError(fmt::format("{}: {}", paths_.at(location.file).string(), error.what()));
+        throw DataError(fmt::format("{}: {}", paths_.at(message_position.file).string(), error.what()));
     }
 }
 

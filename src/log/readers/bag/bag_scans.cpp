@@ -70,12 +70,12 @@ LidarPoints BagScanProvider::read_points_of_frame(std::size_t frame_index) const
 }
 
 folder::PointTable BagScanProvider::read_or_reuse_point_table(std::size_t frame_index,
-                                                              const MessagePosition& location) const {
+                                                              const MessagePosition& message_position) const {
     const LidarTopic& lidar = lidars_[clouds_[frame_index].lidar];
-    if (const auto sample_entry = lidar.samples.find(location); sample_entry != lidar.samples.end())
+    if (const auto sample_entry = lidar.samples.find(message_position); sample_entry != lidar.samples.end())
         return sample_entry->second;
     try {
-        return read_cloud_as_point_table(bag_, *lidar.clouds, location);
+        return read_cloud_as_point_table(bag_, *lidar.clouds, message_position);
     } catch (const DataError& error) {
         throw DataError(fmt::format("{}: {}", get_frame_name(frame_index), error.what()));
     }
@@ -86,7 +86,8 @@ LidarPoints BagScanProvider::read_points_of_cloud(std::size_t frame_index, const
     const FrameCloudMessage& at = clouds_[frame_index];
     const PointCloudUnits& units = lidars_[at.lidar].units;
     folder::PointTable table = read_or_reuse_point_table(frame_index, cloud.message_position);
-    if (units.zero == PointTimeReference::none) table.remove_fields(folder::PointAttribute::time);
+    if (units.zero == PointTimeReference::none)
+        table.remove_fields_with_attribute(folder::PointAttribute::time);
     // time of the frame, on the clock of the point times
     double zero_s = at.time_s - cloud_time_s;
     if (units.zero == PointTimeReference::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
@@ -128,8 +129,8 @@ Scan BagScanProvider::read_rays_of_frame(std::size_t frame_index) const {
                                             revolution.forward_ns + shift_ns);
 }
 
-LidarTopic make_lidar_topic_with_units(const BagRecording& bag, const CloudTopic& cloud_topic,
-                                       double cloud_period_s) {
+LidarTopic estimate_units_of_cloud_topic(const BagRecording& bag, const CloudTopic& cloud_topic,
+                                         double cloud_period_s) {
     LidarTopic topic{&cloud_topic};
     if (!cloud_topic.packets.empty()) return topic;
     std::vector<folder::PointTable> samples;
@@ -145,7 +146,7 @@ LidarTopic make_lidar_topic_with_units(const BagRecording& bag, const CloudTopic
         stamps_s.push_back(1e-9 * double(entry.stamp_ns));
         topic.samples.emplace(entry.message_position, samples.back());
     }
-    topic.units = estimate_cloud_units(samples, stamps_s, cloud_period_s);
+    topic.units = estimate_time_and_intensity_units(samples, stamps_s, cloud_period_s);
     return topic;
 }
 

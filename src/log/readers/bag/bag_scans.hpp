@@ -34,8 +34,8 @@ struct LidarTopic {
 };
 /// Reads a few clouds of a topic and estimates the units of their values.
 /// @param cloud_period_s  time between clouds in seconds
-LidarTopic make_lidar_topic_with_units(const BagRecording& bag, const CloudTopic& cloud_topic,
-                                       double cloud_period_s);
+LidarTopic estimate_units_of_cloud_topic(const BagRecording& bag, const CloudTopic& cloud_topic,
+                                         double cloud_period_s);
 
 /// Function that returns the pose of a LiDAR in the world frame at a time of the log.
 using LidarPoseFunction = std::function<Pose(std::size_t lidar, double time_s)>;
@@ -66,7 +66,7 @@ private:
     const LidarPoseFunction deskewed_by_;
 
     folder::PointTable read_or_reuse_point_table(std::size_t frame_index,
-                                                 const MessagePosition& location) const;
+                                                 const MessagePosition& message_position) const;
     LidarPoints read_points_of_cloud(std::size_t frame_index, const CloudIndexEntry& cloud,
                                      double cloud_time_s) const;
 };

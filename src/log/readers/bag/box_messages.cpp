@@ -38,7 +38,7 @@ struct UncheckedBox {
     glm::dvec3 size_m{0.0};
 };
 
-void add_box_if_valid(BoxListMessage& box_list, const UncheckedBox& unchecked_box) {
+void add_box_or_count_as_invalid(BoxListMessage& box_list, const UncheckedBox& unchecked_box) {
     const glm::dvec3& s = unchecked_box.size_m;
     const bool has_size = std::isfinite(s.x + s.y + s.z) && std::min({s.x, s.y, s.z}) > 0.0;
     try {
@@ -69,7 +69,7 @@ constexpr DetectionMessageLayout kDetectionLayouts[] = {
 
 /// Reads the classification results of a detection. Returns the class with the highest
 /// score.
-std::string read_most_probable_class(MessageReader& reader, const DetectionMessageLayout& layout) {
+std::string read_results_and_get_best_class(MessageReader& reader, const DetectionMessageLayout& layout) {
     constexpr std::size_t kLeastResult = 8 * (1 + 7 + kCovariance);
     std::string best;
     double best_score = -INFINITY;
@@ -92,7 +92,7 @@ BoxListMessage read_detections_with_layout(MessageReader reader, const Detection
     for (std::size_t i = 0; i < n; ++i) {
         UncheckedBox box{read_header(reader),
                          {},
-                         read_most_probable_class(reader, layout),
+                         read_results_and_get_best_class(reader, layout),
                          read_position_and_quaternion(reader),
                          read_vector3(reader)};
         // Also skips is_dense, the last field of source_cloud, because read_point_cloud()
@@ -102,7 +102,7 @@ BoxListMessage read_detections_with_layout(MessageReader reader, const Detection
         if (layout.has_identity) box.id = reader.read_string();
         if (box.header.frame.empty()) box.header = list.header;
         if (box.header.stamp_ns == 0) box.header.stamp_ns = list.header.stamp_ns;
-        add_box_if_valid(list, box);
+        add_box_or_count_as_invalid(list, box);
     }
     if (reader.count_remaining_bytes() > (reader.is_ros1() ? 0 : kPadding))
         throw DataError(
@@ -157,7 +157,7 @@ std::string read_uuid(MessageReader& reader) {
 
 /// Reads the shape of an object and sets the size of its box. For a polygon, uses the box
 /// around its footprint, because a polygon has no length and width.
-void read_shape_into_box(MessageReader& reader, UncheckedBox& box) {
+void read_shape_and_set_box_size(MessageReader& reader, UncheckedBox& box) {
     constexpr std::uint8_t kPolygon = 2;
     const auto type = reader.read_number<std::uint8_t>();
     glm::dvec2 least(INFINITY), most(-INFINITY);
@@ -194,8 +194,8 @@ BoxListMessage read_tracked_objects(MessageReader& reader, bool is_autoware_auto
         skip_doubles(reader, 2 * kTwist);  // skips twist and acceleration
         if (!is_autoware_auto) reader.read_number<std::uint8_t>();
         reader.read_number<std::uint8_t>();  // skips the flag is_stationary
-        read_shape_into_box(reader, box);
-        add_box_if_valid(list, box);
+        read_shape_and_set_box_size(reader, box);
+        add_box_or_count_as_invalid(list, box);
     }
     return list;
 }

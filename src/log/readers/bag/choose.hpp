@@ -23,7 +23,7 @@ struct SelectedCloudTopics {
 /// selection
 /// @throws DataError if no topic contains clouds
 /// @throws UsageError if a requested topic contains no clouds
-SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex& survey,
+SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex& bag_index,
                                         const std::vector<std::string>& requested_topics);
 
 /// Which vehicle poses of a bag are used, and which clock gives the times.
@@ -44,9 +44,9 @@ struct SelectedPoseSource {
 /// @param requested_frame_or_topic  name of a frame or of a pose topic; empty: automatic
 /// selection
 /// @throws UsageError if `requested_frame_or_topic` is neither a frame nor a pose topic
-SelectedPoseSource choose_vehicle_poses(const BagRecording& bag, const BagIndex& survey,
-                                        const CloudTopic& main_lidar_clouds,
-                                        const std::string& requested_frame_or_topic);
+SelectedPoseSource choose_vehicle_pose_source(const BagRecording& bag, const BagIndex& bag_index,
+                                              const CloudTopic& main_lidar_clouds,
+                                              const std::string& requested_frame_or_topic);
 
 struct SelectedBoxTopic {
     const BoxTopic* topic = nullptr;  ///< box topic in BagIndex::boxes, or null
@@ -54,6 +54,6 @@ struct SelectedBoxTopic {
 };
 /// Selects the topic with the most boxes that have a track id. If two topics have the
 /// same number, selects the first one by name.
-SelectedBoxTopic choose_box_topic(const BagRecording& bag, const BagIndex& survey);
+SelectedBoxTopic choose_box_topic(const BagRecording& bag, const BagIndex& bag_index);
 
 }  // namespace relidar::bag

@@ -9,16 +9,16 @@
 
 namespace relidar::bag {
 
-SelectedBoxTopic choose_box_topic(const BagRecording& bag, const BagIndex& survey) {
+SelectedBoxTopic choose_box_topic(const BagRecording& bag, const BagIndex& bag_index) {
     SelectedBoxTopic choice;
     const auto get_name = [&](const BoxTopic& boxes) { return bag.topics()[boxes.topic].name; };
     const auto is_worse = [&](const BoxTopic& first, const BoxTopic& second) {
         return first.n_named != second.n_named ? first.n_named < second.n_named
                                                : get_name(first) > get_name(second);
     };
-    const auto best = std::ranges::max_element(survey.boxes, is_worse);
-    if (best != survey.boxes.end() && best->n_named > 0) choice.topic = &*best;
-    for (const BoxTopic& boxes : survey.boxes) {
+    const auto best = std::ranges::max_element(bag_index.boxes, is_worse);
+    if (best != bag_index.boxes.end() && best->n_named > 0) choice.topic = &*best;
+    for (const BoxTopic& boxes : bag_index.boxes) {
         const std::string name = shorten_for_error_message(get_name(boxes));
         if (&boxes == choice.topic)
             choice.notes.push_back(fmt::format("boxes are read from {}{}", name,
@@ -36,7 +36,7 @@ SelectedBoxTopic choose_box_topic(const BagRecording& bag, const BagIndex& surve
                             boxes.n_boxes));
     }
     for (const BagTopic& topic : bag.topics())
-        if (get_topic_use(topic) == MessagePurpose::nameless_boxes)
+        if (get_message_purpose_of_topic(topic) == MessagePurpose::nameless_boxes)
             choice.notes.push_back(
                 fmt::format("the boxes of {} are ignored, because messages of type {} have no track ids",
                             shorten_for_error_message(topic.name), shorten_for_error_message(topic.type)));

@@ -44,7 +44,7 @@ constexpr PacketDriver kDrivers[] = {
 
 /// Returns the end of the error message for a bag without clouds. The text explains why
 /// topics that may contain clouds could not be read.
-std::string explain_missing_clouds(const BagRecording& bag, const BagIndex& survey) {
+std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagIndex& bag_index) {
     std::string text;
     for (const std::string& note : bag.get_file_problems()) text += fmt::format(" ({})", note);
     for (const BagTopic& topic : bag.topics())
@@ -54,10 +54,10 @@ std::string explain_missing_clouds(const BagRecording& bag, const BagIndex& surv
                     " ({}: relidar cannot decode these packets; play the recording with the driver {}, and "
                     "record its point clouds)",
                     shorten_for_error_message(topic.name), packet_driver.driver);
-    for (std::size_t t = 0; t < survey.facts.size(); ++t) {
+    for (std::size_t t = 0; t < bag_index.facts.size(); ++t) {
         const BagTopic& topic = bag.topics()[t];
-        const auto clouds = std::ranges::find(survey.clouds, t, &CloudTopic::topic);
-        const bool is_empty = clouds != survey.clouds.end() && clouds->clouds.empty();
+        const auto clouds = std::ranges::find(bag_index.clouds, t, &CloudTopic::topic);
+        const bool is_empty = clouds != bag_index.clouds.end() && clouds->clouds.empty();
         if (is_empty && !clouds->packets.empty())
             text +=
                 fmt::format(" (topic {} contains {} packets of a {}: {})",
@@ -66,11 +66,12 @@ std::string explain_missing_clouds(const BagRecording& bag, const BagIndex& surv
         else if (is_empty)
             text += fmt::format(" (topic {} contains {} clouds without points)",
                                 shorten_for_error_message(topic.name), clouds->n_empty);
-        if (survey.facts[t].n_broken > 0)
-            text += fmt::format(" ({}: {})", shorten_for_error_message(topic.name), survey.facts[t].broken);
+        if (bag_index.facts[t].n_broken > 0)
+            text +=
+                fmt::format(" ({}: {})", shorten_for_error_message(topic.name), bag_index.facts[t].broken);
         if (topic.type == packets::kOtherDatagrams)
             text += fmt::format(" ({} contains {} datagrams that relidar cannot decode as LiDAR packets)",
-                                shorten_for_error_message(topic.name), survey.facts[t].n);
+                                shorten_for_error_message(topic.name), bag_index.facts[t].n);
     }
     if (bag.topics().empty()) text += " (the recording has no messages)";
     return text;
@@ -81,10 +82,10 @@ std::string explain_missing_clouds(const BagRecording& bag, const BagIndex& surv
 /// points.
 double compute_raw_data_score(const CloudTopic& cloud_topic) {
     if (!cloud_topic.packets.empty()) return 200.0;
-    const bool timed = cloud_topic.has_point_field(folder::PointAttribute::time);
-    const bool ringed = cloud_topic.has_point_field(folder::PointAttribute::ring);
-    const bool numbered = cloud_topic.has_point_field(folder::PointAttribute::return_number) ||
-                          cloud_topic.has_point_field(folder::PointAttribute::return_type);
+    const bool timed = cloud_topic.has_field_with_attribute(folder::PointAttribute::time);
+    const bool ringed = cloud_topic.has_field_with_attribute(folder::PointAttribute::ring);
+    const bool numbered = cloud_topic.has_field_with_attribute(folder::PointAttribute::return_number) ||
+                          cloud_topic.has_field_with_attribute(folder::PointAttribute::return_type);
     return 100.0 * timed + 50.0 * ringed + 20.0 * numbered +
            std::log10(1.0 + double(cloud_topic.compute_median_point_count()));
 }
@@ -99,14 +100,14 @@ bool is_cloud_frame_one_of(const CloudTopic& cloud_topic, const std::array<const
 
 /// Returns false for clouds in the vehicle frame, which are usually merged from several
 /// sensors. Also returns false for clouds in a world frame, which are maps.
-bool is_in_sensor_frame(const CloudTopic& clouds) {
-    return !is_cloud_frame_one_of(clouds, kOfWorld) && !is_cloud_frame_one_of(clouds, kOfVehicle);
+bool are_clouds_in_single_sensor_frame(const CloudTopic& cloud_topic) {
+    return !is_cloud_frame_one_of(cloud_topic, kOfWorld) && !is_cloud_frame_one_of(cloud_topic, kOfVehicle);
 }
 
 /// Checks by the frame of a topic whether the topic contains LiDAR scans. Throws if it
 /// certainly does not, and adds a note for the user if it probably does not.
-void check_clouds_in_sensor_frame(const std::string& topic_name, const CloudTopic& clouds,
-                                  SelectedCloudTopics& choice) {
+void require_clouds_outside_world_frame(const std::string& topic_name, const CloudTopic& clouds,
+                                        SelectedCloudTopics& selected_topics) {
     if (is_cloud_frame_one_of(clouds, kOfWorld))
         throw DataError(
             fmt::format("{}: the clouds are in the world-fixed frame '{}', so the positions of the LiDAR are "
@@ -114,7 +115,7 @@ void check_clouds_in_sensor_frame(const std::string& topic_name, const CloudTopi
                         "dataset.lidars)",
                         topic_name, clouds.frame));
     if (is_cloud_frame_one_of(clouds, kOfVehicle))
-        choice.notes.push_back(fmt::format(
+        selected_topics.notes.push_back(fmt::format(
             "{}: the clouds are in the vehicle frame '{}', probably because clouds of several LiDARs were "
             "merged. All rays start at the origin of this frame, which is inaccurate near the vehicle",
             topic_name, clouds.frame));
@@ -122,23 +123,23 @@ void check_clouds_in_sensor_frame(const std::string& topic_name, const CloudTopi
 
 /// Returns the number of sweeps per second. The message rate is higher if a sweep
 /// consists of several messages.
-double estimate_sweep_rate_hz(const BagIndex& survey, const CloudTopic& clouds) {
-    const TopicStatistics& facts = survey.facts[clouds.topic];
-    return facts.compute_message_rate_hz() * double(clouds.clouds.size()) /
-           double(std::max<std::size_t>(facts.n - clouds.n_empty, 1));
+double estimate_sweep_rate_hz(const BagIndex& bag_index, const CloudTopic& cloud_topic) {
+    const TopicStatistics& facts = bag_index.facts[cloud_topic.topic];
+    return facts.compute_message_rate_hz() * double(cloud_topic.clouds.size()) /
+           double(std::max<std::size_t>(facts.n - cloud_topic.n_empty, 1));
 }
 
-std::vector<std::size_t> find_cloud_topic_indices(const BagRecording& bag, const BagIndex& survey,
+std::vector<std::size_t> find_cloud_topic_indices(const BagRecording& bag, const BagIndex& bag_index,
                                                   const std::vector<std::string>& topic_names) {
     std::vector<std::size_t> lidars;
     for (const std::string& name : topic_names) {
         const auto matching_cloud_topic = std::ranges::find_if(
-            survey.clouds, [&](const CloudTopic& c) { return bag.topics()[c.topic].name == name; });
-        if (matching_cloud_topic == survey.clouds.end() || matching_cloud_topic->clouds.empty())
+            bag_index.clouds, [&](const CloudTopic& c) { return bag.topics()[c.topic].name == name; });
+        if (matching_cloud_topic == bag_index.clouds.end() || matching_cloud_topic->clouds.empty())
             throw UsageError(fmt::format(
                 "dataset.lidars: found '{}', expected a topic of point clouds; the recording contains {}",
                 shorten_for_error_message(name), format_topics(bag)));
-        lidars.push_back(std::size_t(matching_cloud_topic - survey.clouds.begin()));
+        lidars.push_back(std::size_t(matching_cloud_topic - bag_index.clouds.begin()));
     }
     std::ranges::sort(lidars);
     lidars.erase(std::unique(lidars.begin(), lidars.end()), lidars.end());
@@ -148,8 +149,8 @@ std::vector<std::size_t> find_cloud_topic_indices(const BagRecording& bag, const
 /// Returns the frame_id that identifies the LiDAR of a topic. Usually this is the
 /// frame_id of the clouds. If a driver computed the clouds from packets in the same bag,
 /// it is the frame_id of the packets.
-const std::string& get_lidar_frame_id(const BagIndex& survey, const CloudTopic& cloud_topic) {
-    for (const CloudTopic& other : survey.clouds)
+const std::string& get_lidar_frame_id(const BagIndex& bag_index, const CloudTopic& cloud_topic) {
+    for (const CloudTopic& other : bag_index.clouds)
         if (!other.revolutions.empty() &&
             std::ranges::find(other.driver_frames, cloud_topic.frame) != other.driver_frames.end())
             return other.frame;
@@ -158,16 +159,17 @@ const std::string& get_lidar_frame_id(const BagIndex& survey, const CloudTopic& 
 
 /// If a LiDAR has several topics, selects the topic with the least processed data. For
 /// example, packets are better than clouds.
-std::vector<std::size_t> select_one_topic_per_lidar(const BagIndex& survey) {
+std::vector<std::size_t> select_best_cloud_topic_per_lidar(const BagIndex& bag_index) {
     const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
-    const bool any_of_sensor = std::ranges::any_of(
-        survey.clouds, [&](const CloudTopic& c) { return has_clouds(c) && is_in_sensor_frame(c); });
+    const bool any_of_sensor = std::ranges::any_of(bag_index.clouds, [&](const CloudTopic& c) {
+        return has_clouds(c) && are_clouds_in_single_sensor_frame(c);
+    });
     std::map<std::string, std::size_t> best;
-    for (std::size_t c = 0; c < survey.clouds.size(); ++c) {
-        const CloudTopic& clouds = survey.clouds[c];
-        if (!has_clouds(clouds) || (any_of_sensor && !is_in_sensor_frame(clouds))) continue;
-        const auto [at, is_new] = best.try_emplace(get_lidar_frame_id(survey, clouds), c);
-        if (!is_new && compute_raw_data_score(clouds) > compute_raw_data_score(survey.clouds[at->second]))
+    for (std::size_t c = 0; c < bag_index.clouds.size(); ++c) {
+        const CloudTopic& clouds = bag_index.clouds[c];
+        if (!has_clouds(clouds) || (any_of_sensor && !are_clouds_in_single_sensor_frame(clouds))) continue;
+        const auto [at, is_new] = best.try_emplace(get_lidar_frame_id(bag_index, clouds), c);
+        if (!is_new && compute_raw_data_score(clouds) > compute_raw_data_score(bag_index.clouds[at->second]))
             at->second = c;
     }
     std::vector<std::size_t> lidars;
@@ -176,44 +178,46 @@ std::vector<std::size_t> select_one_topic_per_lidar(const BagIndex& survey) {
     return lidars;
 }
 
-std::size_t choose_main_lidar_index(const BagIndex& survey, const std::vector<std::size_t>& lidar_topics) {
-    const auto most = std::ranges::max_element(lidar_topics, {}, [&](std::size_t c) {
-        const CloudTopic& clouds = survey.clouds[c];
+std::size_t choose_main_lidar_index(const BagIndex& bag_index,
+                                    const std::vector<std::size_t>& cloud_topic_indices) {
+    const auto most = std::ranges::max_element(cloud_topic_indices, {}, [&](std::size_t c) {
+        const CloudTopic& clouds = bag_index.clouds[c];
         return std::pair(compute_raw_data_score(clouds) >= 100.0,
                          double(clouds.compute_median_point_count()) * double(clouds.clouds.size()));
     });
-    return std::size_t(most - lidar_topics.begin());
+    return std::size_t(most - cloud_topic_indices.begin());
 }
 
 }  // namespace
 
-SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex& survey,
+SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex& bag_index,
                                         const std::vector<std::string>& requested_topics) {
     SelectedCloudTopics choice;
-    choice.lidars = requested_topics.empty() ? select_one_topic_per_lidar(survey)
-                                             : find_cloud_topic_indices(bag, survey, requested_topics);
+    choice.lidars = requested_topics.empty() ? select_best_cloud_topic_per_lidar(bag_index)
+                                             : find_cloud_topic_indices(bag, bag_index, requested_topics);
     if (choice.lidars.empty())
-        throw DataError(fmt::format(
-            "{}: the recording has no point clouds{}, expected a topic of "
-            "sensor_msgs/PointCloud2 or livox_ros_driver2/CustomMsg; it contains {}",
-            bag.get_file_paths().front().string(), explain_missing_clouds(bag, survey), format_topics(bag)));
-    choice.main = choose_main_lidar_index(survey, choice.lidars);
-    const CloudTopic& main = survey.clouds[choice.lidars[choice.main]];
+        throw DataError(
+            fmt::format("{}: the recording has no point clouds{}, expected a topic of "
+                        "sensor_msgs/PointCloud2 or livox_ros_driver2/CustomMsg; it contains {}",
+                        bag.get_file_paths().front().string(),
+                        explain_why_no_clouds_were_found(bag, bag_index), format_topics(bag)));
+    choice.main = choose_main_lidar_index(bag_index, choice.lidars);
+    const CloudTopic& main = bag_index.clouds[choice.lidars[choice.main]];
     std::vector<std::size_t> accepted_lidars;
     for (const std::size_t c : choice.lidars) {
-        const CloudTopic& clouds = survey.clouds[c];
+        const CloudTopic& clouds = bag_index.clouds[c];
         const std::string& name = bag.topics()[clouds.topic].name;
-        const double rate =
-            estimate_sweep_rate_hz(survey, clouds) / std::max(estimate_sweep_rate_hz(survey, main), 1e-9);
+        const double rate = estimate_sweep_rate_hz(bag_index, clouds) /
+                            std::max(estimate_sweep_rate_hz(bag_index, main), 1e-9);
         std::string why;
-        if (&clouds != &main && !survey.frames.find_constant_transform(main.frame, clouds.frame))
+        if (&clouds != &main && !bag_index.frames.find_constant_transform(main.frame, clouds.frame))
             why = fmt::format("/tf_static has no transform between its frame '{}' and the frame '{}'",
                               clouds.frame, main.frame);
         else if (&clouds != &main && !(rate >= kLeastRate && rate <= kMostRate))
             why = fmt::format("it contains {:.3g} times as many clouds as topic {}", rate,
                               bag.topics()[main.topic].name);
         if (why.empty()) {
-            check_clouds_in_sensor_frame(name, clouds, choice);
+            require_clouds_outside_world_frame(name, clouds, choice);
             accepted_lidars.push_back(c);
         } else if (requested_topics.empty()) {
             choice.notes.push_back(fmt::format(

@@ -25,30 +25,32 @@ struct PoseSourceCandidate {
 /// Returns the frame of the vehicle. On the path from the sensor to the frame
 /// `ancestor_frame`, this is the first frame that moves relative to its parent. If no
 /// frame moves, returns the sensor's frame.
-std::string find_vehicle_frame(const FrameTree& frame_tree, const std::vector<std::string>& frames_to_root,
+std::string find_vehicle_frame(const FrameTree& frame_tree,
+                               const std::vector<std::string>& frame_path_to_root,
                                const std::string& ancestor_frame) {
-    for (const std::string& frame : frames_to_root) {
+    for (const std::string& frame : frame_path_to_root) {
         if (frame == ancestor_frame) break;
         if (frame_tree.is_frame_moving(frame)) return frame;
     }
-    return frames_to_root.front();
+    return frame_path_to_root.front();
 }
 
-bool has_moving_transform_up_to(const FrameTree& frame_tree, const std::vector<std::string>& frames_to_root,
+bool has_moving_transform_up_to(const FrameTree& frame_tree,
+                                const std::vector<std::string>& frame_path_to_root,
                                 const std::string& ancestor_frame) {
-    const auto end = std::ranges::find(frames_to_root, ancestor_frame);
-    return std::any_of(frames_to_root.begin(), end,
+    const auto end = std::ranges::find(frame_path_to_root, ancestor_frame);
+    return std::any_of(frame_path_to_root.begin(), end,
                        [&](const std::string& frame) { return frame_tree.is_frame_moving(frame); });
 }
 
 PoseSourceCandidate make_pose_source_from_tf(const FrameTree& frame_tree,
-                                             const std::vector<std::string>& frames_to_root,
+                                             const std::vector<std::string>& frame_path_to_root,
                                              const std::string& ancestor_frame) {
     PoseSourceCandidate source{
-        ancestor_frame, nullptr, find_vehicle_frame(frame_tree, frames_to_root, ancestor_frame), {}};
+        ancestor_frame, nullptr, find_vehicle_frame(frame_tree, frame_path_to_root, ancestor_frame), {}};
     source.about = fmt::format("poses of the frame '{}' in the frame '{}' are read from /tf (path {}){}",
-                               source.vehicle, ancestor_frame, fmt::join(frames_to_root, " < "),
-                               has_moving_transform_up_to(frame_tree, frames_to_root, ancestor_frame)
+                               source.vehicle, ancestor_frame, fmt::join(frame_path_to_root, " < "),
+                               has_moving_transform_up_to(frame_tree, frame_path_to_root, ancestor_frame)
                                    ? ""
                                    : "; these poses are constant, so the LiDAR does not move");
     return source;
@@ -73,63 +75,65 @@ PoseSourceCandidate make_pose_source_from_topic(const BagRecording& bag, const F
 }
 
 /// Returns the pose topic with the most messages. Prefers odometry topics.
-const PoseTopic* find_best_pose_topic(const BagRecording& bag, const BagIndex& survey) {
-    const auto best = std::ranges::max_element(survey.poses, {}, [&](const PoseTopic& p) {
+const PoseTopic* find_best_pose_topic(const BagRecording& bag, const BagIndex& bag_index) {
+    const auto best = std::ranges::max_element(bag_index.poses, {}, [&](const PoseTopic& p) {
         return std::pair(bag.topics()[p.topic].type == "nav_msgs/Odometry", p.samples.size());
     });
-    return best == survey.poses.end() || best->samples.size() < 2 ? nullptr : &*best;
+    return best == bag_index.poses.end() || best->samples.size() < 2 ? nullptr : &*best;
 }
 
-std::optional<PoseSourceCandidate> find_requested_pose_source(const BagRecording& bag, const BagIndex& survey,
-                                                              const std::vector<std::string>& frames_to_root,
-                                                              const std::string& requested_frame_or_topic,
-                                                              std::vector<std::string>& notes) {
+std::optional<PoseSourceCandidate> find_requested_pose_source(
+    const BagRecording& bag, const BagIndex& bag_index, const std::vector<std::string>& frame_path_to_root,
+    const std::string& requested_frame_or_topic, std::vector<std::string>& notes) {
     if (requested_frame_or_topic.empty()) return std::nullopt;
-    if (std::find(frames_to_root.begin() + 1, frames_to_root.end(), requested_frame_or_topic) !=
-        frames_to_root.end())
-        return make_pose_source_from_tf(survey.frames, frames_to_root, requested_frame_or_topic);
-    std::vector<std::string> available_sources(frames_to_root.begin() + 1, frames_to_root.end());
-    for (const PoseTopic& topic : survey.poses) {
+    if (std::find(frame_path_to_root.begin() + 1, frame_path_to_root.end(), requested_frame_or_topic) !=
+        frame_path_to_root.end())
+        return make_pose_source_from_tf(bag_index.frames, frame_path_to_root, requested_frame_or_topic);
+    std::vector<std::string> available_sources(frame_path_to_root.begin() + 1, frame_path_to_root.end());
+    for (const PoseTopic& topic : bag_index.poses) {
         if (bag.topics()[topic.topic].name == requested_frame_or_topic)
-            return make_pose_source_from_topic(bag, survey.frames, topic, frames_to_root.front(), notes);
+            return make_pose_source_from_topic(bag, bag_index.frames, topic, frame_path_to_root.front(),
+                                               notes);
         available_sources.push_back(bag.topics()[topic.topic].name);
     }
     throw UsageError(
         fmt::format("dataset.poses_from: found '{}', expected a parent frame of '{}' or a topic of poses: "
                     "{}",
-                    shorten_for_error_message(requested_frame_or_topic), frames_to_root.front(),
+                    shorten_for_error_message(requested_frame_or_topic), frame_path_to_root.front(),
                     available_sources.empty() ? "the recording has no poses"
                                               : fmt::format("{}", fmt::join(available_sources, ", "))));
 }
 
-std::optional<PoseSourceCandidate> select_default_pose_source(const BagRecording& bag, const BagIndex& survey,
-                                                              const std::vector<std::string>& frames_to_root,
-                                                              std::vector<std::string>& notes) {
-    const std::string outer =
-        std::ranges::find(frames_to_root, "map") != frames_to_root.end() ? "map" : frames_to_root.back();
-    if (has_moving_transform_up_to(survey.frames, frames_to_root, outer))
-        return make_pose_source_from_tf(survey.frames, frames_to_root, outer);
-    if (const PoseTopic* topic = find_best_pose_topic(bag, survey))
-        return make_pose_source_from_topic(bag, survey.frames, *topic, frames_to_root.front(), notes);
+std::optional<PoseSourceCandidate> select_default_pose_source(
+    const BagRecording& bag, const BagIndex& bag_index, const std::vector<std::string>& frame_path_to_root,
+    std::vector<std::string>& notes) {
+    const std::string outer = std::ranges::find(frame_path_to_root, "map") != frame_path_to_root.end()
+                                  ? "map"
+                                  : frame_path_to_root.back();
+    if (has_moving_transform_up_to(bag_index.frames, frame_path_to_root, outer))
+        return make_pose_source_from_tf(bag_index.frames, frame_path_to_root, outer);
+    if (const PoseTopic* topic = find_best_pose_topic(bag, bag_index))
+        return make_pose_source_from_topic(bag, bag_index.frames, *topic, frame_path_to_root.front(), notes);
     for (const char* world : {"map", "odom", "world", "earth"})
-        if (outer == world && frames_to_root.size() > 1)
-            return make_pose_source_from_tf(survey.frames, frames_to_root, outer);
+        if (outer == world && frame_path_to_root.size() > 1)
+            return make_pose_source_from_tf(bag_index.frames, frame_path_to_root, outer);
     return std::nullopt;
 }
 
-TransformChain make_pose_path(const BagIndex& survey, const PoseSourceCandidate& pose_source, LogClock clock,
-                              std::int64_t time_origin_ns) {
+TransformChain make_vehicle_pose_function(const BagIndex& bag_index, const PoseSourceCandidate& pose_source,
+                                          LogClock log_clock, std::int64_t time_origin_ns) {
     if (!pose_source.topic)
-        return survey.frames.compute_pose_path(pose_source.outer, pose_source.vehicle, clock, time_origin_ns);
+        return bag_index.frames.make_pose_function_in_ancestor(pose_source.outer, pose_source.vehicle,
+                                                               log_clock, time_origin_ns);
     TransformChain path;
-    path.append_moving_transform(pose_source.topic->samples, clock, time_origin_ns);
+    path.append_sampled_child_transform(pose_source.topic->samples, log_clock, time_origin_ns);
     return path;
 }
 
-std::size_t count_clouds_with_pose(const CloudTopic& clouds, const TransformChain& pose_path, LogClock clock,
-                                   std::int64_t time_origin_ns) {
+std::size_t count_clouds_with_pose(const CloudTopic& clouds, const TransformChain& vehicle_pose_function,
+                                   LogClock clock, std::int64_t time_origin_ns) {
     return std::size_t(std::ranges::count_if(clouds.clouds, [&](const CloudIndexEntry& cloud) {
-        return pose_path.covers_time(1e-9 * double(cloud.get_time_ns(clock) - time_origin_ns));
+        return vehicle_pose_function.covers_time(1e-9 * double(cloud.get_time_ns(clock) - time_origin_ns));
     }));
 }
 
@@ -141,14 +145,15 @@ std::int64_t find_first_cloud_time_ns(const CloudTopic& clouds, LogClock clock) 
 
 }  // namespace
 
-SelectedPoseSource choose_vehicle_poses(const BagRecording& bag, const BagIndex& survey,
-                                        const CloudTopic& main_lidar_clouds,
-                                        const std::string& requested_frame_or_topic) {
+SelectedPoseSource choose_vehicle_pose_source(const BagRecording& bag, const BagIndex& bag_index,
+                                              const CloudTopic& main_lidar_clouds,
+                                              const std::string& requested_frame_or_topic) {
     SelectedPoseSource choice;
-    const std::vector<std::string> frame_chain = survey.frames.list_frames_to_root(main_lidar_clouds.frame);
+    const std::vector<std::string> frame_chain =
+        bag_index.frames.list_frames_to_root(main_lidar_clouds.frame);
     std::optional<PoseSourceCandidate> source =
-        find_requested_pose_source(bag, survey, frame_chain, requested_frame_or_topic, choice.notes);
-    if (!source) source = select_default_pose_source(bag, survey, frame_chain, choice.notes);
+        find_requested_pose_source(bag, bag_index, frame_chain, requested_frame_or_topic, choice.notes);
+    if (!source) source = select_default_pose_source(bag, bag_index, frame_chain, choice.notes);
     const bool has_stamps = std::ranges::any_of(
         main_lidar_clouds.clouds, [](const CloudIndexEntry& cloud) { return cloud.stamp_ns != 0; });
     if (!has_stamps) {
@@ -159,7 +164,7 @@ SelectedPoseSource choose_vehicle_poses(const BagRecording& bag, const BagIndex&
     choice.zero_ns = find_first_cloud_time_ns(main_lidar_clouds, choice.clock);
     choice.vehicle = main_lidar_clouds.frame;
     if (!source) return choice;
-    choice.path = make_pose_path(survey, *source, choice.clock, choice.zero_ns);
+    choice.path = make_vehicle_pose_function(bag_index, *source, choice.clock, choice.zero_ns);
     choice.world = source->outer;
     choice.vehicle = source->vehicle;
     choice.about = source->about;
@@ -167,7 +172,7 @@ SelectedPoseSource choose_vehicle_poses(const BagRecording& bag, const BagIndex&
         count_clouds_with_pose(main_lidar_clouds, *choice.path, choice.clock, choice.zero_ns);
     if (choice.clock == LogClock::recorder || 2 * n >= main_lidar_clouds.clouds.size()) return choice;
     const std::int64_t zero_ns = find_first_cloud_time_ns(main_lidar_clouds, LogClock::recorder);
-    TransformChain recorded = make_pose_path(survey, *source, LogClock::recorder, zero_ns);
+    TransformChain recorded = make_vehicle_pose_function(bag_index, *source, LogClock::recorder, zero_ns);
     const std::size_t n_recorded =
         count_clouds_with_pose(main_lidar_clouds, recorded, LogClock::recorder, zero_ns);
     if (n_recorded <= n) return choice;

@@ -48,7 +48,7 @@ std::int64_t read_timestamp_ns(pbf_reader reader) {
     return seconds * 1000000000 + nanoseconds;
 }
 
-Pose make_checked_pose(const glm::dvec4& position_m, const glm::dvec4& quaternion_xyzw) {
+Pose make_pose_or_throw_if_invalid(const glm::dvec4& position_m, const glm::dvec4& quaternion_xyzw) {
     const glm::dquat q(quaternion_xyzw.w, quaternion_xyzw.x, quaternion_xyzw.y, quaternion_xyzw.z);
     const glm::dvec3 t(position_m);
     if (!(std::abs(glm::length(q) - 1.0) <= 1e-2) || !std::isfinite(t.x + t.y + t.z))
@@ -86,7 +86,7 @@ CloudMessage::CloudField read_foxglove_point_field(pbf_reader reader) {
 
 /// Throws if a cloud has a pose other than the identity. The reader does not support such
 /// clouds.
-void check_pose_is_identity(pbf_reader reader) {
+void require_identity_pose(pbf_reader reader) {
     while (reader.next()) {
         if (reader.tag() > 2 || reader.wire_type() != kBytes) {
             reader.skip();
@@ -102,9 +102,9 @@ void check_pose_is_identity(pbf_reader reader) {
     }
 }
 
-CloudMessage read_cloud_message(std::string_view bytes) {
+CloudMessage parse_foxglove_cloud_message(std::string_view message_bytes) {
     CloudMessage cloud;
-    pbf_reader reader(bytes.data(), bytes.size());
+    pbf_reader reader(message_bytes.data(), message_bytes.size());
     while (reader.next()) {
         switch (reader.tag_and_type()) {
             case tag_and_type(1, kBytes):
@@ -114,7 +114,7 @@ CloudMessage read_cloud_message(std::string_view bytes) {
                 cloud.header.frame = reader.get_string();
                 break;
             case tag_and_type(3, kBytes):
-                check_pose_is_identity(reader.get_message());
+                require_identity_pose(reader.get_message());
                 break;
             case tag_and_type(4, kFixed32):
                 cloud.point_step = reader.get_fixed32();
@@ -159,7 +159,7 @@ TransformMessage read_frame_transform(pbf_reader reader) {
                 reader.skip();
         }
     }
-    transform.parent_from_child = make_checked_pose(translation, rotation);
+    transform.parent_from_child = make_pose_or_throw_if_invalid(translation, rotation);
     return transform;
 }
 
@@ -238,16 +238,16 @@ void add_box_from_scene_entity(BoxListMessage& box_list, pbf_reader reader) {
     box_list.n_left_out += !is_box;
     if (!is_box) return;
     box.size_m = size;
-    box.frame_from_box = make_checked_pose(cubes.front().position, cubes.front().rotation);
+    box.frame_from_box = make_pose_or_throw_if_invalid(cubes.front().position, cubes.front().rotation);
     box_list.boxes.push_back(std::move(box));
 }
 
 }  // namespace
 
-BoxListMessage read_foxglove_boxes(std::string_view bytes) {
+BoxListMessage read_foxglove_boxes(std::string_view message_bytes) {
     try {
         BoxListMessage list;
-        pbf_reader reader(bytes.data(), bytes.size());
+        pbf_reader reader(message_bytes.data(), message_bytes.size());
         while (reader.next(2, protozero::pbf_wire_type::length_delimited))
             add_box_from_scene_entity(list, reader.get_message());
         return list;
@@ -256,18 +256,18 @@ BoxListMessage read_foxglove_boxes(std::string_view bytes) {
     }
 }
 
-CloudMessage read_foxglove_cloud(std::string_view bytes) {
+CloudMessage read_foxglove_cloud(std::string_view message_bytes) {
     try {
-        return read_cloud_message(bytes);
+        return parse_foxglove_cloud_message(message_bytes);
     } catch (const protozero::exception& error) {
         throw DataError(fmt::format("{}, expected foxglove.PointCloud in protobuf", error.what()));
     }
 }
 
-std::vector<TransformMessage> read_foxglove_transforms(std::string_view bytes) {
+std::vector<TransformMessage> read_foxglove_transforms(std::string_view message_bytes) {
     try {
         std::vector<TransformMessage> transforms;
-        pbf_reader reader(bytes.data(), bytes.size());
+        pbf_reader reader(message_bytes.data(), message_bytes.size());
         while (reader.next(1, protozero::pbf_wire_type::length_delimited))
             transforms.push_back(read_frame_transform(reader.get_message()));
         return transforms;

@@ -20,8 +20,8 @@ bool are_poses_different(const Pose& first, const Pose& second) {
 
 }  // namespace
 
-void TransformChain::append_moving_transform(const std::vector<StampedPose>& pose_samples, LogClock clock,
-                                             std::int64_t time_origin_ns) {
+void TransformChain::append_sampled_child_transform(const std::vector<StampedPose>& pose_samples,
+                                                    LogClock clock, std::int64_t time_origin_ns) {
     std::vector<const StampedPose*> sorted;
     for (const StampedPose& sample : pose_samples) sorted.push_back(&sample);
     std::ranges::stable_sort(sorted, {},
@@ -68,7 +68,7 @@ void FrameTree::add_transform(const TransformMessage& transform, std::int64_t re
     link.samples.push_back({transform.header.stamp_ns, recording_time_ns, transform.parent_from_child});
 }
 
-const std::pair<const std::string, FrameTree::FrameTreeEdge>* FrameTree::find_parent_link(
+const std::pair<const std::string, FrameTree::FrameTreeEdge>* FrameTree::find_parent_with_most_transforms(
     const std::string& frame) const {
     const auto parents_entry = parents_.find(frame);
     if (parents_entry == parents_.end()) return nullptr;
@@ -79,7 +79,7 @@ const std::pair<const std::string, FrameTree::FrameTreeEdge>* FrameTree::find_pa
 std::vector<std::string> FrameTree::list_frames_to_root(const std::string& start_frame) const {
     std::vector<std::string> frame_chain{start_frame};
     while (frame_chain.size() < kDeepest) {
-        const auto* up = find_parent_link(frame_chain.back());
+        const auto* up = find_parent_with_most_transforms(frame_chain.back());
         if (!up || std::ranges::find(frame_chain, up->first) != frame_chain.end()) break;
         frame_chain.push_back(up->first);
     }
@@ -87,7 +87,7 @@ std::vector<std::string> FrameTree::list_frames_to_root(const std::string& start
 }
 
 bool FrameTree::is_frame_moving(const std::string& frame) const {
-    const auto* up = find_parent_link(frame);
+    const auto* up = find_parent_with_most_transforms(frame);
     return up && !up->second.is_static && up->second.changes;
 }
 
@@ -104,7 +104,7 @@ std::optional<Pose> FrameTree::find_constant_transform(const std::string& target
         for (const std::string& frame : frame_chain) {
             if (frame == *common) return pose;
             if (is_frame_moving(frame)) return std::nullopt;
-            pose = find_parent_link(frame)->second.samples.back().pose * pose;
+            pose = find_parent_with_most_transforms(frame)->second.samples.back().pose * pose;
         }
         return std::nullopt;
     };
@@ -113,29 +113,30 @@ std::optional<Pose> FrameTree::find_constant_transform(const std::string& target
     return inverse(*of_to) * *of_from;
 }
 
-TransformChain FrameTree::compute_pose_path(const std::string& ancestor_frame, const std::string& child_frame,
-                                            LogClock clock, std::int64_t time_origin_ns) const {
+TransformChain FrameTree::make_pose_function_in_ancestor(const std::string& ancestor_frame,
+                                                         const std::string& child_frame, LogClock clock,
+                                                         std::int64_t time_origin_ns) const {
     const std::vector<std::string> frame_chain = list_frames_to_root(child_frame);
     TransformChain path;
     for (std::size_t k = std::size_t(std::ranges::find(frame_chain, ancestor_frame) - frame_chain.begin());
          k-- > 0;) {
-        const FrameTreeEdge& up = find_parent_link(frame_chain[k])->second;
-        if (is_frame_moving(frame_chain[k])) path.append_moving_transform(up.samples, clock, time_origin_ns);
-        else path.append_constant_transform(up.samples.back().pose);
+        const FrameTreeEdge& up = find_parent_with_most_transforms(frame_chain[k])->second;
+        if (is_frame_moving(frame_chain[k]))
+            path.append_sampled_child_transform(up.samples, clock, time_origin_ns);
+        else path.append_constant_child_transform(up.samples.back().pose);
     }
     return path;
 }
 
-std::optional<RelativeFramePose> FrameTree::find_relative_poses(const std::string& target_frame,
-                                                                const std::string& source_frame,
-                                                                LogClock clock,
-                                                                std::int64_t time_origin_ns) const {
+std::optional<RelativeFramePose> FrameTree::find_pose_function_between_frames(
+    const std::string& target_frame, const std::string& source_frame, LogClock clock,
+    std::int64_t time_origin_ns) const {
     const std::vector<std::string> target_chain = list_frames_to_root(target_frame),
                                    source_chain = list_frames_to_root(source_frame);
     const auto common = std::ranges::find_first_of(source_chain, target_chain);
     if (common == source_chain.end()) return std::nullopt;
-    return RelativeFramePose{compute_pose_path(*common, target_frame, clock, time_origin_ns),
-                             compute_pose_path(*common, source_frame, clock, time_origin_ns)};
+    return RelativeFramePose{make_pose_function_in_ancestor(*common, target_frame, clock, time_origin_ns),
+                             make_pose_function_in_ancestor(*common, source_frame, clock, time_origin_ns)};
 }
 
 std::vector<std::string> FrameTree::list_frames_with_several_parents() const {

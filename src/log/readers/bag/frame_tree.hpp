@@ -35,11 +35,11 @@ struct StampedPose {
 /// of all transforms in between.
 class TransformChain {
 public:
-    void append_constant_transform(Pose transform) { links_.push_back({{0.0}, {transform}}); }
+    void append_constant_child_transform(Pose transform) { links_.push_back({{0.0}, {transform}}); }
     /// Appends a transform that changes over time. Its samples can be in any order.
     /// @param time_origin_ns  time in nanoseconds that becomes 0 s
-    void append_moving_transform(const std::vector<StampedPose>& pose_samples, LogClock clock,
-                                 std::int64_t time_origin_ns);
+    void append_sampled_child_transform(const std::vector<StampedPose>& pose_samples, LogClock clock,
+                                        std::int64_t time_origin_ns);
     Pose compute_pose_at(double t_s) const;
     /// Returns true if all changing transforms have a pose at this time. Poses exist up
     /// to 0.1 s before the first and after the last sample.
@@ -79,13 +79,15 @@ public:
                                                 const std::string& source_frame) const;
     /// Returns the pose of a frame in its ancestor frame `ancestor_frame` as a function
     /// of time.
-    TransformChain compute_pose_path(const std::string& ancestor_frame, const std::string& child_frame,
-                                     LogClock clock, std::int64_t time_origin_ns) const;
+    TransformChain make_pose_function_in_ancestor(const std::string& ancestor_frame,
+                                                  const std::string& child_frame, LogClock clock,
+                                                  std::int64_t time_origin_ns) const;
     /// Returns the pose of frame `source_frame` in frame `target_frame` as a function of
     /// time. Returns nothing if no transforms connect the two frames.
-    std::optional<RelativeFramePose> find_relative_poses(const std::string& target_frame,
-                                                         const std::string& source_frame, LogClock clock,
-                                                         std::int64_t time_origin_ns) const;
+    std::optional<RelativeFramePose> find_pose_function_between_frames(const std::string& target_frame,
+                                                                       const std::string& source_frame,
+                                                                       LogClock clock,
+                                                                       std::int64_t time_origin_ns) const;
     /// Returns the frames for which the bag has several parent frames. The tree uses the
     /// parent with the most transforms.
     std::vector<std::string> list_frames_with_several_parents() const;
@@ -100,7 +102,8 @@ private:
     };
     std::map<std::string, std::map<std::string, FrameTreeEdge>> parents_;  ///< by frame, then by parent
 
-    const std::pair<const std::string, FrameTreeEdge>* find_parent_link(const std::string& frame) const;
+    const std::pair<const std::string, FrameTreeEdge>* find_parent_with_most_transforms(
+        const std::string& frame) const;
 };
 
 }  // namespace relidar::bag

@@ -38,7 +38,7 @@ public:
           bag_(path, options.skip_broken),
           survey_(index_bag_messages(bag_, options.progress)),
           clouds_(choose_cloud_topics(bag_, survey_, options.lidars)),
-          poses_(choose_vehicle_poses(bag_, survey_, get_main_cloud_topic(), options.bag.poses_from)),
+          poses_(choose_vehicle_pose_source(bag_, survey_, get_main_cloud_topic(), options.bag.poses_from)),
           boxes_(choose_box_topic(bag_, survey_)) {
         sequence_.name = path.lexically_normal().filename().empty()
                              ? path.lexically_normal().parent_path().filename().string()
@@ -49,8 +49,8 @@ public:
     LidarSequence load_recording() {
         has_poses_ = options_.poses_file.empty() && poses_.path;
         is_deskewed_ = bag_.get_points_frame_name() == "sensor at the stamp";
-        add_topic_notes();
-        assign_clouds_to_frames();
+        add_notes_on_topics_and_selection();
+        group_clouds_into_frames();
         add_lidars_to_sequence();
         add_frames_to_sequence();
         folder::SequenceHeader head;
@@ -66,12 +66,14 @@ public:
         if (!sequence_.has_poses) options.poses_file = kNoPoses;
         LidarPoseFunction deskewed_by;
         if (is_deskewed_ && has_poses_)
-            deskewed_by = [&](std::size_t lidar, double t_s) { return compute_lidar_pose(lidar, t_s); };
+            deskewed_by = [&](std::size_t lidar, double t_s) {
+                return compute_lidar_pose_in_bag_world(lidar, t_s);
+            };
         folder::read_scans(sequence_, head,
                            BagScanProvider(bag_, lidars_, frames_, poses_.clock, deskewed_by), options);
         if (has_poses_)
             add_note_if_not_empty(correct_rays_for_vehicle_motion(
-                sequence_, [&](double t_s) { return compute_recentred_vehicle_pose(t_s); }));
+                sequence_, [&](double t_s) { return compute_vehicle_pose_in_log_world(t_s); }));
         return std::move(sequence_);
     }
 
@@ -106,12 +108,12 @@ private:
         if (!text.empty()) sequence_.notes.push_back(text);
     }
 
-    void add_topic_notes() {
+    void add_notes_on_topics_and_selection() {
         std::vector<bool> used(bag_.topics().size(), false);
         for (const std::size_t c : clouds_.lidars) used[survey_.clouds[c].topic] = true;
         for (std::size_t t = 0; t < used.size(); ++t)
             if (has_poses_ && !used[t])
-                used[t] = get_topic_use(bag_.topics()[t]) == MessagePurpose::transforms ||
+                used[t] = get_message_purpose_of_topic(bag_.topics()[t]) == MessagePurpose::transforms ||
                           poses_.about.ends_with(" " + bag_.topics()[t].name);
         if (boxes_.topic) used[boxes_.topic->topic] = true;
         for (const std::string& text : bag_.get_file_problems()) add_note_if_not_empty(text);
@@ -134,7 +136,7 @@ private:
 
     /// Lists the frames of the log. Each cloud of the main LiDAR starts a frame. Clouds
     /// of other LiDARs belong to the frame with the nearest time.
-    void assign_clouds_to_frames() {
+    void group_clouds_into_frames() {
         std::vector<FrameCloudMessage> sweeps;
         std::size_t n_late = 0;
         for (const CloudIndexEntry& entry : get_main_cloud_topic().clouds) {
@@ -158,7 +160,7 @@ private:
         std::ranges::stable_sort(all, [](const FrameCloudMessage& first, const FrameCloudMessage& second) {
             return first.number != second.number ? first.number < second.number : first.lidar < second.lidar;
         });
-        select_requested_clouds(all);
+        select_requested_clouds_with_pose(all);
         estimate_point_units(step_s);
     }
 
@@ -169,7 +171,7 @@ private:
         std::vector<double> main_s, other_s;
         for (const FrameCloudMessage& sweep : main_sweeps) main_s.push_back(sweep.time_s);
         for (const CloudIndexEntry& entry : clouds) other_s.push_back(compute_cloud_time_s(entry));
-        const auto beside = match_sweeps_by_time(main_s, other_s, max_time_difference_s);
+        const auto beside = find_nearest_other_sweep_per_sweep(main_s, other_s, max_time_difference_s);
         std::size_t n_left = clouds.size();
         for (std::size_t k = 0; k < main_sweeps.size(); ++k) {
             if (!beside[k]) continue;
@@ -184,7 +186,7 @@ private:
                             get_topic_name(get_main_cloud_topic())));
     }
 
-    void select_requested_clouds(const std::vector<FrameCloudMessage>& all_clouds) {
+    void select_requested_clouds_with_pose(const std::vector<FrameCloudMessage>& all_clouds) {
         std::size_t n_unplaced = 0;
         for (const FrameCloudMessage& cloud : all_clouds) {
             if (cloud.number < options_.frames.begin ||
@@ -214,7 +216,7 @@ private:
             const CloudTopic& clouds = get_cloud_topic(l);
             const std::size_t n_parts =
                 clouds.clouds.empty() ? 1 : std::max<std::size_t>(clouds.clouds[0].parts.size(), 1);
-            lidars_.push_back(make_lidar_topic_with_units(bag_, clouds, sweep_period_s / double(n_parts)));
+            lidars_.push_back(estimate_units_of_cloud_topic(bag_, clouds, sweep_period_s / double(n_parts)));
             if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.make_spinning_sensor_model();
             if (!clouds.parts_about.empty())
                 add_note_if_not_empty(get_topic_name(clouds) + ": " + clouds.parts_about);
@@ -247,28 +249,28 @@ private:
         }
     }
 
-    Pose compute_vehicle_pose_from_bag(double t_s) const {
+    Pose compute_vehicle_pose_in_bag_world(double t_s) const {
         const Pose world_from_vehicle = poses_.path->compute_pose_at(t_s);
         if (clouds_.lidars.size() > 1) return world_from_vehicle;
         return world_from_vehicle *
                *survey_.frames.find_constant_transform(poses_.vehicle, get_main_cloud_topic().frame);
     }
 
-    Pose compute_lidar_pose(std::size_t lidar_index, double t_s) const {
-        const Pose pose = compute_vehicle_pose_from_bag(t_s);
+    Pose compute_lidar_pose_in_bag_world(std::size_t lidar_index, double t_s) const {
+        const Pose pose = compute_vehicle_pose_in_bag_world(t_s);
         return clouds_.lidars.size() > 1 ? pose * sequence_.lidars[lidar_index].vehicle_from_sensor : pose;
     }
 
-    std::optional<Pose> compute_recentred_vehicle_pose(double t_s) const {
+    std::optional<Pose> compute_vehicle_pose_in_log_world(double t_s) const {
         if (!poses_.path->covers_time(t_s)) return std::nullopt;
-        Pose pose = compute_vehicle_pose_from_bag(t_s);
+        Pose pose = compute_vehicle_pose_in_bag_world(t_s);
         pose.translation -= sequence_.world_offset_m;
         return pose;
     }
 
     /// Reads vehicle poses from a file of the user. The file lists them by frame number
     /// or by time.
-    std::vector<Pose> read_user_poses_at_scans() {
+    std::vector<Pose> read_user_poses_at_frame_times() {
         std::vector<folder::SequenceHeaderFrame> frames;
         for (const FrameCloudMessage& frame : frames_)
             frames.push_back({frame.number, frame.time_s + 1e-9 * double(poses_.zero_ns), 0, {}});
@@ -301,12 +303,12 @@ private:
     void add_frames_to_sequence() {
         std::vector<Pose> file_poses;
         if (!options_.poses_file.empty() && options_.poses_file != kNoPoses)
-            file_poses = read_user_poses_at_scans();
+            file_poses = read_user_poses_at_frame_times();
         sequence_.has_poses = has_poses_ || !file_poses.empty();
         for (std::size_t i = 0; i < frames_.size(); ++i)
             add_frame(sequence_, frames_[i].number, frames_[i].time_s,
                       !file_poses.empty() ? file_poses[i]
-                      : has_poses_        ? compute_vehicle_pose_from_bag(frames_[i].time_s)
+                      : has_poses_        ? compute_vehicle_pose_in_bag_world(frames_[i].time_s)
                                           : Pose{},
                       int(frames_[i].lidar));
         if (options_.poses_file == kNoPoses) add_note_if_not_empty(kitti::kNoPosesNote);
@@ -321,7 +323,7 @@ private:
             poses_.clock == LogClock::stamps ? "stamps" : "recorder's clock",
             get_topic_name(get_main_cloud_topic()));
         add_boxes_to_sequence();
-        recentre_sequence(sequence_);
+        move_world_origin_of_log(sequence_);
     }
 };
 

@@ -35,8 +35,8 @@ struct McapRecord {
 };
 
 McapRecord read_next_record(ByteReader& reader) {
-    const auto code = reader.read_number<std::uint8_t>();
-    return {code, reader.read_bytes(reader.read_number<std::uint64_t>())};
+    const auto code = reader.read_little_endian_number<std::uint8_t>();
+    return {code, reader.read_bytes(reader.read_little_endian_number<std::uint64_t>())};
 }
 
 struct McapMessage {
@@ -45,23 +45,25 @@ struct McapMessage {
     std::string_view bytes;
 };
 
-McapMessage parse_message(std::string_view body) {
-    ByteReader reader(body);
-    const auto channel = reader.read_number<std::uint16_t>();
-    reader.read_number<std::uint32_t>();  // skips the sequence number of the message
-    const auto log_ns = reader.read_number<std::uint64_t>();
-    reader.read_number<std::uint64_t>();  // skips the publication time
+McapMessage parse_message(std::string_view record_body) {
+    ByteReader reader(record_body);
+    const auto channel = reader.read_little_endian_number<std::uint16_t>();
+    reader.read_little_endian_number<std::uint32_t>();  // skips the sequence number of the message
+    const auto log_ns = reader.read_little_endian_number<std::uint64_t>();
+    reader.read_little_endian_number<std::uint64_t>();  // skips the publication time
     return {channel, std::int64_t(log_ns), reader.read_remaining_bytes()};
 }
 
-SharedBytes unpack_records_of_chunk(const SharedBytes& chunk) {
-    ByteReader reader(chunk.bytes);
+SharedBytes decompress_records_of_mcap_chunk(const SharedBytes& chunk_record_body) {
+    ByteReader reader(chunk_record_body.bytes);
     reader.read_bytes(16);  // skips the times of the first and the last message
-    const auto n = reader.read_number<std::uint64_t>();
-    const auto sum = reader.read_number<std::uint32_t>();
+    const auto n = reader.read_little_endian_number<std::uint64_t>();
+    const auto sum = reader.read_little_endian_number<std::uint32_t>();
     const std::string_view compression = reader.read_length_prefixed_string();
-    SharedBytes records = unpack_chunk(
-        compression, chunk.make_shared_subview(reader.read_bytes(reader.read_number<std::uint64_t>())), n);
+    SharedBytes records = unpack_chunk(compression,
+                                       chunk_record_body.share_memory_with_subview(reader.read_bytes(
+                                           reader.read_little_endian_number<std::uint64_t>())),
+                                       n);
     if (sum != 0 &&
         crc32_z(0, reinterpret_cast<const Bytef*>(records.bytes.data()), records.bytes.size()) != sum)
         throw DataError("the checksum of the data is wrong, so the data is damaged");
@@ -83,13 +85,13 @@ public:
             if (file_.size() - at < kRecordHead) break;
             const SharedBytes head = file_.read_bytes_at(at, kRecordHead);
             ByteReader reader(head.bytes);
-            const auto code = reader.read_number<std::uint8_t>();
-            const auto length = reader.read_number<std::uint64_t>();
+            const auto code = reader.read_little_endian_number<std::uint8_t>();
+            const auto length = reader.read_little_endian_number<std::uint64_t>();
             if (code == kMcapDataEnd || code == kMcapFooter) return;
             if (length > file_.size() - at - kRecordHead) break;
             callbacks.done(double(at) / double(file_.size()));
             try {
-                process_record_at_offset(code, at, length, topics, callbacks);
+                process_mcap_record_or_chunk(code, at, length, topics, callbacks);
             } catch (const DataError& error) {
                 const std::string text = fmt::format("{}: the record at byte {} cannot be read: {}",
                                                      file_.name(), at, error.what());
@@ -102,15 +104,16 @@ public:
                                    file_.name(), at, file_.size()));
     }
 
-    SharedBytes read_message_bytes(const MessagePosition& place) const override {
-        if (place.in_chunk == MessagePosition::kNoChunk) {
-            const SharedBytes body = read_record_body(place.at);
-            return body.make_shared_subview(parse_message(body.bytes).bytes);
+    SharedBytes read_message_bytes(const MessagePosition& message_position) const override {
+        if (message_position.in_chunk == MessagePosition::kNoChunk) {
+            const SharedBytes body = read_record_body(message_position.at);
+            return body.share_memory_with_subview(parse_message(body.bytes).bytes);
         }
-        const SharedBytes records = chunks_.get_or_unpack_chunk(
-            place.at, [&] { return unpack_records_of_chunk(read_record_body(place.at)); });
-        ByteReader reader(records.bytes.substr(std::size_t(place.in_chunk)));
-        return records.make_shared_subview(parse_message(read_next_record(reader).body).bytes);
+        const SharedBytes records = chunks_.get_or_unpack_chunk(message_position.at, [&] {
+            return decompress_records_of_mcap_chunk(read_record_body(message_position.at));
+        });
+        ByteReader reader(records.bytes.substr(std::size_t(message_position.in_chunk)));
+        return records.share_memory_with_subview(parse_message(read_next_record(reader).body).bytes);
     }
 
     std::string get_points_frame_name() const override { return points_in_; }
@@ -128,29 +131,31 @@ private:
 
     SharedBytes read_record_body(std::uint64_t record_offset) const {
         const SharedBytes head = file_.read_bytes_at(record_offset, kRecordHead);
-        return file_.read_bytes_at(record_offset + kRecordHead,
-                                   ByteReader(head.bytes.substr(1)).read_number<std::uint64_t>());
+        return file_.read_bytes_at(
+            record_offset + kRecordHead,
+            ByteReader(head.bytes.substr(1)).read_little_endian_number<std::uint64_t>());
     }
 
-    void process_record_at_offset(std::uint8_t record_code, std::uint64_t offset, std::uint64_t body_length,
-                                  TopicTable& topics, const MessageReadCallbacks& callbacks) {
+    void process_mcap_record_or_chunk(std::uint8_t record_code, std::uint64_t record_offset,
+                                      std::uint64_t body_length, TopicTable& topics,
+                                      const MessageReadCallbacks& callbacks) {
         constexpr std::array kRead = {kMcapSchema, kMcapChannel, kMcapMessage, kMcapChunk, kMcapMetadata};
         if (std::ranges::find(kRead, record_code) == kRead.end()) return;
-        SharedBytes body = file_.read_bytes_at(offset + kRecordHead, body_length);
+        SharedBytes body = file_.read_bytes_at(record_offset + kRecordHead, body_length);
         if (record_code != kMcapChunk)
-            return process_mcap_record({record_code, body.bytes}, {offset, MessagePosition::kNoChunk}, topics,
-                                       callbacks);
-        const SharedBytes records = unpack_records_of_chunk(body);
+            return process_mcap_record({record_code, body.bytes}, {record_offset, MessagePosition::kNoChunk},
+                                       topics, callbacks);
+        const SharedBytes records = decompress_records_of_mcap_chunk(body);
         body = {};
         ByteReader reader(records.bytes);
         while (reader.count_remaining_bytes() > 0) {
-            const std::uint64_t in_chunk = reader.get_position();
-            process_mcap_record(read_next_record(reader), {offset, in_chunk}, topics, callbacks);
+            const std::uint64_t in_chunk = reader.get_byte_position();
+            process_mcap_record(read_next_record(reader), {record_offset, in_chunk}, topics, callbacks);
         }
     }
 
     /// Reads a metadata record that relidar wrote. Ignores all other metadata records.
-    void read_relidar_metadata(ByteReader reader) {
+    void read_metadata_written_by_relidar(ByteReader reader) {
         if (reader.read_length_prefixed_string() != "relidar") return;
         for (ByteReader pairs(reader.read_length_prefixed_string()); pairs.count_remaining_bytes() > 0;) {
             const std::string_view key = pairs.read_length_prefixed_string(),
@@ -159,22 +164,23 @@ private:
         }
     }
 
-    void process_mcap_record(const McapRecord& record, const MessagePosition& location, TopicTable& topics,
-                             const MessageReadCallbacks& callbacks) {
+    void process_mcap_record(const McapRecord& record, const MessagePosition& message_position,
+                             TopicTable& topics, const MessageReadCallbacks& callbacks) {
         ByteReader reader(record.body);
         if (record.code == kMcapSchema) {
-            const auto id = reader.read_number<std::uint16_t>();
+            const auto id = reader.read_little_endian_number<std::uint16_t>();
             const std::string name(reader.read_length_prefixed_string());
             schemas_[id] = {name, std::string(reader.read_length_prefixed_string())};
         } else if (record.code == kMcapChannel) {
-            const auto id = reader.read_number<std::uint16_t>(), schema = reader.read_number<std::uint16_t>();
+            const auto id = reader.read_little_endian_number<std::uint16_t>(),
+                       schema = reader.read_little_endian_number<std::uint16_t>();
             const std::string name(reader.read_length_prefixed_string()),
                 encoding(reader.read_length_prefixed_string());
             const auto schema_entry = schemas_.find(schema);
             channels_[id] = topics.find_or_add_topic_index(
                 {name, schema_entry == schemas_.end() ? "" : schema_entry->second.name, encoding});
         } else if (record.code == kMcapMetadata) {
-            read_relidar_metadata(reader);
+            read_metadata_written_by_relidar(reader);
         } else if (record.code == kMcapMessage) {
             const McapMessage message = parse_message(record.body);
             const auto channel = channels_.find(message.channel);
@@ -185,7 +191,7 @@ private:
                                 message.channel));
             const bool is_requested = callbacks.topic_filter(topics.topics()[channel->second]);
             callbacks.message_callback({channel->second, message.log_ns,
-                                        is_requested ? message.bytes : std::string_view(), location});
+                                        is_requested ? message.bytes : std::string_view(), message_position});
         }
     }
 };

@@ -70,7 +70,7 @@ CloudMessage::CloudField read_ros_point_field(MessageReader& reader) {
     return field;
 }
 
-void check_cloud_layout(const CloudMessage& cloud) {
+void require_valid_cloud_layout(const CloudMessage& cloud) {
     for (const CloudMessage::CloudField& field : cloud.fields)
         if (field.offset > cloud.point_step || field.size * field.count > cloud.point_step - field.offset)
             throw DataError(
@@ -172,11 +172,11 @@ CloudMessage read_point_cloud(MessageReader& reader) {
     cloud.point_step = reader.read_number<std::uint32_t>();
     cloud.row_step = reader.read_number<std::uint32_t>();
     cloud.data = reader.read_bytes(reader.read_list_length(1));
-    check_cloud_layout(cloud);
+    require_valid_cloud_layout(cloud);
     return cloud;
 }
 
-MessagePurpose get_topic_use(const BagTopic& topic) {
+MessagePurpose get_message_purpose_of_topic(const BagTopic& topic) {
     if (packets::has_lidar_packets(topic)) return MessagePurpose::packets;
     const bool is_protobuf = topic.encoding == "protobuf";
     if (!is_protobuf && topic.encoding != "cdr" && topic.encoding != "ros1") return MessagePurpose::nothing;
@@ -190,7 +190,7 @@ MessagePurpose get_topic_use(const BagTopic& topic) {
 CloudMessage read_cloud_of_message(const BagTopic& topic, std::string_view message_bytes) {
     if (topic.encoding == "protobuf") {
         CloudMessage cloud = read_foxglove_cloud(message_bytes);
-        check_cloud_layout(cloud);
+        require_valid_cloud_layout(cloud);
         return cloud;
     }
     MessageReader reader = make_message_reader(topic, message_bytes);
@@ -202,7 +202,7 @@ std::vector<TransformMessage> read_transforms_of_message(const BagTopic& topic,
     if (topic.encoding == "protobuf") return read_foxglove_transforms(message_bytes);
     MessageReader reader = make_message_reader(topic, message_bytes);
     std::vector<TransformMessage> transforms;
-    if (get_topic_use(topic) == MessagePurpose::transforms) {
+    if (get_message_purpose_of_topic(topic) == MessagePurpose::transforms) {
         const std::size_t n = reader.read_list_length(72);
         for (std::size_t i = 0; i < n; ++i) transforms.push_back(read_transform(reader));
     } else if (topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped") {

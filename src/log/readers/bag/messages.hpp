@@ -65,7 +65,7 @@ struct BoxListMessage {
 /// What the messages of a topic are used for. Boxes without a track id (nameless_boxes)
 /// cannot be joined to tracks, so they are not loaded.
 enum class MessagePurpose { nothing, cloud, packets, metadata, transforms, pose, boxes, nameless_boxes };
-MessagePurpose get_topic_use(const BagTopic& topic);
+MessagePurpose get_message_purpose_of_topic(const BagTopic& topic);
 
 class MessageReader;
 /// Reads a ROS time and converts it to nanoseconds.
@@ -94,8 +94,8 @@ std::vector<TransformMessage> read_transforms_of_message(const BagTopic& topic,
                                                          std::string_view message_bytes);
 
 /// Reads a Foxglove PointCloud message. Does not check the offsets of its fields.
-CloudMessage read_foxglove_cloud(std::string_view bytes);
-std::vector<TransformMessage> read_foxglove_transforms(std::string_view bytes);
+CloudMessage read_foxglove_cloud(std::string_view message_bytes);
+std::vector<TransformMessage> read_foxglove_transforms(std::string_view message_bytes);
 
 /// Reads the boxes of vision_msgs/Detection3DArray, Autoware's TrackedObjects or
 /// foxglove.SceneUpdate.
@@ -104,6 +104,6 @@ BoxListMessage read_boxes_of_message(const BagTopic& topic, std::string_view mes
 /// Reads a foxglove.SceneUpdate message. Each entity that consists of exactly one cube
 /// becomes a box.
 /// @throws DataError if the message is invalid
-BoxListMessage read_foxglove_boxes(std::string_view bytes);
+BoxListMessage read_foxglove_boxes(std::string_view message_bytes);
 
 }  // namespace relidar::bag

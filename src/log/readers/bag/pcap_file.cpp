@@ -128,8 +128,9 @@ class IpReassembler {
 public:
     /// Adds an IP packet or a fragment.
     /// @return UDP header and payload, if all fragments of the datagram have been added
-    std::optional<Datagram> add_packet_and_reassemble(const IpPacket& packet, std::uint64_t file_offset,
-                                                      std::int64_t capture_time_ns) {
+    std::optional<Datagram> add_fragment_and_get_full_datagram(const IpPacket& packet,
+                                                               std::uint64_t file_offset,
+                                                               std::int64_t capture_time_ns) {
         const std::string_view payload = packet.payload;
         Datagram datagram{packet.from, file_offset, capture_time_ns, std::string(payload)};
         if (packet.offset == 0 && !packet.has_more) return datagram;
@@ -209,7 +210,7 @@ public:
     void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
         const std::lock_guard guard(lock_);
         std::vector<std::string> broken;
-        ousters_ = packets::read_ouster_metadata_near(remove_gz_extension(path_), broken);
+        ousters_ = packets::read_ouster_metadata_in_folder_of(remove_gz_extension(path_), broken);
         if (!problem_.empty()) callbacks.note(problem_);
         for (const std::string& text : broken) callbacks.note(text);
         streams_.clear();
@@ -260,7 +261,7 @@ public:
             append_datagram(run, *datagram);
             if (is_message_complete(stream->second, n, datagram->stamp_ns - first_ns)) break;
         }
-        return move_to_shared_bytes(encode_stream_message(stream->second, std::move(run)));
+        return make_shared_bytes(encode_stream_message(stream->second, std::move(run)));
     }
 
 private:
@@ -322,17 +323,18 @@ private:
     }
 
     /// Reads the next UDP datagram of the file, with its UDP header.
-    /// @param callbacks  receives a note if the file is truncated
-    std::optional<Datagram> read_next_udp_datagram(IpReassembler& fragments,
-                                                   const MessageReadCallbacks* callbacks) const {
+    /// @param callbacks_or_null  receives a note if the file is truncated
+    std::optional<Datagram> read_next_udp_datagram(IpReassembler& reassembler,
+                                                   const MessageReadCallbacks* callbacks_or_null) const {
         for (;;) {
             const std::uint64_t at = get_file_position();
             pcap_pkthdr* head = nullptr;
             const unsigned char* data = nullptr;
             const int code = pcap_next_ex(pcap_.get(), &head, &data);
-            if (code == PCAP_ERROR && callbacks)
-                callbacks->note(fmt::format("{}: {}; the packets after byte {} are missing", path_.string(),
-                                            shorten_for_error_message(pcap_geterr(pcap_.get())), at));
+            if (code == PCAP_ERROR && callbacks_or_null)
+                callbacks_or_null->note(fmt::format("{}: {}; the packets after byte {} are missing",
+                                                    path_.string(),
+                                                    shorten_for_error_message(pcap_geterr(pcap_.get())), at));
             if (code != 1) return std::nullopt;
             if (head->caplen < head->len) {
                 ++n_cut_;
@@ -346,7 +348,7 @@ private:
             const std::int64_t stamp_ns = std::int64_t(head->ts.tv_sec) * 1000000000 + head->ts.tv_usec;
             const std::optional<IpPacket> packet = parse_ip_packet(frame, link_);
             if (!packet) continue;
-            auto datagram = fragments.add_packet_and_reassemble(*packet, at, stamp_ns);
+            auto datagram = reassembler.add_fragment_and_get_full_datagram(*packet, at, stamp_ns);
             if (!datagram || datagram->bytes.size() < 8) continue;
             const unsigned length = read_big_endian_uint16(datagram->bytes, 4);
             if (length < 8 || length > datagram->bytes.size()) continue;
@@ -356,11 +358,12 @@ private:
         }
     }
 
-    std::shared_ptr<const packets::OusterMetadata> find_ouster_format(const Datagram& datagram) const {
-        return packets::find_ouster_format_of_packet(ousters_, datagram.source, get_udp_payload(datagram));
+    std::shared_ptr<const packets::OusterMetadata> find_ouster_metadata_of_datagram(
+        const Datagram& datagram) const {
+        return packets::find_ouster_metadata_of_packet(ousters_, datagram.source, get_udp_payload(datagram));
     }
     CaptureStreamKey make_stream_key(const Datagram& datagram) const {
-        const auto ouster = find_ouster_format(datagram);
+        const auto ouster = find_ouster_metadata_of_datagram(datagram);
         return {datagram.source, packets::find_product_of_packet(get_udp_payload(datagram), {{}, ouster}),
                 ouster.get()};
     }
@@ -400,7 +403,7 @@ private:
         CaptureStream stream;
         stream.number = streams_.size();
         stream.product = std::get<1>(key);
-        if (stream.product) stream.ouster = find_ouster_format(datagram);
+        if (stream.product) stream.ouster = find_ouster_metadata_of_datagram(datagram);
         if (packets::is_livox_point_packet(get_udp_payload(datagram))) stream.livox_frame = datagram.source;
         std::string name = datagram.source;
         // Two Ousters can use the same address and port. The serial number distinguishes
@@ -417,21 +420,24 @@ private:
     }
 
     /// Returns true if no more datagrams fit into the current message of a stream.
-    /// @param n_datagrams  number of datagrams in the message
-    /// @param elapsed_ns  time from the first to the last datagram of the message
-    static bool is_message_complete(const CaptureStream& stream, std::size_t n_datagrams,
-                                    std::int64_t elapsed_ns) {
-        return stream.livox_frame.empty()
-                   ? n_datagrams == kRun
-                   : elapsed_ns >= packets::kLivoxCloud_ns || n_datagrams == packets::kMostLivoxPackets;
+    /// @param n_datagrams_in_message  number of datagrams in the message
+    /// @param time_since_message_start_ns  time from the first to the last datagram of
+    /// the message
+    static bool is_message_complete(const CaptureStream& stream, std::size_t n_datagrams_in_message,
+                                    std::int64_t time_since_message_start_ns) {
+        return stream.livox_frame.empty() ? n_datagrams_in_message == kRun
+                                          : time_since_message_start_ns >= packets::kLivoxCloud_ns ||
+                                                n_datagrams_in_message == packets::kMostLivoxPackets;
     }
     /// Returns true if a Livox sensor paused before a datagram. The datagram then begins
     /// a new message.
-    /// @param n_datagrams  number of datagrams in the message so far
-    /// @param elapsed_ns  time from the first datagram of the message to this datagram
-    static bool is_datagram_after_pause(const CaptureStream& stream, std::size_t n_datagrams,
-                                        std::int64_t elapsed_ns) {
-        return n_datagrams > 0 && !stream.livox_frame.empty() && elapsed_ns >= 2 * packets::kLivoxCloud_ns;
+    /// @param n_datagrams_in_message  number of datagrams in the message so far
+    /// @param time_since_message_start_ns  time from the first datagram of the message to
+    /// this datagram
+    static bool is_datagram_after_pause(const CaptureStream& stream, std::size_t n_datagrams_in_message,
+                                        std::int64_t time_since_message_start_ns) {
+        return n_datagrams_in_message > 0 && !stream.livox_frame.empty() &&
+               time_since_message_start_ns >= 2 * packets::kLivoxCloud_ns;
     }
     /// Encodes datagrams as one message of the stream's topic.
     static std::string encode_stream_message(const CaptureStream& stream, std::string datagram_bytes) {

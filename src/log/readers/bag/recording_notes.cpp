@@ -19,50 +19,50 @@ constexpr double kGap = 1.6;
 // Time stamps have jumped if time stamp minus recording time changes by more than this.
 constexpr double kJump_s = 0.5;
 
-std::string format_cloud_topic_note(const CloudTopic& clouds) {
-    if (!clouds.packets.empty()) {
+std::string describe_cloud_topic_content(const CloudTopic& cloud_topic) {
+    if (!cloud_topic.packets.empty()) {
         std::size_t n_missing = 0;
-        for (const packets::PacketRevolution& revolution : clouds.revolutions)
+        for (const packets::PacketRevolution& revolution : cloud_topic.revolutions)
             n_missing += revolution.n_missing;
-        const std::string problems = clouds.packets.describe_problems();
+        const std::string problems = cloud_topic.packets.describe_problems();
         return fmt::format(
             ", frame '{}', {} packets of a {}: {} full revolutions{}{}{}",
-            shorten_for_error_message(clouds.frame), clouds.packets.size(),
-            clouds.packets.describe_lidar_product(), clouds.revolutions.size(),
+            shorten_for_error_message(cloud_topic.frame), cloud_topic.packets.size(),
+            cloud_topic.packets.describe_lidar_product(), cloud_topic.revolutions.size(),
             n_missing == 0 ? ""
                            : fmt::format("; {} packets are missing, and their rays are left out", n_missing),
             problems.empty() ? "" : "; ", problems);
     }
     std::vector<std::string> names;
-    for (const CloudMessage::CloudField& field : clouds.fields)
+    for (const CloudMessage::CloudField& field : cloud_topic.fields)
         names.push_back(
             fmt::format("{} {}{}", shorten_for_error_message(field.name), field.kind, 8 * field.size));
-    return fmt::format(", frame '{}', {} points, fields {}", shorten_for_error_message(clouds.frame),
-                       clouds.compute_median_point_count(), fmt::join(names, " "));
+    return fmt::format(", frame '{}', {} points, fields {}", shorten_for_error_message(cloud_topic.frame),
+                       cloud_topic.compute_median_point_count(), fmt::join(names, " "));
 }
 
-std::string format_pose_topic_note(const PoseTopic& poses) {
+std::string describe_pose_topic_content(const PoseTopic& pose_topic) {
     return fmt::format(", frame '{}' in '{}'",
-                       poses.child.empty() ? "unknown" : shorten_for_error_message(poses.child),
-                       shorten_for_error_message(poses.parent));
+                       pose_topic.child.empty() ? "unknown" : shorten_for_error_message(pose_topic.child),
+                       shorten_for_error_message(pose_topic.parent));
 }
 
-std::string format_box_topic_note(const BoxTopic& boxes) {
-    return fmt::format(", frame '{}', {} boxes, {} with a track id{}", shorten_for_error_message(boxes.frame),
-                       boxes.n_boxes, boxes.n_named,
-                       boxes.n_left_out == 0
+std::string describe_box_topic_content(const BoxTopic& box_topic) {
+    return fmt::format(", frame '{}', {} boxes, {} with a track id{}",
+                       shorten_for_error_message(box_topic.frame), box_topic.n_boxes, box_topic.n_named,
+                       box_topic.n_left_out == 0
                            ? ""
-                           : fmt::format("; {} more boxes have no size or no pose", boxes.n_left_out));
+                           : fmt::format("; {} more boxes have no size or no pose", box_topic.n_left_out));
 }
 
 }  // namespace
 
-std::vector<std::string> format_line_per_topic(const BagRecording& bag, const BagIndex& survey,
+std::vector<std::string> format_line_per_topic(const BagRecording& bag, const BagIndex& bag_index,
                                                const std::vector<bool>& is_topic_used) {
     std::vector<std::string> lines;
     for (std::size_t t = 0; t < bag.topics().size() && lines.size() < kMostLines; ++t) {
         const BagTopic& topic = bag.topics()[t];
-        const TopicStatistics& facts = survey.facts[t];
+        const TopicStatistics& facts = bag_index.facts[t];
         std::string line = fmt::format("topic {}: {}", shorten_for_error_message(topic.name),
                                        shorten_for_error_message(topic.type));
         // Number and rate of messages mean nothing for a network capture, because the
@@ -71,17 +71,17 @@ std::vector<std::string> format_line_per_topic(const BagRecording& bag, const Ba
         if (!is_run) line += fmt::format(", {} messages", facts.n);
         if (!is_run && facts.compute_message_rate_hz() > 0.0)
             line += fmt::format(", {:.1f} Hz", facts.compute_message_rate_hz());
-        if (const auto clouds = std::ranges::find(survey.clouds, t, &CloudTopic::topic);
-            clouds != survey.clouds.end()) {
-            line += format_cloud_topic_note(*clouds);
+        if (const auto clouds = std::ranges::find(bag_index.clouds, t, &CloudTopic::topic);
+            clouds != bag_index.clouds.end()) {
+            line += describe_cloud_topic_content(*clouds);
             if (clouds->n_empty > 0) line += fmt::format(", {} clouds without points", clouds->n_empty);
         }
-        if (const auto poses = std::ranges::find(survey.poses, t, &PoseTopic::topic);
-            poses != survey.poses.end())
-            line += format_pose_topic_note(*poses);
-        if (const auto boxes = std::ranges::find(survey.boxes, t, &BoxTopic::topic);
-            boxes != survey.boxes.end())
-            line += format_box_topic_note(*boxes);
+        if (const auto poses = std::ranges::find(bag_index.poses, t, &PoseTopic::topic);
+            poses != bag_index.poses.end())
+            line += describe_pose_topic_content(*poses);
+        if (const auto boxes = std::ranges::find(bag_index.boxes, t, &BoxTopic::topic);
+            boxes != bag_index.boxes.end())
+            line += describe_box_topic_content(*boxes);
         if (facts.n_broken > 0)
             line += fmt::format(", {} messages cannot be read (the first error: {})", facts.n_broken,
                                 facts.broken);
@@ -109,11 +109,11 @@ std::string describe_missing_sweeps(const std::vector<double>& sweep_times_s, do
                         n, missing, longest_s, at_s);
 }
 
-std::string describe_time_jumps(const CloudTopic& clouds) {
+std::string describe_time_jumps(const CloudTopic& cloud_topic) {
     std::size_t n_falls = 0, n_jumps = 0;
     double largest_s = 0.0;
-    for (std::size_t i = 1; i < clouds.clouds.size(); ++i) {
-        const CloudIndexEntry &before = clouds.clouds[i - 1], &entry = clouds.clouds[i];
+    for (std::size_t i = 1; i < cloud_topic.clouds.size(); ++i) {
+        const CloudIndexEntry &before = cloud_topic.clouds[i - 1], &entry = cloud_topic.clouds[i];
         n_falls += entry.stamp_ns <= before.stamp_ns;
         const double jump_s =
             1e-9 * (double(entry.stamp_ns - before.stamp_ns) - double(entry.log_ns - before.log_ns));

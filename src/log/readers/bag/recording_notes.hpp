@@ -13,7 +13,7 @@ namespace relidar::bag {
 /// Returns one line per topic: name, type, number of messages, rate, and whether the
 /// topic is loaded. For clouds, the line also contains the frame and the fields.
 /// @param is_topic_used  [topics] true if the topic is loaded
-std::vector<std::string> format_line_per_topic(const BagRecording& bag, const BagIndex& survey,
+std::vector<std::string> format_line_per_topic(const BagRecording& bag, const BagIndex& bag_index,
                                                const std::vector<bool>& is_topic_used);
 
 /// Describes missing sweeps, which cause time steps that are much longer than usual.
@@ -21,6 +21,6 @@ std::vector<std::string> format_line_per_topic(const BagRecording& bag, const Ba
 std::string describe_missing_sweeps(const std::vector<double>& sweep_times_s, double sweep_period_s);
 /// Describes time stamps that decrease, or that jump relative to the recording times.
 /// Returns an empty string if there are none.
-std::string describe_time_jumps(const CloudTopic& clouds);
+std::string describe_time_jumps(const CloudTopic& cloud_topic);
 
 }  // namespace relidar::bag

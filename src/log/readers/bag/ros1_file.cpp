@@ -40,7 +40,7 @@ public:
     }
     template <class T>
     T get_number_field(std::string_view field_name) const {
-        return ByteReader(get_text_field(field_name)).read_number<T>();
+        return ByteReader(get_text_field(field_name)).read_little_endian_number<T>();
     }
 
 private:
@@ -68,7 +68,7 @@ public:
         connections_.clear();
         std::uint64_t at = kRos1Magic.size();
         while (at < file_.size()) {
-            const std::optional<Ros1RecordExtent> record = find_record_extent(at);
+            const std::optional<Ros1RecordExtent> record = read_header_and_locate_record_data(at);
             if (!record) {
                 callbacks.note(
                     fmt::format("{}: the file is truncated at byte {} of {}; later messages are "
@@ -78,7 +78,7 @@ public:
             }
             callbacks.done(double(at) / double(file_.size()));
             try {
-                process_record_at_offset(at, *record, topics, callbacks);
+                process_ros1_record_or_chunk(at, *record, topics, callbacks);
             } catch (const DataError& error) {
                 const std::string text = fmt::format("{}: the record at byte {} cannot be read: {}",
                                                      file_.name(), at, error.what());
@@ -91,16 +91,16 @@ public:
 
     SharedBytes read_message_bytes(const MessagePosition& place) const override {
         if (place.in_chunk == MessagePosition::kNoChunk) {
-            const std::optional<Ros1RecordExtent> record = find_record_extent(place.at);
+            const std::optional<Ros1RecordExtent> record = read_header_and_locate_record_data(place.at);
             if (!record)
                 throw DataError(
                     fmt::format("{}: the message at byte {} is truncated", file_.name(), place.at));
             return file_.read_bytes_at(record->data_at, record->data_bytes);
         }
         const SharedBytes records = chunks_.get_or_unpack_chunk(
-            place.at, [&] { return read_records_in_chunk(*find_record_extent(place.at)); });
+            place.at, [&] { return read_records_in_chunk(*read_header_and_locate_record_data(place.at)); });
         ByteReader reader(records.bytes.substr(std::size_t(place.in_chunk)));
-        return records.make_shared_subview(read_next_ros1_record(reader).data);
+        return records.share_memory_with_subview(read_next_ros1_record(reader).data);
     }
 
 private:
@@ -118,11 +118,11 @@ private:
 
     /// Returns the header of a record and the position of its data. Returns nothing if
     /// the file ends within the record.
-    std::optional<Ros1RecordExtent> find_record_extent(std::uint64_t record_offset) const {
+    std::optional<Ros1RecordExtent> read_header_and_locate_record_data(std::uint64_t record_offset) const {
         const auto length_at = [&](std::uint64_t length_offset) -> std::optional<std::uint32_t> {
             if (length_offset > file_.size() || file_.size() - length_offset < 4) return std::nullopt;
             const SharedBytes length = file_.read_bytes_at(length_offset, 4);
-            const auto n = ByteReader(length.bytes).read_number<std::uint32_t>();
+            const auto n = ByteReader(length.bytes).read_little_endian_number<std::uint32_t>();
             return n > file_.size() - length_offset - 4 ? std::nullopt : std::optional(n);
         };
         const auto header_bytes = length_at(record_offset);
@@ -137,41 +137,43 @@ private:
         return Ros1RecordExtent{file_.read_bytes_at(record_offset + 4, *header_bytes), data + 4, *data_bytes};
     }
 
-    SharedBytes read_records_in_chunk(const Ros1RecordExtent& chunk) const {
-        const Ros1Header header(chunk.header.bytes);
+    SharedBytes read_records_in_chunk(const Ros1RecordExtent& chunk_extent) const {
+        const Ros1Header header(chunk_extent.header.bytes);
         return unpack_chunk(header.get_text_field("compression"),
-                            file_.read_bytes_at(chunk.data_at, chunk.data_bytes),
+                            file_.read_bytes_at(chunk_extent.data_at, chunk_extent.data_bytes),
                             header.get_number_field<std::uint32_t>("size"));
     }
 
-    void process_record_at_offset(std::uint64_t offset, const Ros1RecordExtent& record, TopicTable& topics,
-                                  const MessageReadCallbacks& callbacks) {
-        const Ros1Header header(record.header.bytes);
+    void process_ros1_record_or_chunk(std::uint64_t record_offset, const Ros1RecordExtent& record_extent,
+                                      TopicTable& topics, const MessageReadCallbacks& callbacks) {
+        const Ros1Header header(record_extent.header.bytes);
         const auto op = header.get_number_field<std::uint8_t>("op");
         if (op == kRos1Chunk) {
-            const SharedBytes records = read_records_in_chunk(record);
+            const SharedBytes records = read_records_in_chunk(record_extent);
             ByteReader reader(records.bytes);
             while (reader.count_remaining_bytes() > 0) {
-                const std::uint64_t in_chunk = reader.get_position();
+                const std::uint64_t in_chunk = reader.get_byte_position();
                 const Ros1Record part = read_next_ros1_record(reader);
-                process_ros1_record(Ros1Header(part.header), part.data, {offset, in_chunk}, topics,
+                process_ros1_record(Ros1Header(part.header), part.data, {record_offset, in_chunk}, topics,
                                     callbacks);
             }
         } else if (op == kRos1Connection || op == kRos1Message) {
-            process_ros1_record(header, file_.read_bytes_at(record.data_at, record.data_bytes).bytes,
-                                {offset, MessagePosition::kNoChunk}, topics, callbacks);
+            process_ros1_record(header,
+                                file_.read_bytes_at(record_extent.data_at, record_extent.data_bytes).bytes,
+                                {record_offset, MessagePosition::kNoChunk}, topics, callbacks);
         }
     }
 
-    void process_ros1_record(const Ros1Header& header, std::string_view data, const MessagePosition& location,
-                             TopicTable& topics, const MessageReadCallbacks& callbacks) {
-        const auto op = header.get_number_field<std::uint8_t>("op");
+    void process_ros1_record(const Ros1Header& record_header, std::string_view record_data,
+                             const MessagePosition& message_position, TopicTable& topics,
+                             const MessageReadCallbacks& callbacks) {
+        const auto op = record_header.get_number_field<std::uint8_t>("op");
         if (op != kRos1Connection && op != kRos1Message) return;
-        const auto id = header.get_number_field<std::uint32_t>("conn");
+        const auto id = record_header.get_number_field<std::uint32_t>("conn");
         if (op == kRos1Connection) {
-            const Ros1Header about(data);
+            const Ros1Header about(record_data);
             connections_[id] =
-                topics.find_or_add_topic_index({std::string(header.get_text_field("topic")),
+                topics.find_or_add_topic_index({std::string(record_header.get_text_field("topic")),
                                                 std::string(about.get_text_field("type")), "ros1"});
             return;
         }
@@ -181,12 +183,12 @@ private:
                 fmt::format("a message belongs to connection {}, but no earlier record describes this "
                             "connection",
                             id));
-        ByteReader time(header.get_text_field("time"));
-        const auto seconds = time.read_number<std::uint32_t>(),
-                   nanoseconds = time.read_number<std::uint32_t>();
+        ByteReader time(record_header.get_text_field("time"));
+        const auto seconds = time.read_little_endian_number<std::uint32_t>(),
+                   nanoseconds = time.read_little_endian_number<std::uint32_t>();
         const bool is_requested = callbacks.topic_filter(topics.topics()[connection->second]);
         callbacks.message_callback({connection->second, std::int64_t(seconds) * 1000000000 + nanoseconds,
-                                    is_requested ? data : std::string_view(), location});
+                                    is_requested ? record_data : std::string_view(), message_position});
     }
 };
 

@@ -68,7 +68,7 @@ public:
                       int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
         sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
         sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
-        for (const char* table : {"topics", "messages"}) check_table_exists(table);
+        for (const char* table : {"topics", "messages"}) require_real_table(table);
     }
 
     void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
@@ -76,14 +76,14 @@ public:
         std::map<std::int64_t, std::size_t> topic_of;
         const Statement topic_rows =
             prepare_statement("SELECT id, name, type, serialization_format FROM topics");
-        while (read_next_row(topic_rows.get()))
+        while (step_to_next_row(topic_rows.get()))
             topic_of[sqlite3_column_int64(topic_rows.get(), 0)] = topics.find_or_add_topic_index(
                 {get_text_column(topic_rows.get(), 1), get_text_column(topic_rows.get(), 2),
                  get_text_column(topic_rows.get(), 3)});
         const std::int64_t last = get_last_row_id();
         const Statement rows =
             prepare_statement("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid");
-        while (read_next_row_or_note_damage(rows.get(), callbacks)) {
+        while (step_to_next_row_or_note_damage(rows.get(), callbacks)) {
             const std::int64_t row = sqlite3_column_int64(rows.get(), 0);
             const auto topic = topic_of.find(sqlite3_column_int64(rows.get(), 1));
             if (topic == topic_of.end())
@@ -111,11 +111,11 @@ public:
         if (!one_) one_ = prepare_statement("SELECT data FROM messages WHERE rowid = ?");
         sqlite3_reset(one_.get());
         sqlite3_bind_int64(one_.get(), 1, std::int64_t(place.at));
-        if (!read_next_row(one_.get()))
+        if (!step_to_next_row(one_.get()))
             throw DataError(fmt::format("{}: the message in row {} no longer exists", name_, place.at));
         const std::string_view bytes = get_bytes_column(one_.get(), 0);
         return packed_ ? unpack_zstd_message(bytes, std::int64_t(place.at))
-                       : move_to_shared_bytes(std::string(bytes));
+                       : make_shared_bytes(std::string(bytes));
     }
 
 private:
@@ -139,14 +139,15 @@ private:
         return Statement(statement);
     }
 
-    bool read_next_row(sqlite3_stmt* statement) const {
+    bool step_to_next_row(sqlite3_stmt* statement) const {
         const int code = sqlite3_step(statement);
         if (code != SQLITE_ROW && code != SQLITE_DONE) throw_database_error("reading the list of messages");
         return code == SQLITE_ROW;
     }
     /// Reads the next row of a query. If the file is damaged, ends the query with a note.
     /// Messages before the damage remain usable.
-    bool read_next_row_or_note_damage(sqlite3_stmt* statement, const MessageReadCallbacks& callbacks) const {
+    bool step_to_next_row_or_note_damage(sqlite3_stmt* statement,
+                                         const MessageReadCallbacks& callbacks) const {
         const int code = sqlite3_step(statement);
         if (code != SQLITE_CORRUPT && (code & 0xFF) != SQLITE_IOERR) {
             if (code != SQLITE_ROW && code != SQLITE_DONE)
@@ -160,17 +161,17 @@ private:
 
     std::int64_t get_last_row_id() const {
         const Statement row = prepare_statement("SELECT max(rowid) FROM messages");
-        return read_next_row(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
+        return step_to_next_row(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
     }
 
     /// Checks that a name belongs to a real table. A view with this name could contain an
     /// endless query.
-    void check_table_exists(const char* table_name) const {
+    void require_real_table(const char* table_name) const {
         const Statement row = prepare_statement(fmt::format(
             "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = '{}' AND sql NOT LIKE '%generated%' "
             "AND sql NOT LIKE '% as%(%)%' AND sql NOT LIKE 'create virtual%'",
             table_name));
-        if (!read_next_row(row.get()))
+        if (!step_to_next_row(row.get()))
             throw DataError(fmt::format("{}: the table '{}' is missing, expected a database of rosbag2",
                                         name_, table_name));
     }
@@ -193,8 +194,9 @@ private:
 
 }  // namespace
 
-std::unique_ptr<BagFile> open_rosbag2_sqlite(const std::filesystem::path& file, bool has_zstd_messages) {
-    return std::make_unique<SqliteFile>(file, has_zstd_messages);
+std::unique_ptr<BagFile> open_rosbag2_sqlite(const std::filesystem::path& file,
+                                             bool are_messages_zstd_compressed) {
+    return std::make_unique<SqliteFile>(file, are_messages_zstd_compressed);
 }
 
 }  // namespace relidar::bag

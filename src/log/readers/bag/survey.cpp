@@ -30,13 +30,13 @@ public:
         facts.last_ns = std::max(facts.last_ns, message.log_ns);
         try {
             const BagTopic& topic = bag_.topics()[message.topic];
-            const MessagePurpose use = get_topic_use(topic);
-            if (use == MessagePurpose::cloud) add_cloud_of_message(topic, message);
-            if (use == MessagePurpose::packets) add_packets_of_message(topic, message);
-            if (use == MessagePurpose::metadata) add_ouster_metadata_of_message(topic, message);
-            if (use == MessagePurpose::transforms) add_transforms_of_message(topic, message);
-            if (use == MessagePurpose::pose) add_pose_of_message(topic, message);
-            if (use == MessagePurpose::boxes) add_boxes_of_message(topic, message);
+            const MessagePurpose use = get_message_purpose_of_topic(topic);
+            if (use == MessagePurpose::cloud) index_cloud_message(topic, message);
+            if (use == MessagePurpose::packets) index_packet_message(topic, message);
+            if (use == MessagePurpose::metadata) store_first_ouster_metadata_message(topic, message);
+            if (use == MessagePurpose::transforms) index_transform_message(topic, message);
+            if (use == MessagePurpose::pose) index_pose_message(topic, message);
+            if (use == MessagePurpose::boxes) index_box_list_message(topic, message);
         } catch (const DataError& error) {
             if (facts.n_broken++ == 0) facts.broken = error.what();
         }
@@ -46,10 +46,10 @@ public:
     /// decode them. These packets are then decoded in a second pass.
     bool needs_second_pass() const { return !late_.empty(); }
     bool is_topic_for_second_pass(std::size_t topic_index) const { return late_.contains(topic_index); }
-    void process_message_in_second_pass(const BagMessage& message) {
+    void index_packets_in_second_pass(const BagMessage& message) {
         TopicStatistics& facts = survey_.facts[message.topic];
         try {
-            add_packets_of_message(bag_.topics()[message.topic], message);
+            index_packet_message(bag_.topics()[message.topic], message);
         } catch (const DataError& error) {
             if (facts.n_broken++ == 0) facts.broken = error.what();
         }
@@ -61,7 +61,8 @@ public:
         has_read_metadata_ = true;
         std::vector<std::string> broken;
         for (const std::filesystem::path& file : bag_.get_file_paths())
-            for (const auto& format : packets::read_ouster_metadata_near(remove_gz_extension(file), broken))
+            for (const auto& format :
+                 packets::read_ouster_metadata_in_folder_of(remove_gz_extension(file), broken))
                 ousters_.push_back(format);
         for (const std::string& text : broken) broken_metadata_ += fmt::format(" ({})", text);
     }
@@ -84,7 +85,7 @@ private:
         corrections_ = packets::find_angle_corrections(names);
     }
 
-    void add_cloud_of_message(const BagTopic& topic, const BagMessage& message) {
+    void index_cloud_message(const BagTopic& topic, const BagMessage& message) {
         const CloudMessage cloud = read_cloud_of_message(topic, message.bytes);
         CloudTopic& clouds = find_or_add_topic_entry(survey_.clouds, message.topic);
         if (clouds.fields.empty()) clouds.fields = cloud.fields, clouds.frame = cloud.header.frame;
@@ -98,7 +99,7 @@ private:
             clouds.arcs.push_back({cloud.header.stamp_ns, message.log_ns, message.message_position, n, *arc});
     }
 
-    void add_packets_of_message(const BagTopic& topic, const BagMessage& message) {
+    void index_packet_message(const BagTopic& topic, const BagMessage& message) {
         MessageHeader header;
         const std::vector<packets::ReceivedPacket> views =
             packets::read_packets_of_message(topic, message.bytes, message.log_ns, header);
@@ -106,8 +107,9 @@ private:
         if (!corrections_) read_angle_correction_files();
         packets::DecoderCalibration calibration{*corrections_};
         if (topic.encoding == packets::kDatagrams) read_ouster_metadata_files();
-        calibration.ouster = packets::find_ouster_format_of_packet(ousters_, topic.name, views.front().bytes);
-        if (packets::has_ouster_packets(topic)) {
+        calibration.ouster =
+            packets::find_ouster_metadata_of_packet(ousters_, topic.name, views.front().bytes);
+        if (packets::is_ouster_driver_packet_topic(topic)) {
             if (!has_read_metadata_ && (late_.contains(message.topic) || !calibration.ouster))
                 return void(late_.insert(message.topic));
             if (!calibration.ouster)
@@ -122,7 +124,7 @@ private:
 
     /// Adds the sensor metadata in a message. Uses only the first message of a topic,
     /// because drivers repeat it. Ignores messages with other content.
-    void add_ouster_metadata_of_message(const BagTopic& topic, const BagMessage& message) {
+    void store_first_ouster_metadata_message(const BagTopic& topic, const BagMessage& message) {
         if (std::ranges::any_of(ousters_, [&](const auto& ouster) { return ouster->where == topic.name; }))
             return;
         const std::string text = packets::read_text_message(topic, message.bytes);
@@ -130,20 +132,20 @@ private:
             ousters_.push_back(packets::parse_ouster_metadata(text, topic.name));
     }
 
-    void add_transforms_of_message(const BagTopic& topic, const BagMessage& message) {
+    void index_transform_message(const BagTopic& topic, const BagMessage& message) {
         const bool is_static = topic.name.ends_with("tf_static");
         for (const TransformMessage& transform : read_transforms_of_message(topic, message.bytes))
             survey_.frames.add_transform(transform, message.log_ns, is_static);
     }
 
-    void add_pose_of_message(const BagTopic& topic, const BagMessage& message) {
+    void index_pose_message(const BagTopic& topic, const BagMessage& message) {
         const TransformMessage transform = read_transforms_of_message(topic, message.bytes).front();
         PoseTopic& poses = find_or_add_topic_entry(survey_.poses, message.topic);
         if (poses.samples.empty()) poses.parent = transform.header.frame, poses.child = transform.child;
         poses.samples.push_back({transform.header.stamp_ns, message.log_ns, transform.parent_from_child});
     }
 
-    void add_boxes_of_message(const BagTopic& topic, const BagMessage& message) {
+    void index_box_list_message(const BagTopic& topic, const BagMessage& message) {
         const BoxListMessage list = read_boxes_of_message(topic, message.bytes);
         BoxTopic& boxes = find_or_add_topic_entry(survey_.boxes, message.topic);
         boxes.n_left_out += list.n_left_out;
@@ -166,10 +168,10 @@ private:
 
 /// Packets of Ouster LiDARs do not name a frame. Adds their missing transforms with the
 /// frame names of Ouster's driver, rotated by 180 degrees to relidar's sensor frame.
-void add_missing_ouster_transforms(const BagRecording& bag, BagIndex& survey) {
+void add_missing_ouster_transforms(const BagRecording& bag, BagIndex& bag_index) {
     std::vector<CloudTopic*> ousters;
-    for (CloudTopic& clouds : survey.clouds)
-        if (packets::has_ouster_packets(bag.topics()[clouds.topic]) && !clouds.packets.empty())
+    for (CloudTopic& clouds : bag_index.clouds)
+        if (packets::is_ouster_driver_packet_topic(bag.topics()[clouds.topic]) && !clouds.packets.empty())
             ousters.push_back(&clouds);
     for (CloudTopic* clouds : ousters) {
         const std::string& name = bag.topics()[clouds->topic].name;
@@ -179,10 +181,10 @@ void add_missing_ouster_transforms(const BagRecording& bag, BagIndex& survey) {
         for (const std::string& prefix : prefixes) {
             for (const char* frame : {"os_lidar", "os_sensor"})
                 clouds->driver_frames.push_back(prefix + frame);
-            if (survey.frames.list_frames_to_root(clouds->frame).size() > 1 ||
-                survey.frames.list_frames_to_root(prefix + "os_lidar").size() < 2)
+            if (bag_index.frames.list_frames_to_root(clouds->frame).size() > 1 ||
+                bag_index.frames.list_frames_to_root(prefix + "os_lidar").size() < 2)
                 continue;
-            survey.frames.add_transform(
+            bag_index.frames.add_transform(
                 {{0, prefix + "os_lidar"}, clouds->frame, {glm::dquat(0.0, 0.0, 0.0, 1.0), {}}}, 0, true);
         }
     }
@@ -190,8 +192,8 @@ void add_missing_ouster_transforms(const BagRecording& bag, BagIndex& survey) {
 
 /// Joins clouds that are parts of a revolution. The revolution gets the time of its
 /// middle part, because the head then faces forward.
-void join_partial_revolutions(CloudTopic& cloud_topic) {
-    const JoinedRevolutions joined = join_clouds_to_revolutions(std::exchange(cloud_topic.arcs, {}));
+void join_partial_clouds_of_topic(CloudTopic& cloud_topic) {
+    const JoinedRevolutions joined = join_partial_clouds_to_revolutions(std::exchange(cloud_topic.arcs, {}));
     if (joined.revolutions.empty()) return;
     cloud_topic.clouds.clear();
     for (const std::vector<RevolutionPart>& revolution : joined.revolutions) {
@@ -210,9 +212,9 @@ void join_partial_revolutions(CloudTopic& cloud_topic) {
 
 }  // namespace
 
-bool CloudTopic::has_point_field(folder::PointAttribute point_value) const {
+bool CloudTopic::has_field_with_attribute(folder::PointAttribute attribute) const {
     return std::ranges::any_of(fields, [&](const CloudMessage::CloudField& field) {
-        return folder::find_field_meaning(field.name) == point_value;
+        return folder::find_attribute_of_field_name(field.name) == attribute;
     });
 }
 
@@ -227,7 +229,7 @@ BagIndex index_bag_messages(BagRecording& bag, const ProgressReporter& progress)
     BagIndex survey;
     BagIndexer surveyor(bag, survey);
     bag.for_each_message(
-        [](const BagTopic& topic) { return get_topic_use(topic) != MessagePurpose::nothing; },
+        [](const BagTopic& topic) { return get_message_purpose_of_topic(topic) != MessagePurpose::nothing; },
         [&](const BagMessage& message) { surveyor.add_message_to_index(message); }, progress);
     survey.facts.resize(bag.topics().size());
     if (surveyor.needs_second_pass()) {
@@ -235,12 +237,13 @@ BagIndex index_bag_messages(BagRecording& bag, const ProgressReporter& progress)
         std::vector<bool> is_late;
         for (std::size_t t = 0; t < bag.topics().size(); ++t)
             is_late.push_back(surveyor.is_topic_for_second_pass(t));
-        bag.for_each_message([&](const BagTopic& topic) { return packets::has_ouster_packets(topic); },
-                             [&](const BagMessage& message) {
-                                 if (message.topic < is_late.size() && is_late[message.topic])
-                                     surveyor.process_message_in_second_pass(message);
-                             },
-                             progress);
+        bag.for_each_message(
+            [&](const BagTopic& topic) { return packets::is_ouster_driver_packet_topic(topic); },
+            [&](const BagMessage& message) {
+                if (message.topic < is_late.size() && is_late[message.topic])
+                    surveyor.index_packets_in_second_pass(message);
+            },
+            progress);
     }
     for (CloudTopic& clouds : survey.clouds) {
         clouds.packets.sort_packets_and_find_revolutions();
@@ -252,7 +255,7 @@ BagIndex index_bag_messages(BagRecording& bag, const ProgressReporter& progress)
                  clouds.packets.find_messages_of_revolution(revolution).front().message_position, t});
         }
     }
-    for (CloudTopic& clouds : survey.clouds) join_partial_revolutions(clouds);
+    for (CloudTopic& clouds : survey.clouds) join_partial_clouds_of_topic(clouds);
     add_missing_ouster_transforms(bag, survey);
     return survey;
 }

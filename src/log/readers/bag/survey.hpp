@@ -58,7 +58,7 @@ struct CloudTopic {
     packets::PacketIndex packets;
     std::vector<packets::PacketRevolution> revolutions;
 
-    bool has_point_field(folder::PointAttribute point_value) const;
+    bool has_field_with_attribute(folder::PointAttribute attribute) const;
     std::size_t compute_median_point_count() const;  ///< Returns the median number of points of a cloud.
 };
 

@@ -65,9 +65,9 @@ std::optional<AzimuthArc> find_occupied_azimuth_range(const std::array<bool, kBi
                       float(extent)};
 }
 
-double compute_widest_azimuth_gap_rad(const std::vector<RevolutionPart>& clouds) {
+double compute_widest_azimuth_gap_rad(const std::vector<RevolutionPart>& partial_clouds) {
     std::array<bool, kBins> is_bin_occupied{};
-    for (const RevolutionPart& cloud : clouds)
+    for (const RevolutionPart& cloud : partial_clouds)
         for (double a = -0.5; a <= 0.5; a += 0.01) {
             const double azimuth =
                 std::remainder(double(cloud.arc.middle_rad) + a * double(cloud.arc.extent_rad), 2.0 * kPi);
@@ -89,25 +89,29 @@ struct RevolutionPartition {
     double cut_rad;
 };
 
-std::optional<RevolutionPartition> estimate_revolution_parts(const std::vector<RevolutionPart>& clouds) {
-    if (clouds.size() < 4) return std::nullopt;
+std::optional<RevolutionPartition> estimate_how_clouds_split_revolution(
+    const std::vector<RevolutionPart>& partial_clouds) {
+    if (partial_clouds.size() < 4) return std::nullopt;
     std::vector<float> extents;
     std::vector<std::int64_t> steps_ns;
     std::complex<double> sum = 0.0;
-    for (std::size_t k = 0; k < clouds.size(); ++k) {
-        extents.push_back(clouds[k].arc.extent_rad);
+    for (std::size_t k = 0; k < partial_clouds.size(); ++k) {
+        extents.push_back(partial_clouds[k].arc.extent_rad);
         if (k == 0) continue;
-        steps_ns.push_back(clouds[k].stamp_ns - clouds[k - 1].stamp_ns);
-        sum += std::polar(1.0, double(clouds[k].arc.middle_rad) - double(clouds[k - 1].arc.middle_rad));
+        steps_ns.push_back(partial_clouds[k].stamp_ns - partial_clouds[k - 1].stamp_ns);
+        sum += std::polar(
+            1.0, double(partial_clouds[k].arc.middle_rad) - double(partial_clouds[k - 1].arc.middle_rad));
     }
     const double extent = compute_median(extents), step = std::abs(std::arg(sum));
-    if (extent > kMostOfPart || std::abs(sum) < kTogether * double(clouds.size() - 1)) return std::nullopt;
+    if (extent > kMostOfPart || std::abs(sum) < kTogether * double(partial_clouds.size() - 1))
+        return std::nullopt;
     if (std::abs(step - std::min(extent, 2.0 * kPi - extent)) > kAbut * step ||
-        compute_widest_azimuth_gap_rad(clouds) > kLeastGap_rad)
+        compute_widest_azimuth_gap_rad(partial_clouds) > kLeastGap_rad)
         return std::nullopt;
     const double n = std::round(2.0 * kPi / step);
     std::complex<double> phase = 0.0;
-    for (const RevolutionPart& cloud : clouds) phase += std::polar(1.0, n * double(cloud.arc.middle_rad));
+    for (const RevolutionPart& cloud : partial_clouds)
+        phase += std::polar(1.0, n * double(cloud.arc.middle_rad));
     const double first_cut = (std::arg(phase) + kPi) / n, width = 2.0 * kPi / n;
     const double cut = first_cut + width * std::round((kPi - first_cut) / width);
     return RevolutionPartition{extent, n < 2.5 || std::arg(sum) < 0.0 ? -step : step,
@@ -131,9 +135,9 @@ std::optional<AzimuthArc> compute_azimuth_range(const CloudMessage& cloud) {
     return find_occupied_azimuth_range(is_bin_occupied);
 }
 
-JoinedRevolutions join_clouds_to_revolutions(std::vector<RevolutionPart> partial_clouds) {
+JoinedRevolutions join_partial_clouds_to_revolutions(std::vector<RevolutionPart> partial_clouds) {
     std::ranges::stable_sort(partial_clouds, {}, &RevolutionPart::stamp_ns);
-    const std::optional<RevolutionPartition> parts = estimate_revolution_parts(partial_clouds);
+    const std::optional<RevolutionPartition> parts = estimate_how_clouds_split_revolution(partial_clouds);
     JoinedRevolutions joined;
     if (!parts) return joined;
     // Returns the rotation between the start of the revolution and a part, 0 to 2 pi.

@@ -38,6 +38,6 @@ struct JoinedRevolutions {
 /// Joins clouds that are parts of a revolution. Joins nothing if the clouds are full
 /// revolutions, or if the LiDAR scans a window and does not rotate.
 /// @param partial_clouds  all clouds of a topic
-JoinedRevolutions join_clouds_to_revolutions(std::vector<RevolutionPart> partial_clouds);
+JoinedRevolutions join_partial_clouds_to_revolutions(std::vector<RevolutionPart> partial_clouds);
 
 }  // namespace relidar::bag

@@ -60,7 +60,7 @@ ForwardDirection read_forward_direction(const fs::path& calibration_file) {
     const auto& at = *m;
     const glm::dmat3 rotation(at[0], at[4], at[8], at[1], at[5], at[9], at[2], at[6], at[10]);
     const Pose applanix_from_lidar =
-        make_rigid_pose(rotation, {at[3], at[7], at[11]}, calibration_file.string());
+        make_pose_from_checked_rotation(rotation, {at[3], at[7], at[11]}, calibration_file.string());
     return {inverse(applanix_from_lidar).rotation * glm::dvec3(0, 1, 0), true};
 }
 
@@ -78,21 +78,22 @@ constexpr EulerAngleConvention kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-y
                                                  {"R_x(roll) R_y(pitch) R_z(yaw)", 1.0, true}};
 
 glm::dquat make_enu_from_lidar_rotation(double roll_rad, double pitch_rad, double yaw_rad,
-                                        const EulerAngleConvention& angle_order) {
-    const double sign = angle_order.sign;
-    return angle_order.yaw_first
+                                        const EulerAngleConvention& angle_convention) {
+    const double sign = angle_convention.sign;
+    return angle_convention.yaw_first
                ? glm::conjugate(make_rotation(-sign * yaw_rad, -sign * pitch_rad, -sign * roll_rad))
                : make_rotation(sign * yaw_rad, sign * pitch_rad, sign * roll_rad);
 }
 
 PoseTrack make_lidar_pose_track(const std::vector<stamped::StampedPoseRow>& pose_rows,
-                                const stamped::StampedLog& log, const EulerAngleConvention& angle_order) {
+                                const stamped::StampedLog& log,
+                                const EulerAngleConvention& angle_convention) {
     PoseTrack track;
     for (const stamped::StampedPoseRow& row : pose_rows) {
         const std::vector<double>& v = row.values;
         const double *position = v.data(), *angle = v.data() + kFirstAngle;
         track.time_s.push_back(log.convert_stamp_to_seconds(row.stamp));
-        track.pose.push_back({make_enu_from_lidar_rotation(angle[0], angle[1], angle[2], angle_order),
+        track.pose.push_back({make_enu_from_lidar_rotation(angle[0], angle[1], angle[2], angle_convention),
                               {position[0], position[1], position[2]}});
     }
     return track;
@@ -109,7 +110,8 @@ double compute_forward_motion_score(const stamped::DrivingDirection& driving,
 /// another convention only if the vehicle then clearly drives forward better.
 PoseTrack read_boreas_poses(const fs::path& pose_file, const stamped::StampedLog& log,
                             const ForwardDirection& forward_direction, std::vector<std::string>& notes) {
-    const std::vector<stamped::StampedPoseRow> rows = stamped::read_stamped_rows(pose_file, kPoseNumbers);
+    const std::vector<stamped::StampedPoseRow> rows =
+        stamped::read_timestamped_number_rows(pose_file, kPoseNumbers);
     const EulerAngleConvention* best_order = nullptr;
     PoseTrack best;
     stamped::DrivingDirection of_best;
@@ -135,7 +137,7 @@ PoseTrack read_boreas_poses(const fs::path& pose_file, const stamped::StampedLog
 }
 
 /// Rotates the sensor frame of all poses so that its x axis points forward.
-void rotate_x_axis_forward(PoseTrack& track, double forward_azimuth_rad) {
+void rotate_pose_frames_to_x_forward(PoseTrack& track, double forward_azimuth_rad) {
     const Pose lidar_from_turned{make_rotation(forward_azimuth_rad, 0.0, 0.0), {}};
     for (Pose& pose : track.pose) pose = pose * lidar_from_turned;
 }
@@ -143,7 +145,7 @@ void rotate_x_axis_forward(PoseTrack& track, double forward_azimuth_rad) {
 }  // namespace
 
 LidarSequence load_boreas_dataset(const fs::path& log_folder, const DatasetOptions& options) {
-    check_is_folder(log_folder, "a Boreas sequence (lidar/, applanix/, calib/)");
+    require_existing_folder(log_folder, "a Boreas sequence (lidar/, applanix/, calib/)");
     const fs::path folder = fs::canonical(log_folder);
     LidarSequence sequence;
     const std::string name = folder.filename().string();
@@ -151,11 +153,11 @@ LidarSequence load_boreas_dataset(const fs::path& log_folder, const DatasetOptio
     sequence.source = log_folder.string();
     sequence.notes = {"this log has no labels"};
     stamped::StampedLog log{kMicrosecond,
-                            stamped::list_stamped_scans(folder / "lidar"),
+                            stamped::list_timestamped_scan_files(folder / "lidar"),
                             {},
                             folder / "applanix/lidar_poses.csv",
                             kMostGap_s};
-    stamped::check_pose_file_exists(log.poses_file, options);
+    stamped::require_pose_file_or_user_choice(log.poses_file, options);
     ForwardDirection forward = read_forward_direction(folder / "calib/T_applanix_lidar.txt");
     if (does_path_exist(log.poses_file)) {
         log.world_from_vehicle = read_boreas_poses(log.poses_file, log, forward, sequence.notes);
@@ -165,7 +167,7 @@ LidarSequence load_boreas_dataset(const fs::path& log_folder, const DatasetOptio
     if (!forward.is_known)
         sequence.notes.push_back(
             "the forward direction of the vehicle is unknown; the x axis of the LiDAR is used");
-    rotate_x_axis_forward(log.world_from_vehicle, forward.compute_forward_azimuth_rad());
+    rotate_pose_frames_to_x_forward(log.world_from_vehicle, forward.compute_forward_azimuth_rad());
     sequence.conventions = fmt::format(
         "LiDAR frame: x forward, y left, z up, in metres (rotated about z by {:.2f} degrees relative to "
         "Boreas). Times are seconds after the first scan. The time of a frame is the middle of its sweep. "
@@ -173,7 +175,7 @@ LidarSequence load_boreas_dataset(const fs::path& log_folder, const DatasetOptio
         -forward.compute_forward_azimuth_rad() * 180.0 / kPi);
     sequence.lidars[0].sensor.name = "VLS-128 fitted to " + sequence.name;
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
-    const std::vector<fs::path> files = stamped::add_requested_frames(sequence, log, options);
+    const std::vector<fs::path> files = stamped::add_frames_and_get_scan_files(sequence, log, options);
     stamped::PointFileFormat format;
     format.units.columns = {"x", "y", "z", "intensity", "ring", "time"};
     format.units.intensity_max = kBrightest;

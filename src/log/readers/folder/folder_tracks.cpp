@@ -31,12 +31,12 @@ const std::vector<std::string> kPoseNames{"time_s", "x", "y", "z", "qw", "qx", "
 
 /// Removes a comment, which begins with '#', from a line.
 std::string_view strip_comment(const std::string& line) {
-    return trim_spaces(std::string_view(line).substr(0, line.find('#')));
+    return trim_blanks_at_both_ends(std::string_view(line).substr(0, line.find('#')));
 }
 
 std::vector<std::string_view> split_at_spaces(std::string_view line) {
     std::vector<std::string_view> words;
-    for (line = trim_spaces(line); !line.empty(); line = trim_spaces(line)) {
+    for (line = trim_blanks_at_both_ends(line); !line.empty(); line = trim_blanks_at_both_ends(line)) {
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
         words.push_back(line.substr(0, end));
         line.remove_prefix(end);
@@ -47,8 +47,8 @@ std::vector<std::string_view> split_at_spaces(std::string_view line) {
 /// Returns true for a line with column names. This is a comment that contains "qw", or a
 /// line whose first word is not a number.
 bool is_line_of_column_names(const std::string& line) {
-    const std::vector<std::string_view> words =
-        split_at_spaces(trim_spaces(line).substr(trim_spaces(line).starts_with('#') ? 1 : 0));
+    const std::vector<std::string_view> words = split_at_spaces(
+        trim_blanks_at_both_ends(line).substr(trim_blanks_at_both_ends(line).starts_with('#') ? 1 : 0));
     if (strip_comment(line).empty()) return std::find(words.begin(), words.end(), "qw") != words.end();
     return !words.empty() && !parse_number(words[0]);
 }
@@ -57,7 +57,8 @@ bool is_line_of_column_names(const std::string& line) {
 /// Also accepts the names of the TUM format for time and position.
 std::vector<int> find_pose_columns(const std::string& header_line, const std::string& error_location) {
     std::vector<std::string_view> words =
-        split_at_spaces(trim_spaces(header_line).substr(trim_spaces(header_line).starts_with('#') ? 1 : 0));
+        split_at_spaces(trim_blanks_at_both_ends(header_line)
+                            .substr(trim_blanks_at_both_ends(header_line).starts_with('#') ? 1 : 0));
     for (std::string_view& word : words) {
         if (word == "timestamp" || word == "time") word = "time_s";
         if (word == "tx" || word == "ty" || word == "tz") word.remove_prefix(1);
@@ -77,11 +78,12 @@ struct PoseRows {
 };
 
 /// Parses the numbers in a line.
-/// @param expected_count  expected number of values; 0 means 7 or 8
-std::vector<double> parse_pose_row(const std::string& line, std::size_t expected_count,
+/// @param expected_count_or_zero  expected number of values; 0 means 7 or 8
+std::vector<double> parse_pose_row(const std::string& line, std::size_t expected_count_or_zero,
                                    const std::string& error_location) {
     const auto v = parse_numbers(strip_comment(line));
-    if (!v || (expected_count > 0 ? v->size() != expected_count : v->size() != 7 && v->size() != 8))
+    if (!v ||
+        (expected_count_or_zero > 0 ? v->size() != expected_count_or_zero : v->size() != 7 && v->size() != 8))
         throw DataError(fmt::format("{}: found '{}', expected 8 numbers: time_s x y z qw qx qy qz",
                                     error_location, shorten_for_error_message(line)));
     if (!std::all_of(v->begin(), v->end(), [](double value) { return std::abs(value) <= kLargestOfTrack; }))
@@ -92,7 +94,7 @@ std::vector<double> parse_pose_row(const std::string& line, std::size_t expected
 
 /// Throws for pose files without times. Otherwise their rows (x y z and a quaternion)
 /// would be read as a time, a position and three angles.
-void check_poses_have_times(const PoseRows& pose_rows, const std::string& file_name) {
+void throw_if_pose_rows_lack_times(const PoseRows& pose_rows, const std::string& file_name) {
     const auto ends_with_quaternion = [](const std::vector<double>& row) {
         return row.size() == 7 &&
                std::abs(glm::length(glm::dquat(row[3], row[4], row[5], row[6])) - 1.0) <= kUnit;
@@ -133,7 +135,7 @@ PoseRows parse_pose_rows(const std::vector<std::string>& lines, const std::strin
         }
         rows.rows.push_back(std::move(row));
     }
-    check_poses_have_times(rows, file_name);
+    throw_if_pose_rows_lack_times(rows, file_name);
     return rows;
 }
 
@@ -209,8 +211,9 @@ std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,
 }
 
 double find_label_time_s(const JsonField& label, const std::vector<SequenceHeaderFrame>& all_frames) {
-    if (label.has_member("time_s")) return label.at("time_s").get_number(-kLargestOfTrack, kLargestOfTrack);
-    const std::int64_t number = label.at("frame").get_integer(0, 99999999);
+    if (label.has_member("time_s"))
+        return label.at("time_s").get_number_in_range(-kLargestOfTrack, kLargestOfTrack);
+    const std::int64_t number = label.at("frame").get_integer_in_range(0, 99999999);
     const auto frame = std::find_if(all_frames.begin(), all_frames.end(),
                                     [&](const SequenceHeaderFrame& f) { return f.number == number; });
     if (frame == all_frames.end())
@@ -223,7 +226,8 @@ Pose read_label_pose(const JsonField& label) {
     const auto p = label.at("position").get_numbers<3>();
     const glm::dvec3 position(p[0], p[1], p[2]);
     if (label.has_member("yaw_deg"))
-        return {glm::angleAxis(label.at("yaw_deg").get_number(-1e6, 1e6) * kPi / 180.0, glm::dvec3(0, 0, 1)),
+        return {glm::angleAxis(label.at("yaw_deg").get_number_in_range(-1e6, 1e6) * kPi / 180.0,
+                               glm::dvec3(0, 0, 1)),
                 position};
     const auto q = label.at("quaternion").get_numbers<4>();
     // check_sequence() checks the quaternion's length
@@ -231,11 +235,11 @@ Pose read_label_pose(const JsonField& label) {
 }
 
 BoxLabel read_box_label(const JsonField& label, const std::vector<SequenceHeaderFrame>& all_frames) {
-    label.check_no_unknown_members(
+    label.require_only_known_members(
         {"track", "category", "time_s", "frame", "size", "position", "yaw_deg", "quaternion"});
     const auto size = label.at("size").get_numbers<3>();
-    return {label.at("track").get_string(kLongestName),
-            label.at("category").get_string(kLongestName),
+    return {label.at("track").get_short_single_line_string(kLongestName),
+            label.at("category").get_short_single_line_string(kLongestName),
             {size[0], size[1], size[2]},
             find_label_time_s(label, all_frames),
             read_label_pose(label)};
@@ -245,7 +249,7 @@ BoxLabel read_box_label(const JsonField& label, const std::vector<SequenceHeader
 
 std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
                                                   const std::vector<SequenceHeaderFrame>& frames,
-                                                  const OverlapScanPairReader& read_scan_pairs,
+                                                  const OverlapScanPairReader& read_scan_pairs_or_null,
                                                   std::vector<std::string>& notes) {
     if (!does_path_exist(pose_file)) return std::nullopt;
     const std::vector<std::string> lines = split_lines(read_text_file(pose_file));
@@ -265,7 +269,7 @@ std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
         if (rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos)
             return interpolate_poses_at_frames(readings[0].world_from_vehicle, frames, pose_file.string());
         const std::size_t k =
-            choose_pose_interpretation(readings, read_scan_pairs, pose_file.string(), notes);
+            choose_pose_interpretation(readings, read_scan_pairs_or_null, pose_file.string(), notes);
         return interpolate_poses_at_frames(readings[k].world_from_vehicle, frames, pose_file.string());
     }
     std::vector<int> numbers;
@@ -279,7 +283,7 @@ std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
     }
     const std::vector<PoseInterpretation> readings =
         append_inverse_interpretations({{"matrices", std::move(track)}});
-    if (choose_pose_interpretation(readings, read_scan_pairs, pose_file.string(), notes) > 0)
+    if (choose_pose_interpretation(readings, read_scan_pairs_or_null, pose_file.string(), notes) > 0)
         for (Pose& pose : poses) pose = inverse(pose);
     return poses;
 }
@@ -291,7 +295,7 @@ std::vector<BoxTrack> read_box_tracks(const fs::path& path,
     const std::string file = path.string();
     const nlohmann::json json = parse_json(read_text_file(file), file);
     const JsonField root(json, file, "");
-    root.check_no_unknown_members({"boxes"});
+    root.require_only_known_members({"boxes"});
     const JsonField boxes = root.at("boxes");
     const double first_s = loaded_frames.front().time_s, last_s = loaded_frames.back().time_s;
     const bool from_start = first_s == all_frames.front().time_s, to_end = last_s == all_frames.back().time_s;

@@ -21,12 +21,12 @@ using folder::SequenceHeaderFrame;
 /// Returns the frames in the requested range whose scan file exists.
 /// @throws DataError if a scan file is missing and missing scans are not allowed
 /// @throws UsageError if the range contains no scan file
-std::vector<SequenceHeaderFrame> select_requested_frames(const folder::SequenceHeader& head,
+std::vector<SequenceHeaderFrame> select_requested_frames(const folder::SequenceHeader& sequence_header,
                                                          const DatasetOptions& options,
                                                          std::vector<std::string>& notes) {
     std::vector<SequenceHeaderFrame> frames;
     std::size_t n_missing = 0;
-    for (const SequenceHeaderFrame& frame : head.frames) {
+    for (const SequenceHeaderFrame& frame : sequence_header.frames) {
         if (frame.number < options.frames.begin ||
             (options.frames.end >= 0 && frame.number >= options.frames.end))
             continue;
@@ -38,9 +38,10 @@ std::vector<SequenceHeaderFrame> select_requested_frames(const folder::SequenceH
         if (there) frames.push_back(frame);
     }
     if (frames.empty())
-        throw UsageError(fmt::format(
-            "frames {}:{} select no existing scan of {}; {} scans are missing", options.frames.begin,
-            options.frames.end < 0 ? "" : std::to_string(options.frames.end), head.name, n_missing));
+        throw UsageError(fmt::format("frames {}:{} select no existing scan of {}; {} scans are missing",
+                                     options.frames.begin,
+                                     options.frames.end < 0 ? "" : std::to_string(options.frames.end),
+                                     sequence_header.name, n_missing));
     if (n_missing > 0)
         notes.push_back(fmt::format("{} scans of the list in sequence.json are missing", n_missing));
     return frames;
@@ -48,17 +49,17 @@ std::vector<SequenceHeaderFrame> select_requested_frames(const folder::SequenceH
 
 /// Reads pairs of consecutive scans of the first LiDAR, evenly spread over the log. Skips
 /// image files and unreadable files.
-folder::OverlapScanPairs read_consecutive_scan_pairs(const folder::SequenceHeader& head,
+folder::OverlapScanPairs read_consecutive_scan_pairs(const folder::SequenceHeader& sequence_header,
                                                      const std::vector<SequenceHeaderFrame>& frames) {
     constexpr std::size_t kPairs = 4;
     folder::OverlapScanPairs pairs;
     std::vector<const SequenceHeaderFrame*> of_first;
     for (const SequenceHeaderFrame& frame : frames)
         if (frame.lidar == 0 && folder::is_point_file(frame.scan)) of_first.push_back(&frame);
-    const Pose& mounting = head.lidars[0].lidar.vehicle_from_sensor;
+    const Pose& mounting = sequence_header.lidars[0].lidar.vehicle_from_sensor;
     const auto read = [&](const SequenceHeaderFrame& frame) {
-        const folder::PointTable table = folder::read_point_file(frame.scan, head.units.columns);
-        folder::PointFileUnits units = head.units;
+        const folder::PointTable table = folder::read_point_file(frame.scan, sequence_header.units.columns);
+        folder::PointFileUnits units = sequence_header.units;
         units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
         std::vector<glm::vec3> points =
             folder::convert_table_to_points(table, units, frame.time_s, frame.scan.string()).position_m;
@@ -80,12 +81,13 @@ folder::OverlapScanPairs read_consecutive_scan_pairs(const folder::SequenceHeade
 
 /// Reads the vehicle poses in poses.txt. If the file is missing and the user selected
 /// another source of poses, returns identity poses.
-std::vector<Pose> read_vehicle_poses_of_frames(const fs::path& folder, const folder::SequenceHeader& head,
-                                               const std::vector<SequenceHeaderFrame>& frames,
-                                               const DatasetOptions& options,
-                                               std::vector<std::string>& notes) {
+std::vector<Pose> read_vehicle_poses_or_identities(const fs::path& folder,
+                                                   const folder::SequenceHeader& sequence_header,
+                                                   const std::vector<SequenceHeaderFrame>& frames,
+                                                   const DatasetOptions& options,
+                                                   std::vector<std::string>& notes) {
     const fs::path file = folder / folder::kPosesFile;
-    const auto pairs = [&] { return read_consecutive_scan_pairs(head, frames); };
+    const auto pairs = [&] { return read_consecutive_scan_pairs(sequence_header, frames); };
     if (const auto poses = folder::read_frame_poses(file, frames, pairs, notes)) return *poses;
     if (!options.poses_file.empty()) return std::vector<Pose>(frames.size());
     throw DataError(
@@ -96,7 +98,7 @@ std::vector<Pose> read_vehicle_poses_of_frames(const fs::path& folder, const fol
 
 /// Replaces the vehicle poses of the log by poses from a file. The boxes move with the
 /// vehicle.
-void replace_vehicle_poses(LidarSequence& sequence, const folder::SequenceHeader& head,
+void replace_vehicle_poses(LidarSequence& sequence, const folder::SequenceHeader& sequence_header,
                            const std::vector<SequenceHeaderFrame>& frames, const fs::path& pose_file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
     if (pose_file == kNoPoses) {
@@ -106,7 +108,7 @@ void replace_vehicle_poses(LidarSequence& sequence, const folder::SequenceHeader
         if (std::find(notes.begin(), notes.end(), kitti::kNoPosesNote) == notes.end())
             sequence.notes.push_back(kitti::kNoPosesNote);
     } else {
-        const auto pairs = [&] { return read_consecutive_scan_pairs(head, frames); };
+        const auto pairs = [&] { return read_consecutive_scan_pairs(sequence_header, frames); };
         const std::optional<std::vector<Pose>> poses =
             folder::read_frame_poses(pose_file, frames, pairs, sequence.notes);
         if (!poses)
@@ -121,7 +123,7 @@ void replace_vehicle_poses(LidarSequence& sequence, const folder::SequenceHeader
 }  // namespace
 
 LidarSequence load_plain_folder(const fs::path& log_folder, const DatasetOptions& options) {
-    check_is_folder(log_folder, "a folder with sequence.json");
+    require_existing_folder(log_folder, "a folder with sequence.json");
     const fs::path folder = fs::canonical(log_folder);
     const folder::SequenceHeader head = folder::read_log_description(folder, options.max_range_m);
     LidarSequence sequence;
@@ -133,7 +135,7 @@ LidarSequence load_plain_folder(const fs::path& log_folder, const DatasetOptions
     for (const folder::SequenceHeaderLidar& lidar : head.lidars) sequence.lidars.push_back(lidar.lidar);
     const std::vector<SequenceHeaderFrame> frames = select_requested_frames(head, options, sequence.notes);
     const std::vector<Pose> poses =
-        read_vehicle_poses_of_frames(folder, head, frames, options, sequence.notes);
+        read_vehicle_poses_or_identities(folder, head, frames, options, sequence.notes);
     std::vector<fs::path> files;
     for (std::size_t i = 0; i < frames.size(); ++i) {
         add_frame(sequence, frames[i].number, frames[i].time_s, poses[i], frames[i].lidar);
@@ -141,8 +143,9 @@ LidarSequence load_plain_folder(const fs::path& log_folder, const DatasetOptions
     }
     sequence.boxes = folder::read_box_tracks(folder / folder::kBoxesFile, frames, head.frames);
     if (!options.poses_file.empty()) replace_vehicle_poses(sequence, head, frames, options.poses_file);
-    if (head.world_offset_m && options.poses_file.empty()) recentre_sequence(sequence, *head.world_offset_m);
-    else recentre_sequence(sequence);
+    if (head.world_offset_m && options.poses_file.empty())
+        move_world_origin_of_log(sequence, *head.world_offset_m);
+    else move_world_origin_of_log(sequence);
     folder::read_scans(sequence, head, files, options);
     return sequence;
 }

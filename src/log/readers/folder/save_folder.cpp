@@ -72,7 +72,8 @@ std::string make_sequence_json_text(const LidarSequence& sequence) {
 }
 
 std::string format_poses_file(const LidarSequence& sequence) {
-    const PoseTrack track = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
+    const PoseTrack track =
+        add_offset_to_track_positions(sequence.world_from_vehicle, sequence.world_offset_m);
     std::string text = "# time_s x y z qw qx qy qz\n";
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         const auto& [q, t] = track.pose[i];
@@ -86,7 +87,7 @@ std::string format_poses_file(const LidarSequence& sequence) {
 std::string format_boxes_json(const LidarSequence& sequence) {
     Json json = {{"boxes", Json::array()}};
     for (const BoxTrack& box : sequence.boxes) {
-        const PoseTrack track = shift_track(box.world_from_box, sequence.world_offset_m);
+        const PoseTrack track = add_offset_to_track_positions(box.world_from_box, sequence.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
             json["boxes"].push_back({{"track", box.id},
                                      {"category", box.category},
@@ -98,7 +99,7 @@ std::string format_boxes_json(const LidarSequence& sequence) {
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
-void check_target_folder(const fs::path& folder, bool overwrite) {
+void require_writable_target_folder(const fs::path& folder, bool overwrite) {
     if (!does_path_exist(folder) || (fs::is_directory(folder) && list_folder_entries(folder).empty())) return;
     if (!fs::is_directory(folder) || !does_path_exist(folder / folder::kHeadFile))
         throw UsageError(fmt::format("{}: this path exists and is not a plain folder, expected a new name",
@@ -115,7 +116,7 @@ void check_target_folder(const fs::path& folder, bool overwrite) {
 void save_folder(const LidarSequence& sequence, const fs::path& target_folder,
                  const LogFolderOptions& options) {
     const fs::path normalized_target = (fs::absolute(target_folder) / "").lexically_normal().parent_path();
-    check_target_folder(normalized_target, options.overwrite);
+    require_writable_target_folder(normalized_target, options.overwrite);
     const StagedFolder staged(normalized_target);
     fs::create_directory(staged.path() / "scans");
     parallel_for_with_progress(
@@ -132,7 +133,7 @@ void save_folder(const LidarSequence& sequence, const fs::path& target_folder,
     if (!sequence.boxes.empty())
         write_text_file(staged.path() / folder::kBoxesFile, format_boxes_json(sequence));
     write_text_file(staged.path() / folder::kHeadFile, make_sequence_json_text(sequence));
-    staged.move_folder_to_final_path();
+    staged.move_folder_and_replace_existing();
 }
 
 }  // namespace relidar

@@ -34,7 +34,8 @@ struct BeamPolarPoints {
     std::vector<double> azimuth_rad, inverse_rho;
 };
 
-std::array<BeamPolarPoints, kRings> convert_to_polar_rings(const std::vector<const ScanWithRings*>& scans) {
+std::array<BeamPolarPoints, kRings> collect_far_points_as_polar_by_ring(
+    const std::vector<const ScanWithRings*>& scans) {
     std::array<BeamPolarPoints, kRings> polar;
     for (const ScanWithRings* scan : scans) {
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
@@ -50,8 +51,8 @@ std::array<BeamPolarPoints, kRings> convert_to_polar_rings(const std::vector<con
     return polar;
 }
 
-std::complex<double> compute_mean_phase(const BeamPolarPoints& polar, double encoder_tick_rad,
-                                        double left_offset_m, std::size_t stride) {
+std::complex<double> compute_mean_tick_phasor(const BeamPolarPoints& polar, double encoder_tick_rad,
+                                              double left_offset_m, std::size_t stride) {
     std::complex<double> sum = 0.0;
     std::size_t n = 0;
     for (std::size_t i = 0; i < polar.azimuth_rad.size(); i += stride, ++n) {
@@ -93,14 +94,15 @@ TickGridPhase fit_azimuth_phase_of_beam(const BeamPolarPoints& polar, double enc
     TickGridPhase best;
     const std::size_t stride = std::max<std::size_t>(polar.azimuth_rad.size() / 500, 1);
     for (int mm = -60; mm <= 60; mm += 2) {
-        const std::complex<double> mean = compute_mean_phase(polar, encoder_tick_rad, mm * 1e-3, stride);
+        const std::complex<double> mean =
+            compute_mean_tick_phasor(polar, encoder_tick_rad, mm * 1e-3, stride);
         const double gain = std::abs(mean) - best.concentration;
         // Selects the left offset with the highest concentration. The code below prefers
         // offset 0 if no other offset is clearly better.
         if (mm == -60 || gain > 0.0)
             best = {mm * 1e-3, std::arg(mean) * encoder_tick_rad / (2.0 * kPi), std::abs(mean)};
     }
-    const std::complex<double> none = compute_mean_phase(polar, encoder_tick_rad, 0.0, stride);
+    const std::complex<double> none = compute_mean_tick_phasor(polar, encoder_tick_rad, 0.0, stride);
     if (std::abs(none) > best.concentration - 0.02)
         best = {0.0, std::arg(none) * encoder_tick_rad / (2.0 * kPi), std::abs(none)};
     if (best.left_m != 0.0) refine_phase_by_least_squares(best, polar, encoder_tick_rad);
@@ -154,32 +156,35 @@ int estimate_firings_per_revolution(const std::vector<const ScanWithRings*>& sca
 /// the offset of the beam
 using EncoderTicksByBeam = std::vector<std::vector<int>>;
 
-EncoderTicksByBeam compute_encoder_ticks_per_beam(const ScanWithRings& scan, const BeamFiringGrid& lattice) {
+EncoderTicksByBeam compute_encoder_ticks_per_beam(const ScanWithRings& scan,
+                                                  const BeamFiringGrid& firing_grid) {
     EncoderTicksByBeam ticks(kRings);
     std::vector<BeamRayGenerator> beams;
     for (std::size_t k = 0; k < kRings; ++k)
         beams.emplace_back(
-            Beam{.azimuth_offset_rad = lattice.offset_rad[k], .origin_left_m = lattice.left_m[k]});
+            Beam{.azimuth_offset_rad = firing_grid.offset_rad[k], .origin_left_m = firing_grid.left_m[k]});
     for (std::size_t i = 0; i < scan.points.size(); ++i) {
         const std::size_t k = scan.ring[i];
-        ticks[k].push_back(
-            lattice.head.find_nearest_tick(beams[k].compute_head_azimuth(glm::dvec3(scan.points[i]))));
+        ticks[k].push_back(firing_grid.head.find_nearest_encoder_tick(
+            beams[k].compute_head_azimuth(glm::dvec3(scan.points[i]))));
     }
     return ticks;
 }
 
 /// Returns for each scan and encoder tick whether at least `min_beams` beams have a
 /// return at this tick.
-/// @param beam_shifts  [beams] number that is subtracted from the ticks of each beam
-std::vector<std::vector<char>> find_fired_ticks(const std::vector<EncoderTicksByBeam>& ticks_of_scans,
-                                                const std::vector<int>& beam_shifts, int n_ticks,
-                                                int min_beams) {
+/// @param tick_shift_of_each_beam  [beams] number that is subtracted from the ticks of
+/// each beam
+std::vector<std::vector<char>> flag_ticks_with_returns_of_min_beams(
+    const std::vector<EncoderTicksByBeam>& ticks_of_scans, const std::vector<int>& tick_shift_of_each_beam,
+    int n_ticks, int min_beams) {
     std::vector<std::vector<char>> pattern;
     for (const EncoderTicksByBeam& scan : ticks_of_scans) {
         std::vector<int> count(static_cast<std::size_t>(n_ticks));
         for (std::size_t k = 0; k < kRings; ++k) {
             for (const int t : scan[k])
-                ++count[static_cast<std::size_t>(((t - beam_shifts[k]) % n_ticks + n_ticks) % n_ticks)];
+                ++count[static_cast<std::size_t>(((t - tick_shift_of_each_beam[k]) % n_ticks + n_ticks) %
+                                                 n_ticks)];
         }
         std::vector<char>& yes = pattern.emplace_back(static_cast<std::size_t>(n_ticks));
         for (std::size_t t = 0; t < count.size(); ++t) yes[t] = count[t] >= min_beams;
@@ -229,7 +234,7 @@ std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBe
         }
     }
     std::vector<int> shift(kRings, 0);
-    auto pattern = find_fired_ticks(reference, shift, n_ticks, 1);
+    auto pattern = flag_ticks_with_returns_of_min_beams(reference, shift, n_ticks, 1);
     // First compares each beam with the beam that has the most points. Then compares it
     // with all beams.
     for (int pass = 0; pass < 2; ++pass) {
@@ -237,22 +242,23 @@ std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBe
             shift[static_cast<std::size_t>(k)] =
                 find_best_tick_shift(ticks_of_scans, static_cast<std::size_t>(k), pattern, n_ticks, reach);
         });
-        pattern = find_fired_ticks(ticks_of_scans, shift, n_ticks, kMinLasers);
+        pattern = flag_ticks_with_returns_of_min_beams(ticks_of_scans, shift, n_ticks, kMinLasers);
     }
     return shift;
 }
 
 /// Shifts the azimuth offsets of all beams so that their mean is 0. The head then faces
 /// the mean direction of the beams.
-void centre_azimuth_offsets(BeamFiringGrid& lattice) {
-    const double mean = std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
-    for (double& offset : lattice.offset_rad) offset -= mean;
-    lattice.head.zero_rad += mean;
+void subtract_mean_beam_azimuth_offset(BeamFiringGrid& firing_grid) {
+    const double mean =
+        std::accumulate(firing_grid.offset_rad.begin(), firing_grid.offset_rad.end(), 0.0) / kRings;
+    for (double& offset : firing_grid.offset_rad) offset -= mean;
+    firing_grid.head.zero_rad += mean;
 }
 
 }  // namespace
 
-std::vector<Beam> BeamFiringGrid::make_beams(const BeamCones& cones) const {
+std::vector<Beam> BeamFiringGrid::make_beams_with_elevations_of_cones(const BeamCones& cones) const {
     std::vector<Beam> beams(kRings);
     for (std::size_t k = 0; k < kRings; ++k) {
         const double elevation = std::atan(cones[k].tan_el);
@@ -261,11 +267,11 @@ std::vector<Beam> BeamFiringGrid::make_beams(const BeamCones& cones) const {
     return beams;
 }
 
-BeamFiringGrid fit_firing_lattice(const std::vector<const ScanWithRings*>& scans) {
+BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& scans) {
     // Minimum mean concentration of azimuths at the encoder ticks for a valid fit. It is
     // 0.98 on KITTI, and near 0 for azimuths that are not on ticks.
     constexpr double kMinConcentration = 0.8;
-    const std::array<BeamPolarPoints, kRings> polar = convert_to_polar_rings(scans);
+    const std::array<BeamPolarPoints, kRings> polar = collect_far_points_as_polar_by_ring(scans);
     BeamFiringGrid lattice;
     lattice.head.n_ticks = kEncoderTicks;
     TickGridPhasesByRing phases = fit_phases_of_all_rings(polar, 2.0 * kPi / kEncoderTicks);
@@ -286,21 +292,23 @@ BeamFiringGrid fit_firing_lattice(const std::vector<const ScanWithRings*>& scans
             ticks.push_back(compute_encoder_ticks_per_beam(*scan, lattice));
         const std::vector<int> shift = find_tick_shift_of_each_ring(ticks, lattice.head.n_ticks);
         for (std::size_t k = 0; k < kRings; ++k)
-            lattice.offset_rad[k] += shift[k] * lattice.head.compute_tick_step_rad();
+            lattice.offset_rad[k] += shift[k] * lattice.head.compute_azimuth_per_tick_rad();
     }
-    centre_azimuth_offsets(lattice);
+    subtract_mean_beam_azimuth_offset(lattice);
     return lattice;
 }
 
-std::vector<int> find_fired_encoder_ticks(const ScanWithRings& scan, const BeamFiringGrid& lattice) {
-    const auto pattern = find_fired_ticks({compute_encoder_ticks_per_beam(scan, lattice)},
-                                          std::vector<int>(kRings, 0), lattice.head.n_ticks, kMinLasers);
+std::vector<int> find_fired_encoder_ticks(const ScanWithRings& scan, const BeamFiringGrid& firing_grid) {
+    const auto pattern = flag_ticks_with_returns_of_min_beams(
+        {compute_encoder_ticks_per_beam(scan, firing_grid)}, std::vector<int>(kRings, 0),
+        firing_grid.head.n_ticks, kMinLasers);
     std::vector<int> firings;
-    for (int t = 0; t < lattice.head.n_ticks; ++t) {
-        if (lattice.every_tick || pattern[0][static_cast<std::size_t>(t)]) firings.push_back(t);
+    for (int t = 0; t < firing_grid.head.n_ticks; ++t) {
+        if (firing_grid.every_tick || pattern[0][static_cast<std::size_t>(t)]) firings.push_back(t);
     }
     std::sort(firings.begin(), firings.end(), [&](int first, int second) {
-        return lattice.head.compute_tick_azimuth_rad(first) > lattice.head.compute_tick_azimuth_rad(second);
+        return firing_grid.head.compute_azimuth_of_encoder_tick_rad(first) >
+               firing_grid.head.compute_azimuth_of_encoder_tick_rad(second);
     });
     return firings;
 }

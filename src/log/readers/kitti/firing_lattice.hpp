@@ -31,15 +31,15 @@ struct BeamFiringGrid {
 
     /// Returns the beams of the sensor, with elevations from the cones and offsets from
     /// this fit. Each beam starts z0 cos(elevation) above the origin of the sensor.
-    std::vector<Beam> make_beams(const BeamCones& cones) const;
+    std::vector<Beam> make_beams_with_elevations_of_cones(const BeamCones& cones) const;
 };
 
 /// Fits the head azimuths and the beam offsets to a few scans. If the azimuths show no
 /// encoder ticks, for example in a resampled log, returns even steps and zero offsets.
-BeamFiringGrid fit_firing_lattice(const std::vector<const ScanWithRings*>& scans);
+BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& scans);
 
 /// Returns the encoder ticks at which the sensor fired in a sweep, in order of time. The
 /// first azimuth is near +pi. Azimuths decrease, because the head rotates clockwise.
-std::vector<int> find_fired_encoder_ticks(const ScanWithRings& scan, const BeamFiringGrid& lattice);
+std::vector<int> find_fired_encoder_ticks(const ScanWithRings& scan, const BeamFiringGrid& firing_grid);
 
 }  // namespace relidar::kitti

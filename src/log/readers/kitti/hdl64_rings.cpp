@@ -43,7 +43,7 @@ BeamCone fit_line_to_inliers(const std::vector<RhoHeightSample>& samples, const 
     return {(sz - slope * sr) / n, slope, static_cast<std::size_t>(n)};
 }
 
-BeamCone fit_cone(const std::vector<RhoHeightSample>& samples) {
+BeamCone fit_beam_cone_robustly(const std::vector<RhoHeightSample>& samples) {
     BeamCone cone = fit_line_to_inliers(samples, {}, INFINITY);
     for (int pass = 0; pass < 4 && cone.n > 0; ++pass) {
         std::vector<double> error;
@@ -66,7 +66,8 @@ struct LaserHeightFit {
     }
 };
 
-LaserHeightFit fit_block_height_line(const BeamCones& cones, const std::vector<std::size_t>& fitted_rings) {
+LaserHeightFit fit_height_to_slope_of_laser_block(const BeamCones& cones,
+                                                  const std::vector<std::size_t>& fitted_rings) {
     LaserHeightFit line;
     double tt = 0.0, tz = 0.0;
     for (const std::size_t k : fitted_rings) {
@@ -84,12 +85,13 @@ LaserHeightFit fit_block_height_line(const BeamCones& cones, const std::vector<s
 /// Estimates the slope of a beam whose points have too similar distances for a fit. The
 /// height of the beam is computed from other beams of its block of 32. The slope is then
 /// the median over the points.
-double estimate_tan_elevation(const std::vector<RhoHeightSample>& samples, const LaserHeightFit& block_line,
-                              double initial_tan_elevation) {
+double estimate_tan_elevation_at_known_height(const std::vector<RhoHeightSample>& samples,
+                                              const LaserHeightFit& height_of_block,
+                                              double initial_tan_elevation) {
     std::vector<double> slope(samples.size());
     for (int pass = 0; pass < 3; ++pass) {
         for (std::size_t i = 0; i < samples.size(); ++i)
-            slope[i] = (samples[i].z_m - block_line.compute_height_m(initial_tan_elevation)) /
+            slope[i] = (samples[i].z_m - height_of_block.compute_height_m(initial_tan_elevation)) /
                        std::max(samples[i].rho_m, 0.1);
         initial_tan_elevation = compute_median(slope);
     }
@@ -98,9 +100,9 @@ double estimate_tan_elevation(const std::vector<RhoHeightSample>& samples, const
 
 /// Estimates slope and height of each beam that could not be fitted. Uses the fitted
 /// beams in the same block of 32.
-void estimate_unfitted_cones(BeamCones& cones,
-                             const std::array<std::vector<RhoHeightSample>, kRings>& samples_of_rings,
-                             const std::string& error_location) {
+void estimate_cones_from_other_beams(BeamCones& cones,
+                                     const std::array<std::vector<RhoHeightSample>, kRings>& samples_of_rings,
+                                     const std::string& error_location) {
     for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
         std::vector<std::size_t> good;
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
@@ -111,7 +113,7 @@ void estimate_unfitted_cones(BeamCones& cones,
                             ": fewer than two beams of a block of 32 beams have enough returns, expected a "
                             "log of an HDL-64E");
         }
-        const LaserHeightFit line = fit_block_height_line(cones, good);
+        const LaserHeightFit line = fit_height_to_slope_of_laser_block(cones, good);
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
             if (cones[k].n > 0) continue;
             const auto next = std::lower_bound(good.begin() + 1, good.end() - 1, k);
@@ -120,7 +122,8 @@ void estimate_unfitted_cones(BeamCones& cones,
                 (static_cast<double>(k) - static_cast<double>(a)) / static_cast<double>(b - a);
             cones[k].tan_el = cones[a].tan_el + (cones[b].tan_el - cones[a].tan_el) * along;
             if (samples_of_rings[k].size() >= 16)
-                cones[k].tan_el = estimate_tan_elevation(samples_of_rings[k], line, cones[k].tan_el);
+                cones[k].tan_el =
+                    estimate_tan_elevation_at_known_height(samples_of_rings[k], line, cones[k].tan_el);
             cones[k].z0_m = line.compute_height_m(cones[k].tan_el);
         }
     }
@@ -183,8 +186,8 @@ BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
                         error_location, most));
     }
     BeamCones cones;
-    for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_cone(samples[k]);
-    estimate_unfitted_cones(cones, samples, error_location);
+    for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_beam_cone_robustly(samples[k]);
+    estimate_cones_from_other_beams(cones, samples, error_location);
     return cones;
 }
 

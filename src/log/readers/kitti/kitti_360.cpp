@@ -47,7 +47,7 @@ std::vector<std::string> list_drives(const fs::path& folder) {
 
 RequestedDrive choose_drive(const fs::path& folder, const DatasetOptions& options) {
     const std::vector<std::string> drives = list_drives(folder);
-    const RequestedDriveFrames part = resolve_benchmark_sequence(options, kKitti360Benchmark);
+    const RequestedDriveFrames part = find_requested_drive_and_frames(options, kKitti360Benchmark);
     if (part.drive.empty()) {
         RequestedDrive drive{drives.front(), part.frames};
         if (drives.size() > 1)
@@ -157,7 +157,7 @@ void add_frames_and_boxes(LidarSequence& sequence, const fs::path& dataset_folde
 }  // namespace
 
 LidarSequence load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
-    check_is_folder(log_folder, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
+    require_existing_folder(log_folder, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
     const fs::path folder = fs::canonical(log_folder);
     const RequestedDrive drive = choose_drive(folder / "data_3d_raw", options);
     const fs::path points = folder / "data_3d_raw" / drive.name / "velodyne_points";
@@ -172,7 +172,8 @@ LidarSequence load_kitti_360(const fs::path& log_folder, const DatasetOptions& o
         "(Mercator). Scans are not motion-compensated.";
     sequence.notes = drive.notes;
     sequence.test_frames = drive.test_frames;
-    const std::string gaps = describe_missing_scans(points / "data", frames, options.allow_missing_scans);
+    const std::string gaps =
+        describe_or_reject_missing_scan_files(points / "data", frames, options.allow_missing_scans);
     if (!gaps.empty()) sequence.notes.push_back(gaps);
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.name = "HDL-64E fitted to " + sequence.name;
@@ -180,7 +181,7 @@ LidarSequence load_kitti_360(const fs::path& log_folder, const DatasetOptions& o
     sensor.max_range_m = options.max_range_m;
     add_frames_and_boxes(sequence, folder, drive, frames, options.poses_file);
     replace_vehicle_poses_from_file(sequence, options.poses_file);
-    recentre_sequence(sequence);
+    move_world_origin_of_log(sequence);
     read_hdl64_sweeps(sequence, points / "data", 10, options);
     return sequence;
 }

@@ -43,7 +43,7 @@ int read_integer_field(const pugi::xml_node& object, const char* field_name, std
     constexpr double kLargest = 1e8;
     const std::string text = object.child_value(field_name);
     if (text.empty() && default_value) return *default_value;
-    const auto value = parse_number(trim_spaces(text));
+    const auto value = parse_number(trim_blanks_at_both_ends(text));
     if (!value || !(std::abs(*value) < kLargest) || *value != std::floor(*value))
         throw DataError(fmt::format("{}: {} is '{}', expected a whole number", error_location, field_name,
                                     shorten_for_error_message(text)));
@@ -55,7 +55,7 @@ int read_integer_field(const pugi::xml_node& object, const char* field_name, std
 const MovableClass* find_movable_class(const pugi::xml_node& object, const std::string& error_location) {
     const bool has_number = !object.child("semanticId").empty();
     const int id = has_number ? read_integer_field(object, "semanticId", {}, error_location) : 0;
-    const std::string_view label = trim_spaces(object.child_value("label"));
+    const std::string_view label = trim_blanks_at_both_ends(object.child_value("label"));
     for (const MovableClass& movable_class : kMovable)
         if (has_number ? id == movable_class.id : label == movable_class.name || label == movable_class.label)
             return &movable_class;
@@ -90,8 +90,8 @@ glm::dmat4 read_box_transform(const pugi::xml_node& object, const std::string& e
 /// Computes the size and the pose of a box from its transform. If the transform contains
 /// a reflection, flips the width axis. The box stays the same, but its rotation becomes
 /// valid.
-void set_label_size_and_pose(BoxLabel& label, const glm::dmat4& world_from_unit_box,
-                             const std::string& error_location) {
+void set_box_size_and_pose_from_transform(BoxLabel& label, const glm::dmat4& world_from_unit_box,
+                                          const std::string& error_location) {
     glm::dmat3 axes(world_from_unit_box);
     label.size_m = {glm::length(axes[0]), glm::length(axes[1]), glm::length(axes[2])};
     constexpr double kSmallest_m = 1e-3;
@@ -102,8 +102,8 @@ void set_label_size_and_pose(BoxLabel& label, const glm::dmat4& world_from_unit_
                         error_location, label.size_m.x, label.size_m.y, label.size_m.z));
     for (int c = 0; c < 3; ++c) axes[c] /= label.size_m[c];
     if (glm::determinant(axes) < 0.0) axes[1] = -axes[1];
-    label.world_from_box =
-        make_rigid_pose(axes, glm::dvec3(world_from_unit_box[3]), error_location + ": transform");
+    label.world_from_box = make_pose_from_checked_rotation(axes, glm::dvec3(world_from_unit_box[3]),
+                                                           error_location + ": transform");
 }
 
 /// Returns the track id of an object: semanticId * 1000 + instanceId. Objects of drive
@@ -134,7 +134,7 @@ void add_labels_of_object(const pugi::xml_node& object, const std::vector<LidarF
                    {},
                    0.0,
                    {}};
-    set_label_size_and_pose(label, read_box_transform(object, error_location), error_location);
+    set_box_size_and_pose_from_transform(label, read_box_transform(object, error_location), error_location);
     auto frame = std::lower_bound(frames.begin(), frames.end(), first,
                                   [](const LidarFrame& f, int number) { return f.index < number; });
     for (; frame != frames.end() && frame->index <= last; ++frame) {

@@ -27,7 +27,7 @@ std::vector<double> read_frame_times_s(const fs::path& file, const std::vector<i
         if (line >= lines.size())
             throw DataError(fmt::format("{}: found {} lines, but frame {} needs line {}", file.string(),
                                         lines.size(), frame, line + 1));
-        const auto seconds = parse_number(trim_spaces(lines[line]));
+        const auto seconds = parse_number(trim_blanks_at_both_ends(lines[line]));
         if (!seconds)
             throw DataError(fmt::format("{} line {}: found '{}', expected a time in seconds", file.string(),
                                         line + 1, shorten_for_error_message(lines[line])));
@@ -67,7 +67,7 @@ std::vector<Pose> read_odometry_poses(const fs::path& sequence_folder, const std
 }  // namespace
 
 LidarSequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptions& options) {
-    check_is_folder(log_folder, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
+    require_existing_folder(log_folder, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
     const fs::path folder = fs::canonical(log_folder);
     const std::vector<int> frames =
         kitti::list_scan_numbers(folder / "velodyne", options.frames.begin, options.frames.end);
@@ -90,7 +90,7 @@ LidarSequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptio
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], poses[i]);
-    recentre_sequence(sequence);
+    move_world_origin_of_log(sequence);
     kitti::read_hdl64_sweeps(sequence, folder / "velodyne", 6, options, folder / "labels");
     return sequence;
 }

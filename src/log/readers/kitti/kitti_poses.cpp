@@ -30,8 +30,8 @@ constexpr double kLongestLog_m = 1e5;
 /// Checks that the positions of all poses are plausible.
 /// @throws DataError if a coordinate is too large, or if a position is too far from the
 /// first position
-void check_pose_coordinates(const std::vector<Pose>& poses, const std::vector<int>& frame_numbers,
-                            const std::string& error_location) {
+void require_plausible_pose_positions(const std::vector<Pose>& poses, const std::vector<int>& frame_numbers,
+                                      const std::string& error_location) {
     for (std::size_t i = 0; i < poses.size(); ++i) {
         const glm::dvec3 t = poses[i].translation, step = t - poses[0].translation;
         if (std::max({std::abs(t.x), std::abs(t.y), std::abs(t.z)}) > kLargestCoordinate_m)
@@ -67,8 +67,8 @@ std::vector<double> parse_finite_numbers(const std::string& line, std::size_t ex
 /// Parses a 3x4 matrix, row-major.
 Pose parse_pose_matrix(const std::string& line, const std::string& error_location) {
     const std::vector<double> m = parse_finite_numbers(line, 12, error_location);
-    return make_rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
-                           {m[3], m[7], m[11]}, error_location);
+    return make_pose_from_checked_rotation(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
+                                           {m[3], m[7], m[11]}, error_location);
 }
 
 fs::path make_oxts_file_path(const fs::path& drive_folder, int frame_number) {
@@ -144,8 +144,8 @@ Pose read_calibration_transform(const fs::path& file) {
         throw DataError(fmt::format("{}: the line '{}:' is missing, expected the keys R and T", file.string(),
                                     r.empty() ? "R" : "T"));
     }
-    return make_rigid_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]),
-                           {t[0], t[1], t[2]}, file.string());
+    return make_pose_from_checked_rotation(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]),
+                                           {t[0], t[1], t[2]}, file.string());
 }
 
 Pose read_transform_of_key(const fs::path& file, const std::string& key) {
@@ -157,7 +157,8 @@ Pose read_transform_of_key(const fs::path& file, const std::string& key) {
         fmt::format("{}: the line '{}:' is missing, expected this key with 12 numbers", file.string(), key));
 }
 
-std::vector<Pose> read_oxts_poses(const fs::path& drive_folder, const std::vector<int>& frame_numbers) {
+std::vector<Pose> compute_lidar_poses_from_oxts_files(const fs::path& drive_folder,
+                                                      const std::vector<int>& frame_numbers) {
     std::optional<double> scale;
     const glm::dvec3 origin =
         read_imu_pose_from_oxts(make_oxts_file_path(drive_folder, find_first_oxts_frame(drive_folder)), scale)
@@ -169,7 +170,7 @@ std::vector<Pose> read_oxts_poses(const fs::path& drive_folder, const std::vecto
         world_from_imu.translation -= origin;
         poses.push_back(world_from_imu * imu_from_sensor);
     }
-    check_pose_coordinates(poses, frame_numbers, (drive_folder / "oxts/data").string());
+    require_plausible_pose_positions(poses, frame_numbers, (drive_folder / "oxts/data").string());
     return poses;
 }
 
@@ -185,7 +186,7 @@ std::vector<Pose> read_pose_matrices(const fs::path& pose_file, const std::vecto
         const std::string where = fmt::format("{} line {}", pose_file.string(), line + 1);
         poses.push_back(parse_pose_matrix(lines[line], where));
     }
-    check_pose_coordinates(poses, frame_numbers, pose_file.string());
+    require_plausible_pose_positions(poses, frame_numbers, pose_file.string());
     return poses;
 }
 
@@ -221,7 +222,7 @@ std::map<int, Pose> read_poses_by_frame_number(const fs::path& file) {
     std::vector<Pose> poses;
     for (std::size_t l = 0; l < lines.size(); ++l) {
         const std::string where = fmt::format("{} line {}", file.string(), l + 1);
-        const std::string_view line = trim_spaces(lines[l]);
+        const std::string_view line = trim_blanks_at_both_ends(lines[l]);
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
         const std::optional<int> frame = parse_file_stem_as_number(std::string(line.substr(0, end)));
         if (!frame || (!frames.empty() && *frame <= frames.back()))
@@ -234,7 +235,7 @@ std::map<int, Pose> read_poses_by_frame_number(const fs::path& file) {
     if (poses.empty())
         throw DataError(fmt::format("{}: the file is empty, expected a frame number and 12 numbers per line",
                                     file.string()));
-    check_pose_coordinates(poses, frames, file.string());
+    require_plausible_pose_positions(poses, frames, file.string());
     std::map<int, Pose> by_frame;
     for (std::size_t i = 0; i < frames.size(); ++i)
         by_frame.emplace_hint(by_frame.end(), frames[i], poses[i]);

@@ -24,7 +24,7 @@ PoseTrack read_drive_poses(const fs::path& drive_folder, const std::vector<int>&
         std::vector<Pose>(frame_numbers.size())};
     if (user_pose_file != kNoPoses)
         track.pose = user_pose_file.empty()
-                         ? read_oxts_poses(drive_folder, frame_numbers)
+                         ? compute_lidar_poses_from_oxts_files(drive_folder, frame_numbers)
                          : read_user_pose_file(user_pose_file, frame_numbers, track.time_s, notes);
     return track;
 }
@@ -40,8 +40,8 @@ std::vector<std::string> list_missing_data_notes(const fs::path& drive_folder,
                                                  const std::vector<int>& frame_numbers,
                                                  const DatasetOptions& options) {
     std::vector<std::string> notes;
-    const std::string gaps = describe_missing_scans(drive_folder / "velodyne_points/data", frame_numbers,
-                                                    options.allow_missing_scans);
+    const std::string gaps = describe_or_reject_missing_scan_files(
+        drive_folder / "velodyne_points/data", frame_numbers, options.allow_missing_scans);
     if (!gaps.empty()) notes.push_back(gaps);
     if (!does_path_exist(drive_folder / "tracklet_labels.xml"))
         notes.push_back("tracklet_labels.xml is missing, so this drive has no labels");
@@ -52,9 +52,9 @@ std::vector<std::string> list_missing_data_notes(const fs::path& drive_folder,
 }  // namespace
 
 LidarSequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
-    check_is_folder(folder, "a KITTI raw drive (velodyne_points/)");
+    require_existing_folder(folder, "a KITTI raw drive (velodyne_points/)");
     if (!does_path_exist(folder / "velodyne_points")) {
-        const std::string stranger = suggest_dataset_folder(folder, "velodyne_points");
+        const std::string stranger = describe_mistaken_kitti_folder(folder, "velodyne_points");
         if (!stranger.empty())
             throw DataError(fmt::format("{} is not a KITTI raw drive: {}", folder.string(), stranger));
     }
@@ -81,7 +81,7 @@ LidarSequence load_kitti_raw(const fs::path& folder, const DatasetOptions& optio
     const PoseTrack poses = read_drive_poses(drive, frames, options.poses_file, sequence.notes);
     for (std::size_t i = 0; i < frames.size(); ++i)
         add_frame(sequence, frames[i], poses.time_s[i], poses.pose[i]);
-    recentre_sequence(sequence);
+    move_world_origin_of_log(sequence);
     sequence.boxes = read_tracklet_boxes(drive / "tracklet_labels.xml", frames, sequence.world_from_vehicle);
     read_hdl64_sweeps(sequence, drive / "velodyne_points/data", 10, options);
     return sequence;

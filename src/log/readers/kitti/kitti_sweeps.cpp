@@ -131,7 +131,8 @@ private:
 /// Scales intensities of 0 to 255 to the range 0 to 1.
 /// @return a note for the user; empty if the intensities are already in the range 0 to 1
 /// @throws DataError if the intensities are in neither range
-std::string normalise_intensities(std::vector<ScanWithRings>& raw_scans, const std::string& folder_name) {
+std::string scale_byte_intensities_and_get_note(std::vector<ScanWithRings>& raw_scans,
+                                                const std::string& folder_name) {
     constexpr float kBytes = 255.0f;
     // Fractional intensities up to this value are rejected, because they could be
     // percentages.
@@ -157,19 +158,19 @@ std::string normalise_intensities(std::vector<ScanWithRings>& raw_scans, const s
 
 /// Checks the numbers of firings and rays before memory is allocated for the rays.
 /// @throws DataError if there are too many firings per sweep or rays per point
-void check_firing_and_ray_counts(const std::vector<ScanWithRings>& raw_scans, const BeamFiringGrid& lattice,
-                                 const std::string& error_location) {
+void require_plausible_ray_counts(const std::vector<ScanWithRings>& raw_scans,
+                                  const BeamFiringGrid& firing_grid, const std::string& error_location) {
     constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
-    if (lattice.head.n_ticks > kMostFirings)
+    if (firing_grid.head.n_ticks > kMostFirings)
         throw DataError(
             fmt::format("{}: azimuths of neighbouring points differ by 1/{} of a sweep, expected at most "
                         "{} firings per sweep of an HDL-64E",
-                        error_location, lattice.head.n_ticks, kMostFirings));
+                        error_location, firing_grid.head.n_ticks, kMostFirings));
     std::size_t n_points = 0;
     for (const ScanWithRings& scan : raw_scans) n_points += scan.points.size();
     const std::size_t n_rays =
-        raw_scans.size() * kRings * std::size_t(lattice.every_tick ? lattice.head.n_ticks : 1);
+        raw_scans.size() * kRings * std::size_t(firing_grid.every_tick ? firing_grid.head.n_ticks : 1);
     if (n_rays > kMostRaysAPoint * n_points)
         throw DataError(fmt::format("{}: found {} points in {} sweeps of {} rays, expected complete sweeps",
                                     error_location, n_points, raw_scans.size(), n_rays / raw_scans.size()));
@@ -187,32 +188,32 @@ void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& sca
     };
     std::vector<ScanWithRings> raw(sequence.frames.size());
     parallel_for_with_progress(raw.size(), progress, "reading scans", [&](std::size_t at) {
-        broken.read_or_mark_broken(at, [&] { raw[at] = read_raw_scan(file_of(at), label_folder); });
+        broken.call_and_record_scan_errors(at, [&] { raw[at] = read_raw_scan(file_of(at), label_folder); });
     });
     const DamagedScanDetector scan_sizes(raw);
     for (std::size_t at = 0; at < raw.size(); ++at)
         if (const std::string why =
                 broken.is_scan_broken(at) ? "" : scan_sizes.explain_incomplete_scan(at, file_of(at).string());
             !why.empty())
-            broken.add_broken_scan(at, why + "; the file is probably truncated or damaged");
-    if (broken.size() == raw.size()) broken.add_broken_scan_notes(sequence, raw.size());
+            broken.record_broken_scan(at, why + "; the file is probably truncated or damaged");
+    if (broken.size() == raw.size()) broken.add_broken_scan_notes_or_throw(sequence, raw.size());
     for (std::size_t at = 0; at < raw.size(); ++at)
         // Removes the points of a broken scan. The fits below then ignore the scan.
         if (broken.is_scan_broken(at)) raw[at] = {};
-    if (std::string note = normalise_intensities(raw, scan_folder.string()); !note.empty())
+    if (std::string note = scale_byte_intensities_and_get_note(raw, scan_folder.string()); !note.empty())
         sequence.notes.push_back(std::move(note));
 
     const BeamCones cones =
         fit_cone_of_each_ring(select_evenly_spaced_scans(raw, kFitScans), scan_folder.string());
     parallel_for(static_cast<int>(raw.size()),
                  [&](int index) { correct_ring_numbers(raw[static_cast<std::size_t>(index)], cones); });
-    const BeamFiringGrid lattice = fit_firing_lattice(select_evenly_spaced_scans(raw, kLatticeScans));
-    check_firing_and_ray_counts(raw, lattice, scan_folder.string());
+    const BeamFiringGrid lattice = fit_beam_firing_grid(select_evenly_spaced_scans(raw, kLatticeScans));
+    require_plausible_ray_counts(raw, lattice, scan_folder.string());
 
     std::vector<std::vector<int>> firings(raw.size());
     parallel_for_with_progress(
         raw.size(), progress, "computing the firings of each sweep", [&](std::size_t at) {
-            broken.read_or_mark_broken(at, [&] {
+            broken.call_and_record_scan_errors(at, [&] {
                 firings[at] = find_fired_encoder_ticks(raw[at], lattice);
                 if (firings[at].empty())
                     throw DataError(
@@ -222,15 +223,15 @@ void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& sca
             });
         });
     SpinningSensor& sensor = sequence.lidars[0].sensor;
-    sensor.beams = lattice.make_beams(cones);
+    sensor.beams = lattice.make_beams_with_elevations_of_cones(cones);
     for (const auto& sweep : firings)
         sensor.columns = std::max(sensor.columns, static_cast<int>(sweep.size()));
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     parallel_for_with_progress(
         raw.size(), progress, "assigning points to the fired rays", [&](std::size_t at) {
             if (!broken.is_scan_broken(at))
-                sequence.frames[at].scan = make_spinning_scan(convert_raw_scan_to_points(raw[at]), sensor,
-                                                              {lattice.head, firings[at]});
+                sequence.frames[at].scan = assign_points_to_rays_of_spinning_scan(
+                    convert_raw_scan_to_points(raw[at]), sensor, {lattice.head, firings[at]});
             raw[at] = {};
         });
     broken.remove_broken_frames(sequence);

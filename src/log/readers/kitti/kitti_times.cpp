@@ -38,9 +38,10 @@ std::int64_t parse_date_time_ns(const std::string& line, const std::string& erro
     int year = 0, month = 0, day = 0, hour = 0, minute = 0, used = 0;
     const int n =
         std::sscanf(line.c_str(), "%4d-%2d-%2d %2d:%2d:%n", &year, &month, &day, &hour, &minute, &used);
-    const auto second = n == 5 && used > 0
-                            ? parse_number(trim_spaces(line.substr(static_cast<std::size_t>(used))))
-                            : std::nullopt;
+    const auto second =
+        n == 5 && used > 0
+            ? parse_number(trim_blanks_at_both_ends(line.substr(static_cast<std::size_t>(used))))
+            : std::nullopt;
     const bool sane = second && *second >= 0.0 && *second < 61.0 && year >= 1970 && year < 2200 &&
                       month >= 1 && month <= 12 && day >= 1 && day <= 31 && hour >= 0 && hour < 24 &&
                       minute >= 0 && minute < 60;
@@ -60,7 +61,7 @@ std::vector<std::optional<std::int64_t>> read_timestamps_ns(const fs::path& file
     std::vector<std::optional<std::int64_t>> time_ns(lines.size());
     bool any = false;
     for (std::size_t l = 0; l < lines.size(); ++l) {
-        if (trim_spaces(lines[l]).empty()) continue;
+        if (trim_blanks_at_both_ends(lines[l]).empty()) continue;
         time_ns[l] = parse_date_time_ns(lines[l], fmt::format("{} line {}", file.string(), l + 1));
         any = true;
     }

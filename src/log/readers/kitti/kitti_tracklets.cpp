@@ -25,7 +25,7 @@ constexpr double kLargestOfLabel = 1e6;
 double read_number_field(const pugi::xml_node& node, const char* field_name,
                          const std::string& error_location) {
     const std::string text = node.child_value(field_name);
-    const auto value = parse_number(trim_spaces(text));
+    const auto value = parse_number(trim_blanks_at_both_ends(text));
     if (!value || !(std::abs(*value) <= kLargestOfLabel)) {
         throw DataError(fmt::format("{}: {} is '{}', expected a finite number of at most {:.0e}",
                                     error_location, field_name, shorten_for_error_message(text),
@@ -35,16 +35,18 @@ double read_number_field(const pugi::xml_node& node, const char* field_name,
 }
 
 /// Returns the pose of a box in the sensor frame.
-Pose read_sensor_from_box(const pugi::xml_node& pose_item, double box_height_m,
-                          const std::string& error_location) {
+Pose read_sensor_from_box_pose(const pugi::xml_node& pose_item, double box_height_m,
+                               const std::string& error_location) {
     const auto get = [&](const char* field) { return read_number_field(pose_item, field, error_location); };
     const glm::dquat rotation = make_rotation(get("rz"), get("ry"), get("rx"));
     return {rotation,
             glm::dvec3(get("tx"), get("ty"), get("tz")) + rotation * glm::dvec3(0, 0, 0.5 * box_height_m)};
 }
 
-BoxTrack read_box_track(const pugi::xml_node& tracklet_item, const std::vector<int>& frame_numbers,
-                        const PoseTrack& world_from_sensor, const std::string& error_location) {
+BoxTrack read_world_box_track_of_tracklet(const pugi::xml_node& tracklet_item,
+                                          const std::vector<int>& frame_numbers,
+                                          const PoseTrack& world_from_sensor,
+                                          const std::string& error_location) {
     BoxTrack track;
     track.category = tracklet_item.child_value("objectType");
     track.size_m = {read_number_field(tracklet_item, "l", error_location),
@@ -58,8 +60,8 @@ BoxTrack read_box_track(const pugi::xml_node& tracklet_item, const std::vector<i
     int frame = static_cast<int>(read_number_field(tracklet_item, "first_frame", error_location));
     for (const pugi::xml_node& pose : tracklet_item.child("poses").children("item")) {
         const auto matching_frame = std::lower_bound(frame_numbers.begin(), frame_numbers.end(), frame);
-        const Pose in_sensor =
-            read_sensor_from_box(pose, track.size_m.z, fmt::format("{} frame {}", error_location, frame));
+        const Pose in_sensor = read_sensor_from_box_pose(pose, track.size_m.z,
+                                                         fmt::format("{} frame {}", error_location, frame));
         ++frame;
         if (matching_frame == frame_numbers.end() || *matching_frame != frame - 1) continue;
         const std::size_t at = static_cast<std::size_t>(matching_frame - frame_numbers.begin());
@@ -92,8 +94,8 @@ std::vector<BoxTrack> read_tracklet_boxes(const std::filesystem::path& tracklet_
     int number = 0;
     for (const pugi::xml_node& item : tracklets.children("item")) {
         const std::string id = std::to_string(number++);
-        BoxTrack track = read_box_track(item, frame_numbers, world_from_sensor,
-                                        fmt::format("{}: track {}", tracklet_file.string(), id));
+        BoxTrack track = read_world_box_track_of_tracklet(
+            item, frame_numbers, world_from_sensor, fmt::format("{}: track {}", tracklet_file.string(), id));
         track.id = id;
         if (!track.world_from_box.pose.empty()) tracks.push_back(std::move(track));
     }

@@ -73,19 +73,19 @@ double compute_beam_elevation_spread_rad(const folder::PointTable& table, Mulran
     return n > 0.0 ? std::sqrt(std::max(squares, 0.0) / n) : INFINITY;
 }
 
-void check_point_count(const folder::PointTable& table, const std::string& error_location) {
+void require_points_of_all_rays(const folder::PointTable& table, const std::string& error_location) {
     if (table.n != kBeams * kColumns)
         throw DataError(fmt::format("{} has {} points, expected {} x {}, with zeros for rays without return",
                                     error_location, table.n, kBeams, kColumns));
 }
 
 /// Detects the order of the points in the files from the first readable scan.
-MulranPointOrder detect_point_order(const std::vector<fs::path>& files) {
-    for (const fs::path& file : files) {
+MulranPointOrder detect_point_order(const std::vector<fs::path>& scan_files) {
+    for (const fs::path& file : scan_files) {
         folder::PointTable table;
         try {
             table = folder::read_point_file(file, {});
-            check_point_count(table, file.string());
+            require_points_of_all_rays(table, file.string());
         } catch (const DataError&) {
             continue;  // the error is reported when the scan is read
         }
@@ -103,9 +103,9 @@ MulranPointOrder detect_point_order(const std::vector<fs::path>& files) {
 
 /// Computes beam and time of each point from its index in the file. The time stamp of the
 /// file is the middle of the revolution.
-void add_beams_and_times(folder::PointTable& table, MulranPointOrder point_order,
-                         const std::string& error_location) {
-    check_point_count(table, error_location);
+void add_ring_and_time_fields(folder::PointTable& table, MulranPointOrder point_order,
+                              const std::string& error_location) {
+    require_points_of_all_rays(table, error_location);
     std::vector<std::uint16_t> ring(table.n);
     std::vector<double> time(table.n);
     for (std::size_t i = 0; i < table.n; ++i) {
@@ -119,12 +119,12 @@ void add_beams_and_times(folder::PointTable& table, MulranPointOrder point_order
 PoseTrack read_mulran_poses(const fs::path& pose_file, const stamped::StampedLog& log,
                             std::vector<std::string>& notes) {
     PoseTrack track;
-    for (const stamped::StampedPoseRow& row : stamped::read_stamped_rows(pose_file, 12)) {
+    for (const stamped::StampedPoseRow& row : stamped::read_timestamped_number_rows(pose_file, 12)) {
         const std::vector<double>& m = row.values;
         track.time_s.push_back(log.convert_stamp_to_seconds(row.stamp));
         track.pose.push_back(
-            make_rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
-                            {m[3], m[7], m[11]}, row.where));
+            make_pose_from_checked_rotation(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
+                                            {m[3], m[7], m[11]}, row.where));
     }
     const glm::dvec3 driven = stamped::estimate_driving_direction(track).mean;
     if (driven != glm::dvec3(0.0) && driven.x < kForward)
@@ -137,7 +137,7 @@ PoseTrack read_mulran_poses(const fs::path& pose_file, const stamped::StampedLog
 
 /// Returns the pose of the LiDAR on the vehicle. Rotates the published LiDAR frame by 180
 /// degrees, so that x points forward.
-Pose compute_mulran_lidar_mounting() {
+Pose compute_vehicle_from_mulran_lidar() {
     const auto rad = [](double degrees) { return degrees * kPi / 180.0; };
     const Pose base_from_ouster{make_rotation(rad(kAngles_deg[2]), rad(kAngles_deg[1]), rad(kAngles_deg[0])),
                                 {kLidarPosition_m[0], kLidarPosition_m[1], kLidarPosition_m[2]}};
@@ -154,19 +154,20 @@ fs::path find_scans_folder(const fs::path& folder) {
 }
 
 stamped::PointFileFormat make_mulran_point_format(LidarSequence& sequence,
-                                                  const std::vector<fs::path>& files) {
+                                                  const std::vector<fs::path>& scan_files) {
     stamped::PointFileFormat format;
-    const stamped::DatasetIntensityScale brightness = stamped::estimate_max_intensity(files, {});
+    const stamped::DatasetIntensityScale brightness =
+        stamped::estimate_full_scale_file_intensity(scan_files, {});
     format.units.intensity_max = brightness.most;
     if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
     format.sweep_duration_s = kRevolution_s;
     format.turned_rad = kPi;
-    const MulranPointOrder order = detect_point_order(files);
+    const MulranPointOrder order = detect_point_order(scan_files);
     sequence.notes.push_back(
         "the points have no times; they are computed from the position in the file, with the "
         "middle of the sweep at the stamp");
     format.complete = [order](folder::PointTable& table, const std::string& location) {
-        add_beams_and_times(table, order, location);
+        add_ring_and_time_fields(table, order, location);
     };
     return format;
 }
@@ -174,7 +175,8 @@ stamped::PointFileFormat make_mulran_point_format(LidarSequence& sequence,
 }  // namespace
 
 LidarSequence load_mulran_dataset(const fs::path& log_folder, const DatasetOptions& options) {
-    check_is_folder(log_folder, "a MulRan sequence (Ouster/ or sensor_data/Ouster/, global_pose.csv)");
+    require_existing_folder(log_folder,
+                            "a MulRan sequence (Ouster/ or sensor_data/Ouster/, global_pose.csv)");
     const fs::path folder = fs::canonical(log_folder);
     LidarSequence sequence;
     sequence.name = "MulRan " + folder.filename().string();
@@ -184,22 +186,23 @@ LidarSequence load_mulran_dataset(const fs::path& log_folder, const DatasetOptio
         "Frames of vehicle and LiDAR: x forward, y left, z up, in metres (in MulRan's files, the LiDAR's x "
         "axis points backward). Times are seconds after the first scan. The time of a frame is the middle "
         "of its sweep. Points are not motion-compensated. The world frame is that of global_pose.csv.";
-    stamped::StampedLog log{kNanosecond, stamped::list_stamped_scans(find_scans_folder(folder)),
+    stamped::StampedLog log{kNanosecond, stamped::list_timestamped_scan_files(find_scans_folder(folder)),
                             {},          folder / "global_pose.csv",
                             kMostGap_s,  0.5 * kRevolution_s};
-    stamped::check_pose_file_exists(log.poses_file, options);
+    stamped::require_pose_file_or_user_choice(log.poses_file, options);
     if (options.poses_file.empty())
         log.world_from_vehicle = read_mulran_poses(log.poses_file, log, sequence.notes);
     Lidar& lidar = sequence.lidars[0];
-    lidar.vehicle_from_sensor = compute_mulran_lidar_mounting();
+    lidar.vehicle_from_sensor = compute_vehicle_from_mulran_lidar();
     lidar.sensor.name = "OS1-64 fitted to " + sequence.name;
     lidar.sensor.max_range_m = options.max_range_m;
-    const std::vector<fs::path> files = stamped::add_requested_frames(sequence, log, options);
+    const std::vector<fs::path> files = stamped::add_frames_and_get_scan_files(sequence, log, options);
     stamped::read_scans_of_frames(sequence, files, make_mulran_point_format(sequence, files), options);
     if (options.poses_file.empty()) {
-        const PoseTrack track = shift_track(log.world_from_vehicle, -sequence.world_offset_m);
-        // All these times have a pose, because add_requested_frames() has skipped scans
-        // without a pose.
+        const PoseTrack track =
+            add_offset_to_track_positions(log.world_from_vehicle, -sequence.world_offset_m);
+        // All these times have a pose, because add_frames_and_get_scan_files() has
+        // skipped scans without a pose.
         const auto pose_at = [&](double t_s) { return std::optional(track.interpolate_pose(t_s)); };
         if (std::string note = bag::correct_rays_for_vehicle_motion(sequence, pose_at); !note.empty())
             sequence.notes.push_back(std::move(note));

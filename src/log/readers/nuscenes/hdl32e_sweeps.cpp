@@ -106,7 +106,8 @@ SweepWithColumns read_hdl32e_sweep(const SweepFiles& sweep_files,
     if (read.points.size() == 0)
         throw DataError(
             fmt::format("{} has no points beyond {} m, expected at least one", file.string(), kNoReturn_m));
-    read.sweep = assign_points_to_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));
+    read.sweep =
+        estimate_sweep_and_assign_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));
     return read;
 }
 
@@ -133,7 +134,7 @@ void read_hdl32e_sweeps(LidarSequence& sequence, const std::vector<SweepFiles>& 
     std::vector<SweepWithColumns> sweeps(sweep_files.size());
     parallel_for_with_progress(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
         const LidarFrame& frame = sequence.frames[at];
-        broken.read_or_mark_broken(at, [&] {
+        broken.call_and_record_scan_errors(at, [&] {
             sweeps[at] =
                 read_hdl32e_sweep(sweep_files[at], class_of_category, sequence.get_lidar(frame).sensor,
                                   ways[std::size_t(frame.lidar)], frame.time_s);
@@ -144,14 +145,14 @@ void read_hdl32e_sweeps(LidarSequence& sequence, const std::vector<SweepFiles>& 
         sensor.columns = std::max(sensor.columns, int(sweeps[at].sweep.firings.size()));
         sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     }
-    parallel_for_with_progress(
-        sweeps.size(), options.progress, "assigning points to the fired rays", [&](std::size_t at) {
-            if (broken.is_scan_broken(at)) return;
-            LidarFrame& frame = sequence.frames[at];
-            frame.scan =
-                make_spinning_scan(sweeps[at].points, sequence.get_lidar(frame).sensor, sweeps[at].sweep);
-            sweeps[at] = {};
-        });
+    parallel_for_with_progress(sweeps.size(), options.progress, "assigning points to the fired rays",
+                               [&](std::size_t at) {
+                                   if (broken.is_scan_broken(at)) return;
+                                   LidarFrame& frame = sequence.frames[at];
+                                   frame.scan = assign_points_to_rays_of_spinning_scan(
+                                       sweeps[at].points, sequence.get_lidar(frame).sensor, sweeps[at].sweep);
+                                   sweeps[at] = {};
+                               });
     broken.remove_broken_frames(sequence);
 }
 

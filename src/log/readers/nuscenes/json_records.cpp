@@ -100,12 +100,13 @@ T JsonRecord::get_value(std::string_view key, const char* expected_description) 
     return result;
 }
 
-void JsonRecord::copy_numbers(std::string_view key, std::size_t count, double* out) const {
+void JsonRecord::copy_number_list_of_key(std::string_view key, std::size_t count,
+                                         double* output_numbers) const {
     const auto list = get_value<simdjson::dom::array>(key, "numbers");
     if (list.size() != count) throw_wrong_value(key, count == 3 ? "3 numbers" : "4 numbers");
     for (const simdjson::dom::element element : list)
         // JSON cannot store infinity or NaN, so this needs no check.
-        if (element.get(*out++) != simdjson::SUCCESS) throw_wrong_value(key, "numbers");
+        if (element.get(*output_numbers++) != simdjson::SUCCESS) throw_wrong_value(key, "numbers");
 }
 
 std::string JsonRecord::get_text(std::string_view key) const {
@@ -122,13 +123,13 @@ bool JsonRecord::get_bool(std::string_view key) const { return get_value<bool>(k
 
 glm::dvec3 JsonRecord::get_vec3(std::string_view key) const {
     glm::dvec3 v;
-    copy_numbers(key, 3, &v.x);
+    copy_number_list_of_key(key, 3, &v.x);
     return v;
 }
 
 glm::dquat JsonRecord::get_unit_quaternion(std::string_view key) const {
     double q[4];
-    copy_numbers(key, 4, q);
+    copy_number_list_of_key(key, 4, q);
     const glm::dquat rotation(q[0], q[1], q[2], q[3]);
     if (!(std::abs(glm::length(rotation) - 1.0) < 1e-3)) throw_wrong_value(key, "a quaternion of length 1");
     return glm::normalize(rotation);

@@ -40,7 +40,7 @@ private:
     [[noreturn]] void throw_wrong_value(std::string_view key, const char* expected_description) const;
     template <class T>
     T get_value(std::string_view key, const char* expected_description) const;
-    void copy_numbers(std::string_view key, std::size_t count, double* out) const;
+    void copy_number_list_of_key(std::string_view key, std::size_t count, double* output_numbers) const;
 };
 
 /// Calls `callback` for every object of a JSON table.

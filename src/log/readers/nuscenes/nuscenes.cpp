@@ -114,9 +114,9 @@ SceneTablesLocation choose_scene(const std::vector<SceneTablesLocation>& scenes,
 }
 
 /// Returns the boxes at the times of the frames, interpolated between labelled keyframes.
-std::vector<BoxTrack> interpolate_boxes_at_frames(const std::vector<BoxLabel>& labels,
-                                                  const std::vector<double>& frame_times_s,
-                                                  double max_extrapolation_s) {
+std::vector<BoxTrack> make_box_tracks_at_frame_times(const std::vector<BoxLabel>& labels,
+                                                     const std::vector<double>& frame_times_s,
+                                                     double max_extrapolation_s) {
     std::vector<BoxTrack> boxes;
     for (const BoxTrack& labelled : build_tracks(labels)) {
         BoxTrack box{labelled.id, labelled.category, labelled.size_m, {}};
@@ -149,7 +149,7 @@ public:
           scene_(read_scene_tables(chosen_.tables, chosen_.name)),
           format_(chosen_.tables.filename() == kTablesOfT4
                       ? kT4
-                      : get_format_of_lidar_file(scene_.lidars[0].sweeps[0].file)),
+                      : find_variant_by_lidar_file_ending(scene_.lidars[0].sweeps[0].file)),
           split_(get_lyft_split_prefix(chosen_.tables)) {
         for (const SweepRecord& sweep : scene_.lidars[0].sweeps)
             main_s_.push_back(scene_.to_seconds_since_first_sweep(sweep.time_us));
@@ -164,13 +164,13 @@ public:
             "the scene. Boxes are interpolated between keyframes. {}",
             format_.conventions);
         select_requested_lidars();
-        select_frames_in_range();
+        select_sweeps_of_requested_frames();
         const PoseTrack vehicle_track = add_frames_and_return_poses();
         if (scene_.labels.empty()) add_note("this scene has no annotations, so it has no labels");
         sequence_.boxes =
-            interpolate_boxes_at_frames(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
+            make_box_tracks_at_frame_times(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
         kitti::replace_vehicle_poses_from_file(sequence_, options_.poses_file);
-        recentre_sequence(sequence_);
+        move_world_origin_of_log(sequence_);
         if (format_.is_compensated)
             read_hdl32e_sweeps(sequence_, list_files_of_frames(), scene_.classes, vehicle_track, options_);
         else read_scans_of_point_files();
@@ -192,7 +192,7 @@ private:
     std::vector<FrameSweepRecord> frames_;
     LidarSequence sequence_;
 
-    static const NuscenesVariant& get_format_of_lidar_file(const std::string& lidar_file) {
+    static const NuscenesVariant& find_variant_by_lidar_file_ending(const std::string& lidar_file) {
         std::vector<std::string> endings;
         for (const NuscenesVariant& format : kFormats) {
             if (lidar_file.ends_with(format.ending)) return format;
@@ -259,7 +259,7 @@ private:
             std::vector<double> times_s;
             for (const SweepRecord& record : records)
                 times_s.push_back(scene_.to_seconds_since_first_sweep(record.time_us));
-            const auto matches = match_sweeps_by_time(main_s_, times_s, kBeside * step_s_);
+            const auto matches = find_nearest_other_sweep_per_sweep(main_s_, times_s, kBeside * step_s_);
             std::size_t n_left = records.size();
             double apart_s = 0.0;
             for (std::size_t k = 0; k < matches.size(); ++k) {
@@ -283,7 +283,7 @@ private:
 
     /// Selects the frames in the requested range. If only keyframes have files, selects
     /// only keyframes. The user has then unpacked samples/ but not sweeps/.
-    void select_frames_in_range() {
+    void select_sweeps_of_requested_frames() {
         const std::vector<FrameSweepRecord> sweeps = assign_frame_numbers_to_sweeps();
         const auto is_between = [](const FrameSweepRecord& sweep) { return !sweep.record->is_keyframe; };
         const auto is_no_file_between = [&](const FrameSweepRecord& sweep) {
@@ -358,8 +358,8 @@ private:
 }  // namespace
 
 LidarSequence load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
-    check_is_folder(folder,
-                    "nuScenes, TruckScenes, Lyft Level 5 or T4 (tables in v1.*/, *data/ or annotation/)");
+    require_existing_folder(
+        folder, "nuScenes, TruckScenes, Lyft Level 5 or T4 (tables in v1.*/, *data/ or annotation/)");
     return NuscenesLogLoader(folder, options).load_requested_scene();
 }
 

@@ -56,7 +56,7 @@ struct LidarMount {
 };
 
 /// Returns all LiDARs by the token of their calibration.
-TokenMap<LidarMount> read_lidar_mountings(const fs::path& table_folder) {
+TokenMap<LidarMount> read_lidars_by_calibration_token(const fs::path& table_folder) {
     TokenMap<std::string> channels;
     for_each_json_record(table_folder / "sensor.json", [&](const JsonRecord& record) {
         const std::string channel = record.get_text("channel");
@@ -100,8 +100,8 @@ SweepsByChannel list_lidar_files_of_scene(const fs::path& table_folder,
 
 /// Sorts the files of one LiDAR by time. Starts with its first keyframe.
 /// @return an empty list if the LiDAR has no keyframe
-std::vector<SweepRecord> sort_sweeps_by_time(const fs::path& table_folder,
-                                             const TokenMap<SweepRecord>& files_by_token) {
+std::vector<SweepRecord> list_sweeps_from_first_keyframe(const fs::path& table_folder,
+                                                         const TokenMap<SweepRecord>& files_by_token) {
     const std::string where = (table_folder / "sample_data.json").string();
     const SweepRecord* first = nullptr;
     for (const auto& [name, file] : files_by_token)
@@ -125,10 +125,10 @@ std::vector<SweepRecord> sort_sweeps_by_time(const fs::path& table_folder,
 /// Returns the LiDARs with at least one keyframe in the scene.
 std::vector<SceneLidar> read_lidars_of_scene(const fs::path& table_folder,
                                              const TokenMap<std::int64_t>& keyframe_times_us) {
-    const TokenMap<LidarMount> mounted = read_lidar_mountings(table_folder);
+    const TokenMap<LidarMount> mounted = read_lidars_by_calibration_token(table_folder);
     std::vector<SceneLidar> lidars;
     for (const auto& [channel, files] : list_lidar_files_of_scene(table_folder, keyframe_times_us, mounted)) {
-        SceneLidar lidar{channel, {}, sort_sweeps_by_time(table_folder, files)};
+        SceneLidar lidar{channel, {}, list_sweeps_from_first_keyframe(table_folder, files)};
         if (lidar.sweeps.empty()) continue;
         lidar.ego_from_lidar = mounted.at(lidar.sweeps[0].calibration).ego_from_lidar;
         for (const SweepRecord& sweep : lidar.sweeps)

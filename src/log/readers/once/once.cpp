@@ -47,7 +47,7 @@ struct OnceFile {
     std::size_t n_boxes = 0, n_labelled = 0;
 };
 
-OncePose read_pose_of_once_dataset(const JsonField& pose_field, std::int64_t stamp_ms) {
+OncePose read_pose_of_once_frame(const JsonField& pose_field, std::int64_t stamp_ms) {
     const OncePose pose{stamp_ms, pose_field.get_numbers<7>()};
     const auto& n = pose.numbers;
     const double length = std::sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] + n[3] * n[3]);
@@ -68,14 +68,14 @@ void add_box_count_of_frame(const JsonField& frame_json, OnceFile& dataset_conte
     ++dataset_content.n_labelled;
 }
 
-OnceFile read_json_of_once_dataset(const fs::path& json_file, const fs::path& scan_folder, bool needs_poses) {
+OnceFile read_once_sequence_json(const fs::path& json_file, const fs::path& scan_folder, bool needs_poses) {
     const std::string where = json_file.string();
     const nlohmann::json json = parse_json(read_text_file(json_file), where);
     const JsonField frames = JsonField(json, where, "").at("frames");
     OnceFile content;
     for (std::size_t i = 0; i < frames.size(); ++i) {
         const JsonField frame = frames.at(i), id = frame.at("frame_id");
-        const std::string name = id.get_string(20);
+        const std::string name = id.get_short_single_line_string(20);
         const auto stamp = stamped::parse_integer_timestamp(name);
         if (!stamp)
             id.throw_field_error(fmt::format("'{}'", shorten_for_error_message(name)),
@@ -85,7 +85,7 @@ OnceFile read_json_of_once_dataset(const fs::path& json_file, const fs::path& sc
                                  "expected increasing times");
         content.scans.push_back({int(i), *stamp, scan_folder / (name + ".bin")});
         if (needs_poses || frame.has_member("pose"))
-            content.poses.push_back(read_pose_of_once_dataset(frame.at("pose"), *stamp));
+            content.poses.push_back(read_pose_of_once_frame(frame.at("pose"), *stamp));
         add_box_count_of_frame(frame, content);
     }
     content.n_missing = std::erase_if(
@@ -98,8 +98,8 @@ OnceFile read_json_of_once_dataset(const fs::path& json_file, const fs::path& sc
 }
 
 /// Returns the LiDAR poses over time in ONCE's axes (x left, y back).
-PoseTrack make_pose_track_of_once_dataset(const std::vector<OncePose>& poses, const stamped::StampedLog& log,
-                                          bool is_quaternion_w_first) {
+PoseTrack make_once_track_in_once_axes(const std::vector<OncePose>& poses, const stamped::StampedLog& log,
+                                       bool is_quaternion_w_first) {
     PoseTrack track;
     for (const OncePose& pose : poses) {
         const auto& n = pose.numbers;
@@ -112,10 +112,10 @@ PoseTrack make_pose_track_of_once_dataset(const std::vector<OncePose>& poses, co
 }
 
 /// Returns the LiDAR poses over time in relidar's axes (x forward, y left).
-PoseTrack make_forward_x_pose_track(const OnceFile& dataset_content, const stamped::StampedLog& log,
-                                    std::vector<std::string>& notes) {
-    const PoseTrack w_last = make_pose_track_of_once_dataset(dataset_content.poses, log, false),
-                    w_first = make_pose_track_of_once_dataset(dataset_content.poses, log, true);
+PoseTrack make_once_track_with_x_forward(const OnceFile& dataset_content, const stamped::StampedLog& log,
+                                         std::vector<std::string>& notes) {
+    const PoseTrack w_last = make_once_track_in_once_axes(dataset_content.poses, log, false),
+                    w_first = make_once_track_in_once_axes(dataset_content.poses, log, true);
     const double last = -stamped::estimate_driving_direction(w_last).mean.y,
                  first = -stamped::estimate_driving_direction(w_first).mean.y;
     const bool is_w_first = first > last;
@@ -131,10 +131,9 @@ PoseTrack make_forward_x_pose_track(const OnceFile& dataset_content, const stamp
 }  // namespace
 
 LidarSequence load_once_dataset(const fs::path& log_folder, const DatasetOptions& options) {
-    check_is_folder(log_folder, "a ONCE sequence (lidar_roof/ and its JSON file)");
+    require_existing_folder(log_folder, "a ONCE sequence (lidar_roof/ and its JSON file)");
     const fs::path folder = fs::canonical(log_folder), json = folder / (folder.filename().string() + ".json");
-    const OnceFile content =
-        read_json_of_once_dataset(json, folder / "lidar_roof", options.poses_file.empty());
+    const OnceFile content = read_once_sequence_json(json, folder / "lidar_roof", options.poses_file.empty());
     LidarSequence sequence;
     sequence.name = "ONCE " + folder.filename().string();
     sequence.source = log_folder.string();
@@ -154,12 +153,12 @@ LidarSequence load_once_dataset(const fs::path& log_folder, const DatasetOptions
         sequence.notes.push_back(fmt::format("{} frames have no scan and are skipped", content.n_missing));
     stamped::StampedLog log{kMillisecond, content.scans, {}, json, 0.0};
     if (options.poses_file.empty())
-        log.world_from_vehicle = make_forward_x_pose_track(content, log, sequence.notes);
+        log.world_from_vehicle = make_once_track_with_x_forward(content, log, sequence.notes);
     sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensor, sequence.name);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
-    const std::vector<fs::path> files = stamped::add_requested_frames(sequence, log, options);
+    const std::vector<fs::path> files = stamped::add_frames_and_get_scan_files(sequence, log, options);
     stamped::PointFileFormat format;
-    const stamped::DatasetIntensityScale brightness = stamped::estimate_max_intensity(files, {});
+    const stamped::DatasetIntensityScale brightness = stamped::estimate_full_scale_file_intensity(files, {});
     format.units.intensity_max = brightness.most;
     if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
     format.sweep_duration_s = kRevolution_s;

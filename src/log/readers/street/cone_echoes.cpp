@@ -39,21 +39,21 @@ std::vector<SubRayHit> group_cone_hits_to_returns(const Scan& cone_scan, std::si
     return returns;
 }
 
-SubRayHit find_second_return(const std::vector<SubRayHit>& returns,
-                             std::vector<SubRayHit>::const_iterator strongest) {
+SubRayHit choose_second_return_of_beam(const std::vector<SubRayHit>& returns,
+                                       std::vector<SubRayHit>::const_iterator strongest_return) {
     SubRayHit second;
-    if (strongest + 1 != returns.end()) {
+    if (strongest_return + 1 != returns.end()) {
         second = returns.back();
     } else {
         for (auto r = returns.begin(); r != returns.end(); ++r)
-            if (r != strongest && r->light > second.light) second = *r;
+            if (r != strongest_return && r->light > second.light) second = *r;
     }
-    return second.light >= kSecondShare * strongest->light ? second : SubRayHit{};
+    return second.light >= kSecondShare * strongest_return->light ? second : SubRayHit{};
 }
 
 }  // namespace
 
-RayTable make_rays_in_beam_cones(const RayTable& rays) {
+RayTable replace_rays_by_rays_in_beam_cones(const RayTable& rays) {
     RayTable cone;
     cone.rows = rays.rows;
     cone.columns = rays.columns * kConeRays;
@@ -74,16 +74,16 @@ RayTable make_rays_in_beam_cones(const RayTable& rays) {
     return cone;
 }
 
-Scan combine_cone_returns(const RayTable& rays, const Scan& cone_scan) {
+Scan combine_cone_returns(const RayTable& rays, const Scan& scan_of_cone_rays) {
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size()), {}};
     AdditionalReturns& echo = scan.second_returns.emplace_back(
         AdditionalReturns{std::vector<float>(rays.size()), std::vector<float>(rays.size())});
     for (std::size_t i = 0; i < rays.size(); ++i) {
         int n_back = 0;
-        const std::vector<SubRayHit> returns = group_cone_hits_to_returns(cone_scan, i, n_back);
+        const std::vector<SubRayHit> returns = group_cone_hits_to_returns(scan_of_cone_rays, i, n_back);
         if (2 * n_back <= kConeRays) continue;
         const auto strongest = std::ranges::max_element(returns, {}, &SubRayHit::light);
-        const SubRayHit second = find_second_return(returns, strongest);
+        const SubRayHit second = choose_second_return_of_beam(returns, strongest);
         scan.range_m[i] = strongest->range_m;
         scan.intensity[i] = std::min(strongest->light / kConeRays, 1.0f);
         echo.range_m[i] = second.range_m;

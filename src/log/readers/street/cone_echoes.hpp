@@ -11,7 +11,7 @@ inline constexpr int kConeRays = 53;  ///< number of thin rays that represent th
 
 /// Replaces each ray by kConeRays thin rays, which form a spiral in the cone of the beam.
 /// @param rays  rays with a divergence, which is the opening angle of the cone
-RayTable make_rays_in_beam_cones(const RayTable& rays);
+RayTable replace_rays_by_rays_in_beam_cones(const RayTable& rays);
 
 /// Computes two returns per ray from the hits in the cone of the beam. Hits whose ranges
 /// differ by less than 0.5 m from the next hit form one return. The range of the return
@@ -21,7 +21,8 @@ RayTable make_rays_in_beam_cones(const RayTable& rays);
 /// strongest one if the strongest return is the last. The second return must have at
 /// least a tenth of the light of the first. If at most half of the thin rays have hits,
 /// the ray is dropped.
-/// @param cone_scan  scan with the hits of the rays from make_rays_in_beam_cones(rays)
-Scan combine_cone_returns(const RayTable& rays, const Scan& cone_scan);
+/// @param scan_of_cone_rays  scan with the hits of the rays from
+/// replace_rays_by_rays_in_beam_cones(rays)
+Scan combine_cone_returns(const RayTable& rays, const Scan& scan_of_cone_rays);
 
 }  // namespace relidar::street

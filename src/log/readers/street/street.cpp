@@ -155,7 +155,7 @@ public:
         return along < -sphere.radius_m || along - sphere.radius_m > nearest_m_;
     }
 
-    void intersect_ray_with_ground() {
+    void update_nearest_hit_with_ground() {
         if (!(ray_.direction.z < 0.0)) return;
         const double t = -ray_.origin_m.z / ray_.direction.z;
         if (!(t > 0.0) || t > nearest_m_) return;
@@ -165,8 +165,8 @@ public:
 
     /// Intersects the ray with a shape. Stores the hit if it is the nearest so far.
     /// @param ray_origin,ray_direction  ray in the frame of the shape's centre
-    void intersect_ray_with_solid(const RayCastShape& solid, const glm::dvec3& ray_origin,
-                                  const glm::dvec3& ray_direction) {
+    void update_nearest_hit_with_solid(const RayCastShape& solid, const glm::dvec3& ray_origin,
+                                       const glm::dvec3& ray_direction) {
         if (can_skip_sphere(solid.around, ray_origin, ray_direction)) return;
         const StreetShape& shape = solid.shape;
         const double c = solid.cos_yaw, s = -solid.sin_yaw;
@@ -187,8 +187,8 @@ public:
     /// far.
     /// @param pitch_rad  swing angle of the limb, from straight down to the front
     /// @param ray_origin,ray_direction  ray in the frame of the person's box
-    void intersect_ray_with_limb(const SwingingLimb& limb, double pitch_rad, const glm::dvec3& ray_origin,
-                                 const glm::dvec3& ray_direction) {
+    void update_nearest_hit_with_limb(const SwingingLimb& limb, double pitch_rad,
+                                      const glm::dvec3& ray_origin, const glm::dvec3& ray_direction) {
         const double c = std::cos(pitch_rad), s = std::sin(pitch_rad);
         const auto hanging = [&](const glm::dvec3& vector) {
             return glm::dvec3(c * vector.x + s * vector.z, vector.y, c * vector.z - s * vector.x);
@@ -228,7 +228,8 @@ double MovingStreetActor::compute_walked_distance_m(double time_s) const {
     return walked;
 }
 
-std::vector<StreetCaster::RayCastShape> StreetCaster::make_solids(const std::vector<StreetShape>& shapes) {
+std::vector<StreetCaster::RayCastShape> StreetCaster::prepare_shapes_for_ray_casting(
+    const std::vector<StreetShape>& shapes) {
     std::vector<RayCastShape> solids;
     for (const StreetShape& shape : shapes)
         solids.push_back(
@@ -236,7 +237,7 @@ std::vector<StreetCaster::RayCastShape> StreetCaster::make_solids(const std::vec
     return solids;
 }
 
-StreetCaster::StreetCaster(SyntheticStreet street) : solids_(make_solids(street.shapes)) {
+StreetCaster::StreetCaster(SyntheticStreet street) : solids_(prepare_shapes_for_ray_casting(street.shapes)) {
     // maximum radius of a group of shapes, such as a car, a bush or a part of a fence
     constexpr double kWide_m = 4.0;
     const std::span<const StreetShape> shapes = street.shapes;
@@ -249,7 +250,7 @@ StreetCaster::StreetCaster(SyntheticStreet street) : solids_(make_solids(street.
     for (MovingStreetActor& car : street.cars) {
         for (StreetShape& shape : car.shapes) shape.surface = get_class_of_category(car.category);
         RayCastActor& new_car = cars_.emplace_back(RayCastActor{std::move(car), {}});
-        new_car.solids = make_solids(new_car.moving.shapes);
+        new_car.solids = prepare_shapes_for_ray_casting(new_car.moving.shapes);
         for (const RayCastShape& s : new_car.solids)
             new_car.reach_m = std::max(new_car.reach_m, glm::length(s.around.centre) + s.around.radius_m);
         for (const SwingingLimb& l : new_car.moving.limbs)
@@ -272,12 +273,12 @@ void StreetCaster::update_car_pose_cache(double time_s, MovingActorPoses& car_po
 std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, double time_s, double max_range_m,
                                                       MovingActorPoses& car_pose_cache) const {
     NearestSurfaceSearch search(ray, max_range_m);
-    search.intersect_ray_with_ground();
+    search.update_nearest_hit_with_ground();
     std::size_t solid = 0;
     for (const Cluster& cluster : clusters_) {
         if (!search.can_skip_sphere(cluster.around, ray.origin_m, ray.direction))
             for (; solid < cluster.end; ++solid)
-                search.intersect_ray_with_solid(solids_[solid], ray.origin_m, ray.direction);
+                search.update_nearest_hit_with_solid(solids_[solid], ray.origin_m, ray.direction);
         solid = cluster.end;
     }
     update_car_pose_cache(time_s, car_pose_cache);
@@ -288,13 +289,13 @@ std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, doubl
         const Pose& box_from_world = car_pose_cache.box_from_world[i];
         const glm::dvec3 origin = box_from_world * ray.origin_m,
                          direction = box_from_world.rotation * ray.direction;
-        for (const RayCastShape& s : car.solids) search.intersect_ray_with_solid(s, origin, direction);
+        for (const RayCastShape& s : car.solids) search.update_nearest_hit_with_solid(s, origin, direction);
         if (car.moving.limbs.empty()) continue;
         const double stride_rad =
             2.0 * kPi * car.moving.compute_walked_distance_m(time_s) / car.moving.stride_m;
         for (const SwingingLimb& l : car.moving.limbs)
-            search.intersect_ray_with_limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin,
-                                           direction);
+            search.update_nearest_hit_with_limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin,
+                                                direction);
     }
     return search.get_nearest_hit();
 }

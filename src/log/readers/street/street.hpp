@@ -131,7 +131,7 @@ private:
     std::vector<Cluster> clusters_;
     std::vector<RayCastActor> cars_;
 
-    static std::vector<RayCastShape> make_solids(const std::vector<StreetShape>& shapes);
+    static std::vector<RayCastShape> prepare_shapes_for_ray_casting(const std::vector<StreetShape>& shapes);
     void update_car_pose_cache(double time_s, MovingActorPoses& car_pose_cache) const;
 };
 

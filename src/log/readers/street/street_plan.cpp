@@ -56,11 +56,12 @@ void add_facades(SyntheticStreet& street, Random& random, const StreetSide& stre
                  bool leave_yard_gap) {
     const auto& [side, kerb_m, half_m] = street_side;
     for (double x = -half_m; x < half_m;) {
-        const double width = random.draw_uniform(8.0, 18.0), height = random.draw_uniform(5.0, 14.0),
-                     depth = random.draw_uniform(6.0, 10.0);
-        const double setback = random.draw_uniform(2.5, 4.5);
+        const double width = random.sample_uniform_number(8.0, 18.0),
+                     height = random.sample_uniform_number(5.0, 14.0),
+                     depth = random.sample_uniform_number(6.0, 10.0);
+        const double setback = random.sample_uniform_number(2.5, 4.5);
         const double y = kerb_m + side * (setback + 0.5 * depth);
-        const double reflectance = random.draw_uniform(0.3, 0.8);
+        const double reflectance = random.sample_uniform_number(0.3, 0.8);
         if (!leave_yard_gap || x + width < kYardBegin_m || x > kYardEnd_m)
             street.shapes.push_back({StreetShape::Kind::box,
                                      {x + 0.5 * width, y, 0.5 * height},
@@ -68,18 +69,18 @@ void add_facades(SyntheticStreet& street, Random& random, const StreetSide& stre
                                      0.0,
                                      Material::wall,
                                      reflectance});
-        x += width + (random.draw_uniform() < 0.3 ? random.draw_uniform(2.0, 5.0) : 0.0);
+        x += width + (random.sample_uniform_number() < 0.3 ? random.sample_uniform_number(2.0, 5.0) : 0.0);
     }
 }
 
 void add_poles_and_trees(SyntheticStreet& street, Random& random, const StreetSide& street_side) {
     const auto& [side, kerb_m, half_m] = street_side;
-    for (double x = -half_m + random.draw_uniform(2.0, 8.0); x < half_m;
-         x += random.draw_uniform(9.0, 16.0)) {
-        const double y = kerb_m + side * random.draw_uniform(0.5, 1.0);
-        const bool tree = random.draw_uniform() < 0.4;
-        const double height = tree ? 3.0 : random.draw_uniform(4.0, 7.0),
-                     radius = tree ? 0.18 : random.draw_uniform(0.07, 0.13);
+    for (double x = -half_m + random.sample_uniform_number(2.0, 8.0); x < half_m;
+         x += random.sample_uniform_number(9.0, 16.0)) {
+        const double y = kerb_m + side * random.sample_uniform_number(0.5, 1.0);
+        const bool tree = random.sample_uniform_number() < 0.4;
+        const double height = tree ? 3.0 : random.sample_uniform_number(4.0, 7.0),
+                     radius = tree ? 0.18 : random.sample_uniform_number(0.07, 0.13);
         street.shapes.push_back({StreetShape::Kind::cylinder,
                                  {x, y, 0.5 * height},
                                  {radius, radius, 0.5 * height},
@@ -88,11 +89,11 @@ void add_poles_and_trees(SyntheticStreet& street, Random& random, const StreetSi
                                  tree ? 0.3 : 0.5,
                                  tree ? SurfaceClass::vegetation : SurfaceClass::pole});
         if (!tree) continue;
-        const double size = random.draw_uniform(0.7, 1.2);
+        const double size = random.sample_uniform_number(0.7, 1.2);
         street.shapes.push_back({StreetShape::Kind::box,
                                  {x, y, 3.0 + size},
                                  glm::dvec3(size),
-                                 random.draw_uniform(0.0, 1.5),
+                                 random.sample_uniform_number(0.0, 1.5),
                                  Material::leaves,
                                  0.4,
                                  SurfaceClass::vegetation});
@@ -158,11 +159,12 @@ void add_parked_car(SyntheticStreet& street, double x_m, double y_m, double yaw_
 /// Adds parked cars on the road, next to the kerb.
 void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& street_side,
                      bool have_glass_windows) {
-    for (double x = -street_side.half_m + random.draw_uniform(2.0, 10.0); x < street_side.half_m - 5.0;
-         x += random.draw_uniform(6.0, 20.0)) {
-        const double yaw = random.draw_uniform(-0.04, 0.04),
-                     y = street_side.kerb_m - 1.1 * street_side.left + random.draw_uniform(-0.15, 0.15);
-        const double paint = random.draw_uniform(0.15, 0.8);
+    for (double x = -street_side.half_m + random.sample_uniform_number(2.0, 10.0);
+         x < street_side.half_m - 5.0; x += random.sample_uniform_number(6.0, 20.0)) {
+        const double yaw = random.sample_uniform_number(-0.04, 0.04),
+                     y = street_side.kerb_m - 1.1 * street_side.left +
+                         random.sample_uniform_number(-0.15, 0.15);
+        const double paint = random.sample_uniform_number(0.15, 0.8);
         add_parked_car(street, x, y, yaw,
                        have_glass_windows ? make_glazed_car_shapes(paint) : make_car_shapes(paint));
     }
@@ -172,7 +174,7 @@ void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& 
 /// each car. A moving sensor therefore sees other parts of the cars in every sweep.
 void add_yard(SyntheticStreet& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
-    for (double x = kYardBegin_m; x < kYardEnd_m; x += random.draw_uniform(0.4, 1.2))
+    for (double x = kYardBegin_m; x < kYardEnd_m; x += random.sample_uniform_number(0.4, 1.2))
         street.shapes.push_back({StreetShape::Kind::box,
                                  {x, fence_y, 0.9},
                                  {0.15, 0.05, 0.9},
@@ -180,10 +182,10 @@ void add_yard(SyntheticStreet& street, Random& random) {
                                  Material::wall,
                                  0.4,
                                  SurfaceClass::fence});
-    for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.draw_uniform(2.6, 4.0))
-        add_parked_car(street, x, fence_y + random.draw_uniform(3.0, 4.0),
-                       0.5 * kPi + random.draw_uniform(-0.05, 0.05),
-                       make_glazed_car_shapes(random.draw_uniform(0.15, 0.8)));
+    for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.sample_uniform_number(2.6, 4.0))
+        add_parked_car(street, x, fence_y + random.sample_uniform_number(3.0, 4.0),
+                       0.5 * kPi + random.sample_uniform_number(-0.05, 0.05),
+                       make_glazed_car_shapes(random.sample_uniform_number(0.15, 0.8)));
     street.shapes.push_back({StreetShape::Kind::box,
                              {0.5 * (kYardBegin_m + kYardEnd_m), fence_y + 12.0, 3.0},
                              {0.5 * (kYardEnd_m - kYardBegin_m), 1.0, 3.0},
@@ -215,18 +217,19 @@ void add_oncoming_cars(SyntheticStreet& street, Random& random, const SyntheticO
          met_m += kBetweenCars_m)
         for (const double x : {met_m, -met_m})
             street.cars.push_back(make_moving_car(options, x * (1.0 + kSpeed_mps / options.speed_mps),
-                                                  kLane_m, kPi, kSpeed_mps, random.draw_uniform(0.15, 0.8)));
+                                                  kLane_m, kPi, kSpeed_mps,
+                                                  random.sample_uniform_number(0.15, 0.8)));
 }
 
 /// Adds a bush of leaves and twigs, through which most rays pass.
 void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& position_m) {
     for (int leaf = 0; leaf < 60; ++leaf) {
-        const glm::dvec3 leaf_centre_m(
-            position_m + glm::dvec2(random.draw_uniform(-1.0, 1.0), random.draw_uniform(-0.5, 0.5)),
-            random.draw_uniform(0.1, 1.6));
-        street.shapes.push_back({StreetShape::Kind::box, leaf_centre_m,
-                                 glm::dvec3(random.draw_uniform(0.03, 0.08)), random.draw_uniform(0.0, 1.5),
-                                 Material::leaves, 0.4, SurfaceClass::vegetation});
+        const glm::dvec3 leaf_centre_m(position_m + glm::dvec2(random.sample_uniform_number(-1.0, 1.0),
+                                                               random.sample_uniform_number(-0.5, 0.5)),
+                                       random.sample_uniform_number(0.1, 1.6));
+        street.shapes.push_back(
+            {StreetShape::Kind::box, leaf_centre_m, glm::dvec3(random.sample_uniform_number(0.03, 0.08)),
+             random.sample_uniform_number(0.0, 1.5), Material::leaves, 0.4, SurfaceClass::vegetation});
     }
 }
 
@@ -297,17 +300,19 @@ MovingStreetActor make_cyclist(const SyntheticOptions& options, const glm::dvec2
 
 void add_people(SyntheticStreet& street, Random& random, const SyntheticOptions& options) {
     const std::size_t first = street.cars.size();
-    street.cars.push_back(make_pedestrian(options, {random.draw_uniform(4.0, 16.0), kRightKerb_m - 1.6}, 0.0,
-                                          random.draw_uniform(1.0, 1.6)));
-    street.cars.push_back(make_pedestrian(options, {random.draw_uniform(4.0, 16.0), kLeftKerb_m + 1.7}, kPi,
-                                          random.draw_uniform(1.0, 1.6)));
-    street.cars.push_back(make_pedestrian(options, {random.draw_uniform(24.0, 30.0), 4.5}, -0.5 * kPi,
-                                          random.draw_uniform(1.0, 1.6)));
+    street.cars.push_back(make_pedestrian(options,
+                                          {random.sample_uniform_number(4.0, 16.0), kRightKerb_m - 1.6}, 0.0,
+                                          random.sample_uniform_number(1.0, 1.6)));
+    street.cars.push_back(make_pedestrian(options,
+                                          {random.sample_uniform_number(4.0, 16.0), kLeftKerb_m + 1.7}, kPi,
+                                          random.sample_uniform_number(1.0, 1.6)));
+    street.cars.push_back(make_pedestrian(options, {random.sample_uniform_number(24.0, 30.0), 4.5},
+                                          -0.5 * kPi, random.sample_uniform_number(1.0, 1.6)));
     if (options.gait)
         for (std::size_t i = first; i < street.cars.size(); ++i)
             replace_legs_by_swinging_limbs(street.cars[i]);
-    street.cars.push_back(make_cyclist(options, {random.draw_uniform(6.0, 9.0), kRightKerb_m + 2.7},
-                                       random.draw_uniform(4.0, 6.0)));
+    street.cars.push_back(make_cyclist(options, {random.sample_uniform_number(6.0, 9.0), kRightKerb_m + 2.7},
+                                       random.sample_uniform_number(4.0, 6.0)));
 }
 
 }  // namespace

@@ -30,7 +30,7 @@ constexpr double kMaxRange_m = 80.0;
 // Maximum number of rays of a log. A ray needs 44 bytes, so this limits a log to 9 GB.
 constexpr double kMostRays = 2e8;
 
-void check_synthetic_options(const SyntheticOptions& options) {
+void require_valid_synthetic_options(const SyntheticOptions& options) {
     const auto in_range = [](const char* name, double value, double low, double high) {
         if (value >= low && value <= high) return;
         throw UsageError(
@@ -72,8 +72,8 @@ double compute_echo_intensity(const StreetHit& hit) {
 
 /// Returns only the shapes that the rays of one sweep can reach. This makes ray casting
 /// faster.
-street::SyntheticStreet crop_street_to_sweep(const street::SyntheticStreet& full_street,
-                                             const glm::dvec3& sensor_position_m, double time_s) {
+street::SyntheticStreet select_shapes_in_reach_of_sweep(const street::SyntheticStreet& full_street,
+                                                        const glm::dvec3& sensor_position_m, double time_s) {
     // Upper limit of the distances that the sensor and the cars move during a sweep.
     constexpr double kSweep_m = 20.0;
     street::SyntheticStreet nearby_street;
@@ -94,7 +94,7 @@ template <class Receive>
 void cast_rays_at_firing_times(const street::SyntheticStreet& full_street,
                                const glm::dvec3& world_origin_in_street_m, const PoseTrack& sensor_track,
                                double scan_time_s, const RayTable& rays, const Receive& on_hit) {
-    const street::StreetCaster street(crop_street_to_sweep(
+    const street::StreetCaster street(select_shapes_in_reach_of_sweep(
         full_street, sensor_track.interpolate_pose(scan_time_s).translation + world_origin_in_street_m,
         scan_time_s));
     const std::size_t columns = rays.rows > 1 ? std::size_t(rays.columns) : 1;
@@ -125,9 +125,9 @@ glm::dvec3 compute_world_origin_in_street_m(const SyntheticOptions& options) {
 }
 
 /// Casts a scan without noise. Rays with a drop probability above 0.5 are dropped.
-Scan cast_scan_without_noise(const street::SyntheticStreet& street,
-                             const glm::dvec3& world_origin_in_street_m, const RayTable& rays,
-                             const PoseTrack& sensor_track, double scan_time_s) {
+Scan cast_noise_free_scan_with_one_return(const street::SyntheticStreet& street,
+                                          const glm::dvec3& world_origin_in_street_m, const RayTable& rays,
+                                          const PoseTrack& sensor_track, double scan_time_s) {
     Scan scan = make_empty_scan(rays);
     cast_rays_at_firing_times(street, world_origin_in_street_m, sensor_track, scan_time_s, rays,
                               [&](std::size_t ray, const StreetHit& hit) {
@@ -139,16 +139,17 @@ Scan cast_scan_without_noise(const street::SyntheticStreet& street,
     return scan;
 }
 
-Scan cast_scan_with_two_returns(const street::SyntheticStreet& street,
-                                const glm::dvec3& world_origin_in_street_m, const RayTable& rays,
-                                const PoseTrack& sensor_track, double scan_time_s) {
+Scan cast_noise_free_scan_with_two_returns(const street::SyntheticStreet& street,
+                                           const glm::dvec3& world_origin_in_street_m, const RayTable& rays,
+                                           const PoseTrack& sensor_track, double scan_time_s) {
     if (!(rays.find_max_divergence_rad() > 0.0))
         throw UsageError(
             "synthetic street: several returns need beams with a divergence, because an ideal ray "
             "has only one return");
     return street::combine_cone_returns(
-        rays, cast_scan_without_noise(street, world_origin_in_street_m, street::make_rays_in_beam_cones(rays),
-                                      sensor_track, scan_time_s));
+        rays, cast_noise_free_scan_with_one_return(street, world_origin_in_street_m,
+                                                   street::replace_rays_by_rays_in_beam_cones(rays),
+                                                   sensor_track, scan_time_s));
 }
 
 /// Returns the random seed of a frame. The seeds of the first LiDAR do not depend on the
@@ -164,25 +165,26 @@ void add_range_noise(Scan& scan, std::uint64_t seed, double noise_stddev_m) {
         const auto spread = [&](float& range_m) {
             if (range_m > 0.0f)
                 range_m = static_cast<float>(
-                    std::max(double(range_m) + noise_stddev_m * random.draw_standard_normal(), 0.01));
+                    std::max(double(range_m) + noise_stddev_m * random.sample_standard_normal(), 0.01));
         };
         spread(scan.range_m[i]);
         for (AdditionalReturns& f : scan.second_returns) spread(f.range_m[i]);
     }
 }
 
-Scan measure_scan_with_two_returns(const SyntheticOptions& options, const street::SyntheticStreet& street,
-                                   const LidarSequence& sequence, const RayTable& rays,
-                                   const LidarFrame& frame) {
-    Scan scan = cast_scan_with_two_returns(street, sequence.world_offset_m, rays,
-                                           sequence.get_world_from_sensor(frame.lidar), frame.time_s);
+Scan simulate_noisy_scan_with_two_returns(const SyntheticOptions& options,
+                                          const street::SyntheticStreet& street,
+                                          const LidarSequence& sequence, const RayTable& rays,
+                                          const LidarFrame& frame) {
+    Scan scan = cast_noise_free_scan_with_two_returns(
+        street, sequence.world_offset_m, rays, sequence.get_world_from_sensor(frame.lidar), frame.time_s);
     add_range_noise(scan, compute_frame_seed(options, frame), options.range_noise_m);
     return scan;
 }
 
-Scan measure_scan_with_one_return(const SyntheticOptions& options, const street::SyntheticStreet& street,
-                                  const LidarSequence& sequence, const RayTable& rays,
-                                  const LidarFrame& frame) {
+Scan simulate_noisy_scan_with_one_return(const SyntheticOptions& options,
+                                         const street::SyntheticStreet& street, const LidarSequence& sequence,
+                                         const RayTable& rays, const LidarFrame& frame) {
     Scan scan = make_empty_scan(rays);
     const std::uint64_t seed = compute_frame_seed(options, frame);
     const PoseTrack track = sequence.get_world_from_sensor(frame.lidar);
@@ -190,11 +192,11 @@ Scan measure_scan_with_one_return(const SyntheticOptions& options, const street:
         street, sequence.world_offset_m, track, frame.time_s, rays,
         [&](std::size_t ray, const StreetHit& hit) {
             Random random(hash_integer_pair(seed, ray));
-            if (random.draw_uniform() < compute_drop_probability(hit)) return;
-            const double range = hit.range_m + options.range_noise_m * random.draw_standard_normal();
+            if (random.sample_uniform_number() < compute_drop_probability(hit)) return;
+            const double range = hit.range_m + options.range_noise_m * random.sample_standard_normal();
             scan.range_m[ray] = static_cast<float>(std::max(range, 0.01));
             scan.intensity[ray] = static_cast<float>(
-                glm::clamp(compute_echo_intensity(hit) + 0.01 * random.draw_standard_normal(), 0.0, 1.0));
+                glm::clamp(compute_echo_intensity(hit) + 0.01 * random.sample_standard_normal(), 0.0, 1.0));
             scan.classes[ray] = hit.surface;
         });
     return scan;
@@ -239,7 +241,7 @@ Lidar make_lidar_of_mounted_sensor(const MountedSensor& mounted_sensor) {
 }  // namespace
 
 LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_frame, int end_frame) {
-    check_synthetic_options(options);
+    require_valid_synthetic_options(options);
     const std::vector<MountedSensor> rig = read_rig_or_default_sensor(options);
     std::vector<RayTable> rays;  // of the first scan
     double n_rays = 0.0;
@@ -264,15 +266,15 @@ LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_f
             add_frame(sequence, frame, street::compute_frame_time_s(frame),
                       street::compute_sensor_pose(options, street::compute_frame_time_s(frame)), int(l));
     sequence.boxes = make_car_box_tracks(street, sequence.world_from_vehicle.time_s);
-    recentre_sequence(sequence, compute_world_origin_in_street_m(options));
+    move_world_origin_of_log(sequence, compute_world_origin_in_street_m(options));
     parallel_for(static_cast<int>(sequence.frames.size()), [&](int index) {
         LidarFrame& frame = sequence.frames[static_cast<std::size_t>(index)];
         const std::size_t l = std::size_t(frame.lidar);
         const bool changes = summarise_scan_pattern(rig[l].sensor.pattern).has_rays_by_time;
         const RayTable table = changes ? make_rays(rig[l].sensor, frame.time_s) : rays[l];
         frame.scan = rig[l].returns == 2
-                         ? measure_scan_with_two_returns(options, street, sequence, table, frame)
-                         : measure_scan_with_one_return(options, street, sequence, table, frame);
+                         ? simulate_noisy_scan_with_two_returns(options, street, sequence, table, frame)
+                         : simulate_noisy_scan_with_one_return(options, street, sequence, table, frame);
     });
     return sequence;
 }
@@ -293,7 +295,7 @@ void replace_moving_cars(street::SyntheticStreet& street, const std::vector<Synt
                 "cannot cast rays into the edited street: track {} has the shape of car {}, expected the "
                 "index of one of its {} cars",
                 car.track.id, car.shapes_of, original_cars.size()));
-        if (!car.track.is_present(time_s)) continue;
+        if (!car.track.is_observed_at_time(time_s)) continue;
         street::MovingStreetActor& moved = street.cars.emplace_back(original_cars[car.shapes_of]);
         moved.track = car.track.world_from_box;
         for (Pose& pose : moved.track.pose) pose.translation += world_origin_in_street_m;
@@ -304,26 +306,28 @@ void replace_moving_cars(street::SyntheticStreet& street, const std::vector<Synt
 
 Scan cast_rays_into_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
                                      const PoseTrack& world_from_sensor, double time_s) {
-    check_synthetic_options(options);
-    return cast_scan_without_noise(street::make_street(options), compute_world_origin_in_street_m(options),
-                                   rays, world_from_sensor, time_s);
+    require_valid_synthetic_options(options);
+    return cast_noise_free_scan_with_one_return(street::make_street(options),
+                                                compute_world_origin_in_street_m(options), rays,
+                                                world_from_sensor, time_s);
 }
 
 Scan cast_beams_into_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
                                       const PoseTrack& world_from_sensor, double time_s) {
-    check_synthetic_options(options);
-    return cast_scan_with_two_returns(street::make_street(options), compute_world_origin_in_street_m(options),
-                                      rays, world_from_sensor, time_s);
+    require_valid_synthetic_options(options);
+    return cast_noise_free_scan_with_two_returns(street::make_street(options),
+                                                 compute_world_origin_in_street_m(options), rays,
+                                                 world_from_sensor, time_s);
 }
 
 Scan cast_rays_into_synthetic_street(const SyntheticOptions& options, const std::vector<SyntheticCar>& cars,
                                      const RayTable& rays, const PoseTrack& world_from_sensor,
                                      double time_s) {
-    check_synthetic_options(options);
+    require_valid_synthetic_options(options);
     street::SyntheticStreet street = street::make_street(options);
     replace_moving_cars(street, cars, compute_world_origin_in_street_m(options), time_s);
-    return cast_scan_without_noise(street, compute_world_origin_in_street_m(options), rays, world_from_sensor,
-                                   time_s);
+    return cast_noise_free_scan_with_one_return(street, compute_world_origin_in_street_m(options), rays,
+                                                world_from_sensor, time_s);
 }
 
 }  // namespace relidar

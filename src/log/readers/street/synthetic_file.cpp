@@ -53,7 +53,7 @@ void replace_poses_from_file(LidarSequence& sequence, const fs::path& user_pose_
     PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
     if (user_pose_file != kNoPoses) {
         track.pose = kitti::read_user_pose_file(user_pose_file, frames, track.time_s, sequence.notes);
-        track = shift_track(std::move(track), -sequence.world_offset_m);
+        track = add_offset_to_track_positions(std::move(track), -sequence.world_offset_m);
     }
     set_vehicle_poses(sequence, std::move(track));
     sequence.conventions += user_pose_file == kNoPoses
@@ -64,7 +64,7 @@ void replace_poses_from_file(LidarSequence& sequence, const fs::path& user_pose_
 SyntheticOptions read_street_toml(const fs::path& toml_file) {
     const std::string file = toml_file.string();
     const std::string text = read_text_file(toml_file);
-    check_toml_nesting_depth(text, file);
+    require_toml_nesting_within_limit(text, file);
     toml::table table;
     try {
         table = toml::parse(text, file);

@@ -64,7 +64,7 @@ std::vector<fs::path> list_segment_files(const fs::path& file_or_folder) {
 
 RequestedSegment choose_segment(const fs::path& file_or_folder, const DatasetOptions& options) {
     const std::vector<fs::path> files = list_segment_files(file_or_folder);
-    const RequestedDriveFrames part = resolve_benchmark_sequence(options, kWaymoBenchmark);
+    const RequestedDriveFrames part = find_requested_drive_and_frames(options, kWaymoBenchmark);
     if (part.drive.empty()) {
         RequestedSegment segment{files.front(), part.frames};
         if (files.size() > 1)
@@ -96,7 +96,7 @@ std::pair<int, int> get_requested_record_range(const TfRecordReader& records,
     return {requested_frames.begin, end};
 }
 
-std::string make_record_name(const TfRecordReader& records, int record_index) {
+std::string format_record_location(const TfRecordReader& records, int record_index) {
     return fmt::format("{}: record {}", records.get_file_path().string(), record_index);
 }
 
@@ -166,18 +166,18 @@ struct WaymoFrameHeader {
 
 WaymoFrameHeader read_frame_pose_and_labels(const TfRecordReader& records, int record_index) {
     const std::string data = records.read_record_data(std::size_t(record_index)),
-                      where = make_record_name(records, record_index);
+                      where = format_record_location(records, record_index);
     WaymoFrameRecord frame = parse_frame_record(data, where);
     for (BoxLabel& label : frame.labels)
         label.world_from_box = frame.world_from_vehicle * label.world_from_box;
     return {frame.timestamp_us, find_pose_facing_forward(frame, where), std::move(frame.labels)};
 }
 
-double compute_frame_period_s(const std::vector<WaymoFrameHeader>& frame_heads,
+double compute_frame_period_s(const std::vector<WaymoFrameHeader>& frame_headers,
                               const std::string& error_location) {
     std::vector<double> steps_s;
-    for (std::size_t i = 1; i < frame_heads.size(); ++i)
-        steps_s.push_back(1e-6 * double(frame_heads[i].timestamp_us - frame_heads[i - 1].timestamp_us));
+    for (std::size_t i = 1; i < frame_headers.size(); ++i)
+        steps_s.push_back(1e-6 * double(frame_headers[i].timestamp_us - frame_headers[i - 1].timestamp_us));
     if (steps_s.empty()) return 0.1;
     const double period_s = compute_median(std::move(steps_s));
     if (!(period_s > 0.01 && period_s < 1.0))
@@ -241,9 +241,9 @@ public:
         const std::optional<DecompressedImage> poses = read_pose_image(laser_images, image, where_);
         copy_returns_from_image(image, scan.range_m, scan.intensity);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
-            if (!poses) place_ray_with_vehicle_pose(ray, world_from_vehicle);
+            if (!poses) correct_ray_for_given_vehicle_pose(ray, world_from_vehicle);
             else if (scan.range_m[ray] > 0.0f)
-                place_ray_with_vehicle_pose(ray, read_vehicle_pose_of_pixel(*poses, ray, where_));
+                correct_ray_for_given_vehicle_pose(ray, read_vehicle_pose_of_pixel(*poses, ray, where_));
         if (!laser_images.labels.empty()) read_point_classes(laser_images.labels);
         if (laser_images.second.empty()) return;
         AdditionalReturns& second = scan.second_returns.emplace_back(
@@ -304,7 +304,7 @@ private:
 
     /// Corrects a ray, because two vehicle poses at its firing time differ: the pose in
     /// the dataset, and the pose that the log interpolates between frames.
-    void place_ray_with_vehicle_pose(std::size_t ray_index, const Pose& world_from_vehicle) {
+    void correct_ray_for_given_vehicle_pose(std::size_t ray_index, const Pose& world_from_vehicle) {
         const Pose moved = sensor_from_world_[ray_index % std::size_t(scan.rays.columns)] *
                            (world_from_vehicle * lidar_.vehicle_from_sensor);
         scan.rays.origin[ray_index] = glm::vec3(moved.translation);
@@ -316,11 +316,11 @@ private:
 /// Adds LiDARs, frames and box labels to the log, but no scans. The first frame defines
 /// the LiDARs.
 void add_lidars_frames_and_boxes(LidarSequence& sequence, const TfRecordReader& records,
-                                 const std::vector<WaymoFrameHeader>& frame_heads, int first_record,
+                                 const std::vector<WaymoFrameHeader>& frame_headers, int first_record,
                                  bool only_top_lidar) {
-    const double period_s = compute_frame_period_s(frame_heads, records.get_file_path().string());
+    const double period_s = compute_frame_period_s(frame_headers, records.get_file_path().string());
     const std::string first = records.read_record_data(std::size_t(first_record)),
-                      where = make_record_name(records, first_record);
+                      where = format_record_location(records, first_record);
     const WaymoFrameRecord frame = parse_frame_record(first, where);
     sequence.lidars.clear();
     for (const CompressedLidarImages& images : frame.images)
@@ -330,15 +330,15 @@ void add_lidars_frames_and_boxes(LidarSequence& sequence, const TfRecordReader& 
         throw DataError(fmt::format("{}: found no range image{} in the record, expected at least one", where,
                                     only_top_lidar ? " of the LiDAR TOP" : ""));
     const std::int64_t start_us =
-        parse_frame_record(records.read_record_data(0), make_record_name(records, 0)).timestamp_us;
+        parse_frame_record(records.read_record_data(0), format_record_location(records, 0)).timestamp_us;
     std::vector<BoxLabel> labels;
-    for (std::size_t i = 0; i < frame_heads.size(); ++i) {
+    for (std::size_t i = 0; i < frame_headers.size(); ++i) {
         // The time stamp is the start of the sweep, when the head faces backward. The
         // time of a frame is half a period later, when the head faces forward.
-        const double time_s = 1e-6 * double(frame_heads[i].timestamp_us - start_us) + 0.5 * period_s;
+        const double time_s = 1e-6 * double(frame_headers[i].timestamp_us - start_us) + 0.5 * period_s;
         for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
-            add_frame(sequence, first_record + int(i), time_s, frame_heads[i].world_from_vehicle, lidar);
-        for (BoxLabel label : frame_heads[i].labels) {
+            add_frame(sequence, first_record + int(i), time_s, frame_headers[i].world_from_vehicle, lidar);
+        for (BoxLabel label : frame_headers[i].labels) {
             label.time_s = time_s;
             labels.push_back(std::move(label));
         }
@@ -363,14 +363,14 @@ void read_scans_of_records(LidarSequence& sequence, const TfRecordReader& record
             const int record = sequence.frames[sweep * n_lidars].index;
             // The record is complete, because its pose was read before.
             const std::string data = records.read_record_data(std::size_t(record)),
-                              where = make_record_name(records, record);
+                              where = format_record_location(records, record);
             const WaymoFrameRecord parsed = parse_frame_record(data, where);
             for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {
                 LidarFrame& frame = sequence.frames[sweep * n_lidars + lidar];
                 const std::string& name = sequence.lidars[lidar].name;
                 const int laser = int(std::find(std::begin(kLaserNames), std::end(kLaserNames), name) -
                                       std::begin(kLaserNames));
-                broken.read_or_mark_broken(sweep * n_lidars + lidar, [&] {
+                broken.call_and_record_scan_errors(sweep * n_lidars + lidar, [&] {
                     RangeImageReader reader(sequence, frame, models[lidar],
                                             fmt::format("{}: {}", where, name),
                                             options.waymo.clamp_intensity);
@@ -409,7 +409,7 @@ LidarSequence load_waymo(const fs::path& path, const DatasetOptions& options) {
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     read_scans_of_records(sequence, records, options);
     kitti::replace_vehicle_poses_from_file(sequence, options.poses_file);
-    recentre_sequence(sequence);
+    move_world_origin_of_log(sequence);
     return sequence;
 }
 

@@ -43,7 +43,8 @@ std::string_view read_bytes_field(pbf_reader& reader) {
     return {view.data(), view.size()};
 }
 
-double check_finite_number(double value, const char* field_name, const std::string& error_location) {
+double require_finite_and_return_number(double value, const char* field_name,
+                                        const std::string& error_location) {
     if (!(std::abs(value) <= kLargestOfFrame))
         throw DataError(fmt::format("{}: {} is {}, expected a finite number of at most {:.0e}",
                                     error_location, field_name, value, kLargestOfFrame));
@@ -72,9 +73,10 @@ Pose parse_transform(pbf_reader reader, const std::string& error_location) {
     if (m.size() != 16)
         throw DataError(fmt::format("{}: found a transform of {} numbers, expected 16 numbers",
                                     error_location, m.size()));
-    for (const double value : m) check_finite_number(value, "a number of the transform", error_location);
-    return make_rigid_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]},
-                           error_location);
+    for (const double value : m)
+        require_finite_and_return_number(value, "a number of the transform", error_location);
+    return make_pose_from_checked_rotation({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]},
+                                           {m[3], m[7], m[11]}, error_location);
 }
 
 WaymoLidarCalibration parse_laser_calibration(pbf_reader reader, const std::string& error_location) {
@@ -171,7 +173,8 @@ void parse_box_into_label(pbf_reader reader, BoxLabel& label, const std::string&
     while (reader.next()) {
         if (reader.tag() >= 1 && reader.tag() <= 7 && reader.wire_type() == pbf_wire_type::fixed64) {
             const std::uint32_t field = reader.tag();
-            v[field] = check_finite_number(reader.get_double(), "a number of the box", error_location);
+            v[field] =
+                require_finite_and_return_number(reader.get_double(), "a number of the box", error_location);
         } else {
             reader.skip();
         }
@@ -282,7 +285,7 @@ std::string inflate_zlib_stream(std::string_view compressed_bytes, const std::st
 /// Calls a function that parses protobuf. Converts exceptions of the library protozero to
 /// DataError.
 template <class Parse>
-auto parse_and_convert_exceptions(const std::string& error_location, const Parse& parse_function) {
+auto call_and_convert_protobuf_errors(const std::string& error_location, const Parse& parse_function) {
     try {
         return parse_function();
     } catch (const protozero::exception& failure) {
@@ -295,7 +298,7 @@ auto parse_and_convert_exceptions(const std::string& error_location, const Parse
 WaymoFrameRecord parse_frame_record(std::string_view record_bytes, const std::string& error_location) {
     WaymoFrameRecord frame;
     bool has_pose = false;
-    parse_and_convert_exceptions(error_location, [&] {
+    call_and_convert_protobuf_errors(error_location, [&] {
         for (pbf_reader from(record_bytes.data(), record_bytes.size()); from.next();) {
             switch (from.tag_and_type()) {
                 case make_message_tag(1):
@@ -334,7 +337,7 @@ DecompressedImage inflate_image(std::string_view compressed_image, int n_channel
     DecompressedImage image;
     std::vector<std::int32_t> dims;
     const std::string bytes = inflate_zlib_stream(compressed_image, error_location);
-    parse_and_convert_exceptions(error_location, [&] {
+    call_and_convert_protobuf_errors(error_location, [&] {
         parse_pixel_matrix(pbf_reader(bytes.data(), bytes.size()), pixel_type, image.values, dims);
     });
     const bool fits =

@@ -19,7 +19,8 @@ nlohmann::ordered_json make_vectors_json(const ScanArray<glm::vec3>& vectors) {
 /// Returns the number of rows of a ray table. This is the member `rows`, or the length of
 /// the outer list if the directions are nested lists, or 1.
 std::size_t count_ray_rows(const JsonField& field) {
-    if (field.has_member("rows")) return std::size_t(field.at("rows").get_integer(1, std::int64_t(kMaxRays)));
+    if (field.has_member("rows"))
+        return std::size_t(field.at("rows").get_integer_in_range(1, std::int64_t(kMaxRays)));
     const JsonField list = field.at("directions");
     const bool is_image = list.is_array() && list.size() > 0 && list.at(std::size_t(0)).is_array() &&
                           list.at(std::size_t(0)).size() > 0 &&
@@ -31,13 +32,14 @@ struct RayTableFunctions {
     using Pattern = RayTable;
 
     static SensorModel parse(const JsonField& field, const std::string& default_name) {
-        field.check_no_unknown_members({"directions", "origin", "time", "ring", "rows", "divergence",
-                                        "divergence_mrad", "divergence_rad", "name", "min_range_m",
-                                        "max_range_m"});
+        field.require_only_known_members({"directions", "origin", "time", "ring", "rows", "divergence",
+                                          "divergence_mrad", "divergence_rad", "name", "min_range_m",
+                                          "max_range_m"});
         const auto list = [&](const char* key) {
-            return field.has_member(key) ? field.at(key).get_nested_numbers(kNesting) : std::vector<double>{};
+            return field.has_member(key) ? field.at(key).get_flattened_numbers(kNesting)
+                                         : std::vector<double>{};
         };
-        sensor_files::RayFileArrays c{.direction = field.at("directions").get_nested_numbers(kNesting),
+        sensor_files::RayFileArrays c{.direction = field.at("directions").get_flattened_numbers(kNesting),
                                       .origin = list("origin"),
                                       .time_s = list("time"),
                                       .channel = list("ring"),
@@ -47,13 +49,14 @@ struct RayTableFunctions {
         c.columns = static_cast<int>(std::min(c.direction.size() / 3 / rows, kMaxRays));
         std::optional<double> of_all_mrad;
         if (field.has_member("divergence_mrad")) of_all_mrad = field.at("divergence_mrad").get_number();
-        c.divergence_rad =
-            sensor_files::choose_divergence_rad(list("divergence"), of_all_mrad, field.get_location());
+        c.divergence_rad = sensor_files::combine_per_ray_and_common_divergence(
+            list("divergence"), of_all_mrad, field.get_location_for_errors());
         if (field.has_member("divergence_rad")) c.divergence_rad = {field.at("divergence_rad").get_number()};
         c.limits = {field.has_member("min_range_m") ? field.at("min_range_m").get_number() : c.limits.min_m,
                     field.has_member("max_range_m") ? field.at("max_range_m").get_number() : c.limits.max_m};
         return sensor_files::make_ray_sensor(
-            c, field.has_member("name") ? field.at("name").get_string() : default_name, field.get_location());
+            c, field.has_member("name") ? field.at("name").get_string() : default_name,
+            field.get_location_for_errors());
     }
     static nlohmann::ordered_json write(const RayTable& rays) {
         nlohmann::ordered_json json = {{"rows", rays.rows},
@@ -71,7 +74,7 @@ struct RayTableFunctions {
 
 }  // namespace
 
-PatternKind make_rays_kind() {
+PatternKind make_ray_table_pattern_kind() {
     return make_pattern_kind<RayTableFunctions>("rays", "directions, origin, time, ring, as lists");
 }
 

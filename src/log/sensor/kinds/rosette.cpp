@@ -10,8 +10,8 @@
 namespace relidar {
 
 RayTable make_rays(const RosetteSensor& rosette, double time_s) {
-    pattern_detail::check_ray_count(rosette.name, rosette.n_rays);
-    pattern_detail::check_finite_and_period(
+    pattern_detail::require_allowed_ray_count(rosette.name, rosette.n_rays);
+    pattern_detail::require_finite_values_and_valid_period(
         rosette.name,
         rosette.deflection_rad + rosette.first_hz + rosette.second_hz + rosette.divergence_rad + time_s,
         rosette.period_s);
@@ -38,18 +38,20 @@ struct RosetteFunctions {
     using Pattern = RosetteSensor;
 
     static SensorModel parse(const JsonField& field, const std::string& default_name) {
-        pattern_detail::check_known_members(field, {"rays", "first_hz", "second_hz"}, {"deflection"});
+        pattern_detail::require_only_known_sensor_members(field, {"rays", "first_hz", "second_hz"},
+                                                          {"deflection"});
         const auto [name, limits, period_s, divergence_rad] =
-            pattern_detail::read_common_members(field, default_name);
+            pattern_detail::read_members_of_all_sensor_kinds(field, default_name);
         return {
             name, "", limits,
-            RosetteSensor{.name = name,
-                          .deflection_rad = pattern_detail::read_angle_rad(field, "deflection", 45.0),
-                          .first_hz = field.at("first_hz").get_number(-1e5, 1e5),
-                          .second_hz = field.at("second_hz").get_number(-1e5, 1e5),
-                          .n_rays = static_cast<int>(field.at("rays").get_integer(1, std::int64_t(kMaxRays))),
-                          .period_s = period_s,
-                          .divergence_rad = divergence_rad}};
+            RosetteSensor{
+                .name = name,
+                .deflection_rad = pattern_detail::read_angle_member_as_rad(field, "deflection", 45.0),
+                .first_hz = field.at("first_hz").get_number_in_range(-1e5, 1e5),
+                .second_hz = field.at("second_hz").get_number_in_range(-1e5, 1e5),
+                .n_rays = static_cast<int>(field.at("rays").get_integer_in_range(1, std::int64_t(kMaxRays))),
+                .period_s = period_s,
+                .divergence_rad = divergence_rad}};
     }
     static nlohmann::ordered_json write(const RosetteSensor& rosette) {
         return {{"rays", rosette.n_rays},       {"deflection_rad", rosette.deflection_rad},
@@ -67,7 +69,7 @@ struct RosetteFunctions {
 
 }  // namespace
 
-PatternKind make_rosette_kind() {
+PatternKind make_rosette_pattern_kind() {
     return make_pattern_kind<RosetteFunctions>("rosette", "rays, deflection_deg, first_hz, second_hz");
 }
 

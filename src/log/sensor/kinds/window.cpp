@@ -12,8 +12,8 @@
 namespace relidar {
 
 RayTable make_rays(const WindowScanSensor& window) {
-    pattern_detail::check_ray_count(window.name, double(window.rows) * double(window.columns));
-    pattern_detail::check_finite_and_period(
+    pattern_detail::require_allowed_ray_count(window.name, double(window.rows) * double(window.columns));
+    pattern_detail::require_finite_values_and_valid_period(
         window.name,
         window.left_rad + window.right_rad + window.top_rad + window.bottom_rad + window.divergence_rad,
         window.period_s);
@@ -25,12 +25,12 @@ RayTable make_rays(const WindowScanSensor& window) {
     rays.columns = window.columns;
     rays.divergence_rad = static_cast<float>(window.divergence_rad);
     for (int row = 0; row < window.rows; ++row) {
-        const double elevation = pattern_detail::interpolate_evenly(window.top_rad, window.bottom_rad, row,
-                                                                    window.rows),
+        const double elevation = pattern_detail::compute_evenly_spaced_value(
+                         window.top_rad, window.bottom_rad, row, window.rows),
                      c = std::cos(elevation);
         for (int column = 0; column < window.columns; ++column) {
-            const double azimuth =
-                pattern_detail::interpolate_evenly(window.left_rad, window.right_rad, column, window.columns);
+            const double azimuth = pattern_detail::compute_evenly_spaced_value(
+                window.left_rad, window.right_rad, column, window.columns);
             const double time_s = ((column + 0.5) / window.columns - 0.5) * window.period_s;
             pattern_detail::append_ray_from_sensor_origin(
                 rays, {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)}, time_s, row);
@@ -45,17 +45,18 @@ struct WindowScanFunctions {
     using Pattern = WindowScanSensor;
 
     static SensorModel parse(const JsonField& field, const std::string& default_name) {
-        pattern_detail::check_known_members(field, {"rows", "columns"}, {"left", "right", "top", "bottom"});
+        pattern_detail::require_only_known_sensor_members(field, {"rows", "columns"},
+                                                          {"left", "right", "top", "bottom"});
         const auto [name, limits, period_s, divergence_rad] =
-            pattern_detail::read_common_members(field, default_name);
+            pattern_detail::read_members_of_all_sensor_kinds(field, default_name);
         const WindowScanSensor window{
             .name = name,
-            .rows = static_cast<int>(field.at("rows").get_integer(1, 65535)),
-            .columns = static_cast<int>(field.at("columns").get_integer(1, 1'000'000)),
-            .left_rad = pattern_detail::read_angle_rad(field, "left", 180.0),
-            .right_rad = pattern_detail::read_angle_rad(field, "right", 180.0),
-            .top_rad = pattern_detail::read_angle_rad(field, "top", 90.0),
-            .bottom_rad = pattern_detail::read_angle_rad(field, "bottom", 90.0),
+            .rows = static_cast<int>(field.at("rows").get_integer_in_range(1, 65535)),
+            .columns = static_cast<int>(field.at("columns").get_integer_in_range(1, 1'000'000)),
+            .left_rad = pattern_detail::read_angle_member_as_rad(field, "left", 180.0),
+            .right_rad = pattern_detail::read_angle_member_as_rad(field, "right", 180.0),
+            .top_rad = pattern_detail::read_angle_member_as_rad(field, "top", 90.0),
+            .bottom_rad = pattern_detail::read_angle_member_as_rad(field, "bottom", 90.0),
             .period_s = period_s,
             .divergence_rad = divergence_rad};
         if (std::size_t(window.rows) * std::size_t(window.columns) > kMaxRays)
@@ -79,7 +80,7 @@ struct WindowScanFunctions {
 
 }  // namespace
 
-PatternKind make_window_kind() {
+PatternKind make_window_pattern_kind() {
     return make_pattern_kind<WindowScanFunctions>("window",
                                                   "rows, columns, left_deg, right_deg, top_deg, bottom_deg");
 }

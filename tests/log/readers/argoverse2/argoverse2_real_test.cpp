@@ -300,8 +300,9 @@ TEST_F(Argoverse2Real, PointsAreFoundInTheirCells) {
                                                   p.x * rays.direction[at].x + p.y * rays.direction[at].y);
                 if (std::abs(azimuth) < nearest) nearest = std::abs(azimuth), cell = at;
             }
-            const bool here = std::abs(double(frame.scan.range_m[cell]) - glm::length(p)) < 1e-3 &&
-                              glm::distance(glm::dvec3(frame.scan.compute_end_point(cell)), p) < 1e-3;
+            const bool here =
+                std::abs(double(frame.scan.range_m[cell]) - glm::length(p)) < 1e-3 &&
+                glm::distance(glm::dvec3(frame.scan.compute_return_point_in_sensor_frame(cell)), p) < 1e-3;
             in_another_cell += !here;
         }
         RecordProperty(fmt::format("not_in_the_projected_cell_{}", s), int(in_another_cell));

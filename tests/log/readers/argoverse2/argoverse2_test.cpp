@@ -118,7 +118,8 @@ TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
         std::size_t late = 0;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const glm::dvec3 point_m(frame.scan.rays.origin[i] + 10.0f * frame.scan.rays.direction[i]);
-            const double facing_s = compute_point_scan_time_s(sequence, point_m, get_sweep_moment(frame));
+            const double facing_s =
+                compute_time_when_lidar_faces_point_s(sequence, point_m, get_sweep_timing_of_frame(frame));
             late += std::abs(facing_s - frame.time_s - double(frame.scan.rays.time_offset_s[i])) > 3e-3;
         }
         // Only few rays may be late. Beams deviate by up to 4.2 degrees from the sensor's

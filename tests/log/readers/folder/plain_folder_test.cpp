@@ -349,7 +349,9 @@ TEST(PlainFolder, KeepsPointsWithoutOrderOfALidarThatDoesNotSpin) {
         ASSERT_EQ(sequence.frames[f].scan.rays.rows, 1);
         ASSERT_EQ(sequence.frames[f].scan.range_m.size(), points.size());
         for (std::size_t i = 0; i < points.size(); ++i)
-            EXPECT_LT(glm::distance(sequence.frames[f].scan.compute_end_point(i), points[i].point_m), 1e-4f);
+            EXPECT_LT(glm::distance(sequence.frames[f].scan.compute_return_point_in_sensor_frame(i),
+                                    points[i].point_m),
+                      1e-4f);
     }
 }
 
@@ -390,7 +392,8 @@ TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
     for (const std::string& poses : logs) {
         test::write_text(log.folder / "poses.txt", poses);
         const LidarSequence sequence = load_sequence(log.folder.string(), {});
-        const PoseTrack world = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
+        const PoseTrack world =
+            add_offset_to_track_positions(sequence.world_from_vehicle, sequence.world_offset_m);
         EXPECT_LT(glm::distance(world.pose[1].translation, glm::dvec3(1.5, 0, 0)), 1e-12);  // 0.1 s
         EXPECT_LT(glm::distance(world.pose[2].translation, glm::dvec3(2, 1.5, 0)), 1e-12);  // 0.2 s
         EXPECT_NEAR(world.pose[2].rotation.z, std::sin(kPi / 16), 1e-12) << "an eighth of a turn half way";

@@ -57,9 +57,10 @@ struct PointLog {
         FilePoints points;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (frame.scan.range_m[i] > 0.0f)
-                points.push_back(
-                    {frame.scan.compute_end_point(i), std::round(frame.scan.intensity[i] * 255.0f) / 255.0f,
-                     frame.scan.rays.channel[i], frame.time_s + double(frame.scan.rays.time_offset_s[i])});
+                points.push_back({frame.scan.compute_return_point_in_sensor_frame(i),
+                                  std::round(frame.scan.intensity[i] * 255.0f) / 255.0f,
+                                  frame.scan.rays.channel[i],
+                                  frame.time_s + double(frame.scan.rays.time_offset_s[i])});
         return points;
     }
 };

@@ -52,7 +52,7 @@ TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
     for (const LidarFrame& frame : log.frames) {
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
-            const glm::dvec3 point(frame.scan.compute_end_point(i));
+            const glm::dvec3 point(frame.scan.compute_return_point_in_sensor_frame(i));
             const double late = double(frame.scan.rays.time_offset_s[i]) / Kitti360Folder::kPeriod_s;
             const glm::dvec3 truth(Kitti360Folder::compute_world_from_velo(frame.index + late) *
                                    glm::dvec4(point, 1.0));
@@ -91,7 +91,7 @@ TEST(Kitti360, BoxesHoldWhatWasLabelled) {
     }
     EXPECT_EQ(standing.world_from_box.pose[0].translation, standing.world_from_box.pose[1].translation);
     for (const LidarFrame& frame : log.frames) EXPECT_GT(points_in(log, frame, driving), 100u) << frame.index;
-    EXPECT_FALSE(standing.is_present(log.frames[0].time_s)) << "not labelled there";
+    EXPECT_FALSE(standing.is_observed_at_time(log.frames[0].time_s)) << "not labelled there";
     EXPECT_GT(points_in(log, log.frames[1], standing), 100u);
     EXPECT_GT(points_in(log, log.frames[2], standing), 100u);
 }

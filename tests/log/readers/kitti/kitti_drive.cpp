@@ -29,7 +29,7 @@ std::vector<Beam> make_beams() {
         const double elevation_deg = k < 32 ? 2.0 - 0.34 * k : -9.0 - 0.51 * (k - 32);
         Beam& beam = beams[static_cast<std::size_t>(k)];
         beam.elevation_rad = elevation_deg * kPi / 180.0;
-        beam.azimuth_offset_rad = random.draw_uniform(-0.14, 0.14);
+        beam.azimuth_offset_rad = random.sample_uniform_number(-0.14, 0.14);
         beam.origin_up_m = (k < 32 ? 0.20 : 0.12) * std::cos(beam.elevation_rad);
         beam.origin_left_m = k % 2 == 0 ? -0.026 : 0.026;
         mean += beam.azimuth_offset_rad / 64;
@@ -44,7 +44,7 @@ double compute_head_azimuth(Heads heads, int firing, int frame) {
     if (heads == Heads::jittered) {
         Random random(
             hash_integer_pair(static_cast<std::uint64_t>(firing), static_cast<std::uint64_t>(frame)));
-        return (2000.0 - even - random.draw_uniform(0.0, 2.5)) * kTick;
+        return (2000.0 - even - random.sample_uniform_number(0.0, 2.5)) * kTick;
     }
     const double wobble = 1.4 * std::sin(6.0 * kPi * firing / KittiDrive::kFirings) + 1.9 * frame;
     return (2000.0 - std::floor(even + wobble)) * kTick;

@@ -126,7 +126,9 @@ TEST(KittiOdometry, ReadsTheClassesOfSemanticKitti) {
         ASSERT_EQ(scan.classes.size(), scan.range_m.size());
         for (std::size_t ray = 0; ray < scan.classes.size(); ++ray)
             ASSERT_EQ(scan.classes[ray],
-                      scan.range_m[ray] > 0.0f ? expected.at(key_of(scan.compute_end_point(ray))) : unknown);
+                      scan.range_m[ray] > 0.0f
+                          ? expected.at(key_of(scan.compute_return_point_in_sensor_frame(ray)))
+                          : unknown);
     }
 }
 

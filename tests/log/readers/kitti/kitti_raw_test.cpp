@@ -369,7 +369,8 @@ TEST(KittiRaw, RealScansKeepTheirPointsOnTheNativeGrid) {
         const std::vector<glm::vec3> points = read_file_points(file, 79.9f, intensity);
         std::vector<glm::vec3> scan_points;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
-            if (frame.scan.range_m[i] > 0.0f) scan_points.push_back(frame.scan.compute_end_point(i));
+            if (frame.scan.range_m[i] > 0.0f)
+                scan_points.push_back(frame.scan.compute_return_point_in_sensor_frame(i));
         const ProjectedRangeImage grid = project_points(make_kitti360_grid(), points, intensity);
         all += points.size();
         lost_native += count_missing(points, std::move(scan_points));
@@ -395,7 +396,7 @@ TEST(KittiRaw, RealScansHaveOneAzimuthAFiring) {
     for (const LidarFrame& frame : log.frames) {
         const SpinningSensor& sensor = log.get_lidar(frame).sensor;
         const RayTable nominal = make_rays(sensor),
-                       turned = shift_azimuths(nominal, sensor, frame.azimuth_shift_rad);
+                       turned = rotate_firings_by_azimuth_shifts(nominal, sensor, frame.azimuth_shift_rad);
         std::vector<float> evenly, followed;
         for (std::size_t i = 0; i < nominal.size(); ++i) {
             evenly.push_back(glm::length(nominal.direction[i] - frame.scan.rays.direction[i]));

@@ -53,7 +53,7 @@ void expect_truth(const LidarSequence& actual, const LidarFrame& frame,
         const WorldRay placed = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
         // Tolerance: the interpolated LiDAR moves along chords, less than 2.5 m from the
         // axle, at 20 degrees per second.
-        const TrackInterpolation interpolation = track.find_pose_segment(fired_s);
+        const TrackInterpolation interpolation = track.find_poses_before_and_after_time(fired_s);
         const double rotation_rad =
             20.0 * kPi / 180.0 * (track.time_s[interpolation.left + 1] - track.time_s[interpolation.left]);
         const double off_m =
@@ -79,7 +79,7 @@ TEST(TruckScenes, EveryReturnOfBothLidars) {
     for (std::size_t l = 0; l < 2; ++l) {
         const Lidar& lidar = actual.lidars[l];
         EXPECT_EQ(lidar.name, data.lidars[l].channel);
-        EXPECT_NEAR(lidar.period_s(), TruckScenesFolder::kSweep_s, 1e-4);
+        EXPECT_NEAR(lidar.get_sweep_period_s(), TruckScenesFolder::kSweep_s, 1e-4);
         EXPECT_EQ(lidar.sensor.columns, TruckScenesFolder::kColumns);
         ASSERT_EQ(lidar.sensor.beams.size(), data.lidars[l].elevations_deg.size());
         for (std::size_t b = 0; b < lidar.sensor.beams.size(); ++b)
@@ -148,7 +148,7 @@ TEST(TruckScenes, LidarsFramesAndKeyframes) {
     fs::remove(data.table("sample_annotation"));
     const LidarSequence keyframes = load(data);
     ASSERT_EQ(keyframes.frames.size(), 6u);
-    EXPECT_NEAR(keyframes.lidars[0].period_s(), TruckScenesFolder::kSweep_s, 1e-4)
+    EXPECT_NEAR(keyframes.lidars[0].get_sweep_period_s(), TruckScenesFolder::kSweep_s, 1e-4)
         << "a turn, not the time between keyframes";
     EXPECT_EQ(keyframes.lidars[1].sensor.beams.size(), 24u);
     EXPECT_TRUE(keyframes.boxes.empty());
@@ -231,7 +231,7 @@ TEST(Lyft, ReturnsOfBothLidars) {
                 testing::Contains(test::Names("LIDAR_LEFT ... 1 sweeps ... skipped ... LIDAR_TOP")));
     EXPECT_THAT(actual.notes, testing::Contains(test::Names("LIDAR_LEFT ... times")));
     for (const Lidar& lidar : actual.lidars) {
-        EXPECT_NEAR(lidar.period_s(), 0.1, 1e-9);
+        EXPECT_NEAR(lidar.get_sweep_period_s(), 0.1, 1e-9);
         EXPECT_EQ(lidar.sensor.columns, TruckScenesFolder::kColumns);
     }
     EXPECT_EQ(actual.lidars[0].sensor.beams.size(), 24u);

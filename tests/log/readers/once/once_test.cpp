@@ -130,8 +130,8 @@ TEST(Once, SaysWhichFileAndFieldIsWrong) {
     with("\"pose\": [", "\"pose\": [0, ", "errors.json: frames[0].pose: found 8 numbers, expected 7");
     with("\"pose\": [", "\"pose\": [\"x\", ", "errors.json: frames[0].pose");
     with("\"pose\": [0", "\"pose\": [2", "errors.json: frames[0].pose ... quaternion ... 2.236 ... length 1");
-    with("\"pose\"", "\"posture\"", "errors.json: frames[0].pose");
-    with("\"frames\"", "\"other\"", "errors.json: frames");
+    with("\"pose\"", "\"posture\"", "errors.json ... frames[0].pose");
+    with("\"frames\"", "\"other\"", "errors.json ... frames");
     with("]}]", "", "errors.json");
     test::write_text(data.scan(2), "cut");
     data.expect_error("1616535967200.bin: found 3 bytes ... multiple ... 16");

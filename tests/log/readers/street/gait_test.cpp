@@ -38,7 +38,7 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
     Random random(5);
     int hits = 0;
     for (int i = 0; i < 4000; ++i) {
-        const double t_s = random.draw_uniform(0.0, 3.0);
+        const double t_s = random.sample_uniform_number(0.0, 3.0);
         const double pitch =
             limb.swing_rad * std::sin(2.0 * kPi * walker.speed_mps * t_s / walker.stride_m + limb.phase_rad);
         const glm::dvec3 ahead(std::cos(walker.yaw_rad), std::sin(walker.yaw_rad), 0.0),
@@ -47,11 +47,11 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
         const glm::dvec3 joint = box + limb.joint_m.x * ahead + limb.joint_m.y * left + limb.joint_m.z * up;
         const glm::dvec3 end = joint + limb.length_m * (std::sin(pitch) * ahead - std::cos(pitch) * up);
         const auto somewhere = [&] {
-            return glm::dvec3(random.draw_standard_normal(), random.draw_standard_normal(),
-                              random.draw_standard_normal());
+            return glm::dvec3(random.sample_standard_normal(), random.sample_standard_normal(),
+                              random.sample_standard_normal());
         };
         const glm::dvec3 origin = box + 4.0 * glm::normalize(somewhere());
-        const glm::dvec3 aim = glm::mix(joint, end, random.draw_uniform()) + 0.05 * somewhere();
+        const glm::dvec3 aim = glm::mix(joint, end, random.sample_uniform_number()) + 0.05 * somewhere();
         const WorldRay ray{origin, glm::normalize(aim - origin)};
         double t = 0.0, gap = 1.0;
         for (int step = 0; step < 400 && gap > 1e-9 && t < 8.0; ++step, t += gap)

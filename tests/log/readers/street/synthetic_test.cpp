@@ -384,8 +384,8 @@ TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
         const Scan &scan = log.frames[f].scan, &bare = empty.frames[f].scan;
         for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
             const double t = log.frames[f].time_s + static_cast<double>(scan.rays.time_offset_s[i]);
-            const glm::dvec3 world =
-                log.world_from_vehicle.interpolate_pose(t) * glm::dvec3(scan.compute_end_point(i));
+            const glm::dvec3 world = log.world_from_vehicle.interpolate_pose(t) *
+                                     glm::dvec3(scan.compute_return_point_in_sensor_frame(i));
             const bool changed = scan.range_m[i] > 0.0f && scan.range_m[i] != bare.range_m[i];
             on_cars += changed;
             if (scan.range_m[i] == 0.0f) continue;

@@ -47,26 +47,26 @@ constexpr double kLargestStep_deg = 5.0;  // maximum rotation between two blocks
 /// Stores a return of a ray. A ray keeps at most two returns. A third return with a new
 /// range replaces the darker of the two, if it is brighter.
 /// @param return_index  number of the return in the packet, from 0
-void add_echo_to_ray(std::array<DecodedReturn, 2>& ray_echoes, std::size_t return_index,
-                     const DecodedReturn& echo) {
+void keep_two_brightest_returns_of_ray(std::array<DecodedReturn, 2>& ray_returns, std::size_t return_index,
+                                       const DecodedReturn& new_return) {
     if (return_index < 2) {
-        ray_echoes[return_index] = echo;
+        ray_returns[return_index] = new_return;
         return;
     }
-    if (echo.range_m == ray_echoes[0].range_m || echo.range_m == ray_echoes[1].range_m) return;
+    if (new_return.range_m == ray_returns[0].range_m || new_return.range_m == ray_returns[1].range_m) return;
     DecodedReturn& other =
-        ray_echoes[0].range_m == 0.0f ||
-                (ray_echoes[1].range_m != 0.0f && ray_echoes[0].intensity < ray_echoes[1].intensity)
-            ? ray_echoes[0]
-            : ray_echoes[1];
-    if (other.range_m == 0.0f || other.intensity < echo.intensity) other = echo;
+        ray_returns[0].range_m == 0.0f ||
+                (ray_returns[1].range_m != 0.0f && ray_returns[0].intensity < ray_returns[1].intensity)
+            ? ray_returns[0]
+            : ray_returns[1];
+    if (other.range_m == 0.0f || other.intensity < new_return.intensity) other = new_return;
 }
 
 class BlockDecoder : public PacketDecoder {
 public:
     BlockDecoder(const PacketLayout& layout, const std::vector<AngleCorrection>& corrections)
         : layout_(layout) {
-        if (layout.has_correction_file) select_angle_correction(corrections);
+        if (layout.has_correction_file) use_only_matching_angle_correction(corrections);
         timing_.cycle_us = layout.cycle_us;
         timing_.wrap_us = layout.wrap_us;
         timing_.interpolates = layout.firings > 1;  // as in the VLP-16's manual
@@ -128,7 +128,7 @@ public:
                 const std::size_t slot = b / n_joined * layout_.firings + f / layout_.block_returns;
                 LaserFiring& firing = packet.firings[slot];
                 firing.azimuth_deg = azimuth_deg;
-                firing.part = get_firing_sequence_index(packet_bytes, b / n_joined, n_returns);
+                firing.part = read_firing_sequence_index(packet_bytes, b / n_joined, n_returns);
                 const int* rings = &ring_of_[std::size_t(firing.part)][bank * layout_.block_lasers];
                 read_block_echoes(reader, unit_m, b % n_returns + f % layout_.block_returns, rings,
                                   &packet.echoes[slot * beams_.size()]);
@@ -153,7 +153,7 @@ private:
 
     /// Selects the angle correction file with the right number of lasers. Uses no file if
     /// several match, because nothing shows which file belongs to the sensor.
-    void select_angle_correction(const std::vector<AngleCorrection>& corrections) {
+    void use_only_matching_angle_correction(const std::vector<AngleCorrection>& corrections) {
         const std::size_t n = layout_.count_lasers_per_firing();
         std::string files;
         for (const AngleCorrection& correction : corrections) {
@@ -177,35 +177,39 @@ private:
 
     /// Returns the index of the firing sequence in which a firing takes place.
     /// @param firing_index  number of the firing in the packet
-    int get_firing_sequence_index(std::string_view packet_bytes, std::size_t firing_index,
-                                  std::size_t n_returns) const {
+    int read_firing_sequence_index(std::string_view packet_bytes, std::size_t firing_index,
+                                   std::size_t n_returns) const {
         if (layout_.part_rule == FiringSequenceRule::none) return 0;
         bag::ByteReader reader(packet_bytes.substr(layout_.part_at));
         if (layout_.part_rule == FiringSequenceRule::azimuth_state)
-            return reader.read_number<std::uint16_t>() >> (14 - 2 * firing_index * n_returns) & 1;
-        return n_returns == 1 ? int(firing_index) : 1 - (reader.read_number<std::uint8_t>() & 1);
+            return reader.read_little_endian_number<std::uint16_t>() >> (14 - 2 * firing_index * n_returns) &
+                   1;
+        return n_returns == 1 ? int(firing_index)
+                              : 1 - (reader.read_little_endian_number<std::uint8_t>() & 1);
     }
 
-    std::uint16_t read_uint16(bag::ByteReader& reader) const {
-        const auto value = reader.read_number<std::uint16_t>();
+    std::uint16_t read_uint16_in_packet_byte_order(bag::ByteReader& reader) const {
+        const auto value = reader.read_little_endian_number<std::uint16_t>();
         return layout_.is_big_endian ? std::uint16_t(value << 8 | value >> 8) : value;
     }
 
     /// Reads the time of a packet on the sensor's clock, in nanoseconds.
     std::int64_t read_sensor_clock_ns(std::string_view packet_bytes) const {
         bag::ByteReader reader(packet_bytes.substr(layout_.time_at));
-        if (!layout_.is_big_endian) return std::int64_t(1000) * reader.read_number<std::uint32_t>();
-        const std::int64_t passed_ms = read_uint16(reader), passed_us = read_uint16(reader);
+        if (!layout_.is_big_endian)
+            return std::int64_t(1000) * reader.read_little_endian_number<std::uint32_t>();
+        const std::int64_t passed_ms = read_uint16_in_packet_byte_order(reader),
+                           passed_us = read_uint16_in_packet_byte_order(reader);
         return 1'000'000 * passed_ms + 1000 * passed_us;
     }
 
     double read_block_azimuth_deg(bag::ByteReader& reader, std::size_t block_in_firing) const {
         const unsigned flag = 0xEEFF - 0x1100 * unsigned(block_in_firing);
-        if (layout_.flagged && reader.read_number<std::uint16_t>() != flag)
+        if (layout_.flagged && reader.read_little_endian_number<std::uint16_t>() != flag)
             throw DataError(
                 fmt::format("a block of a packet does not begin with FF {:X}, expected a packet of a {}",
                             flag >> 8, layout_.name));
-        const double azimuth_deg = 0.01 * read_uint16(reader);
+        const double azimuth_deg = 0.01 * read_uint16_in_packet_byte_order(reader);
         if (azimuth_deg > 360.0)
             throw DataError(
                 fmt::format("a packet has an azimuth of {} degrees, expected less than 360", azimuth_deg));
@@ -214,16 +218,18 @@ private:
 
     /// Reads the ranges and reflectivities of all lasers of a block.
     /// @param ring_of_laser  ring of each laser of the block
-    /// @param echoes_of_ring  [rings] output
+    /// @param returns_of_each_ring  [rings] output
     void read_block_echoes(bag::ByteReader& reader, double range_unit_m, std::size_t return_index,
-                           const int* ring_of_laser, std::array<DecodedReturn, 2>* echoes_of_ring) const {
+                           const int* ring_of_laser,
+                           std::array<DecodedReturn, 2>* returns_of_each_ring) const {
         for (std::size_t laser = 0; laser < layout_.block_lasers; ++laser) {
             bag::ByteReader unit(reader.read_bytes(layout_.unit_bytes));
-            const auto range = read_uint16(unit);
-            const auto reflectivity = unit.read_number<std::uint8_t>();
+            const auto range = read_uint16_in_packet_byte_order(unit);
+            const auto reflectivity = unit.read_little_endian_number<std::uint8_t>();
             if (ring_of_laser[laser] == kNoRing || range <= layout_.last_marker) continue;
-            add_echo_to_ray(echoes_of_ring[ring_of_laser[laser]], return_index,
-                            {float(range_unit_m * double(range)), float(reflectivity) / 255.0f});
+            keep_two_brightest_returns_of_ray(
+                returns_of_each_ring[ring_of_laser[laser]], return_index,
+                {float(range_unit_m * double(range)), float(reflectivity) / 255.0f});
         }
     }
 

@@ -14,8 +14,9 @@ constexpr std::size_t kMostUnmeasured = 8;
 
 /// Marks long runs of unmeasured columns as fired. Their rays then become dropped rays.
 /// Does not mark columns of lost packets.
-void mark_long_gaps_as_fired(std::vector<bool>& column_has_fired, const std::vector<bool>& column_is_enabled,
-                             const std::vector<bool>& column_is_lost) {
+void mark_long_unmeasured_runs_as_fired(std::vector<bool>& column_has_fired,
+                                        const std::vector<bool>& column_is_enabled,
+                                        const std::vector<bool>& column_is_lost) {
     std::size_t run = 0;
     for (std::size_t c = 0; c <= column_is_enabled.size(); ++c) {
         if (c < column_is_enabled.size() && column_is_enabled[c] && !column_has_fired[c] &&
@@ -31,7 +32,7 @@ void mark_long_gaps_as_fired(std::vector<bool>& column_has_fired, const std::vec
 }  // namespace
 
 void add_points_of_firing(RevolutionPoints& revolution_points, const FiringInstant& firing,
-                          const std::array<DecodedReturn, 2>* echoes_of_ring,
+                          const std::array<DecodedReturn, 2>* returns_of_each_ring,
                           const std::vector<BeamRayGenerator>& beams,
                           const std::vector<double>& beam_offsets_us) {
     LidarPoints& points = revolution_points.points;
@@ -48,8 +49,8 @@ void add_points_of_firing(RevolutionPoints& revolution_points, const FiringInsta
             points.return_number.push_back(number);
             revolution_points.numbers.push_back(firing.number);
         };
-        DecodedReturn first = echoes_of_ring[ring][0],
-                      other = echoes_of_ring[ring][1];  // two returns may be identical
+        DecodedReturn first = returns_of_each_ring[ring][0],
+                      other = returns_of_each_ring[ring][1];  // two returns may be identical
         if (other.range_m == first.range_m) other.range_m = 0.0f;
         if (first.range_m == 0.0f || (other.range_m != 0.0f && other.intensity > first.intensity))
             std::swap(first, other);
@@ -58,12 +59,12 @@ void add_points_of_firing(RevolutionPoints& revolution_points, const FiringInsta
     }
 }
 
-Scan make_scan_of_fixed_columns(RevolutionPoints& revolution_points,
-                                const std::vector<bool>& column_is_enabled,
-                                const std::vector<bool>& column_is_lost, SpinningSensor sensor) {
+Scan make_scan_of_fixed_azimuth_sensor(RevolutionPoints& revolution_points,
+                                       const std::vector<bool>& column_is_enabled,
+                                       const std::vector<bool>& column_is_lost, SpinningSensor sensor) {
     std::vector<bool> has_fired(column_is_enabled.size(), false);
     for (const auto& [column, head_rad] : revolution_points.head_rad) has_fired[std::size_t(column)] = true;
-    mark_long_gaps_as_fired(has_fired, column_is_enabled, column_is_lost);
+    mark_long_unmeasured_runs_as_fired(has_fired, column_is_enabled, column_is_lost);
     SweepFirings sweep{{int(has_fired.size()), kPi}, {}};
     std::vector<std::uint32_t> firing_index_of_column(has_fired.size());
     for (std::size_t c = 0; c < has_fired.size(); ++c) {
@@ -76,7 +77,7 @@ Scan make_scan_of_fixed_columns(RevolutionPoints& revolution_points,
     const bool has_gaps = std::ranges::count(column_is_lost, true) > 0;
     sensor.columns =
         std::max(has_gaps ? 0 : int(std::ranges::count(column_is_enabled, true)), int(sweep.firings.size()));
-    return make_spinning_scan(revolution_points.points, sensor, sweep);
+    return assign_points_to_rays_of_spinning_scan(revolution_points.points, sensor, sweep);
 }
 
 }  // namespace relidar::packets

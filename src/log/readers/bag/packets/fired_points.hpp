@@ -31,7 +31,7 @@ struct RevolutionPoints {
 /// Converts the returns of a firing to points. If a ray has two returns, the brighter one
 /// is the first return.
 void add_points_of_firing(RevolutionPoints& revolution_points, const FiringInstant& firing,
-                          const std::array<DecodedReturn, 2>* echoes_of_ring,
+                          const std::array<DecodedReturn, 2>* returns_of_each_ring,
                           const std::vector<BeamRayGenerator>& beams,
                           const std::vector<double>& beam_offsets_us);
 
@@ -42,8 +42,8 @@ void add_points_of_firing(RevolutionPoints& revolution_points, const FiringInsta
 /// column
 /// @param column_is_lost  [columns per revolution] true if the packet with the column
 /// was lost. Its rays are unknown, so the scan does not contain them.
-Scan make_scan_of_fixed_columns(RevolutionPoints& revolution_points,
-                                const std::vector<bool>& column_is_enabled,
-                                const std::vector<bool>& column_is_lost, SpinningSensor sensor);
+Scan make_scan_of_fixed_azimuth_sensor(RevolutionPoints& revolution_points,
+                                       const std::vector<bool>& column_is_enabled,
+                                       const std::vector<bool>& column_is_lost, SpinningSensor sensor);
 
 }  // namespace relidar::packets

@@ -28,7 +28,7 @@ constexpr std::int64_t kLargestDrift_ns = 50'000'000;
 
 template <class T>
 T read_number_at(std::string_view bytes, std::size_t offset) {
-    return bag::ByteReader(bytes.substr(offset)).read_number<T>();
+    return bag::ByteReader(bytes.substr(offset)).read_little_endian_number<T>();
 }
 
 /// Returns the bytes per point for a type of point data, or 0 if the type is unknown.
@@ -39,16 +39,18 @@ std::size_t get_livox_bytes_per_point(int point_type) {
 
 glm::vec3 read_livox_position_m(bag::ByteReader& reader, int point_type) {
     if (point_type == 1) {
-        const auto x = reader.read_number<std::int32_t>(), y = reader.read_number<std::int32_t>();
-        return 1e-3f * glm::vec3(x, y, reader.read_number<std::int32_t>());
+        const auto x = reader.read_little_endian_number<std::int32_t>(),
+                   y = reader.read_little_endian_number<std::int32_t>();
+        return 1e-3f * glm::vec3(x, y, reader.read_little_endian_number<std::int32_t>());
     }
     if (point_type == 2) {
-        const auto x = reader.read_number<std::int16_t>(), y = reader.read_number<std::int16_t>();
-        return 1e-2f * glm::vec3(x, y, reader.read_number<std::int16_t>());
+        const auto x = reader.read_little_endian_number<std::int16_t>(),
+                   y = reader.read_little_endian_number<std::int16_t>();
+        return 1e-2f * glm::vec3(x, y, reader.read_little_endian_number<std::int16_t>());
     }
-    const double range_m = 1e-3 * reader.read_number<std::uint32_t>();
-    const double from_z_rad = reader.read_number<std::uint16_t>() * 1e-2 * kPi / 180.0;
-    const double azimuth_rad = reader.read_number<std::uint16_t>() * 1e-2 * kPi / 180.0;
+    const double range_m = 1e-3 * reader.read_little_endian_number<std::uint32_t>();
+    const double from_z_rad = reader.read_little_endian_number<std::uint16_t>() * 1e-2 * kPi / 180.0;
+    const double azimuth_rad = reader.read_little_endian_number<std::uint16_t>() * 1e-2 * kPi / 180.0;
     return glm::vec3(range_m * glm::dvec3(std::sin(from_z_rad) * std::cos(azimuth_rad),
                                           std::sin(from_z_rad) * std::sin(azimuth_rad),
                                           std::cos(from_z_rad)));
@@ -65,7 +67,7 @@ std::int64_t compute_clamped_time_between_ns(std::int64_t first_ns, std::int64_t
 /// @param packet_time_offset_ns  time of the packet's first point minus the time of the
 /// cloud
 /// @return number of points
-std::uint32_t append_points_of_livox_packet(std::string& point_bytes, std::string_view packet,
+std::uint32_t append_livox_points_and_count(std::string& point_bytes, std::string_view packet,
                                             std::int64_t packet_time_offset_ns) {
     const int kind = std::uint8_t(packet[kKindAt]);
     const auto n = read_number_at<std::uint16_t>(packet, kCountAt);
@@ -103,7 +105,7 @@ std::string make_livox_cloud_message(std::string_view packed_packets, std::strin
     std::int64_t first_stamp_ns = 0, first_clock_ns = 0;
     bool is_first = true;
     for (bag::ByteReader reader(packed_packets); reader.count_remaining_bytes() > 0; is_first = false) {
-        const auto stamp_ns = reader.read_number<std::int64_t>();
+        const auto stamp_ns = reader.read_little_endian_number<std::int64_t>();
         const std::string_view packet = reader.read_length_prefixed_string();
         if (!is_livox_point_packet(packet)) continue;
         const auto clock_ns = read_number_at<std::int64_t>(packet, kLivoxTimeAt);
@@ -113,7 +115,7 @@ std::string make_livox_cloud_message(std::string_view packed_packets, std::strin
         const std::int64_t passed_ns = compute_clamped_time_between_ns(first_stamp_ns, stamp_ns);
         const std::int64_t passed_clock_ns = compute_clamped_time_between_ns(first_clock_ns, clock_ns);
         const bool has_jumped = std::abs(passed_clock_ns - passed_ns) > kLargestDrift_ns;
-        n_points += append_points_of_livox_packet(points, packet, has_jumped ? passed_ns : passed_clock_ns);
+        n_points += append_livox_points_and_count(points, packet, has_jumped ? passed_ns : passed_clock_ns);
     }
     std::string message;
     append_binary_value(message, std::uint32_t(0));

@@ -64,8 +64,8 @@ std::shared_ptr<const OusterMetadata> parse_ouster_metadata(const std::string& j
 /// a file X.json, reads only the files X*.json. Otherwise reads all metadata files that
 /// do not have the name of another recording.
 /// @param error_messages  output: error messages about files that cannot be read
-OusterMetadataList read_ouster_metadata_near(const std::filesystem::path& recording_path,
-                                             std::vector<std::string>& error_messages);
+OusterMetadataList read_ouster_metadata_in_folder_of(const std::filesystem::path& recording_path,
+                                                     std::vector<std::string>& error_messages);
 
 /// Returns the metadata of the sensor that sent a packet. The packet size and the port
 /// must match. The port may differ if the packet contains the serial number of the
@@ -73,17 +73,17 @@ OusterMetadataList read_ouster_metadata_near(const std::filesystem::path& record
 /// prefers metadata of the same topic (port of a capture, namespace of a bag), then
 /// metadata with the same serial number.
 /// @return null if no metadata matches, or if more than one remains
-std::shared_ptr<const OusterMetadata> find_ouster_format_of_packet(const OusterMetadataList& formats,
-                                                                   std::string_view topic_name,
-                                                                   std::string_view packet);
+std::shared_ptr<const OusterMetadata> find_ouster_metadata_of_packet(const OusterMetadataList& metadata_list,
+                                                                     std::string_view topic_name,
+                                                                     std::string_view packet);
 /// Returns true if packets of an Ouster sensor with a supported layout can have this
 /// size.
 bool is_ouster_packet_size(std::size_t n_bytes);
 /// Returns the error message for packets that cannot be decoded, although they look like
 /// Ouster packets. The message says what the user can do.
-/// @param formats  metadata that was read
+/// @param metadata_list  metadata that was read
 /// @param recording_path  recording in whose folder the user can put more metadata
-std::string format_ouster_packet_error(const OusterMetadataList& formats,
+std::string format_ouster_packet_error(const OusterMetadataList& metadata_list,
                                        const std::filesystem::path& recording_path,
                                        std::string_view topic_name, std::size_t packet_size);
 

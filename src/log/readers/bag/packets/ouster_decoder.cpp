@@ -63,7 +63,8 @@ public:
         const std::size_t rings = format_->ring_of.size();
         ByteReader reader(packet_bytes);
         if (!profile.is_legacy)
-            if (const auto kind = ByteReader(reader.read_bytes(kHeadBytes)).read_number<std::uint8_t>();
+            if (const auto kind =
+                    ByteReader(reader.read_bytes(kHeadBytes)).read_little_endian_number<std::uint8_t>();
                 kind != kLidarData)
                 throw DataError(
                     fmt::format("found a packet of type {}, expected {} (LiDAR data of an "
@@ -75,8 +76,9 @@ public:
         for (int slot = 0; slot < packet.n_slots; ++slot) {
             const OusterColumnHeader column = read_column_header(reader);
             ByteReader pixels(reader.read_bytes(rings * profile.pixel_bytes));
-            const bool was_measured =
-                profile.is_legacy ? reader.read_number<std::uint32_t>() == 0xFFFFFFFF : column.was_measured;
+            const bool was_measured = profile.is_legacy
+                                          ? reader.read_little_endian_number<std::uint32_t>() == 0xFFFFFFFF
+                                          : column.was_measured;
             if (!was_measured) continue;
             packet.firings.push_back({slot, 0.0, compute_column_azimuth_deg(column, packet.firings, slot)});
             times_ns.push_back(column.time_ns);
@@ -97,11 +99,11 @@ private:
 
     OusterColumnHeader read_column_header(ByteReader& reader) const {
         OusterColumnHeader column;
-        const auto time_ns = reader.read_number<std::uint64_t>();
-        column.number = reader.read_number<std::uint16_t>();
+        const auto time_ns = reader.read_little_endian_number<std::uint64_t>();
+        column.number = reader.read_little_endian_number<std::uint16_t>();
         if (format_->profile->is_legacy)
             reader.read_bytes(6);  // skips the frame number and the encoder angle
-        else column.was_measured = (reader.read_number<std::uint16_t>() & 1) != 0;
+        else column.was_measured = (reader.read_little_endian_number<std::uint16_t>() & 1) != 0;
         column.time_ns = std::int64_t(std::min(time_ns, kLatestClock_ns));
         return column;
     }
@@ -127,20 +129,23 @@ private:
         return azimuth_deg;
     }
 
-    void read_pixels_of_column(ByteReader& reader, std::array<DecodedReturn, 2>* echoes_of_ring) const {
+    void read_pixels_of_column(ByteReader& reader, std::array<DecodedReturn, 2>* returns_of_each_ring) const {
         const OusterProfile& profile = *format_->profile;
         for (const std::size_t ring : format_->ring_of) {
             const std::string_view pixel = reader.read_bytes(profile.pixel_bytes);
             const double start_m = format_->sensor.beams[ring].origin_offset_m;
             for (int k = 0; k < profile.returns; ++k) {
                 const std::string_view bytes = pixel.substr(4 * std::size_t(k));
-                const auto range = ByteReader(bytes).read_number<std::uint32_t>() & profile.range_bits;
+                const auto range =
+                    ByteReader(bytes).read_little_endian_number<std::uint32_t>() & profile.range_bits;
                 ByteReader bright(bytes.substr(profile.reflectivity_at));
-                const double reflectivity = profile.is_wide ? bright.read_number<std::uint16_t>()
-                                                            : bright.read_number<std::uint8_t>();
+                const double reflectivity = profile.is_wide
+                                                ? bright.read_little_endian_number<std::uint16_t>()
+                                                : bright.read_little_endian_number<std::uint8_t>();
                 const double range_m = profile.range_unit_m * range - start_m;
                 if (range > 0 && range_m > 0.0)
-                    echoes_of_ring[ring][std::size_t(k)] = {float(range_m), float(reflectivity / 255.0)};
+                    returns_of_each_ring[ring][std::size_t(k)] = {float(range_m),
+                                                                  float(reflectivity / 255.0)};
             }
         }
     }

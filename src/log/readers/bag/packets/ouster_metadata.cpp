@@ -61,15 +61,16 @@ JsonField find_json_object_with_key(const Json& json, const std::string& error_l
 int read_optional_integer(const Json& json, const std::string& error_location, const std::string& key,
                           int default_value, int max_value) {
     const JsonField part = find_json_object_with_key(json, error_location, key);
-    return part.has_member(key) ? int(part.at(key).get_integer(0, max_value)) : default_value;
+    return part.has_member(key) ? int(part.at(key).get_integer_in_range(0, max_value)) : default_value;
 }
 std::string read_optional_text(const Json& json, const std::string& error_location, const std::string& key,
                                const std::string& default_value) {
     const JsonField part = find_json_object_with_key(json, error_location, key);
-    return part.has_member(key) && part.at(key).is_string() ? part.at(key).get_string(80) : default_value;
+    return part.has_member(key) && part.at(key).is_string() ? part.at(key).get_short_single_line_string(80)
+                                                            : default_value;
 }
 
-const OusterProfile& find_packet_profile(const Json& json, const std::string& error_location) {
+const OusterProfile& find_ouster_profile_of_metadata(const Json& json, const std::string& error_location) {
     const std::string name = read_optional_text(json, error_location, "udp_profile_lidar", "LEGACY");
     const auto* matching_profile =
         std::ranges::find_if(kProfiles, [&](const OusterProfile& row) { return name == row.name; });
@@ -98,17 +99,17 @@ std::vector<std::size_t> compute_ring_of_each_pixel(const Json& json, const std:
 /// Returns for each column whether the sensor fires at it (azimuth window). The window
 /// can cross the end of the range image and continue at column 0.
 std::vector<bool> mark_columns_in_azimuth_window(const Json& json, const std::string& error_location,
-                                                 int columns) {
+                                                 int n_columns) {
     const JsonField part = find_json_object_with_key(json, error_location, "column_window");
-    if (!part.has_member("column_window")) return std::vector<bool>(std::size_t(columns), true);
+    if (!part.has_member("column_window")) return std::vector<bool>(std::size_t(n_columns), true);
     const JsonField window = part.at("column_window");
     if (window.size() != 2)
         window.throw_field_error(fmt::format("found {} numbers", window.size()),
                                  "expected the first and the last column");
-    const auto first = window.at(std::size_t(0)).get_integer(0, columns - 1),
-               last = window.at(std::size_t(1)).get_integer(0, columns - 1);
-    std::vector<bool> fires(std::size_t(columns), false);
-    for (std::int64_t c = first;; c = (c + 1) % columns) {
+    const auto first = window.at(std::size_t(0)).get_integer_in_range(0, n_columns - 1),
+               last = window.at(std::size_t(1)).get_integer_in_range(0, n_columns - 1);
+    std::vector<bool> fires(std::size_t(n_columns), false);
+    for (std::int64_t c = first;; c = (c + 1) % n_columns) {
         fires[std::size_t(c)] = true;
         if (c == last) return fires;
     }
@@ -116,26 +117,26 @@ std::vector<bool> mark_columns_in_azimuth_window(const Json& json, const std::st
 
 /// Checks that values which the metadata contain twice are equal. Computes and checks the
 /// packet size.
-void check_and_set_packet_size(OusterMetadata& format, const Json& json) {
-    const int columns = format.sensor.columns, beams = int(format.sensor.beams.size());
-    if (const int n = read_optional_integer(json, format.where, "columns_per_frame", columns, 65536);
+void require_valid_layout_and_set_size(OusterMetadata& metadata, const Json& json) {
+    const int columns = metadata.sensor.columns, beams = int(metadata.sensor.beams.size());
+    if (const int n = read_optional_integer(json, metadata.where, "columns_per_frame", columns, 65536);
         n != columns)
         throw DataError(fmt::format("{}: columns_per_frame is {}, expected {} like in lidar_mode",
-                                    format.where, n, columns));
-    if (const int n = read_optional_integer(json, format.where, "pixels_per_column", beams, 65536);
+                                    metadata.where, n, columns));
+    if (const int n = read_optional_integer(json, metadata.where, "pixels_per_column", beams, 65536);
         n != beams)
         throw DataError(
             fmt::format("{}: pixels_per_column is {}, expected {}, the number of beam_altitude_angles",
-                        format.where, n, beams));
-    if (format.columns_per_packet < 1 || columns % format.columns_per_packet != 0)
+                        metadata.where, n, beams));
+    if (metadata.columns_per_packet < 1 || columns % metadata.columns_per_packet != 0)
         throw DataError(
             fmt::format("{}: columns_per_packet is {}, expected a divisor of the {} columns of a revolution",
-                        format.where, format.columns_per_packet, columns));
-    format.packet_bytes = compute_packet_bytes(*format.profile, beams, format.columns_per_packet);
-    if (format.packet_bytes > kMostDatagram)
+                        metadata.where, metadata.columns_per_packet, columns));
+    metadata.packet_bytes = compute_packet_bytes(*metadata.profile, beams, metadata.columns_per_packet);
+    if (metadata.packet_bytes > kMostDatagram)
         throw DataError(fmt::format(
             "{}: found {}, expected packets of at most {} bytes, the maximum size of a UDP packet",
-            format.where, format.describe_packets(), kMostDatagram));
+            metadata.where, metadata.describe_packets(), kMostDatagram));
 }
 
 /// Returns the UDP port in the topic name of a network capture. For "192.168.1.201:7502",
@@ -151,13 +152,13 @@ std::string_view get_topic_namespace(std::string_view topic_name) {
     return topic_name.starts_with('/') ? topic_name.substr(0, topic_name.rfind('/')) : std::string_view();
 }
 
-bool has_matching_serial_number(std::string_view packet, const OusterMetadata& format) {
-    if (format.serial == 0 || format.profile->is_legacy) return false;
+bool has_matching_serial_number(std::string_view packet, const OusterMetadata& metadata) {
+    if (metadata.serial == 0 || metadata.profile->is_legacy) return false;
     return std::ranges::any_of(kSerialAt, [&](std::size_t at) {
         std::uint64_t serial = 0;
         for (std::size_t k = kSerialBytes; k-- > 0;)
             serial = serial << 8 | static_cast<unsigned char>(packet[at + k]);
-        return serial == format.serial;
+        return serial == metadata.serial;
     });
 }
 
@@ -212,10 +213,10 @@ std::shared_ptr<const OusterMetadata> parse_ouster_metadata(const std::string& j
         throw DataError(
             fmt::format("{}: the sensor does not spin, expected the metadata of an Ouster", error_location));
     format->sensor = *spinning;
-    format->profile = &find_packet_profile(json, error_location);
+    format->profile = &find_ouster_profile_of_metadata(json, error_location);
     format->columns_per_packet =
         read_optional_integer(json, error_location, "columns_per_packet", kUsualColumns, 65536);
-    check_and_set_packet_size(*format, json);
+    require_valid_layout_and_set_size(*format, json);
     format->port = read_optional_integer(json, error_location, "udp_port_lidar", 0, 65535);
     const double serial = parse_number(read_optional_text(json, error_location, "prod_sn", "")).value_or(0.0);
     format->serial = serial > 0.0 && serial < kMostSerial ? std::uint64_t(serial) : 0;
@@ -224,8 +225,8 @@ std::shared_ptr<const OusterMetadata> parse_ouster_metadata(const std::string& j
     return format;
 }
 
-OusterMetadataList read_ouster_metadata_near(const fs::path& recording_path,
-                                             std::vector<std::string>& error_messages) {
+OusterMetadataList read_ouster_metadata_in_folder_of(const fs::path& recording_path,
+                                                     std::vector<std::string>& error_messages) {
     const std::string recording_stem = recording_path.stem().string();
     const bool has_metadata_of_same_name =
         is_ouster_metadata_file(fs::path(recording_path).replace_extension(".json"));
@@ -251,17 +252,17 @@ OusterMetadataList read_ouster_metadata_near(const fs::path& recording_path,
     return formats;
 }
 
-std::shared_ptr<const OusterMetadata> find_ouster_format_of_packet(const OusterMetadataList& formats,
-                                                                   std::string_view topic_name,
-                                                                   std::string_view packet) {
+std::shared_ptr<const OusterMetadata> find_ouster_metadata_of_packet(const OusterMetadataList& metadata_list,
+                                                                     std::string_view topic_name,
+                                                                     std::string_view packet) {
     OusterMetadataList left;
     const int port = parse_port_of_topic(topic_name);
     // Packets in the LEGACY layout have no serial number. If only one sensor has
     // metadata, the port may differ, because users can change the port after they save
     // the metadata.
     const bool is_alone = std::ranges::all_of(
-        formats, [&](const auto& format) { return format->text == formats.front()->text; });
-    for (const auto& format : formats) {
+        metadata_list, [&](const auto& format) { return format->text == metadata_list.front()->text; });
+    for (const auto& format : metadata_list) {
         const bool is_duplicate =
             std::ranges::any_of(left, [&](const auto& other) { return other->text == format->text; });
         const bool is_of_other_port = port > 0 && format->port > 0 && port != format->port;
@@ -291,24 +292,26 @@ bool is_ouster_packet_size(std::size_t n_bytes) {
     return false;
 }
 
-std::string format_ouster_packet_error(const OusterMetadataList& formats, const fs::path& recording_path,
-                                       std::string_view topic_name, std::size_t packet_size) {
+std::string format_ouster_packet_error(const OusterMetadataList& metadata_list,
+                                       const fs::path& recording_path, std::string_view topic_name,
+                                       std::size_t packet_size) {
     const int port = parse_port_of_topic(topic_name);
     const std::string from = port > 0 ? fmt::format(" on port {}", port)
                                       : fmt::format(" of {}", shorten_for_error_message(topic_name));
-    if (formats.empty())
+    if (metadata_list.empty())
         return fmt::format(
             "found packets of {} bytes{}, probably from an Ouster; expected the metadata of the sensor "
             "{}{} (from `ouster-cli source SENSOR metadata`, or from http://SENSOR/api/v1/sensor/metadata)",
             packet_size, from, port > 0 ? "in the file " : "on a topic .../metadata, or in the file ",
             fs::path(recording_path).replace_extension(".json").filename().string());
     std::string listed_formats;
-    for (std::size_t k = 0; k < std::min(formats.size(), kMaxListedFormats); ++k)
-        listed_formats += fmt::format("{}{} of {}", k == 0 ? "" : ", or ", formats[k]->describe_packets(),
-                                      formats[k]->where);
-    if (formats.size() > kMaxListedFormats)
-        listed_formats += fmt::format(", or of {} other files", formats.size() - kMaxListedFormats);
-    if (std::ranges::any_of(formats, [&](const auto& format) { return format->packet_bytes == packet_size; }))
+    for (std::size_t k = 0; k < std::min(metadata_list.size(), kMaxListedFormats); ++k)
+        listed_formats += fmt::format("{}{} of {}", k == 0 ? "" : ", or ",
+                                      metadata_list[k]->describe_packets(), metadata_list[k]->where);
+    if (metadata_list.size() > kMaxListedFormats)
+        listed_formats += fmt::format(", or of {} other files", metadata_list.size() - kMaxListedFormats);
+    if (std::ranges::any_of(metadata_list,
+                            [&](const auto& format) { return format->packet_bytes == packet_size; }))
         return fmt::format(
             "found packets of {} bytes{}, expected exactly one metadata file that belongs to them ({}), "
             "but found {}",

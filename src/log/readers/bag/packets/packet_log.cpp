@@ -42,21 +42,23 @@ bool is_firing_at_wrapped_column(const std::vector<bool>& column_is_enabled, std
 }  // namespace
 
 void PacketIndex::add_packets_of_message(const std::vector<ReceivedPacket>& packets,
-                                         std::int64_t recording_time_ns, const bag::MessagePosition& location,
+                                         std::int64_t recording_time_ns,
+                                         const bag::MessagePosition& message_position,
                                          const DecoderCalibration& calibration) {
-    messages_.push_back({location, recording_time_ns});
+    messages_.push_back({message_position, recording_time_ns});
     DecoderCalibration of_first = calibration;
     of_first.has_two_returns = !product_ && has_two_returns_per_firing(packets);
     if (packets.size() > kMostInMessage)
         throw DataError(
             fmt::format("a message has {} packets, expected at most {}", packets.size(), kMostInMessage));
     for (std::size_t i = 0; i < packets.size(); ++i) {
-        check_or_set_product(packets[i], of_first);
+        require_same_product_or_set_it(packets[i], of_first);
         decode_and_index_packet(packets[i], std::uint16_t(i));
     }
 }
 
-void PacketIndex::check_or_set_product(const ReceivedPacket& packet, const DecoderCalibration& calibration) {
+void PacketIndex::require_same_product_or_set_it(const ReceivedPacket& packet,
+                                                 const DecoderCalibration& calibration) {
     if (product_ && product_ == find_product_of_packet(packet.bytes, calibration_)) return;
     const LidarProduct* product = find_product_of_packet(packet.bytes, calibration);
     if (product_)
@@ -165,7 +167,7 @@ std::size_t PacketIndex::count_packets_since_previous(std::size_t packet_index) 
 
 /// Only for a sensor that can fire at any azimuth. Returns the number of firings in the
 /// packets that were lost before this packet. Firings in a skipped sector do not count.
-double PacketIndex::count_lost_firings_before(std::size_t packet_index) const {
+double PacketIndex::count_lost_firings_before_packet(std::size_t packet_index) const {
     const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
     const double cycle_us = decoder_->get_laser_timing().cycle_us,
                  slots = 1e-3 * double(entry.clock_ns - before.clock_ns) / cycle_us,
@@ -175,11 +177,11 @@ double PacketIndex::count_lost_firings_before(std::size_t packet_index) const {
 
 /// Returns the number of packets that were lost before this packet. Does not count
 /// packets without a firing, because the sensor may not send them.
-std::size_t PacketIndex::count_lost_packets_before(std::size_t packet_index) const {
+std::size_t PacketIndex::count_lost_packets_before_packet(std::size_t packet_index) const {
     const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
     if (fires.empty())
-        return std::size_t(
-            std::clamp(std::round(count_lost_firings_before(packet_index) / double(n_slots_)), 0.0, 1e9));
+        return std::size_t(std::clamp(
+            std::round(count_lost_firings_before_packet(packet_index) / double(n_slots_)), 0.0, 1e9));
     const std::size_t n = count_packets_since_previous(packet_index) - 1;
     if (n * std::size_t(n_slots_) > 2 * fires.size()) return n;
     // A received packet without a firing is not lost.
@@ -200,7 +202,7 @@ std::size_t PacketIndex::count_lost_packets_before(std::size_t packet_index) con
 
 /// Counts the lost packets of a revolution. If packets were lost at its start or end,
 /// counts only the part that belongs to this revolution.
-void PacketIndex::set_lost_packet_count(PacketRevolution& revolution) const {
+void PacketIndex::count_and_store_lost_packets(PacketRevolution& revolution) const {
     double n_missing = 0.0;
     const double compute_slot_deg = deg_us_ * decoder_->get_laser_timing().cycle_us;
     const std::size_t end = std::min(revolution.last + 2, packets_.size());
@@ -210,7 +212,8 @@ void PacketIndex::set_lost_packet_count(PacketRevolution& revolution) const {
                      to_deg = packets_[i].azimuth_deg, width_deg = std::max(to_deg - from_deg, 1e-6);
         const double within_deg =
             std::min(to_deg, revolution.begin_deg + 360.0) - std::max(from_deg, revolution.begin_deg);
-        n_missing += double(count_lost_packets_before(i)) * std::clamp(within_deg / width_deg, 0.0, 1.0);
+        n_missing +=
+            double(count_lost_packets_before_packet(i)) * std::clamp(within_deg / width_deg, 0.0, 1.0);
     }
     revolution.n_missing = std::size_t(std::llround(n_missing));
     revolution.has_gaps = n_missing > 0.0;
@@ -268,7 +271,7 @@ void PacketIndex::find_complete_revolutions() {
             left_out_.n_lost += std::size_t(std::llround((begin - lost) / 360.0)) + 1;
             continue;
         }
-        set_lost_packet_count(revolution);
+        count_and_store_lost_packets(revolution);
         set_revolution_times(revolution);
         if (2 * revolution.n_missing >= revolution.last - revolution.first) ++left_out_.n_lost;
         else if (!has_steady_sensor_clock(revolution)) ++left_out_.n_jumps;
@@ -355,7 +358,8 @@ std::vector<PacketIndex::PacketMessageSource> PacketIndex::find_messages_of_revo
 double PacketIndex::compute_mean_firing_step_deg(const PacketRevolution& revolution) const {
     std::size_t n = 0;
     for (std::size_t i = revolution.first; i < revolution.last; ++i)
-        n += std::size_t(packets_[i].n_slots) + count_lost_packets_before(i + 1) * std::size_t(n_slots_);
+        n += std::size_t(packets_[i].n_slots) +
+             count_lost_packets_before_packet(i + 1) * std::size_t(n_slots_);
     const double first_deg = packets_[revolution.first].azimuth_deg,
                  last_deg = packets_[revolution.last].azimuth_deg;
     return std::max(last_deg - first_deg - skipped_.compute_sector_overlap_deg(first_deg, last_deg), 1.0) /
@@ -406,14 +410,14 @@ std::string PacketIndex::describe_lidar_product() const {
 /// index was built.
 /// @param message_index  index in `packets_of_message` of the message that contains the
 /// packet
-DecodedPacket PacketIndex::decode_packet_again(
-    std::size_t message_index, const Entry& entry,
+DecodedPacket PacketIndex::decode_packet_of_entry(
+    std::size_t message_index, const Entry& packet_entry,
     const std::vector<std::vector<ReceivedPacket>>& packets_of_message) const {
     const std::size_t m = message_index;
-    if (m >= packets_of_message.size() || entry.in_message >= packets_of_message[m].size())
+    if (m >= packets_of_message.size() || packet_entry.in_message >= packets_of_message[m].size())
         throw DataError(
             "the file of the recording changed while it was read: a message has fewer packets than before");
-    const ReceivedPacket& view = packets_of_message[m][entry.in_message];
+    const ReceivedPacket& view = packets_of_message[m][packet_entry.in_message];
     if (find_product_of_packet(view.bytes, calibration_) != product_)
         throw DataError(
             "the file of the recording changed while it was read: a packet differs from the one that was "
@@ -436,7 +440,7 @@ std::vector<bool> PacketIndex::find_lost_columns(const PacketRevolution& revolut
     std::vector<bool> is_lost(fires.size(), false);
     const std::size_t end_packet = std::min(revolution.last + 2, packets_.size());
     for (std::size_t i = revolution.first + 1; i < end_packet && !fires.empty(); ++i) {
-        if (count_lost_packets_before(i) == 0) continue;
+        if (count_lost_packets_before_packet(i) == 0) continue;
         const Entry &entry = packets_[i], &before = packets_[i - 1];
         const int begin =
             compute_column_of_azimuth(revolution, before.azimuth_deg) - before.first_slot + n_slots_;
@@ -451,7 +455,7 @@ Scan PacketIndex::decode_revolution(const PacketRevolution& revolution,
                                     const std::vector<std::vector<ReceivedPacket>>& packets_of_message,
                                     const SpinningSensor& sensor, std::int64_t time_origin_ns) const {
     RevolutionPoints fired;
-    const std::vector<BeamRayGenerator> beams = make_beam_geometries(sensor.beams);
+    const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
     const FiringTiming& timing = decoder_->get_laser_timing();
     const double mean_deg_us = 360e-6 / sensor.period_s, brightness = compute_full_scale_intensity();
     const int n_columns = int(timing.fires.size());
@@ -464,9 +468,10 @@ Scan PacketIndex::decode_revolution(const PacketRevolution& revolution,
     for (std::size_t p = revolution.first; p <= revolution.last; ++p) {
         const Entry& entry = packets_[p];
         if (p > revolution.first && n_columns == 0)
-            before +=
-                std::size_t(packets_[p - 1].n_slots) + count_lost_packets_before(p) * std::size_t(n_slots_);
-        DecodedPacket packet = decode_packet_again(entry.message - first_message, entry, packets_of_message);
+            before += std::size_t(packets_[p - 1].n_slots) +
+                      count_lost_packets_before_packet(p) * std::size_t(n_slots_);
+        DecodedPacket packet =
+            decode_packet_of_entry(entry.message - first_message, entry, packets_of_message);
         const std::size_t begin = entry.first_firing, end = begin + entry.n_firings;
         if (packet.firings.size() < end) continue;
         const std::int64_t begin_ns =
@@ -506,18 +511,19 @@ Scan PacketIndex::decode_revolution(const PacketRevolution& revolution,
 Scan PacketIndex::make_scan_of_revolution(const PacketRevolution& revolution,
                                           RevolutionPoints& revolution_points,
                                           const SpinningSensor& sensor) const {
-    if (revolution_points.points.size() == 0) return make_unordered_scan(revolution_points.points);
+    if (revolution_points.points.size() == 0)
+        return make_scan_with_one_ray_per_point(revolution_points.points);
     if (!decoder_->get_laser_timing().fires.empty())
-        return make_scan_of_fixed_columns(revolution_points, decoder_->get_laser_timing().fires,
-                                          find_lost_columns(revolution), sensor);
-    const SweepFirings sweep = sort_firings_by_azimuth(revolution_points.points, revolution_points.numbers,
-                                                       revolution_points.head_rad);
+        return make_scan_of_fixed_azimuth_sensor(revolution_points, decoder_->get_laser_timing().fires,
+                                                 find_lost_columns(revolution), sensor);
+    const SweepFirings sweep = make_sweep_of_firings_by_azimuth(
+        revolution_points.points, revolution_points.numbers, revolution_points.head_rad);
     // All complete revolutions have the same number of columns. If packets were lost, the
     // scan has only the columns that were received.
     SpinningSensor scan_sensor = sensor;
     scan_sensor.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
     if (revolution.has_gaps) scan_sensor.columns = int(sweep.firings.size());
-    return make_spinning_scan(revolution_points.points, scan_sensor, sweep);
+    return assign_points_to_rays_of_spinning_scan(revolution_points.points, scan_sensor, sweep);
 }
 
 }  // namespace relidar::packets

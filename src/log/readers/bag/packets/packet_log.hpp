@@ -45,7 +45,8 @@ public:
     /// @throws DataError with the name of the product, if its packets cannot be decoded
     /// or if earlier packets came from another product
     void add_packets_of_message(const std::vector<ReceivedPacket>& packets, std::int64_t recording_time_ns,
-                                const bag::MessagePosition& location, const DecoderCalibration& calibration);
+                                const bag::MessagePosition& message_position,
+                                const DecoderCalibration& calibration);
     /// Sorts the packets and finds the complete revolutions. Call it once, after the last
     /// add_packets_of_message().
     void sort_packets_and_find_revolutions();
@@ -100,7 +101,7 @@ private:
     /// Empty if intensities cannot exceed 1.
     std::vector<std::uint32_t> n_bright_;
 
-    void check_or_set_product(const ReceivedPacket& packet, const DecoderCalibration& calibration);
+    void require_same_product_or_set_it(const ReceivedPacket& packet, const DecoderCalibration& calibration);
     void decode_and_index_packet(const ReceivedPacket& packet_view, std::uint16_t index_in_message);
     void unwrap_sensor_clock(Entry& entry) const;
     void add_to_intensity_histogram(const DecodedPacket& packet);
@@ -112,17 +113,17 @@ private:
     int compute_column_of_azimuth(const PacketRevolution& revolution, double azimuth_deg) const;
     void find_complete_revolutions();
     std::size_t count_packets_since_previous(std::size_t packet_index) const;
-    double count_lost_firings_before(std::size_t packet_index) const;
-    std::size_t count_lost_packets_before(std::size_t packet_index) const;
-    void set_lost_packet_count(PacketRevolution& revolution) const;
+    double count_lost_firings_before_packet(std::size_t packet_index) const;
+    std::size_t count_lost_packets_before_packet(std::size_t packet_index) const;
+    void count_and_store_lost_packets(PacketRevolution& revolution) const;
     bool has_steady_sensor_clock(const PacketRevolution& revolution) const;
     void set_revolution_times(PacketRevolution& revolution) const;
     double compute_mean_firing_step_deg(const PacketRevolution& revolution) const;
     std::uint32_t find_first_message_index(const PacketRevolution& revolution) const;
     double find_max_raw_intensity() const;
     double compute_full_scale_intensity() const;
-    DecodedPacket decode_packet_again(
-        std::size_t message_index, const Entry& entry,
+    DecodedPacket decode_packet_of_entry(
+        std::size_t message_index, const Entry& packet_entry,
         const std::vector<std::vector<ReceivedPacket>>& packets_of_message) const;
 };
 

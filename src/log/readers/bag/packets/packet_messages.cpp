@@ -64,10 +64,10 @@ std::string_view read_packet_bytes(MessageReader& reader, const PacketMessageTyp
 
 bool has_lidar_packets(const bag::BagTopic& topic) {
     return find_packet_message_type(topic.type) != nullptr &&
-           !(has_ouster_packets(topic) && topic.name.ends_with(kImuTopic));
+           !(is_ouster_driver_packet_topic(topic) && topic.name.ends_with(kImuTopic));
 }
 
-bool has_ouster_packets(const bag::BagTopic& topic) {
+bool is_ouster_driver_packet_topic(const bag::BagTopic& topic) {
     const PacketMessageType* type = find_packet_message_type(topic.type);
     return type && type->form == PacketMessageLayout::alone;
 }
@@ -96,7 +96,7 @@ std::vector<ReceivedPacket> read_packets_of_message(const bag::BagTopic& topic,
     if (type.form == PacketMessageLayout::bare) {
         header = {0, topic.name};
         for (bag::ByteReader reader(message_bytes); reader.count_remaining_bytes() > 0;) {
-            const auto stamp_ns = reader.read_number<std::int64_t>();
+            const auto stamp_ns = reader.read_little_endian_number<std::int64_t>();
             packets.push_back({stamp_ns, reader.read_length_prefixed_string()});
         }
         return packets;

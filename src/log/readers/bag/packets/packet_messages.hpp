@@ -22,7 +22,7 @@ inline constexpr const char *kDatagrams = "LiDAR packets", *kOtherDatagrams = "o
 bool has_lidar_packets(const bag::BagTopic& topic);
 /// Returns true for a packet topic of Ouster's ROS drivers. Each message is one packet
 /// and nothing else.
-bool has_ouster_packets(const bag::BagTopic& topic);
+bool is_ouster_driver_packet_topic(const bag::BagTopic& topic);
 /// Returns true if a topic contains text and is in the namespace of a topic with packets.
 /// The text can be Ouster metadata.
 bool can_contain_ouster_metadata(const bag::BagTopic& topic);

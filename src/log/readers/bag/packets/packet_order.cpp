@@ -23,11 +23,11 @@ bool is_same_packet(const PacketIndexEntry& first, const PacketIndexEntry& secon
 
 /// Makes the azimuth of a packet continue the azimuth of the previous packet. The number
 /// of full revolutions between them is computed from elapsed time and rotation rate.
-void unwrap_packet_azimuth(PacketIndexEntry& entry, const PacketIndexEntry& previous, double elapsed_us,
-                           double rotation_deg_per_us) {
+void unwrap_packet_azimuth(PacketIndexEntry& entry, const PacketIndexEntry& previous,
+                           double time_since_previous_us, double rotation_deg_per_us) {
     const double azimuth = previous.azimuth_deg +
                            compute_rotation_deg(std::fmod(previous.azimuth_deg, 360.0), entry.azimuth_deg);
-    const double expected = previous.azimuth_deg + rotation_deg_per_us * elapsed_us;
+    const double expected = previous.azimuth_deg + rotation_deg_per_us * time_since_previous_us;
     entry.azimuth_deg = azimuth + 360.0 * std::max(0.0, std::round((expected - azimuth) / 360.0));
 }
 

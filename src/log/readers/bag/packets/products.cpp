@@ -18,8 +18,8 @@ using std::string_view;
 
 constexpr std::size_t kVelodyneBytes = 1206, kProductAt = 1205, kLasersAt = 6, kBlocksAt = 7;
 
-bool has_byte_at(string_view packet, std::size_t offset, int value) {
-    return offset < packet.size() && static_cast<unsigned char>(packet[offset]) == value;
+bool has_byte_at(string_view packet, std::size_t offset, int expected_value) {
+    return offset < packet.size() && static_cast<unsigned char>(packet[offset]) == expected_value;
 }
 bool is_velodyne_packet(string_view packet) {
     return packet.size() == kVelodyneBytes && packet.starts_with("\xff\xee");

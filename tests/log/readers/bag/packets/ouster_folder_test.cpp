@@ -108,7 +108,7 @@ Found compare(const OusterScans& scans, std::size_t f, const Scan& actual_scan, 
               std::size_t first) {
     Found counts;
     for (std::size_t row = 0; row < scans.rows; ++row) {
-        const int shift = compute_column_shift(sensor.beams[row], sensor.columns);
+        const int shift = compute_beam_azimuth_offset_columns(sensor.beams[row], sensor.columns);
         for (std::size_t column = 0; column < scans.columns; ++column) {
             const double range_m = scans.range(f, row, column);
             if (range_m == 0.0) continue;
@@ -120,7 +120,8 @@ Found compare(const OusterScans& scans, std::size_t f, const Scan& actual_scan, 
                 row * scans.columns +
                 (firing + scans.columns - std::size_t(shift + sensor.columns)) % scans.columns;
             const double off_m =
-                glm::distance(glm::dvec3(actual_scan.compute_end_point(at)), scans.point(f, row, column));
+                glm::distance(glm::dvec3(actual_scan.compute_return_point_in_sensor_frame(at)),
+                              scans.point(f, row, column));
             counts.right += actual_scan.rays.channel[at] == row &&
                             std::abs(double(actual_scan.range_m[at]) - (range_m - scans.n_m)) < 1e-3 &&
                             off_m < 1e-3;
