@@ -116,6 +116,21 @@ bool is_lavapipe_that_may_crash(const VkPhysicalDeviceDriverProperties& driver_p
            std::pair(major, minor) < std::pair(24, 1);
 }
 
+/// Returns true for lavapipe on arm64 if its compiler is LLVM 19 or older. On a CPU without
+/// LSE atomics, this compiler ignores stores that fail when several threads add to a float
+/// (llvm/llvm-project, issue 150988), so sums are too small.
+bool does_driver_lose_float_additions([[maybe_unused]] const VkPhysicalDeviceDriverProperties& driver) {
+#if defined(__aarch64__)
+    constexpr int kFirstCorrectLlvm = 20;
+    int llvm = 0;
+    const char* version = std::strstr(driver.driverInfo, "LLVM ");
+    return driver.driverID == VK_DRIVER_ID_MESA_LLVMPIPE && version &&
+           std::sscanf(version, "LLVM %d", &llvm) == 1 && llvm < kFirstCorrectLlvm;
+#else
+    return false;
+#endif
+}
+
 constexpr const char* kNoCompiler = "a driver that can compile the tracing kernels (SwiftShader cannot)";
 
 std::string list_missing_software_traversal_features(
@@ -239,7 +254,7 @@ DeviceInfo make_device_info(VkPhysicalDevice physical_device, int device_index) 
     info.subgroup_size = static_cast<int>(subgroup.subgroupSize);
     info.timestamps = properties.properties.limits.timestampComputeAndGraphics != 0;
     info.float_atomics = contains_extension(extensions, VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) &&
-                         atomics.shaderBufferFloat32AtomicAdd;
+                         atomics.shaderBufferFloat32AtomicAdd && !does_driver_lose_float_additions(driver);
 
     info.why_not_usable = list_missing_kernel_features(properties.properties, driver, v12, v13, subgroup);
     info.why_not_ray_query = list_missing_ray_query_features(extensions, accel, query);

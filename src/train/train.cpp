@@ -29,8 +29,8 @@ Scene make_initial_scene(const LidarSequence& sequence, const TrainTestSplit& sp
                          const TrainSession& session) {
     SceneInitialisationOptions options = config.init;
     options.seed = config.train.seed;
-    // A single drop logit starts with the difference of the usual two logits, for the same
-    // ray-drop probability (M6).
+    // A single drop logit starts with the difference of the usual two logits, so that the
+    // ray-drop probability is the same (M6).
     options.one_logit = config.image.single_drop_logit;
     std::vector<std::string> notes;
     Scene scene = initialise_scene(sequence, split.train, options, session.progress, &notes);

@@ -24,7 +24,7 @@ CheckResult make_sum_check_result(double relative_error) {
 CheckResult check_float_atomics(CheckedDevice& tested_device) {
     if (!tested_device.get_default_device().info().float_atomics)
         return make_unsupported_check_result(
-            "the device lacks the Vulkan extension VK_EXT_shader_atomic_float");
+            "the driver has no VK_EXT_shader_atomic_float, or its sums are known to be wrong");
     return make_sum_check_result(
         test_atomic_adds_and_get_max_error(tested_device.get_default_device(), false));
 }
