@@ -9,7 +9,7 @@ namespace relidar {
 
 // Returns the names and texts of the web page's files. cmake/Assets.cmake generates the
 // definition of this function.
-std::span<const std::pair<std::string_view, std::string_view>> get_web_page_file_contents();
+std::span<const std::pair<std::string_view, std::string_view>> view_page_texts();
 
 namespace view {
 namespace {
@@ -26,7 +26,7 @@ const std::vector<WebPageFile>& get_web_page_files() {
     static std::deque<std::string> paths;
     static const std::vector<WebPageFile> assets = [] {
         std::vector<WebPageFile> all;
-        for (const auto& [name, text] : get_web_page_file_contents()) {
+        for (const auto& [name, text] : view_page_texts()) {
             paths.push_back(name == "index.html" ? "/" : "/" + std::string(name));
             all.push_back({paths.back(), get_content_type(name), text});
         }
