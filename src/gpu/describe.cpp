@@ -116,9 +116,9 @@ bool is_lavapipe_that_may_crash(const VkPhysicalDeviceDriverProperties& driver_p
            std::pair(major, minor) < std::pair(24, 1);
 }
 
-/// Returns true for lavapipe on arm64 if its compiler is LLVM 19 or older. On a CPU without
-/// LSE atomics, this compiler ignores stores that fail when several threads add to a float
-/// (llvm/llvm-project, issue 150988), so sums are too small.
+/// Returns true for lavapipe on arm64 if its compiler is LLVM 19 or older. On a CPU
+/// without LSE atomics, this compiler ignores stores that fail when several threads add
+/// to a float (llvm/llvm-project, issue 150988), so sums are too small.
 bool does_driver_lose_float_additions([[maybe_unused]] const VkPhysicalDeviceDriverProperties& driver) {
 #if defined(__aarch64__)
     constexpr int kFirstCorrectLlvm = 20;
