@@ -93,7 +93,7 @@ OptionalFeatures query_optional_features(VkPhysicalDevice physical_device) {
         uniform.shaderSubgroupUniformControlFlow;
 #ifdef VK_KHR_shader_maximal_reconvergence
     optional.maximal_reconvergence =
-        has_extension(extensions, VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME) &&
+        contains_extension(extensions, VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME) &&
         maximal.shaderMaximalReconvergence;
 #endif
     return optional;

@@ -517,7 +517,7 @@ XOSC
     says "^ *1 +Car .* 13\.50,-1\.00,"
     good edit run --out van_too --scenario cut_in.xosc@Van=run#0
     says "0-insert-1 follows Van of cut_in.xosc"
-    bad 2 'Van=TRACK, Van=RUN#TRACK or Van=ASSET.*Van=-' edit run --out x --scenario cut_in.xosc
+    bad 2 'Van=TRACK, Van=RUN#TRACK.* Van=ASSET.* Van=-' edit run --out x --scenario cut_in.xosc
     bad 2 'entities .*Bus' edit run --out x --scenario cut_in.xosc@Van=1,Bus=0
     bad 2 'trajectory, .*Ego' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
     bad 2 'Van=TRACK .*RUN#TRACK' edit run --out x --scenario cut_in.xosc@Van=7

@@ -33,7 +33,8 @@ public:
     /// RayDropImage::channels
     /// @return drop probabilities, [rows, columns]. The result becomes invalid when
     /// images of two other shapes have been evaluated.
-    /// @throws DataError if the image is smaller than network().compute_min_image_side()
+    /// @throws DataError if the image is smaller than
+    /// network().compute_min_image_rows_and_columns()
     const Array<float, shared::DropProbabilities>& record_network_evaluation(
         Stream& stream, int rows, int columns, const Array<float, shared::DropSamples>& input_channels);
 

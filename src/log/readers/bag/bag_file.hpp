@@ -42,7 +42,7 @@ struct MessagePosition {
 };
 
 struct BagMessage {
-    std::size_t topic = 0;    ///< index in Bag::topics()
+    std::size_t topic = 0;    ///< index in BagRecording::topics()
     std::int64_t log_ns = 0;  ///< time of recording
     /// Bytes of the message, valid only during the callback. Empty if the caller
     /// requested only the times of this topic.
