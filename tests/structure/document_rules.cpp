@@ -159,7 +159,7 @@ Known collect_names(const SourceTree& tree) {
         if (path.find('/') != std::string::npos) valid_names.top_folders.insert(folder(path, 0));
     }
     valid_names.settings =
-        find_matches_in(tree, "src/run/config/", std::regex(R"re(\bf\(\s*"(\w+)\.(\w+)")re"));
+        find_matches_in(tree, "src/run/config/", std::regex(R"re(\bvisitor\(\s*"(\w+)\.(\w+)")re"));
     const std::regex term(R"(\bTERM\(\d+u, \w+, (\w+),)");
     for (const std::string& weight : find_matches_in(tree, "include/relidar/diff/loss_terms.h", term))
         valid_names.settings.insert("loss." + weight);

@@ -76,7 +76,7 @@ Violations check_bare_pointers(const SourceTree& tree) {
 
 Violations check_primitive_questions(const SourceTree& tree) {
     static const std::regex question(
-        R"(.*([=!]= *Primitive::\w+|\bPrimitive::\w+ *[=!]=|case Primitive::|log_scale_w\.empty\(\)).*)");
+        R"(.*((case|[=!]=) *PrimitiveType::|PrimitiveType::\w+ *[=!]=|log_scale_w\.empty\(\)).*)");
     Violations violations;
     for (const auto& [path, file] : tree) {
         const std::string top = folder(path, 0);
@@ -84,8 +84,9 @@ Violations check_primitive_questions(const SourceTree& tree) {
             continue;
         for (std::size_t i = 0; i < file.lines.size(); ++i)
             if (std::regex_match(file.lines[i], question))
-                violations.push_back(path + ":" + std::to_string(i + 1) +
-                                     ": asks which primitive it is, expected a column of kind_of()");
+                violations.push_back(
+                    path + ":" + std::to_string(i + 1) +
+                    ": asks which primitive it is, expected a column of get_primitive_kind()");
     }
     return violations;
 }

@@ -158,11 +158,12 @@ TEST(Rules, TwoBarePointersOfOneKindAreFound) {
 }
 
 TEST(Rules, QuestionForAPrimitiveIsFound) {
-    const SourceTree tree = make_tree(
-        {{"src/edit/a.cpp", "Primitive p = Primitive::surfel;\nif (p == Primitive::gaussian) f();\n"},
-         {"tools/relidar/b.cpp", "return s.log_scale_w.empty();\n"},
-         {"src/edit/c.cpp", "if (kind_of(p).has_normals) f();\n"},
-         {"tests/edit/d.cpp", "EXPECT_TRUE(p == Primitive::gaussian);\n"}});
+    const SourceTree tree =
+        make_tree({{"src/edit/a.cpp",
+                    "PrimitiveType p = PrimitiveType::surfel;\nif (p == PrimitiveType::gaussian) f();\n"},
+                   {"tools/relidar/b.cpp", "return s.log_scale_w.empty();\n"},
+                   {"src/edit/c.cpp", "if (get_primitive_kind(p).has_normals) f();\n"},
+                   {"tests/edit/d.cpp", "EXPECT_TRUE(p == PrimitiveType::gaussian);\n"}});
     EXPECT_THAT(check_primitive_questions(tree), ElementsAre(HasSubstr("a.cpp:2:"), HasSubstr("b.cpp:1:")));
 }
 
@@ -233,7 +234,7 @@ Violations check_document(const std::string& document) {
         make_tree({{"docs/a.md", document},
                    {"docs/b.md", "# Two words, and `code`\n"},
                    {"README.md", ""},
-                   {"src/run/config/fields.hpp", "f(\"train.iterations\", c.n);"},
+                   {"src/run/config/fields.hpp", "visitor(\"train.iterations\", c.n);"},
                    {"include/relidar/diff/loss_terms.h", "TERM(0u, ssim, intensity_ssim, 0.1f)"},
                    {"shaders/loss/bce.comp", ""},
                    {"tools/bench/card.sh", "case $1 in --quick) ;; esac"},
