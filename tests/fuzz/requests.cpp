@@ -87,7 +87,7 @@ struct Served {
         TrainedRun run = make_example_run(folder);
         run.scene = make_background_scene({});
         for (const BoxTrack& box : run.sequence.boxes) {
-            Instance instance;
+            ModelInstance instance;
             instance.track = box.id;
             run.scene.instances.push_back(instance);
         }
@@ -131,14 +131,18 @@ void read_call(std::string_view input, const fs::path& folder) {
     const unsigned call = static_cast<unsigned char>(input[0]) % 4u;
     input.remove_prefix(1);
     const grpc::Status status = serve::call_and_convert_errors_to_status([&] {
-        if (call == 0) (void)reader.read(parse_message<v1::RenderLidarRequest>(input));
-        if (call == 1) (void)reader.read(parse_message<v1::RenderRigRequest>(input));
-        if (call == 2) (void)reader.upload(parse_message<v1::UploadSensorRequest>(input).sensor());
+        if (call == 0)
+            (void)reader.convert_to_checked_render_request(parse_message<v1::RenderLidarRequest>(input));
+        if (call == 1)
+            (void)reader.convert_to_request_per_rig_sensor(parse_message<v1::RenderRigRequest>(input));
+        if (call == 2)
+            (void)reader.cache_uploaded_sensor(parse_message<v1::UploadSensorRequest>(input).sensor());
         if (call == 3) {
             const auto request = parse_message<v1::GetTracksRequest>(input);
-            const std::size_t scene = reader.find_scene(request.scene());
+            const std::size_t scene = reader.find_scene_index_or_throw(request.scene());
             v1::GetTracksResponse answer;
-            serve::write_recorded_tracks(served.outlines[scene], reader.find_lidar(scene, request.lidar()),
+            serve::write_recorded_tracks(served.outlines[scene],
+                                         reader.find_lidar_index_or_throw(scene, request.lidar()),
                                          request.actors(), answer);
         }
     });
@@ -152,8 +156,10 @@ void read_frame(std::string_view input, const fs::path& folder) {
     static serve::SensorsimReader reader(served.outlines, scenes,
                                          serve::PoseTransformOrder::translation_first);
     silence_protobuf();
-    check_status(serve::call_and_convert_errors_to_status(
-        [&] { (void)reader.read(parse_message<serve::sensorsim::LidarRenderRequest>(input)); }));
+    check_status(serve::call_and_convert_errors_to_status([&] {
+        (void)reader.convert_to_checked_render_request(
+            parse_message<serve::sensorsim::LidarRenderRequest>(input));
+    }));
 }
 
 std::vector<std::string> make_frame_seeds(const fs::path&) {
