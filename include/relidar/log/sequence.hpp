@@ -44,8 +44,7 @@ struct PoseTrack {
     }
 };
 
-/// One further return of every ray of a scan: all second returns, or all third returns,
-/// and so on.
+/// One further return of every ray: all second returns, all third returns, and so on.
 struct AdditionalReturns {
     std::vector<float> range_m;    ///< [n] range along the ray from its origin; 0 = no such return
     std::vector<float> intensity;  ///< [n] 0..1; 0 if there is no such return
@@ -54,8 +53,7 @@ struct AdditionalReturns {
 /// A measured or simulated sweep: its rays and the returns of each ray.
 struct Scan {
     RayTable rays;  ///< for a ray with a return: its measured direction and origin
-    /// [n] range of the strongest return, along the ray from its origin. 0 if the ray was
-    /// dropped.
+    /// [n] range of the strongest return along the ray. 0 if the ray was dropped.
     ScanArray<float> range_m;
     ScanArray<float> intensity;  ///< [n] intensity of the strongest return, 0..1; 0 if dropped
     /// Second, third, ... returns of all rays. A dropped ray has no further returns.
@@ -69,8 +67,7 @@ struct Scan {
     std::size_t count_returns() const;
 };
 
-/// Drops the rays of a scan whose range is outside the limits. Also removes second
-/// returns outside the limits.
+/// Removes the returns of a scan, also second returns, whose range is outside the limits.
 void remove_returns_outside_limits(Scan& scan, const RangeLimits& limits);
 
 /// Azimuth of a LiDAR's head at the start of a sweep, and the time of this start relative
@@ -119,13 +116,11 @@ inline SweepTiming get_sweep_timing_of_frame(const LidarFrame& frame) {
 }
 
 struct Lidar;
-/// Computes azimuth and time of a sweep's start for any LiDAR. Returns nothing for the
-/// default of a non-spinning LiDAR: the frame's time is the middle of the scan. Also
-/// returns nothing if its pattern is unknown, or in the cases of the function above.
+/// The same for any LiDAR. Returns nothing also if the pattern is unknown, or if the time
+/// of a frame is the middle of the scan, which is the default if the LiDAR does not spin.
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar);
 
-/// Standard deviation of a sensor's measured ranges, as a table over the range and the
-/// angle of incidence.
+/// Standard deviation of measured ranges, as a table over range and incidence angle.
 struct RangeNoiseTable {
     /// Upper limits of the bins, ascending. Empty if unknown.
     std::vector<double> range_m, cosine;
@@ -215,8 +210,7 @@ struct BoxTrack {
     /// Returns true if the box was observed at a time, with a tolerance of half the mean
     /// time step between observations.
     bool is_observed_at_time(double t_s) const;
-    /// Returns the track without the poses that were added before its first and after its
-    /// last label.
+    /// Returns the track without the poses before its first and after its last label.
     BoxTrack copy_track_of_labelled_poses() const;
     /// Returns true if a point in the world frame is in the box at a time. The box is
     /// enlarged by margin_m on all sides.
@@ -236,8 +230,7 @@ struct IntensityResponse {
 
     double compute_intensity_factor_at_range(
         double distance_m) const;  ///< uses the first or last factor outside the knots
-    /// Returns the intensity factor for the cosine of the angle between the ray and the
-    /// surface normal.
+    /// Returns the factor for the cosine between the ray and the surface normal.
     double compute_intensity_factor_at_incidence(double incidence_cosine) const {
         return 1.0 - incidence * (1.0 - incidence_cosine);
     }
@@ -261,8 +254,7 @@ struct LidarSequence {
     std::vector<std::string> notes;  ///< Messages about data that the log lacks, one line each
     /// Indices of the test frames in published results on this part of the dataset.
     std::vector<int> test_frames = {};
-    /// False: the log has no poses. All poses are the identity until the scans are
-    /// registered.
+    /// False: the log has no poses. Before registration, all poses are the identity.
     bool has_poses = true;
     /// True: the rays of a scan were fired at different times, and the scans are not
     /// motion-compensated.
@@ -275,30 +267,25 @@ struct LidarSequence {
     /// Returns the poses of a LiDAR at the times of the vehicle's poses. Each pose is the
     /// pose of the vehicle combined with the mounting of the LiDAR.
     PoseTrack get_world_from_sensor(int lidar_index) const;
-    /// Returns the total number of beams of all LiDARs.
     std::size_t count_beams_of_all_lidars() const;
-    /// Returns the number of a beam among the beams of all LiDARs. Beams are numbered
-    /// consecutively in the order of `lidars`. Returns nothing if the LiDAR does not have
-    /// the beam.
+    /// Returns the number of a beam among the beams of all LiDARs, in the order of
+    /// `lidars`. Returns nothing if the LiDAR does not have the beam.
     std::optional<std::uint16_t> find_global_beam_number(int lidar_index, std::uint16_t channel) const;
 };
 
-/// Returns the box with this id, or null if there is none. An empty id stands for the
-/// background and gives null.
+/// Returns the box with this id, or null. An empty id means the background: null.
 const BoxTrack* find_box_track_by_id(const LidarSequence& sequence, const std::string& box_id);
 
 /// Returns a copy of a log without its frames.
 LidarSequence copy_without_frames(const LidarSequence& sequence);
 
-/// Returns the index of a LiDAR in LidarSequence::lidars by its name. An empty name gives
-/// the first LiDAR.
+/// Returns the index of the LiDAR with this name. An empty name gives the first LiDAR.
 /// @throws UsageError if no LiDAR has this name
 int find_lidar_index_by_name(const LidarSequence& sequence, const std::string& name);
 
-/// Returns the poses of an object that is mounted on another moving object.
-/// @param carrier_track  poses of the moving object
-/// @param carrier_from_mounted  pose of the mounted object in the frame of the moving
-/// object
+/// Returns the poses of an object that is mounted on another moving object, its carrier.
+/// @param carrier_track  poses of the carrier
+/// @param carrier_from_mounted  pose of the mounted object in the frame of the carrier
 PoseTrack compute_mounted_track(PoseTrack carrier_track, const Pose& carrier_from_mounted);
 /// Returns the same motion with additional poses where the object turns. A mounted object
 /// then moves on a curve instead of straight lines between the poses.
@@ -338,8 +325,7 @@ double compute_time_when_lidar_faces_point_s(const LidarSequence& sequence, cons
 /// Range and intensity of the surface that a ray hit. The intensity is not corrected for
 /// the angle of incidence.
 struct SurfaceReturn {
-    /// Range of the surface, without the range offset of the beam. 0 if the ray was
-    /// dropped.
+    /// Range without the range offset of the beam. 0 if the ray was dropped.
     float range_m;
     float intensity;  ///< intensity that the mean beam would measure at a distance of 10 m
 };
@@ -377,12 +363,10 @@ struct RangeCalibrationResult {
     double rms_after = 0.0;   ///< The same distance (RMS) after adding an offset for each beam.
     bool adopted = false;     ///< True if the offsets were stored in the beams.
 };
-/// Result of fit_and_set_intensity_calibration(): errors before and after the
-/// calibration.
+/// Result of fit_and_set_intensity_calibration(): errors before and after it.
 struct IntensityCalibrationResult {
     std::size_t returns = 0;  ///< number of returns that were compared
-    /// Root mean square difference between an intensity and the mean of returns at the
-    /// same surface point.
+    /// RMS difference of an intensity from the mean of returns at the same surface point.
     double rms_before = 0.0;
     double rms_after = 0.0;  ///< The same difference with the corrections that were adopted.
     bool shared = false;     ///< True if the log now has an IntensityResponse.
@@ -424,7 +408,7 @@ struct TrainTestSplit {
 /// frames of all LiDARs that have the same index. Test sweeps are every
 /// `test_every_nth_frame`-th sweep except the first (10, 20, ... of 0:50 with 10), or the
 /// sweeps in `test_frame_list`. With `test_every_nth_frame` = 10 on a published part of a
-/// dataset, LidarSequence::test_frame_list are the test frames.
+/// dataset, LidarSequence::test_frames are the test frames.
 /// @param test_every_nth_frame  0: no test frames
 /// @param test_frame_list  indices and half-open ranges, "13,26,40:45". If not empty, it
 /// is used instead of `test_every_nth_frame`.

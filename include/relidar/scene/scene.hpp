@@ -59,7 +59,6 @@ inline constexpr std::array kPrimitives{
     RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)  // Adds one row per primitive.
 #undef RELIDAR_PRIMITIVE
 };
-/// Returns the properties of a primitive.
 constexpr const PrimitiveProperties& get_primitive_kind(PrimitiveType primitive) {
     return kPrimitives[static_cast<std::size_t>(primitive)];
 }
@@ -73,8 +72,7 @@ constexpr const PrimitiveProperties& get_primitive_kind(PrimitiveType primitive)
 /// For a large sharpness, the window is a Gaussian with a standard deviation of 1 / (2 pi
 /// sharpness). If all fields are zero, the surfel is always visible and does not move.
 struct GaitPhaseWindow {
-    /// Phase of the actor's motion at which the surfel is most opaque and at its mean
-    /// position.
+    /// Phase of the actor at which the surfel is most opaque and at its mean position.
     float phase = 0.0f;
     /// Sharpness of the window: with a larger value, the surfel fades faster at other
     /// phases of the motion. 0 = the surfel is always visible.
@@ -123,8 +121,7 @@ struct Surfels {
     Surfels reorder(const std::vector<std::uint32_t>& order) const;
     /// Returns a copy of surfels first ... first + count - 1.
     Surfels slice(std::size_t first, std::size_t count) const;
-    /// Checks that all arrays have the same number of surfels.
-    /// @throws DataError if the lengths of the arrays disagree
+    /// @throws DataError if the arrays do not have the same number of surfels
     void require_equal_array_lengths() const;
 };
 
@@ -163,8 +160,7 @@ struct SceneBlock {
     glm::vec3 low_m{0.0f};
     glm::vec3 high_m{0.0f};
 
-    /// Returns the distance from a point in the world frame to the box. Returns 0 inside
-    /// the box.
+    /// Returns the distance from a point in the world frame to the box; 0 in the box.
     double compute_distance_to_box_m(const glm::dvec3& point_m) const {
         return glm::distance(point_m, glm::clamp(point_m, glm::dvec3(low_m), glm::dvec3(high_m)));
     }
@@ -177,8 +173,7 @@ struct Scene {
     std::vector<SurfelModel> models;
     std::vector<ModelInstance> instances;
     /// Drop probabilities of the log's LiDARs that do not depend on the scene, one row
-    /// per beam (LidarSequence::find_global_beam_number). Empty if they were not
-    /// estimated.
+    /// per beam (LidarSequence::find_global_beam_number). Empty if not estimated.
     RayDropTable sensor_drop;
     /// Background blocks in files, in addition to the surfels of model 0. Empty if the
     /// complete background is in memory.
@@ -246,8 +241,7 @@ enum class ObjectKind {
 /// Maps a class name of KITTI, KITTI-360, Waymo, Argoverse 2 or nuScenes to a kind.
 /// Returns `other` for an unknown name.
 ObjectKind parse_object_kind(std::string_view category);
-/// Returns the name of a kind as used in settings: "vehicle", "cyclist", "person" or
-/// "other".
+/// Returns the name of a kind in settings: vehicle, cyclist, person or other.
 const char* get_name(ObjectKind kind);
 
 /// Treatment of moving objects without a label. `background`: their points become
@@ -260,8 +254,7 @@ struct SceneInitialisationOptions {
     /// Edge length of voxels, metres. The points of all training frames in a voxel are
     /// averaged.
     double voxel_m = 0.15;
-    /// Increase of the voxel edge per metre of distance to the nearest sensor position. 0
-    /// = constant edge length (paper).
+    /// Growth of the voxel edge per metre from the nearest sensor position. 0: paper.
     double voxel_growth = 0.0;
     /// If true, surfel normals are estimated from the nearest neighbours. If false,
     /// orientations are random (ablation).
@@ -283,8 +276,7 @@ struct SceneInitialisationOptions {
     /// Upper bound of the initial standard deviations, metres. Surfels that are stretched
     /// over gaps between scan lines (max_gap_m) may be larger.
     double max_scale_m = 1000.0;
-    /// Initial standard deviation, relative to the mean distance to the 3 nearest
-    /// neighbours.
+    /// Initial standard deviation divided by the mean distance to the 3 nearest points.
     double scale_factor = 1.0;
     /// Largest gap between scan lines that a surfel may cover, metres. A surfel is
     /// stretched if this gap is much wider than the distance between points of a scan
@@ -294,8 +286,7 @@ struct SceneInitialisationOptions {
     /// plane. 1 = spheres, as in 3D Gaussian splatting.
     double thickness = 1.0;
     bool second_returns = false;  ///< If true, second returns of the log also become surfels.
-    /// Treatment of moving objects without a label. The default is the method of the
-    /// paper.
+    /// Treatment of moving objects without a label. The default is that of the paper.
     UnlabelledMoverPolicy unlabelled_movers = UnlabelledMoverPolicy::background;
     /// Moving boxes that become actors: comma-separated class names or kinds
     /// (parse_object_kind()). all = every class. Empty = none.
@@ -326,8 +317,7 @@ struct SceneInitialisationOptions {
 struct InstancePose {
     Pose world_from_model;
     bool present = true;
-    /// Time at which the instance's track has the pose world_from_model. Set by
-    /// compute_instance_poses().
+    /// Time at which the instance's track has the pose world_from_model.
     double time_s = 0.0;
     double phase = 0.0;   ///< Phase of the model's motion, which repeats after 1.
     PoseMotion motion{};  ///< Motion during the sweep, relative to world_from_model.
@@ -399,8 +389,7 @@ std::vector<InstancePose> compute_instance_poses(const Scene& scene, const Lidar
 using ActorTracksByName = std::map<std::string, PoseTrack>;
 /// Computes poses and motions of all instances during a sweep, from actor tracks of the
 /// caller. The pose and motion of the sensor come from the sequence.
-/// @throws UsageError for a name that no instance has. The message suggests the most
-/// similar name.
+/// @throws UsageError that suggests the most similar name, for an unknown name
 std::vector<InstancePose> compute_instance_poses(const Scene& scene, const LidarSequence& sequence,
                                                  const SweepTiming& sweep,
                                                  const ActorTracksByName& world_from_actor);
@@ -419,15 +408,12 @@ std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& p
 /// For an actor: 4 times the diagonal of its box. For any other model: 3 times the 90th
 /// percentile of 2 |p - centre| over its surfels. Without surfels: 1.
 double compute_robust_model_extent_m(const Scene& scene, std::size_t model_index);
-/// Returns the extent of a box, which is 4 times its diagonal, metres.
-/// @param half_size_m [3] half size of the box, metres
+/// Returns 4 times the diagonal of a box with this half size [3], metres.
 double compute_four_times_box_diagonal_m(const glm::vec3& half_size_m);
-/// Returns the extent of the background, metres: 3 times the 90th percentile of 2 |p -
-/// centre| over its surfels.
+/// Same as compute_robust_model_extent_m() of the background.
 double compute_robust_background_extent_m(const Scene& scene);
 
-/// Returns a copy of a scene without its surfels. The copy has models, instances, blocks
-/// and sensor drop probabilities.
+/// Returns a copy of a scene that has everything but the surfels.
 Scene copy_scene_without_surfels(const Scene& scene);
 
 }  // namespace relidar
