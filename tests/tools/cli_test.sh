@@ -312,7 +312,7 @@ rendering() {
     check "frames beyond the log are left out without a word" grep -q "^relidar: note: frames 11:14: run .*frame 11" err
     good train street --out kept --preset quick --set train.iterations=1 --set dataset.test_every=0 --no-eval --quiet
     good render kept --out kept_scans
-    check "render of a run that held nothing out does not say so" grep -q "^relidar: note: .*kept .*held-out .*12" err
+    check "render of a run that held nothing out does not say so" grep -q "^relidar: note: kept .*held-out .*12" err
     check "render of a run that held nothing out left frames out" test "$(ls kept_scans | wc -l)" = 13
     bad 2 "selects .*frame" render run --out x --frames 100:200
     bad 2 'format: "npy" .*npz' render run --out x --format npy
@@ -517,7 +517,7 @@ XOSC
     says "^ *1 +Car .* 13\.50,-1\.00,"
     good edit run --out van_too --scenario cut_in.xosc@Van=run#0
     says "0-insert-1 follows Van of cut_in.xosc"
-    bad 2 'Van=TRACK, Van=RUN#TRACK.* Van=ASSET.* Van=-' edit run --out x --scenario cut_in.xosc
+    bad 2 'Van=TRACK, Van=RUN#TRACK, Van=ASSET or Van=-' edit run --out x --scenario cut_in.xosc
     bad 2 'entities .*Bus' edit run --out x --scenario cut_in.xosc@Van=1,Bus=0
     bad 2 'trajectory, .*Ego' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
     bad 2 'Van=TRACK .*RUN#TRACK' edit run --out x --scenario cut_in.xosc@Van=7
@@ -528,7 +528,7 @@ XOSC
     says "note: actor 0 .*visible"
     sed 's/"name": "synthetic"/"name": "other"/' -i removed/scene.json
     good edit run --out both --force --insert "removed#1@$start"
-    says "note: .*another sensor"
+    says "note: removed .*sensor"
     good eval moved --out edited.json
     says "edits"
     says "^edited +[0-9.]+ +[0-9.]+ +[0-9.]+"

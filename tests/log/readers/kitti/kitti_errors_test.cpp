@@ -231,7 +231,7 @@ TEST(KittiErrors, FrameRange) {
     options.frames = {10, 20};
     expect_failure(drive, options, ExitCode::usage, {"frames 10:20", "[0, 2]"});
     options.frames = {2, 2};
-    expect_failure(drive, options, ExitCode::usage, {"2:2", "empty"});
+    expect_failure(drive, options, ExitCode::usage, {"range 2:2", "empty"});
 }
 
 TEST(KittiErrors, Tracklets) {
