@@ -28,8 +28,8 @@ void add_fixed(Uints sums, uint entry, float value) {
 float read_fixed(Uints sums, uint entry) {
     uvec2 sum = uvec2(sums.at[2u * entry], sums.at[2u * entry + 1u]);
     bool negative = (sum.y & 0x80000000u) != 0u;
-    // Makes a negative number positive before the conversion to float, because the low
-    // word of a negative number would be rounded separately.
+    // Converts the absolute value, because this gives a smaller rounding error than the
+    // two words of a negative number.
     if (negative) sum = negate(sum);
     float steps = float(sum.y) * kFixedWord + float(sum.x);
     return (negative ? -steps : steps) / kFixedSteps;

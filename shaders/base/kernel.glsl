@@ -17,8 +17,7 @@ uint get_thread_index() {
     return gl_GlobalInvocationID.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x + gl_GlobalInvocationID.x;
 }
 
-/// Returns the number of threads of the launch. If only the device knows the number of
-/// elements, a kernel uses the number of threads as the stride of its loop.
+/// Returns the number of threads of the launch.
 uint get_thread_count() { return gl_NumWorkGroups.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x; }
 
 /// Returns the index of this workgroup over both dimensions of the launch.
@@ -32,15 +31,13 @@ layout(push_constant, scalar) uniform Push {
 } push;
 // clang-format on
 
-/// Returns true if the host passed no array for this pointer. The pointer is then the
-/// address of a few zeros, not 0. This keeps the first entries of every array readable,
-/// because some drivers execute loads in branches that no lane takes (docs/debugging.md).
+/// Returns true if the host passed no array for this pointer. The host then passes the
+/// address of a few zeros, because some drivers load even in branches that no thread
+/// executes.
 #define is_null(pointer) (uvec2(pointer) == push.nothing)
 
-// Declares the parameter block without `readonly`, because pointers in a `readonly` block
-// cannot be passed to functions. The host adds the qualifier to the SPIR-V module
-// (src/gpu/spirv.hpp), so that the compiler can keep parameters in scalar registers.
-// Copying the struct instead crashes the compiler of SwiftShader.
+// The host adds `readonly` to this block in the SPIR-V code (src/gpu/spirv.hpp). GLSL
+// would not allow pointers in a `readonly` block as function arguments.
 #define RELIDAR_PARAMS(Type) \
     layout(buffer_reference, scalar, buffer_reference_align = 16) buffer ParamsBlock { Type value; }
 #define params push.block.value

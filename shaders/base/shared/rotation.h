@@ -16,8 +16,8 @@ RELIDAR_FUNCTION vec3 exact_cross(vec3 a, vec3 b) {
     return c;
 }
 
-/// Returns sin(x) / x as a series in x^2. Its error is at most 3e-7 for |x| <= pi. Term k
-/// has the factor 1 / (2k (2k + 1)).
+/// Returns sin(x) / x, computed as a power series in x^2. The error is at most 3e-7 for
+/// |x| <= pi.
 RELIDAR_FUNCTION float compute_sine_quotient(float x2) {
     RELIDAR_EXACT float sum = 1.0f - x2 * 0.00476190476f;
     sum = 1.0f - x2 * 0.00641025641f * sum;

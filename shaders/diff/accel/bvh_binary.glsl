@@ -21,8 +21,8 @@ uint count_surfels(BvhBinary tree, uint child) {
 }
 bool is_inner_slot(BvhBinary tree, uint child) { return count_surfels(tree, child) > RELIDAR_BVH_LEAF_SIZE; }
 
-/// Finds the up to eight children of the wide node that replaces a binary node. Writes
-/// them to `slots` from left to right.
+/// Finds the children (up to eight) that a binary node gets when it is converted to a
+/// wide node. Writes them to `slots` from left to right.
 /// @return number of children
 uint collect_slots(BvhBinary tree, uint node, out uint slots[RELIDAR_BVH_WIDTH]) {
     slots[0] = node;

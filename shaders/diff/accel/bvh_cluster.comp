@@ -34,13 +34,12 @@ struct Cluster {
     uint root;   // node or leaf
     uint spare;  // Sorted position in this subtree that no node uses as its index yet.
 };
-// Clusters, stored as one array per field. Lanes read the same field of neighbouring
-// clusters, so they access different memory banks.
+// Subtrees (clusters) that are being merged, as one array per field.
 shared vec3 low_of[ROOM], high_of[ROOM];
 shared uint root_of[ROOM], spare_of[ROOM];
 shared uint nearest[ROOM];
-// Two neighbouring ranges to join: x to y and y + 1 to z. w is the model index if both
-// ranges together contain the complete model, otherwise -1.
+// Two neighbouring ranges of surfels to join: x to y, and y + 1 to z. If the joined range
+// is a complete model, w is the index of the model. Otherwise w is -1.
 shared ivec4 task;
 
 /// Waits until all lanes of the subgroup see each other's writes to shared memory.
@@ -49,8 +48,8 @@ void synchronise_subgroup() {
     subgroupBarrier();
 }
 
-/// Returns the number of leading bits that are equal in the sorted keys `index` and index
-/// + 1. Returns -1 if one of these keys belongs to another model.
+/// Returns the number of equal leading bits in the Morton codes of surfel `index` and the
+/// next surfel. Returns -1 unless both are surfels of the model `first` to `last`.
 int count_common_bits(int index, int first, int last) {
     if (index < first || index >= last) return -1;
     uvec2 a = params.keys.at[index], b = params.keys.at[index + 1];
@@ -79,8 +78,8 @@ Cluster load_cluster(uint root) {
                    SharedUints(uvec2(params.tree.spares)).at[root]);
 }
 
-/// Loads the clusters of a range and appends them to the `count` clusters in shared
-/// memory. Returns the new number of clusters.
+/// Loads the subtrees (clusters) of the surfels `from` to `to`. Appends them to the
+/// `count` clusters in shared memory. Returns the new number of clusters.
 uint load_clusters(int from, int to, uint count) {
     SharedUints roots = SharedUints(uvec2(params.clusters));
     uint n_range = min(uint(to - from) + 1u, KEPT);
@@ -94,9 +93,8 @@ uint load_clusters(int from, int to, uint count) {
     return count + n_range;
 }
 
-/// Returns the neighbour that gives the smallest joint bounding box. Of several equal
-/// neighbours, returns the first, so that at least one pair of clusters are mutual
-/// nearest neighbours.
+/// Returns the cluster whose joint bounding box with cluster `index` has the smallest
+/// surface area. If several areas are equal, returns the first of these clusters.
 uint find_nearest_cluster(uint index, uint count) {
     Box own = get_box(index);
     float least = BOX_HUGE;
@@ -138,8 +136,8 @@ uint merge_mutual_nearest_clusters(uint count) {
         if (kept && mutual) c = merge_clusters(c, cluster_of(j));
         synchronise_subgroup();
         uvec2 lanes = subgroupBallot(kept).xy, before = lanes & gl_SubgroupLtMask.xy;
-        // Overwriting is safe, because all lanes have already read their clusters and no
-        // cluster moves to a higher index.
+        // Removes gaps between the clusters in shared memory. A cluster never overwrites
+        // an unread cluster, because it can only move to a lower index.
         if (kept) store_cluster(n_kept + uint(bitCount(before.x) + bitCount(before.y)), c);
         n_kept += uint(bitCount(lanes.x) + bitCount(lanes.y));
     }
@@ -148,7 +146,8 @@ uint merge_mutual_nearest_clusters(uint count) {
     return n_kept;
 }
 
-/// Joins the two ranges in `task`. All lanes of the subgroup must call this function.
+/// Builds the subtrees of the two ranges of surfels in `task`. All threads of the
+/// subgroup must call this function.
 void join_task_ranges() {
     uint n = load_clusters(task.x, task.y, 0u);
     n = load_clusters(task.y + 1, task.z, n);
@@ -164,9 +163,9 @@ void join_task_ranges() {
     if (n < KEPT && gl_SubgroupInvocationID == 0u) roots.at[task.x + n] = RELIDAR_BVH_NO_NODE;
 }
 
-/// Joins a range with its neighbour. Both ranges are processed by different threads, and
-/// only the second one to arrive here continues with the joined range.
-/// @return true for this second thread. `from` and `to` then include the neighbour
+/// Each range of surfels is processed by one thread. Of two threads with neighbouring
+/// ranges, the first one stops and the second one continues with the joined range.
+/// @return true if this thread continues. `from` and `to` are then the joined range
 bool join_with_neighbour_range(inout int from, inout int to, out int split, int first, int last) {
     bool leftward = count_common_bits(from - 1, first, last) > count_common_bits(to, first, last);
     split = leftward ? from - 1 : to;

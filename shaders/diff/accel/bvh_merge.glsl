@@ -10,17 +10,16 @@ struct Subtree {
     float area;
 };
 
-/// Loads the costs of a subtree for 1 to 7 child slots. costs[k] is the traversal cost if
-/// the subtree may occupy at most k slots of a wide node. A leaf has the same cost for
-/// all k.
+/// Loads the traversal costs of a subtree. costs[k] is the cost if the subtree may use at
+/// most k of the eight child entries of its parent.
 void load_costs(BvhBinary tree, Subtree subtree, out float costs[RELIDAR_BVH_WIDTH]) {
     for (uint k = 1u; k < RELIDAR_BVH_WIDTH; ++k)
         costs[k] = is_leaf(subtree.root) ? subtree.area * SURFEL_COST
                                          : SharedFloats(uvec2(tree.costs)).at[7u * subtree.root + k - 1u];
 }
 
-/// Computes the costs of a node from the costs of its children. For each number of child
-/// slots, also decides how many of these slots the left child gets.
+/// Computes the traversal costs of a binary node from the costs of its two children. Also
+/// stores how a parent's child entries are best divided between the two children.
 void write_node_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float area) {
     float in_left[RELIDAR_BVH_WIDTH], in_right[RELIDAR_BVH_WIDTH];
     load_costs(tree, left, in_left);

@@ -11,8 +11,8 @@ float decode_bound(float origin, uint quantised, float scale) {
     return x;
 }
 
-/// Returns the smallest exponent e for which 255 quantisation steps of 2^(e - 127) reach
-/// from low to high. The steps are limited to normal floats, 2^-126 to 2^126.
+/// Returns the smallest exponent e for which 255 steps of size 2^(e - 127) cover the
+/// interval from low to high.
 uint compute_exponent(float low, float high) {
     uint bits = floatBitsToUint((high - low) / 255.0);
     uint e = clamp((bits >> 23) + ((bits & 0x7fffffu) != 0u ? 1u : 0u), 1u, 253u);
@@ -72,8 +72,8 @@ void write_child_bounds(BvhNodes nodes, uint node, uint word, uvec3 low, uvec3 h
     nodes.at[node].high_z[word] = high.z;
 }
 
-/// Writes the quantisation grid, the mask of inner children and the child boxes of a
-/// node.
+/// Writes the quantised child boxes of a node.
+/// @param inner_mask bit mask of the children that are nodes, not leaves
 /// @return bounding box of all children
 Box write_child_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[RELIDAR_BVH_WIDTH]) {
     Box bounds = make_empty_box();

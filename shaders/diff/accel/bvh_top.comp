@@ -28,9 +28,8 @@ void synchronise() {
     barrier();
 }
 
-/// Returns a box in the world frame that contains a moving model at all times of its
-/// motion. The box has a margin for rounding errors. A rotation moves a point by less
-/// than the angle times the distance from the model's origin.
+/// Returns the bounding box of an instance in the world frame. For a moving instance, the
+/// box contains all poses during the scan. The box includes rounding errors.
 Box make_world_box(InstanceEntry instance, Box model) {
     vec3 x = cross(instance.row1.xyz, instance.row2.xyz), y = cross(instance.row2.xyz, instance.row0.xyz),
          z = cross(instance.row0.xyz, instance.row1.xyz);
@@ -48,8 +47,8 @@ Box make_world_box(InstanceEntry instance, Box model) {
     return Box(centre - grown, centre + grown);
 }
 
-/// Computes the world boxes and the root nodes of all instances. Initialises the sort
-/// keys to 0, or to ABSENT for absent instances, which are sorted to the end.
+/// Computes the bounding boxes of all instances in the world frame. Marks instances that
+/// cannot be hit as ABSENT.
 /// @return bounds of the centres of the boxes that this thread has computed
 Box place_instances() {
     Box centres = make_empty_box();
@@ -100,7 +99,7 @@ bool is_key_after(uvec2 first, uvec2 second) {
     return first.x != second.x ? first.x > second.x : first.y > second.y;
 }
 
-/// Sorts the keys by Morton code with a bitonic sort. Equal codes are sorted by instance.
+/// Sorts the instances by Morton code with a bitonic sort.
 void sort_keys() {
     SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
     for (uint size = 2u; size <= params.n_padded; size *= 2u)

@@ -16,7 +16,7 @@ uvec2 unpack_demand(uint demand) { return uvec2(demand & 255u, demand >> 8); }
 void main() {
     uint tile = get_workgroup_index();
     if (tile >= params.n_tiles) return;
-    // Number of consecutive nodes for one thread: their values fill two cache lines.
+    // Number of consecutive nodes per thread.
     const uint RUN = RELIDAR_BVH_TILE / RELIDAR_BVH_WORKGROUP;
     uint first = tile * RELIDAR_BVH_TILE + get_scan_thread() * RUN, end = min(first + RUN, params.n_surfels);
     uvec2 sums = uvec2(0u), total;

@@ -21,8 +21,8 @@ void main() {
     uint place = entry < params.n_models ? entry : params.places.at[node];
     node &= ~RELIDAR_BVH_LEAF;
     uvec2 start = params.offsets.at[node] + params.tiles.at[node / RELIDAR_BVH_TILE];
-    // A node has the same index as a sorted surfel of its model, so find_model() also
-    // works for nodes.
+    // find_model() expects the index of a surfel. The index of a node works too, because
+    // it is also the index of a surfel of the same model.
     uint model = find_model(params.models, params.n_models, node);
     uint first_surfel = params.models.at[model].first_surfel;
     uint first_child = params.n_models + start.x;

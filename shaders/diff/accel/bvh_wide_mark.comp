@@ -21,8 +21,8 @@ RELIDAR_CONSTANT(uint, UNTIL_DONE, 0u);
 RELIDAR_PARAMS(BvhWideParams);
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 
-/// Replaces one child that is a wide node by its children, if they all fit into the
-/// parent.
+/// Tries to replace one child of a node by the grandchildren below this child. All
+/// children must fit into the node.
 /// @return false if no child was replaced
 bool replace_child_by_grandchildren(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
     for (uint s = 0u; s < n_slots; ++s) {
@@ -61,8 +61,8 @@ void mark_wide_node(uint entry) {
             SharedUints(uvec2(params.queue)).at[at++] = slots[s];
 }
 
-/// Processes the remaining levels of the tree with a single workgroup, from this level
-/// downwards.
+/// Processes the level that starts at queue entry `begin`, and then all lower levels of
+/// the tree.
 void mark_lower_levels(uint begin) {
     for (uint end = level_end; begin < end;) {
         for (uint entry = begin + gl_LocalInvocationIndex; entry < end; entry += gl_WorkGroupSize.x)

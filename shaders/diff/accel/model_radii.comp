@@ -11,8 +11,8 @@
 #include "../../scene/gaussian/kinds.glsl"
 RELIDAR_PARAMS(ModelRadiiParams);
 
-/// Returns the standard deviation s of a surfel along an axis, which the record stores as
-/// axis / s. Returns 0 if s is not finite, because such a surfel is never hit.
+/// Returns the standard deviation of a surfel along an axis, or 0 if it is not finite.
+/// @param axis unit vector divided by the standard deviation
 float compute_axis_scale(vec3 axis) {
     float s = 1.0 / length(axis);
     return isnan(s) || isinf(s) ? 0.0 : s;

@@ -23,16 +23,15 @@ RELIDAR_PARAMS(ProxyParams);
 // Golden ratio phi. The corners of an icosahedron are the even permutations of (0, +-1,
 // +-phi).
 const float kPhi = 1.618033988749895;
-// Factor that scales the icosahedron so that its inscribed sphere has radius 1: sqrt(3) /
-// phi^2.
+// Scale of an icosahedron whose faces touch the unit sphere: sqrt(3) / phi^2.
 const float kCircumscribed = 0.66158453824961;
-// Radius of the circumscribed sphere of the scaled icosahedron: sqrt(1 + phi^2)
-// kCircumscribed.
+// Distance between the centre and the corners of an icosahedron whose faces touch the
+// unit sphere.
 const float kOuterRadius = 1.25840857236482;
 
-/// Returns a half axis of the shape around a surfel, from the axis a / s in the surfel's
-/// record. The half axis has the direction of a and the length `factor` s plus the
-/// margin.
+/// Returns a half axis of the shape that encloses a surfel. The length is `factor`
+/// standard deviations plus a margin.
+/// @param axis unit vector divided by the standard deviation
 vec3 compute_half_axis(vec3 axis, float factor) {
     float inverse_scale = length(axis);
     float half_size = factor / inverse_scale * params.margin_scale + params.margin_m;
@@ -67,8 +66,7 @@ void main() {
         if (has_third_scale()) w = compute_half_axis(s.normal, k);
     }
     if (BOXES != 0u) {
-        // Half size of the smallest box around the ellipse or ellipsoid. Along x, it is
-        // |(u.x, v.x, w.x)|.
+        // Half size of the axis-aligned box around an ellipsoid with half axes u, v, w.
         vec3 half_size = sqrt(u * u + v * v + w * w) + (visible ? params.margin_m : 0.0);
         if (BOXES == 2u) half_size += 2.4e-7 * abs(s.mean);
         bool empty = BOXES == 2u && !visible;

@@ -20,17 +20,16 @@ const uint kRowPitch = 17u;
 shared float shared_rows[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x * kRowPitch : 1u];
 shared uint shared_targets[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x : 1u];
 
-/// Returns true if the lanes of a subgroup exchange rows through shared memory. All lanes
-/// must then call add_row() together. Subgroups that are not full exchange no rows,
-/// because nobody would add the floats of the missing lanes.
+/// Returns true if the threads of a subgroup add their rows together, through shared
+/// memory. All threads must then call add_row(). Returns false if a subgroup is not full.
 bool are_rows_exchanged() {
     return COALESCED_ATOMICS != 0u && gl_NumSubgroups * gl_SubgroupSize == gl_WorkGroupSize.x;
 }
 
 uint get_shared_row_index() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
-/// Adds `amount` to array[16 row + index]. If lanes exchange rows, only stores the
-/// amount, and the next add_row() of this row adds it.
+/// Adds `amount` to array[16 row + index]. If are_rows_exchanged(), the addition is
+/// delayed until add_row() is called.
 void add_to_row_component(Floats array, uint row, uint index, float amount) {
     if (are_rows_exchanged()) shared_rows[get_shared_row_index() * kRowPitch + index] = amount;
     else atomic_add(array, 16u * row + index, amount);
@@ -45,8 +44,8 @@ void add_row(Floats array, uint row, uint is_needed) {
     if (!are_rows_exchanged()) return;
     shared_targets[get_shared_row_index()] = row;
     subgroupBarrier();
-    // A group of n lanes adds n rows, one after another. For each row, lane number k % n
-    // adds float k, so that neighbouring lanes write neighbouring addresses.
+    // A group of n threads adds one row after another. Neighbouring threads add
+    // neighbouring floats of the row.
     uint n = min(16u, gl_SubgroupSize), lane = gl_SubgroupInvocationID % n;
     uint first = get_shared_row_index() - lane;
     for (uint from = first; from < first + n; ++from) {

@@ -39,8 +39,8 @@ float compute_weight_gradient(TraceScene scene, Ray ray, RayGradient gradient, H
     return shade;
 }
 
-/// Blends the first `count` hits of the buffer from near to far. Subtracts their
-/// contributions to the loss from `state.remaining`.
+/// Blends the nearest `count` hits in the buffer. Stores transmittance, weight and
+/// gradient of each hit, and updates `state`.
 void blend_chunk(TraceScene scene, Ray ray, RayGradient gradient, uint count, inout BlendState state) {
     for (uint i = 0u; i < count; ++i) {
         Hit hit = load_hit(i);

@@ -25,7 +25,7 @@ uint add_hit_gradients(TraceScene scene, uint index, uint row) {
     HitRecord h = params.hits.at[params.slots.at[index]];
     InstanceEntry m = scene.instances.at[h.instance];
     DeviceRay entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
-    // Invalidates the cached ray in the model frame, because this hit may belong to
+    // Clears the cached transform of the previous ray, because this hit may belong to
     // another ray.
     entered_instance = kNoInstance;
     ray_basis_instance = kNoInstance;

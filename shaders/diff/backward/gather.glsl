@@ -8,9 +8,11 @@ float sums[16];
 float sh_sums[RELIDAR_SH_FLOATS];
 
 uint get_partial_sum_width() { return SH_PER_SURFEL != 0u ? 16u : 16u + RELIDAR_SH_FLOATS; }
-// Returns where a block stores its partial sum of a row that began in an earlier block.
+// A block of hits that are sorted by surfel may begin with hits on the last surfel of the
+// previous block. Returns the index in `parts` of the gradient sum of these hits.
 uint get_head_index(uint block) { return 2u * block * get_partial_sum_width(); }
-// Returns where a block stores its partial sum of a row that continues in the next block.
+// The last hits of a block may be on the same surfel as the first hits of the next block.
+// Returns the index in `parts` of the gradient sum of these last hits.
 uint get_tail_index(uint block) { return get_head_index(block) + get_partial_sum_width(); }
 uint n_sorted() { return min(params.n_hits.at[0], params.capacity); }
 uint get_block_end(uint block) { return min((block + 1u) * RELIDAR_GATHER_BLOCK, n_sorted()); }
@@ -21,9 +23,8 @@ void clear_sums() {
         for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k) sh_sums[k] = 0.0;
 }
 
-/// Adds the sums of this thread to a gradient row, to which no other thread adds. The
-/// gradients of spherical harmonics need atomics, because two instances may share the
-/// coefficients.
+/// Adds the sums of this thread to the gradients of one surfel. Only the gradients of
+/// spherical harmonics need atomics, because two instances may share the coefficients.
 void add_to_row(uint row, uint instance) {
     for (uint k = 0u; k < 16u; ++k) params.d_records.at[16u * row + k] += sums[k];
     if (SH_PER_SURFEL != 0u) return;

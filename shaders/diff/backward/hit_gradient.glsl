@@ -11,15 +11,14 @@
 /// in the model frame.
 struct HitGradient {
     float lanes[16];
-    // Gradient of intensity and logits. If spherical harmonics (SH) are evaluated per
-    // hit, the gradient of coefficient k is d_channel times ray_basis[k].
+    // Gradient of the hit's intensity and of its two logits of the ray-drop probability.
     vec3 d_channel;
     vec3 d_origin;
     vec3 d_direction;
 };
 
-/// Returns the gradient with respect to the ray direction that comes from the spherical
-/// harmonics, which depend on the direction. The result is in the model frame.
+/// The spherical harmonics (SH) of a surfel depend on the ray direction. Returns their
+/// contribution to the gradient of the direction, in the model frame.
 vec3 compute_sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d_channel) {
     float d_basis[16];
     for (uint k = 0u; k < 16u; ++k) d_basis[k] = 0.0;
@@ -33,8 +32,7 @@ vec3 compute_sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel
 /// Computes the gradient of a hit.
 /// @param gradient gradients of the ray's blended values
 /// @param weight blending weight of the hit
-/// @param d_alpha dL/d(sigma G), the derivative with respect to the unclamped alpha. Must
-/// be 0 if alpha was clamped
+/// @param d_alpha derivative of the loss with respect to alpha. 0 if alpha was clamped
 HitGradient compute_hit_gradient(TraceScene scene, Ray ray, RayGradient gradient, uint instance, uint surfel,
                                  float weight, float d_alpha) {
     SurfelRecord record = scene.records.at[surfel];
@@ -50,9 +48,8 @@ HitGradient compute_hit_gradient(TraceScene scene, Ray ray, RayGradient gradient
 #undef RELIDAR_SEND
     if (SINGLE_DROP_LOGIT != 0u) d_channel.y = 0.0;
     SurfelHitGradient d = backpropagate_intersection(record, origin, direction, hit, d_t, d_alpha);
-    // Values of floats 7, 11 and 15 of a gradient row. They are usually the gradient of
-    // intensity and logits. If spherical harmonics are evaluated per hit, they are the
-    // gradient of a rotation of the viewing direction.
+    // Elements 7, 11 and 15 of the surfel's gradient: the gradient of the channels. If
+    // spherical harmonics are evaluated per hit, the gradient of a rotation of the ray.
     vec3 others = d_channel;
     if (SH_PER_SURFEL == 0u) {
         compute_ray_sh_basis(scene, ray, instance);

@@ -29,10 +29,8 @@ RELIDAR_CONSTANT(uint, GATHER, 0u);
 vec3 d_ray_origin;  // gradient of the ray's origin, world frame
 vec3 d_ray_direction;
 
-/// Adds the gradient of a hit to the gradients of its surfel. If lanes exchange gradients
-/// through shared memory, neighbouring lanes write neighbouring addresses.
-/// @param row index of the surfel's gradient. kNoRow if this lane has no hit but must
-/// take part in the exchange
+/// Adds the gradient of a hit to the gradient of its surfel.
+/// @param row row of the surfel in `d_records`, or kNoRow if this thread has no hit
 void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient gradient) {
     bool others = SH_PER_SURFEL != 0u || params.with_turn != 0u;  // lanes 7, 11, 15
     for (uint k = 0u; k < 16u; ++k)
@@ -57,18 +55,17 @@ struct BlendedHit {
     float alpha;          // Opacity at the hit (sigma G) before it is clamped.
     float transmittance;  // transmittance before the hit
     float w;              // alpha times transmittance
-    // Derivative of the loss with respect to the blending weight, minus the same
-    // derivative for the ray's nearest hit. The subtraction avoids differences of large
-    // numbers.
+    // Derivative of the loss with respect to `w`, minus the same derivative for the ray's
+    // nearest hit. Such differences are small, which reduces rounding errors.
     float shade;
     float behind;  // Sum of weight times `shade` over all hits behind this hit, including the background.
 };
 
-/// Computes the gradient of one hit and adds it to the gradient of the ray. Then writes a
-/// record of the hit, or adds the gradient to its surfel. If lanes exchange gradients,
-/// the caller must call add_gradient() instead.
-/// @param hit_gradient output: gradient for add_gradient()
-/// @return `row` for add_gradient(), or kNoRow
+/// Computes the gradient of one hit and adds it to the gradient of the ray. With GATHER,
+/// stores the hit for kernel backward/gather. Otherwise adds the gradient to the surfel.
+/// If are_rows_exchanged(), the caller must add it with add_gradient() instead.
+/// @param hit_gradient output: gradient of the hit
+/// @return row of the surfel in `d_records`, or kNoRow if the hit was stored
 uint add_hit_gradient(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, BlendedHit blended_hit,
                       out HitGradient hit_gradient) {
     uint first_surfel = scene.instances.at[blended_hit.instance].first_surfel;
@@ -101,11 +98,10 @@ void load_kept_hits(uint first, uint count) {
         append_hit(params.kept.at[get_list_entry(params.n_kept, list, first + i)]);
 }
 
-/// Adds the gradients of the first `count` hits of the buffer, from far to near. If lanes
-/// exchange gradients, all lanes of a subgroup must call this function.
-/// @param slot index of the first hit in the list of hit records
-/// @param behind sum of weight times shade over the hits behind the chunk and the
-/// background
+/// Adds the gradients of the first `count` hits in the buffer, from far to near. If
+/// are_rows_exchanged(), all threads of the subgroup must call this function.
+/// @param slot index of the first hit in `hits`
+/// @param behind value of BlendedHit::behind for the farthest hit
 void add_buffered_hit_gradients(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, uint slot,
                                 uint count, float behind) {
     for (uint k = are_rows_exchanged() ? subgroupMax(count) : count; k > 0u; --k) {
@@ -124,7 +120,8 @@ void add_buffered_hit_gradients(TraceScene scene, Ray ray, uint ray_index, RayGr
     }
 }
 
-/// Returns the state of the blending before the first hit of a ray.
+/// Returns the state before the first hit. `remaining` is then the sum of all blended
+/// values of the ray, each multiplied by its gradient.
 BlendState start_blending(RenderedRay final, RayGradient gradient) {
 #define RELIDAR_REMAINS(name, built, value, input, slope, meaning) +gradient.name* final.name
     precise float remaining = RELIDAR_CHANNEL_VALUES(RELIDAR_REMAINS);
@@ -138,9 +135,8 @@ BlendState start_blending(RenderedRay final, RayGradient gradient) {
     return state;
 }
 
-/// Subtracts the value of the ray's nearest hit from the values of all hits and of the
-/// background. All weights sum to 1, so the gradients (Eq. 9) stay the same. The
-/// subtraction avoids differences of large numbers.
+/// Subtracts the value of the nearest hit from the values of all hits, which reduces
+/// rounding errors. The gradients stay the same, because all weights sum to 1.
 void shift_blend_origin(TraceScene scene, Ray ray, RenderedRay final, RayGradient gradient,
                         inout BlendState state) {
     state.shift = compute_weight_gradient(scene, ray, gradient, load_hit(0u));
@@ -149,10 +145,9 @@ void shift_blend_origin(TraceScene scene, Ray ray, RenderedRay final, RayGradien
 }
 
 /// Computes the gradients of a ray.
-/// @param going true if this lane has a ray with a gradient. If lanes exchange gradients,
-/// lanes without such a ray must call this function too
-/// @return number of blended hits. It is below final.n_hits if the search missed some
-/// hits of the forward pass
+/// @param going false if this thread has no ray, or a ray whose gradient is zero. If
+/// are_rows_exchanged(), such threads must call this function too
+/// @return number of hits with a gradient. Below final.n_hits if hits were lost
 uint backpropagate_ray(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient gradient,
                        bool going) {
     BlendState state = start_blending(final, gradient);
@@ -164,8 +159,8 @@ uint backpropagate_ray(TraceScene scene, Ray ray, uint ray_index, RenderedRay fi
         uint n = 0u, slot = start + blended;
         float behind = 0.0;
         if (going) {
-            // Stored hits are used only if all hits of the chunk are stored. The chunks,
-            // and thus the sums, then do not depend on the number of stored hits.
+            // Loads stored hits only in complete chunks, so that rounding errors do not
+            // depend on the number of stored hits.
             bool kept = min(blended + CHUNK, final.n_hits) <= params.n_kept;
             if (kept) load_kept_hits(blended, final.n_hits - blended);
             else find_next_hits(scene, ray, after, compute_min_transmittance(scene, state.transmittance));

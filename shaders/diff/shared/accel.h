@@ -18,16 +18,14 @@ struct ProxyParams {
     // Output [n,6] in m: lower and upper corners of the boxes around surfels. Written
     // only if the shapes are boxes.
     RELIDAR_OF(Floats, SurfelBoxes) boxes;
-    // Output [1] in m, as float bits: maximum distance, over all 3D Gaussians, between a
-    // hit and a point of the icosahedron around the Gaussian. Written only for
-    // icosahedra.
+    // Output [1] in m, as float bits: maximum distance between a hit on a 3D Gaussian and
+    // a corner of the icosahedron around it. Written only for icosahedra.
     Uints reach;
     float alpha_min;  // Opacity threshold. The proxy encloses all points with sigma G >= alpha_min.
     // Margin in m that is added to the shape around each surfel, so that rounding errors
     // of the traversal cannot lose a hit.
     float margin_m;
-    // Factor by which the shape around each surfel is enlarged, for the same reason as
-    // margin_m.
+    // Factor on the size of the shape around each surfel, in addition to margin_m.
     float margin_scale;
     uint first_surfel;  // first surfel of the range
     uint n_surfels;
@@ -35,8 +33,8 @@ struct ProxyParams {
 
 #define RELIDAR_RADIUS_STRETCH 64u  // surfels per thread of accel/model_radii
 
-/// Parameters of accel/model_radii.comp, which computes the radius of the sphere around
-/// each model's origin that contains all its hits.
+/// Parameters of accel/model_radii.comp, which computes a bounding sphere of each model.
+/// The centre of the sphere is the origin of the model.
 struct ModelRadiiParams {
     Records records;  // input [n], all surfels
     Models models;    // input [n_models]

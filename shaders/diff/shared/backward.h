@@ -13,8 +13,8 @@ RELIDAR_SHARED_BEGIN
 // sorting moves unused records to the end.
 #define RELIDAR_NO_ROW(n_rows) (n_rows)
 
-/// Data of a blended hit from which a later kernel computes its gradient, 16 bytes. The
-/// kernel computes all other values of the hit again.
+/// Hit of a ray on a surfel (16 bytes), from which a later kernel computes the gradient of
+/// the surfel.
 struct HitRecord {
     uint ray;  // index in the batch
     uint instance;
@@ -27,8 +27,8 @@ struct BackwardParams {
     TraceScene scene;
     RenderedRays rendered;  // Input [n_rays]: results of the forward pass with the same scene.
     RayGradients upstream;  // input [n_rays] gradients of the blended values
-    // Accumulated [n_rows,16]: gradients of the surfel records. A row belongs to one
-    // surfel of one instance.
+    // Gradients [n_rows,16] of the 16 floats of each surfel, one row per surfel and
+    // instance. The kernel adds to them.
     RELIDAR_OF(Floats, RecordGradients) d_records;
     RELIDAR_OF(Floats, Harmonics) d_sh;  // accumulated [n,3,16], if SH are evaluated per hit
     // Output [n]: 1 for surfels that get a gradient from at least one hit. Address 0 =
@@ -36,13 +36,13 @@ struct BackwardParams {
     RELIDAR_OF(Uints, TouchedSurfels) touched;
     // output [n_rays,6] d_origin, d_direction, or address 0
     RELIDAR_OF(Floats, DeviceRayGradients) d_rays;
-    // Input [n_rays]: position of each ray's first hit in `hits`. Used only without
-    // atomics (GradientReduction::gather).
+    // Input [n_rays]: index in `hits` at which the hits of each ray start. Used only if
+    // gradients are summed without atomics (GradientReduction::gather).
     RELIDAR_OF(Uints, FirstHits) first_hit;
     HitRecords hits;                  // output [capacity] (gather)
     RELIDAR_OF(Uints, HitRows) rows;  // output [capacity] (gather)
-    // Input [ceil(n/2),n_kept,2]: first hits of n rays, stored by the forward pass in the
-    // order of blending.
+    // Input [ceil(n/2),n_kept,2]: nearest n_kept hits of each of n rays, stored by the
+    // forward pass. The hits of two rays alternate in memory.
     Hits kept;
     // Number of hits per ray that the forward pass has stored. The backward pass searches
     // for the remaining hits.
@@ -51,13 +51,14 @@ struct BackwardParams {
     // atomics.
     uint capacity;
     uint n_rows;
-    // 1: d_records also receives the gradient of rotating the viewing direction. Used
-    // only if spherical harmonics (SH) are evaluated per hit.
+    // 1: elements 7, 11 and 15 of a row of `d_records` are the gradient of a rotation of
+    // the viewing direction. Used only if spherical harmonics are evaluated per hit.
     uint with_turn;
 };
 
-/// Parameters of the kernels gather and gather_heads, which sum the gradients of hits for
-/// each surfel. Kernel gather_heads handles surfels whose hits are in several blocks.
+/// Parameters of two kernels that sum the gradients of all hits on each surfel. Kernel
+/// gather sums within blocks of hits. Kernel gather_heads then adds the sums of surfels
+/// that have hits in several blocks.
 struct GatherParams {
     TraceScene scene;
     RayGradients upstream;               // input [n_rays]
@@ -65,9 +66,9 @@ struct GatherParams {
     RELIDAR_OF(Uints, HitRows) rows;     // input [capacity] ascending
     RELIDAR_OF(Uints, HitSlots) slots;   // Input [capacity]: indices into `hits`, sorted by row.
     RELIDAR_OF(Uints, HitCount) n_hits;  // input [1], may exceed capacity
-    // Two partial sums per block of hits, [blocks,2,16 or 64]. The first is for a row
-    // that began in an earlier block, the second for a row that continues in the next
-    // block.
+    // Two gradient sums per block of RELIDAR_GATHER_BLOCK hits, [blocks,2,16 or 64]: for
+    // the first surfel of the block if the previous block has hits on it too, and for the
+    // last surfel if the next block has hits on it too.
     RELIDAR_OF(Floats, RowParts) parts;
     RELIDAR_OF(Floats, RecordGradients) d_records;  // accumulated [n_rows,16]
     RELIDAR_OF(Floats, Harmonics) d_sh;             // accumulated [n,3,16], if SH are evaluated per hit
@@ -76,7 +77,7 @@ struct GatherParams {
     uint n_rows;
 };
 
-/// Block of consecutive surfels of one instance, which one workgroup sums.
+/// Consecutive surfels of one instance. One workgroup sums their pose gradients.
 struct PoseBlock {
     uint first_surfel;
     uint first_row;
@@ -85,8 +86,8 @@ struct PoseBlock {
 };
 RELIDAR_POINTER(PoseBlocks, PoseBlock);
 
-// Number of floats of a pose gradient: force, torque about the model's origin, and
-// dL/d(sensor position), all in the model frame.
+// Number of floats of a pose gradient in the model frame: dL/d(translation),
+// dL/d(rotation) about the model's origin, and dL/d(sensor position).
 #define RELIDAR_POSE_SUMS 9
 
 struct PoseBlocksParams {

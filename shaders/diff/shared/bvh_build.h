@@ -11,8 +11,8 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Number of threads per workgroup of the kernels that use shared memory. A workgroup has
-// at most 64 subgroups.
+// Number of threads per workgroup of the kernels that use shared memory. Their arrays in
+// shared memory have room for at most 64 subgroups.
 #define RELIDAR_BVH_WORKGROUP 256u
 #define RELIDAR_BVH_TILE 4096u       // elements per workgroup of the kernels that use shared memory
 #define RELIDAR_BVH_MORTON_BITS 13u  // bits per axis
@@ -22,15 +22,15 @@ RELIDAR_SHARED_BEGIN
 
 RELIDAR_POINTER(Uvec2s, uvec2);
 
-/// Parameters of accel/bvh_bounds.comp, which computes the bounds of each model without
-/// surfels that can never be hit.
+/// Parameters of accel/bvh_bounds.comp, which computes the bounds of each model. Surfels
+/// that no ray can hit are ignored.
 struct BvhBoundsParams {
     // Input [n,6] in m: box of each surfel. A surfel that can never be hit has an empty
     // box.
     RELIDAR_OF(Floats, SurfelBoxes) boxes;
     Models models;  // input [n_models]
-    // Accumulated [n_models,6]: minima of x, y, z, -x, -y, -z over the centres of the
-    // boxes, as integers that have the order of the floats.
+    // Bounds [n_models,6] of the centres of the surfel boxes: minima of x, y, z, -x, -y
+    // and -z. Floats are stored as integers with the same order, for atomicMin().
     RELIDAR_OF(Uints, ModelBounds) bounds;
     uint n_surfels;
     uint n_models;
@@ -48,21 +48,19 @@ struct BvhKeysParams {
     uint n_models;
 };
 
-/// Binary trees over the sorted surfels. A child is either a node index, or the position
-/// of a surfel with the flag RELIDAR_BVH_LEAF. A node has the index of a surfel of its
-/// model.
+/// Binary trees over the sorted surfels. A child is either the index of a node, or the
+/// position of a surfel with the flag RELIDAR_BVH_LEAF.
 struct BvhBinary {
     RELIDAR_OF(Uvec2s, BinaryChildren) children;  // [n]
     RELIDAR_OF(Floats, BinaryBoxes) boxes;        // [n,6] m
-    // Traversal cost of each node's subtree if it occupies at most 1 ... 7 child slots of
-    // a wide node, [n,7] m^2.
+    // Traversal cost [n,7] in m^2 of each node's subtree, if it uses at most 1 ... 7 of
+    // the eight child entries of its parent.
     RELIDAR_OF(Floats, BinaryCosts) costs;
-    // For each binary node [n]: number of child slots that its left child gets, for each
-    // number of available slots. The lowest 4 bits are the number of surfels below the
-    // node, at most 15.
+    // For each node [n]: packed number of surfels, and how the child entries of a wide
+    // node are divided between the two children. See bvh_binary.glsl.
     RELIDAR_OF(Uints, BinaryDecisions) decisions;
-    // For each node [n]: a surfel position below the node that is not yet used as a node
-    // index.
+    // For each node [n]: index of a surfel below the node. No node has this index yet, so
+    // a later parent can get it.
     RELIDAR_OF(Uints, SpareNodes) spares;
 };
 
@@ -74,11 +72,12 @@ struct BvhClusterParams {
     RELIDAR_OF(Uvec2s, MortonKeys) keys;       // input [n] sorted
     RELIDAR_OF(Uints, SortedSurfels) surfels;  // input [n] surfel at each sorted position
     Models models;                             // input [n_models]
-    // Scratch [n]: for each split between neighbouring ranges, the other end of the range
-    // whose thread reached the split first. Initially RELIDAR_BVH_NO_NODE.
+    // Scratch [n], one entry between each pair of neighbouring surfels. Two threads meet
+    // here: the first one stores the end of its range for the second one. Initially
+    // RELIDAR_BVH_NO_NODE.
     RELIDAR_OF(Uints, OtherEnds) other_ends;
-    // Scratch [n]: root nodes of the clusters of each range. The list starts at the first
-    // position of the range. RELIDAR_BVH_NO_NODE marks its end.
+    // Scratch [n]: list of subtree roots for each range of surfels. A list starts at the
+    // index of the range's first surfel. RELIDAR_BVH_NO_NODE marks its end.
     RELIDAR_OF(Uints, BinaryClusters) clusters;
     RELIDAR_OF(Uints, BinaryRoots) roots;  // output [n_models] root of each model
     uint n_surfels;
@@ -92,7 +91,7 @@ struct BvhWide {
     RELIDAR_OF(Uints, LeafOrder) order;   // [n]
     RELIDAR_OF(Uvec2s, WideLinks) links;  // [bound] parent or NO_NODE, first surfel of the model
     RELIDAR_OF(Floats, WideBoxes) boxes;  // [bound,6] m: box of the node before quantisation
-    // For each wide node [bound]: number of inner children whose boxes are finished.
+    // Counter [bound] for each node: number of child nodes whose boxes are up to date.
     // Always 0 between launches.
     RELIDAR_OF(Uints, Arrivals) arrivals;
     RELIDAR_OF(Uints, WideCount) count;  // [1] number of nodes in use
@@ -103,20 +102,20 @@ struct BvhWide {
 struct BvhWideParams {
     BvhBinary tree;  // input
     BvhWide wide;    // output
-    // Queue [bound] of binary nodes that become wide nodes: first the roots of the
-    // models, then one level after another, in arbitrary order within a level.
+    // Binary nodes [bound] that are converted to wide nodes (up to eight children),
+    // sorted by tree level. The first entries are the roots.
     RELIDAR_OF(Uints, BinaryRoots) queue;
-    // Children [bound,8] of the wide node that replaces each binary node of the queue.
-    // RELIDAR_BVH_NO_NODE in unused entries.
+    // Up to eight children of each node in `queue` after the conversion, [bound,8].
+    // Unused entries are RELIDAR_BVH_NO_NODE.
     RELIDAR_OF(Uints, WideSlots) slots;
-    // Number of binary nodes in the queue on each tree level [levels + 1], except the
+    // Number of nodes in `queue` on each level of the tree [levels + 1], not counting the
     // roots. Initially 0.
     RELIDAR_OF(Uints, LevelSizes) level_sizes;
-    // Space that each binary node [n] needs as a wide node: number of inner children +
-    // 256 * number of leaf entries. 0 for nodes that do not become wide nodes.
+    // Children [n] of each binary node after the conversion: number of child nodes +
+    // 256 * number of surfels in leaves. 0 if the binary node is removed.
     RELIDAR_OF(Uints, SlotDemands) demands;
-    // Prefix sums within a tile [n]: inner children and leaf entries of all binary nodes
-    // before this one.
+    // Prefix sums [n] of `demands` within tiles of RELIDAR_BVH_TILE binary nodes: number
+    // of child nodes, and number of surfels in leaves.
     RELIDAR_OF(Uvec2s, TileOffsets) offsets;
     RELIDAR_OF(Uvec2s, SumsOfTiles) tiles;     // [n_tiles] the same sums over all earlier tiles
     RELIDAR_OF(Uints, WidePlaces) places;      // [n] wide node that replaces a binary node
@@ -143,8 +142,7 @@ struct BvhTopParams {
     Instances instances;                         // input [n_instances]
     RELIDAR_OF(Uints, InstanceModels) model_of;  // input [n_instances]
     Models models;                               // input [n_models]
-    // Input [n_models,6] in m, model frame: boxes of the models. They are the boxes of
-    // the first wide nodes, which are the root nodes.
+    // Input [n_models,6]: bounding boxes of the models in the model frame, m.
     RELIDAR_OF(Floats, WideBoxes) model_boxes;
     RELIDAR_OF(Floats, InstanceBoxes) boxes;  // scratch [n_instances + nodes,6] m, world
     Uvec2s keys;                              // scratch [power of two >= n_instances]

@@ -29,12 +29,12 @@ RELIDAR_SHARED_BEGIN
 /// Parameters of densify/observe.comp, which adds one batch to the densification
 /// statistics.
 struct ObserveParams {
-    // Input [n,3]: gradient with respect to the mean position. Undefined for surfels that
-    // `touched` marks with 0.
+    // Input [n,3]: gradient with respect to the mean position of each surfel. Undefined
+    // if the surfel's entry of `touched` is 0.
     RELIDAR_OF(Floats, Means) d_mean;
     RELIDAR_OF(Uints, TouchedSurfels) touched;  // input [n]
-    // Accumulated [n]: norm of the gradient with respect to the mean position, summed
-    // over all batches.
+    // Norm [n] of the gradient with respect to the mean position, summed over all
+    // batches. The kernel adds one batch.
     RELIDAR_OF(Floats, GradientSums) gradient_sum;
     // Accumulated [n]: number of batches in whose frame the surfel was visible.
     RELIDAR_OF(Uints, SeenBatches) n_seen;
@@ -54,8 +54,8 @@ struct ClassifyParams {
     RELIDAR_OF(Floats, GradientSums) gradient_sum;  // input [n]
     RELIDAR_OF(Uints, SeenBatches) n_seen;          // input [n]
     RELIDAR_OF(Uints, DensifyActions) action;       // output [n] RELIDAR_DENSIFY_DROP ... SPLIT
-    // Output [n]: weight with which a surfel receives new copies. 0 if it is neither
-    // cloned nor split.
+    // Output [n]: a surfel's share of all new copies, as a relative weight. 0 if the
+    // surfel is neither cloned nor split.
     RELIDAR_OF(Uints, GrowthWeights) weight;
     RELIDAR_OF(Uints, DensifyCounters) counters;  // accumulated [n_models,RELIDAR_DENSIFY_COUNTERS]
     Models models;                                // input [n_models]
@@ -73,15 +73,15 @@ struct ClassifyParams {
     uint key;  // key of the random numbers
 };
 
-/// Parameters of densify/allot.comp, which distributes n_new copies among the growing
-/// surfels according to their weights.
+/// Parameters of densify/allot.comp, which distributes n_new copies among the surfels to
+/// clone or split, in proportion to their weights.
 struct AllotParams {
     RELIDAR_OF(Uints, GrowthWeights) weight;      // input [n]
     RELIDAR_OF(Uints, WeightsBefore) cumulative;  // input [n] sum of the preceding weights
-    // In place [n]: action of each surfel. A growing surfel that receives no copy gets
-    // the action KEEP.
+    // Action of each surfel [n]. If a surfel should be cloned or split but gets no copy,
+    // the kernel changes the action to KEEP.
     RELIDAR_OF(Uints, DensifyActions) action;
-    // Output [n]: number of surfels that replace each surfel, including itself.
+    // Output [n]: 0 if the surfel is dropped, otherwise 1 + the number of its copies.
     RELIDAR_OF(Uints, RowCounts) n_rows;
     uint n_surfels;
     uint n_new;
@@ -99,13 +99,13 @@ struct MoveParams {
     RELIDAR_OF(Uints, RowStarts) starts;       // input [n] first new row of each surfel
     uint n_surfels;
     uint stride;
-    // 1: the values of new and changed surfels are set to zero, as needed for the Adam
-    // moments. 0: new surfels get copies of the values.
+    // 1: sets the values of new and changed surfels to zero, as needed for Adam moments.
+    // 0: copies the values of the original surfels.
     uint fresh;
 };
 
-/// Parameters of densify/spawn.comp, which moves and shrinks split surfels.
-/// densify/move.comp has already copied the old values to their new rows.
+/// Parameters of densify/spawn.comp, which moves and shrinks the copies of split surfels.
+/// Kernel densify/move makes these copies before.
 struct SpawnParams {
     SurfelPointers surfels;                    // in place, in the new order
     RELIDAR_OF(Uints, DensifyActions) action;  // input [n] in the old order

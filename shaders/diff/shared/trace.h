@@ -14,12 +14,12 @@ RELIDAR_SHARED_BEGIN
 /// * ray_stride of `rays`.
 struct TraceScene {
     TlasHandle tlas;  // acceleration structure (ray query)
-    // Input [1] in m: maximum distance between a hit and the far side of the icosahedron
-    // around its 3D Gaussian. Used by ray queries with icosahedra, otherwise address 0.
+    // Input [1] in m: maximum distance between a hit on a 3D Gaussian and a corner of the
+    // icosahedron around it. Address 0 if no icosahedra are used.
     RELIDAR_OF(Floats, ProxyReach) proxy_reach;
     MovingInstances moving;  // input [n_moving] (ray query)
-    // Input [n_models] in m: radius of the sphere around each model's origin that
-    // contains all its hits. Used by ray queries.
+    // Input [n_models] in m: radius of each model's bounding sphere, whose centre is the
+    // origin of the model. Used by ray queries.
     RELIDAR_OF(Floats, ModelRadii) model_radii;
     BvhPointers bvh;                   // the tree (software traversal)
     Rays rays;                         // input
@@ -46,20 +46,20 @@ struct TraceScene {
     uint n_rays;
     uint first_ray;
     uint ray_stride;
-    // Number of columns if the rays form an image, whose tiles are then traced together.
+    // Number of image columns if the rays form an image, which is then traced in tiles.
     // 0 = rays are traced in their order.
     uint columns;
 };
 
 #define RELIDAR_MOST_ROOM 512  // maximum capacity of a list
-// Maximum number of hits that a lane holds while its subgroup sorts a list. It limits the
-// length of a list.
+// Maximum number of hits per thread while a subgroup sorts a hit list. A list must not
+// exceed this number times the subgroup size.
 #define RELIDAR_MOST_HELD 16
 #define RELIDAR_SORTED_TOGETHER 4u  // lists that one workgroup sorts
-// Flag in the length of a hit list: the ray ends within the list, because its
-// transmittance falls below the limit.
+// Bit in the length of a ray's hit list. It is set if the ray ends at one of these hits,
+// because the transmittance falls below transmittance_min.
 #define RELIDAR_LIST_CLOSED 0x80000000u
-// Length of a list that does not contain all needed hits. Kernel forward/trace then
+// Value that replaces the length of an incomplete hit list. Kernel forward/trace then
 // renders the ray without a list.
 #define RELIDAR_LIST_UNFIT 0xffffffffu
 
@@ -75,14 +75,14 @@ struct HitLists {
 /// forward/trace searches and blends hits without lists.
 struct ForwardParams {
     TraceScene scene;
-    // Hit lists of the rays, if lists are used. Then forward/trace renders only the rays
-    // whose list is marked as unfit.
+    // Hits of each ray. If these lists are used, forward/trace renders only the rays with
+    // an incomplete list.
     HitLists lists;
     RenderedRays rendered;  // output [n_rays]
-    // Output [ceil(n/2),n_kept,2]: the first hits of each ray, stored for the backward
-    // pass.
+    // Output [ceil(n/2),n_kept,2]: nearest n_kept hits of each of n rays, for the
+    // backward pass. The hits of two rays alternate in memory.
     Hits kept;
-    // Accumulated [1]: number of rays with more than n_kept hits. Not counted if n_kept
+    // Number of rays [1] with more than n_kept hits. The kernel adds to it unless n_kept
     // is 0.
     RELIDAR_OF(Uints, OverfullCount) n_overfull;
     // Output [n_rays]: normal and distance of the surface that each ray hits. Written
@@ -90,15 +90,15 @@ struct ForwardParams {
     RenderedSurfaces surfaces;
     uint n_kept;
     uint kept_in_lists;  // 1: the stored hits share the memory of lists.hits.
-    // Minimum distance in m between two surfaces on a ray. Used only to find the surface
-    // with the largest weight (MODE).
+    // Hits of a ray that are closer together than this distance in m belong to the same
+    // surface. Used only to find the surface with the largest blending weight.
     float surface_gap_m;
 };
 
 struct AppendParams {
     TraceScene scene;
     HitLists lists;  // output: unordered hits
-    // Accumulated [1]: number of rays that have more hits than a list can contain.
+    // Number of rays [1] with more hits than fit into a hit list. The kernel adds to it.
     RELIDAR_OF(Uints, OverflowCount) n_overflows;
 };
 
