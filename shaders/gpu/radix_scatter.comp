@@ -19,19 +19,19 @@ RELIDAR_PARAMS(RadixSortParams);
 #include "radix.glsl"
 
 const uint ROUNDS = RELIDAR_TILE_SIZE / RELIDAR_TILE_THREADS;
-// Number of words in a row of counters. A word holds two 16-bit counts, which is enough
-// because a tile has fewer than 65536 keys.
+// Number of words for the counts of all digit values. Each word contains two 16-bit
+// counts.
 const uint WORDS = RELIDAR_SORT_DIGITS / 2u;
 const uint ROWS = 32u;  // Number of rows of counters that fit into 16 KiB of shared memory.
-// Number of keys with each digit, in the part of the tile that a subgroup processes.
-// Several subgroups may share a row. sum_counters() turns the counts into prefix sums
-// over the rows.
+// Number of keys with each digit value of the radix sort. Subgroups count in separate
+// rows, or share rows if there are more than ROWS subgroups.
 shared uint counters[ROWS * WORDS];
-// For each digit: output position of the tile's first key with this digit.
+// Output position of the first key with each digit value, among the keys of this
+// workgroup.
 shared uint digit_start[RELIDAR_SORT_DIGITS];
 uint rank[ROUNDS];  // Ranks of this lane's keys. The lane ranks one key per round.
 
-/// Returns the number of consecutive subgroups that use the same row of counters.
+/// Returns the number of subgroups that share one row of `counters`.
 uint count_sharing_subgroups() { return (gl_NumSubgroups + ROWS - 1u) / ROWS; }
 
 uint extract_half_word(uint word, uint digit) { return (word >> (16u * (digit & 1u))) & 0xffffu; }
@@ -75,7 +75,7 @@ void compute_key_ranks(uint run, uint count, uint row, bool in_turn) {
     }
 }
 
-/// Replaces the count of each digit by the sum of its counts in all earlier rows.
+/// Replaces the counts in each row of `counters` by the sums of all earlier rows.
 void sum_counters(uint n_rows) {
     if (get_scan_thread() >= WORDS) return;
     uint sum = 0u;

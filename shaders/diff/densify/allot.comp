@@ -26,8 +26,8 @@ uint divide_64_by_32(uint high, uint low, uint divisor) {
     return quotient;
 }
 
-/// Returns how many new copies belong to the surfels whose weights sum to `weight`:
-/// (weight * n_new + phase) / total_weight. Uses a 64-bit product.
+/// Returns how many of the n_new copies belong to the first surfels, up to a surfel where
+/// the weights sum to `weight`. `phase` is a random offset for rounding.
 uint sum_earlier_weights(uint weight) {
     if (params.total_weight == 0u) return 0u;
     uint high, low, carry;

@@ -22,7 +22,7 @@ void split_surfel(uint row) {
     vec4 q;
     for (uint k = 0u; k < 4u; ++k) q[k] = params.surfels.rotation.at[4 * row + k];
     mat3 r = make_rotation_matrix(q);
-    // uses random number 2 of the surfel, because kernel densify/classify uses 0 and 1
+    // Starts with random number 2, because kernel densify/classify has used 0 and 1.
     vec2 z = draw_normal_pair(params.key, row, 2u);
     vec3 offset = z.x * exp(params.surfels.log_scale.at[2 * row]) * r[0] +
                   z.y * exp(params.surfels.log_scale.at[2 * row + 1]) * r[1];

@@ -9,9 +9,7 @@
         if (place[h] < n) t[h] = load_list_hit(list, place[h]).t; \
     }
 
-// One step of a bitonic sorting network. Two hits whose positions differ in one bit are
-// swapped if necessary. Bit `run` of the position determines whether the order is
-// ascending or descending.
+// True if a step of the bitonic sort orders hit h of this thread in ascending order.
 #define IS_UPWARD(h) (((lane * HELD + h) & run) == 0u)
 
 #define EXCHANGE_BETWEEN_LANES(h)                                                       \

@@ -17,9 +17,8 @@ Hit load_list_hit(uint list, uint place) {
     return params.lists.hits.at[get_list_entry(params.lists.room, list, place)];
 }
 
-/// Returns true if hit `first` comes before hit `second`. Both hits have the same
-/// distance. If a hit was reported twice, the positions of its two copies decide.
-/// Positions beyond the end of the list come last.
+/// Orders two hits at the same distance: by instance, then by surfel, then by position in
+/// the list. Positions beyond the end of the list are last.
 bool is_tie_before(uint list, uint count, uint first, uint second) {
     if (first >= count || second >= count) return first < second;
     Hit hit_a = load_list_hit(list, first), hit_b = load_list_hit(list, second);
@@ -63,8 +62,8 @@ void main() {
     uint list = get_workgroup_index() * RELIDAR_SORTED_TOGETHER + gl_SubgroupID;
     uint length = list < params.lists.n ? params.lists.lengths.at[list] : 0u,
          n = length & ~RELIDAR_LIST_CLOSED;
-    // A list that needs no sort executes a barrier too, because lavapipe treats a
-    // subgroup barrier as a barrier of the full workgroup.
+    // Lists that are not sorted also execute the barrier of the sort functions. On
+    // lavapipe, a subgroup barrier waits for all subgroups of the workgroup.
     if (length == RELIDAR_LIST_UNFIT || n < 2u) subgroupBarrier();
     else if (n <= LANES) sort_1(list, n);
     else if (n <= 2u * LANES) sort_2(list, n);

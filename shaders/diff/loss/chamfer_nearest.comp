@@ -42,8 +42,8 @@ void visit_point(uint index, inout Nearest best) {
     }
 }
 
-/// Rectangle of image cells to search: the points of a tile, or the tiles of a group of
-/// tiles.
+/// Rectangle of a grid that is searched for the nearest point. The cells are pixels, or
+/// tiles of pixels.
 struct Cells {
     // Index of the first row and column (begin), and index after the last row and column
     // (end).

@@ -11,12 +11,11 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(ChamferPointsParams);
 
-// Minimum blended weight of a ray with a simulated point. With a smaller weight, depth /
-// weight is not a reliable range.
+// If the blending weights of a ray sum to less, its simulated range is unreliable.
 const float kLeastWeight = 0.1;
 
-/// Returns the range of the simulated point of a ray. Returns 0 if the ray has no such
-/// point or a value is NaN.
+/// Returns the simulated range of a ray in m. Returns 0 if the range is unreliable, NaN,
+/// or probably not measured (ray drop).
 float get_simulated_range(RenderedRay ray) {
     if (!(ray.weight > kLeastWeight) || !(ray.drop_logit < ray.hit_logit)) return 0.0;
     return params.normalised_depth != 0u ? ray.depth / ray.weight : ray.depth;

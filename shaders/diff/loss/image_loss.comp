@@ -13,8 +13,8 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(ImageLossParams);
 
-/// Computes the L1 loss of the depth and adds its derivative to the gradient. The depth
-/// is the blended range D, or D / W with normalised_depth.
+/// Computes the L1 loss of the depth and adds its derivative to the gradient. With
+/// normalised_depth, the blended depth is divided by the sum of the blending weights.
 /// @return value of this loss term
 float compute_depth_term(RenderedRay ray, float range_m, inout RayGradient gradient) {
     float weight = max(ray.weight, 1e-3);

@@ -53,8 +53,8 @@ Window compute_window_statistics(uint index) {
                   products / sum - shifted.x * shifted.y);
 }
 
-/// Computes the similarity loss of a pixel and writes its derivatives to `statistics`.
-/// @return the loss of the pixel
+/// Computes the structural similarity (SSIM) loss of a pixel: rendered against measured
+/// intensity. Also writes the derivatives of the loss to `statistics`.
 float compute_similarity_term(uint index) {
     Window w = compute_window_statistics(index);
     float a1 = 2.0 * w.mean.x * w.mean.y + kC1, a2 = 2.0 * w.covariance + kC2;

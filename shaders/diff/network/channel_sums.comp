@@ -20,8 +20,9 @@ uint get_part_begin(uint part, uint of_image) {
 }
 
 /// Returns the contribution of one pixel to the gradients of the normalisation's
-/// parameters, dL/d(beta) and dL/d(gamma).
-/// @param plane index of the first pixel of this channel
+/// parameters beta and gamma.
+/// @param plane,d_plane,place index of the channel's first pixel in `from`, in `d_to` and
+/// in the dropout mask
 vec2 compute_gradients_at(uint pixel, uint plane, uint d_plane, uint place, vec2 affine, vec2 moments) {
     float x = params.from.values.at[plane + pixel];
     float passes = compute_gate(affine.x * x + affine.y, place + pixel, params.dropout_key, params.dropout);

@@ -29,8 +29,8 @@ RELIDAR_PARAMS(ConvParams);
 
 const uint kOut = RELIDAR_CONV_OUT, kIn = RELIDAR_CONV_IN, kLines = TAPS == 1u ? 1u : 3u,
            kHeld = (kOut + LANES - 1u) / LANES;
-// Number of pixels that a lane loads per row. A 3x3 convolution loads one more pixel, for
-// the neighbours of the last lane.
+// Number of pixels that a thread loads per row. A 3x3 convolution also needs columns next
+// to the pixels that it computes.
 const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;
 shared float tile[kIn * 9 * kOut];  // weights of a tile, indexed [in, tap, out]
 
@@ -79,8 +79,7 @@ void main() {
     [[unroll]] for (uint v = 0u; v < kLoads; ++v) column[v] =
         (first_column + v * LANES + lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
     [[unroll]] for (uint k = 0u; k < kLines; ++k) {
-        // In the first line, row -1 wraps to a large unsigned number, which the next test
-        // rejects.
+        // In row 0, y - 1 wraps to a large unsigned number, so that `inside` is false.
         uint row = TAPS == 1u ? y : y + k - 1u;
         inside[k] = row < params.rows;
         row_at[k] = (image * params.from.channels + params.from.first) * n_pixels +

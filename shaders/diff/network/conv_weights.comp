@@ -22,14 +22,13 @@ RELIDAR_PARAMS(ConvWeightsParams);
 const uint kOut = RELIDAR_CONV_OUT, kIn = TAPS == 1u ? RELIDAR_CONV_IN : 1u, kLines = TAPS == 1u ? 1u : 3u;
 
 float sum[kOut * kIn * TAPS];  // partial sums of this lane, indexed [out, in, tap]
-// Input pixels of each line, [in, line]. A subgroup loads LANES columns into `before`,
-// starting one column to the left of its first column, and the LANES columns after these
-// into `next`.
+// Input pixels [in, line] of two neighbouring blocks of columns, one column per thread. A
+// 3x3 kernel reads columns of both blocks.
 float before[kIn * kLines], next[kIn * kLines];
 float d_out[kOut];  // d_to of the lane's column
 
-/// Adds the products of input and gradient in LANES columns of a row to the sums of this
-/// lane.
+/// Adds the contribution of one image column per thread to the thread's sums of the
+/// weight gradient.
 void add_row_columns() {
     [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
         float seen = kx == 0u ? before[k] : read_from_lane(before[k], next[k], kx);
@@ -53,8 +52,8 @@ void main() {
         bool inside[kIn * kLines];
         uint column = (lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
         [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) {
-            // In the first line, row -1 wraps to a large unsigned number, which the next
-            // test rejects.
+            // In row 0, y - 1 wraps to a large unsigned number, so that `inside` is
+            // false.
             uint row = TAPS == 1u ? y : y + k % kLines - 1u, i = min(first_in + k / kLines, params.n_in - 1u);
             inside[k] = row < params.rows;
             row_at[k] = (image * params.from.channels + params.from.first + i) * n_pixels +

@@ -4,8 +4,8 @@
 #ifndef RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 #define RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 
-/// Returns `first` of the lane that is `index` positions after this lane. Beyond the last
-/// lane, returns `second` of the lanes at the start.
+/// The subgroup holds an array of 2 LANES values: `first` of all lanes, then `second` of
+/// all lanes. Returns the value that is `index` positions after this lane's `first`.
 float read_from_lane(float first, float second, uint index) {
     uint lane = gl_SubgroupInvocationID + index;
     float of_a = subgroupShuffle(first, lane % LANES), of_b = subgroupShuffle(second, lane % LANES);

@@ -31,9 +31,9 @@ uint get_first_pixel(uint n_pixels) {
            gl_LocalInvocationIndex;
 }
 
-/// Returns the index of a channel in the tensor that contains the slice.
-/// @param plane index of the channel, counted over the channels of all images in the
-/// slice
+/// Converts a channel index from a slice to the tensor that contains the slice. Both
+/// indices count the channels of all images.
+/// @param n_channels number of channels of the slice
 uint get_plane_index(ImageSlice slice, uint plane, uint n_channels) {
     return plane / n_channels * slice.channels + slice.first + plane % n_channels;
 }

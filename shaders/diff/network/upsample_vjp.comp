@@ -9,8 +9,8 @@
 RELIDAR_PARAMS(ResampleParams);
 #include "resample.glsl"
 
-/// Finds the pixels of the large image that may use a pixel of the small image in the
-/// interpolation, along one axis.
+/// Finds all pixels of the large image to which a pixel of the small image contributes,
+/// along one axis. The range may be slightly too large.
 /// @param first output: first large pixel
 /// @param count output: number of large pixels
 void find_candidate_pixels(uint position, uint n_large, uint n_small, out int first, out int count) {
@@ -43,8 +43,7 @@ void main() {
     int first_x, first_y, n_x, n_y;
     find_candidate_pixels(column, params.columns, params.small_columns, first_x, n_x);
     find_candidate_pixels(row, params.rows, params.small_rows, first_y, n_y);
-    // Rows do not wrap around, so their range is moved into the image. It still contains
-    // all large rows that use this small row.
+    // Moves the range of rows into the image, because only columns wrap around.
     first_y = clamp(first_y, 0, int(params.rows) - n_y);
     float sum = 0.0;
     for (int y = first_y; y < first_y + n_y; ++y) {

@@ -17,8 +17,8 @@ RELIDAR_CONSTANT(bool, PER_FLOAT, false);
 RELIDAR_PARAMS(AdamParams);
 
 /// Updates one value with an Adam step.
-/// @param block offset of the value's block in the row
-/// @param within index of the value in its block
+/// @param block index in the row of the first value of a block (for example, a channel)
+/// @param within index of the value in the block
 void update_element(uint row, uint block, uint within, bool has_gradient, float learning_rate) {
     uint i = row * params.stride + block + within;
     // Loads the gradient even if it is not needed, because on a CPU a load in a branch is
@@ -39,8 +39,8 @@ void update_element(uint row, uint block, uint within, bool has_gradient, float 
     params.values.at[i] = value;
 }
 
-/// Updates one row, or one float of a row if PER_FLOAT is set.
-/// @param index index of the row or of the float
+/// Updates the values of one row with an Adam step.
+/// @param index index of the row, or with PER_FLOAT, index of a single value
 void step_row(uint index) {
     uint n_updated = params.n_blocks * params.n_active, row = PER_FLOAT ? index / n_updated : index;
     if (!is_null(params.rows)) row = params.rows.at[row];

@@ -8,9 +8,7 @@
 #include "images.h"
 
 #define RELIDAR_CONV_OUT 8  // Number of output channels that a subgroup of a convolution kernel computes.
-// Number of input channels whose weights a workgroup of network/conv keeps in shared
-// memory. It is also the number of input channels that a subgroup of network/conv_weights
-// processes for 1x1 convolutions.
+// Number of input channels that convolution kernels process together.
 #define RELIDAR_CONV_IN 8
 // Number of pixels of a channel that one thread of the normalisation kernels computes.
 #define RELIDAR_NORM_PIXELS 8
@@ -68,15 +66,15 @@ struct ChannelSumsParams {
     uint n_images;
     uint n_pixels;  // pixels per image
     uint n_channels;
-    // Number of parts of all images, a multiple of n_images. A part never extends over
-    // two images.
+    // Number of parts into which the images are divided for the sums. It is a multiple of
+    // n_images, so that no part extends over two images.
     uint n_parts;
     uint dropout_key;
     float dropout;
 };
 #ifdef __cplusplus
-// Selects the sums for batch normalisation: for each part, the mean and the sum of
-// squared deviations from it.
+// Selects the mean and the sum of squared deviations of each part of an image, for batch
+// normalisation.
 constexpr uint kSums_moments = 0;
 constexpr uint kSums_norm_vjp = 1;  // selects the gradients dL/d(beta), dL/d(gamma)
 constexpr uint kSums_plain = 2;     // selects plain sums, which are the gradient of a bias
@@ -134,7 +132,7 @@ struct NormVjpParams {
 struct ResampleParams {
     ImageSlice from;  // input
     ImageSlice to;    // output; in place for network/pool_vjp
-    // Input of the max pooling. Only its derivative (network/pool_vjp) reads this image.
+    // Image to which max pooling was applied. Used only by network/pool_vjp.
     ImageSlice pooled;
     uint n_images;
     uint n_channels;

@@ -25,19 +25,20 @@ struct ImageLossParams {
     float depth_weight;
     float intensity_weight;
     float drop_weight;
-    // Weight of the loss (1 - W)^2 for pixels with a return. W is the blended weight.
+    // Weight of the loss (1 - W)^2 for rays with a return. W is the sum of the ray's
+    // blending weights.
     float opacity_weight;
     float intensity_delta;  // Threshold of the Huber loss of the intensity. 0 selects the L1 loss.
     uint n_rays;
     uint first_ray;
     uint ray_stride;
-    // 1: the depth loss compares the measured range with D / W. 0: it compares the range
-    // with D, as in the paper.
+    // 1: the depth loss uses the blended depth divided by the sum of the blending
+    // weights. 0: it uses the blended depth, as in the LiDAR-RT paper.
     uint normalised_depth;
 };
 
-// Number of floats per pixel: derivatives with respect to mean, variance (times two) and
-// covariance, each divided by the sum of weights, and then both means.
+// Number of floats per pixel: derivatives of the loss with respect to mean, variance
+// (times 2) and covariance in a window, and the means of both images.
 #define RELIDAR_SSIM_FLOATS 5
 
 /// Parameters of the kernels loss/ssim and loss/ssim_vjp, which compute the structural
@@ -147,12 +148,13 @@ struct ChamferParams {
 struct SurfelLossParams {
     SurfelPointers surfels;    // input
     SurfelPointers d_surfels;  // accumulated: mean, log_scale
-    // Input [n]: 0 for surfels whose gradients are undefined, otherwise 1. Address 0 =
-    // all gradients are defined.
+    // Input [n]: 0 if the gradients of a surfel are undefined, otherwise 1. If the
+    // address is 0, all gradients are defined.
     RELIDAR_OF(Uints, TouchedSurfels) touched;
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated
     Models models;                        // input [n_models]
-    // Largest scale that has no penalty, relative to half the diagonal of the box.
+    // Scale above which a surfel is penalised, relative to half the diagonal of the
+    // actor's box.
     float box_scale_share;
     float box_weight;
     uint first_surfel;  // first surfel of the launch

@@ -18,7 +18,7 @@ struct AdamParams {
     // rows are updated.
     RELIDAR_OF(Uints, TouchedRows) rows;
     RELIDAR_OF(Uints, TouchedCount) n_listed;  // input [1]
-    // Input [n_rows]: upper bound of the values in each row. Address 0 means that values
+    // Input [n_rows]: upper bound of the values in each row. If the address is 0, values
     // have no bounds.
     RELIDAR_OF(Floats, ScaleBounds) bounds;
     // Input [n_models]: factor on the learning rate of each model. Address 0 means that
@@ -31,11 +31,11 @@ struct AdamParams {
     float epsilon;
     float correction1;  // 1 / (1 - beta1^step)
     float correction2;  // 1 / (1 - beta2^step)
-    // Factor on the learning rate of the first column of each block. For spherical
-    // harmonics, this column is the constant coefficient.
+    // Factor on the learning rate of the first value of each block. For spherical
+    // harmonics, this value is the constant coefficient.
     float first_scale;
-    // Factor on the learning rate of the first block of columns. For spherical harmonics,
-    // the first block is the intensity, and the other blocks are the two logits.
+    // Factor on the learning rate of the first block. For spherical harmonics, a block is
+    // a channel, and the first channel is the intensity.
     float block_scale;
     uint n_models;
     uint first_row;  // surfel of row 0

@@ -9,8 +9,8 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Matrix in an array, described by the distances between its elements. Used for batched
-// products C[b,h][i,j] = scale sum_k A[b,h][i,k] B[b,h][k,j].
+// Batch of matrices in one array, with arbitrary distances between rows, columns and
+// matrices.
 struct MatrixView {
     Floats values;
     uint first;
@@ -39,7 +39,7 @@ struct SoftmaxParams {
     // derivative reads the softmax from this array.
     RELIDAR_OF(Floats, SoftmaxValues) values;
     // In place [n_rows, n]: gradient of the softmax, replaced by the gradient of its
-    // input. Address 0 selects the forward pass.
+    // input. If the address is 0, the kernel computes the softmax instead.
     RELIDAR_OF(Floats, SoftmaxGradients) d_values;
     uint n_rows;
     uint n;
@@ -51,8 +51,8 @@ struct DropLossParams {
     // Input [n]: measurement of each ray. 1 = no return, 0 = return, negative = unknown.
     // Address 0 = all rays are unknown.
     RELIDAR_OF(Floats, DropTargets) target;
-    // Output [n]: derivative of the loss, which is `weight` times the sum of the
-    // cross-entropies of the known pixels.
+    // Output [n]: derivative of the loss with respect to `logit`. The loss is `weight`
+    // times the sum of the cross-entropies of all rays with a known measurement.
     RELIDAR_OF(Floats, DropLogitGradients) d_logit;
     RELIDAR_OF(Floats, DropProbabilities) probability;  // output [n], or address 0
     // Output [n_parts, 2]: for each part of the pixels, the sum of cross-entropies and
@@ -77,9 +77,8 @@ struct DropInputsParams {
     RELIDAR_OF(Floats, DropTargets) target;  // output [n_images, n_pixels]
     uint n_images;
     uint n_channels;
-    // Number of channels, at the end, that describe the pixels of the sensor instead of
-    // the scene. These channels do not rotate when an image is rotated to augment the
-    // training data.
+    // Number of channels, the last ones, that belong to the sensor instead of the scene.
+    // Data augmentation rotates the scene but not these channels.
     uint n_fixed;
     uint logit_channel;
     uint rows;

@@ -20,21 +20,21 @@ uint placed_instance[SLOTS];
 uint placed_surfel[SLOTS];
 uint n_hits;
 uint n_places;  // number of entries used so far
-// First free entry, or CHUNK if no entry is free. next_nearer links all entries that
-// became free because their hit was removed.
+// First entry of a linked list of removed hits, whose memory is reused. CHUNK if the list
+// is empty.
 uint free_place;
 uint latest;       // index of the hit that was inserted last
 float latest_t;    // Distance of the hit that was inserted last. It is -kFar if that hit was removed.
 float farthest_t;  // distance of the farthest hit, valid if hits_closed is true
-// True if hits behind the farthest hit in the buffer are not needed, because the buffer
-// is full or the ray ends before them. The search then stops at the farthest hit.
+// True if the ray needs no hits behind its farthest stored hit. The buffer is then full,
+// or the ray ends at this hit.
 bool hits_closed;
 float hits_transmittance;  // product of 1 - alpha over all hits in the buffer
 // Transmittance at which the ray ends, so that hits behind are not needed. 0 = all hits
 // are needed.
 float least_transmittance;
 
-// After the search: buffer entries of the hits, sorted from near to far.
+// Indices of the stored hits, sorted from near to far at the end of the search.
 uint hit_place[SLOTS];
 
 Hit load_sorted_hit(uint place) {
@@ -60,7 +60,7 @@ void append_hit(Hit hit) {
     ++n_hits;
 }
 
-/// Fills hit_place with the buffer entries of all hits, from near to far.
+/// Writes the indices of the stored hits to hit_place, from near to far.
 void sort_hit_indices() {
     uint place = next_nearer[CHUNK];
     for (uint i = n_hits; i > 0u; --i) {
@@ -81,7 +81,7 @@ uint remove_farthest_hit(float remaining_transmittance) {
     return place;
 }
 
-/// Returns the transmittance of the ray before the farthest hit in the buffer.
+/// Returns the transmittance of the ray just before its farthest stored hit.
 float compute_transmittance_before_farthest(float alpha_max) {
     return hits_transmittance / (1.0 - min(placed_alpha[next_nearer[CHUNK]], alpha_max));
 }
@@ -89,8 +89,8 @@ float compute_transmittance_before_farthest(float alpha_max) {
 /// Removes far hits that cannot contribute, because nearer hits reduce the transmittance
 /// below the limit.
 void drop_invisible_hits(float alpha_max) {
-    // Leaves the function in the usual case. Otherwise a CPU would execute the loop body
-    // once without effect.
+    // Common case. A CPU would execute the first iteration of the loop even if no thread
+    // needs it.
     if (!(hits_transmittance < least_transmittance)) return;
     while (n_hits > 1u) {
         float left = compute_transmittance_before_farthest(alpha_max);
@@ -131,9 +131,8 @@ void insert(Key key, float alpha, float alpha_max) {
         nearer = next_nearer[nearer];
     }
     uint slot = find_insertion_index(alpha_max);
-    // In a full buffer, the new hit gets the entry of the farthest hit. If the farthest
-    // hit was the farther neighbour of the new hit, the sentinel replaces it as the
-    // neighbour.
+    // The new hit may reuse the entry of a removed farthest hit. If that hit was its
+    // farther neighbour, the new hit has no farther neighbour now.
     if (slot == farther) farther = CHUNK;
     write_hit(slot, Hit(key.t, alpha, key.instance, key.surfel));
     latest = slot;
@@ -147,11 +146,11 @@ void insert(Key key, float alpha, float alpha_max) {
     if (hits_closed) farthest_t = placed_t[next_nearer[CHUNK]];
 }
 
-/// Returns the distance of the farthest hit in the buffer. Hits behind it are rejected if
-/// hits_closed is true.
+/// Returns the distance of the farthest hit that is stored for the ray. If hits_closed is
+/// true, the search ignores hits behind this distance.
 float get_last_hit_t() { return farthest_t; }
 
-/// Returns true if a hit is behind the last hit that the search needs.
+/// Returns true if a hit is not needed because it is behind the farthest needed hit.
 bool is_behind(Key key) {
     if (!hits_closed || key.t < farthest_t) return false;
     return key.t > farthest_t || !is_key_before(key, load_sorted_key(next_nearer[CHUNK]));

@@ -19,25 +19,24 @@ uint list_index;
 uint n_hits;       // Number of hits of the ray so far, including hits that do not fit into the list.
 bool hits_closed;  // True if hits behind the distance end_t cannot contribute.
 float end_t;
-// Product of 1 - alpha over all hits found since the end of the ray was last moved
-// nearer.
+// Product of 1 - alpha over the hits since the ray was last shortened.
 float set_transmittance;
-// If set_transmittance falls below this limit, the end of the ray is moved nearer.
+// Transmittance below which the ray is shortened to its farthest hit.
 float least_transmittance;
 float farthest_t;  // Distance of the farthest hit since the ray was last shortened.
 
-/// Returns the distance at which the ray ends. Hits behind it are rejected if hits_closed
-/// is true.
+/// Returns the distance at which the ray ends. If hits_closed is true, the search ignores
+/// hits behind this distance.
 float get_last_hit_t() { return end_t; }
 
 /// Returns true if a hit is behind the end of the ray, so that it cannot contribute.
 bool is_behind(Key key) { return hits_closed && key.t > end_t; }
 
-/// Returns the factor by which one reported hit reduces the transmittance.
+/// Returns the factor on the transmittance for each report of a hit by the driver.
 float compute_transmittance_factor(float alpha) {
 #ifdef RELIDAR_TRAVERSAL_RAY_QUERY
-    // The driver reports an icosahedron twice, where the ray enters and where it leaves.
-    // With square roots, both reports together count once.
+    // The driver reports an icosahedron twice: where the ray enters and where it leaves.
+    // The product of both square roots is 1 - alpha.
     if (count_proxy_triangles() == kProxy_icosahedron) return sqrt(1.0 - alpha);
 #endif
     return 1.0 - alpha;

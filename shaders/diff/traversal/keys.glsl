@@ -15,10 +15,9 @@ bool is_key_before(Key first, Key second) {
     return first.surfel < second.surfel;
 }
 
-/// Returns the memory index of hit `index` in a thread's hit list of size `capacity`. The
-/// hits of RELIDAR_SIDE_BY_SIDE lists alternate in memory. Reads then use complete cache
-/// sectors in both cases: each lane reads a different list, or all lanes read the same
-/// list.
+/// Returns the memory index of hit `index` in a ray's hit list. The hits of
+/// RELIDAR_SIDE_BY_SIDE rays alternate in memory, for faster access.
+/// @param capacity maximum number of hits in a list
 uint get_list_entry(uint capacity, uint list, uint index) {
     return ((list / RELIDAR_SIDE_BY_SIDE) * capacity + index) * RELIDAR_SIDE_BY_SIDE +
            list % RELIDAR_SIDE_BY_SIDE;

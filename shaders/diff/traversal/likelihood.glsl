@@ -6,8 +6,7 @@
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_LIKELIHOOD_GLSL
 RELIDAR_CONSTANT(uint, LIKELIHOOD, 0u);
 
-// Measured range of this thread's ray in m. 0 if the ray has no return or the measurement
-// is unknown. Used only with LIKELIHOOD.
+// Measured range of this thread's ray in m, or 0 if no range is known.
 float measured_range = 0.0;
 float measured_per_scale = 0.0;  // inverse of the likelihood's scale, in 1/m
 
@@ -20,17 +19,15 @@ void load_measurement(TraceScene scene, uint ray) {
     measured_per_scale = 1.0 / scene.likelihood_scale_m;
 }
 
-/// Returns the likelihood k = 1 / (1 + ((t - z) / s)^2) of the measured range z if the
-/// surface is at distance t. s is the scale of the noise. Returns 0 without a
-/// measurement.
+/// Returns the likelihood of the measured range z if the surface is at distance t:
+/// 1 / (1 + ((t - z) / s)^2), with the noise scale s. Returns 0 without a measurement.
 float evaluate_range_kernel(float t) {
     if (!(measured_range > 0.0)) return 0.0;
     float d = (t - measured_range) * measured_per_scale;
     return 1.0 / (1.0 + d * d);
 }
 
-/// Returns the derivative of the likelihood k with respect to t: dk/dt = -2 (t - z) / s^2
-/// k^2.
+/// Returns the derivative of evaluate_range_kernel() with respect to t.
 float differentiate_range_kernel(float t) {
     float k = evaluate_range_kernel(t);
     return -2.0 * (t - measured_range) * measured_per_scale * measured_per_scale * k * k;

@@ -11,14 +11,13 @@ struct Ray {
 
 Ray make_ray(DeviceRay entry) { return Ray(entry.origin, entry.direction, entry.time_s); }
 
-// Cached ray in the frame of an instance's model. Consecutive surfels usually belong to
-// the same instance, so the cache avoids most transforms.
+// Instance in whose model frame the ray is cached (entered_origin, entered_direction).
 uint entered_instance = 0xffffffffu;
 uint entered_first_surfel;
 vec3 entered_origin;
 vec3 entered_direction;
-// Rotation of the moving model between its stored pose and the ray's firing time, in
-// model axes. Stored as Rodrigues vector: axis times tangent of half the angle.
+// Rotation of the current model from the stored pose to the pose at the ray's firing
+// time, in the model frame. Stored as axis times tangent of half the angle.
 vec3 entered_turn = vec3(0.0);
 
 /// Returns the index of this thread's ray in the batch. The index is at least n_rays if
@@ -65,8 +64,8 @@ vec3 rotate_by_rodrigues(vec3 rotation, vec3 point) {
 }
 
 /// Converts a rotation vector (axis times angle) to a Rodrigues vector (axis times
-/// tangent of half the angle). The series is exact to float precision for angles of up to
-/// half a radian.
+/// tangent of half the angle). Exact to float precision for angles of up to half a
+/// radian.
 vec3 to_rodrigues_vector(vec3 turn) {
     float x = 0.25 * exact_dot(turn, turn);
     precise vec3 g =
@@ -74,8 +73,8 @@ vec3 to_rodrigues_vector(vec3 turn) {
     return g;
 }
 
-/// Moves the cached ray to compensate the motion of a model, so that the model can stay
-/// at its stored pose.
+/// Corrects the cached ray for the motion of its model. Afterwards, the ray is relative
+/// to the model's pose at the time `time_s`.
 void apply_motion(TraceScene scene, uint instance, float time_s) {
     vec3 velocity = scene.instances.at[instance].velocity, turn_rate = scene.instances.at[instance].turn_rate;
     float span_s = scene.instances.at[instance].half_span_s;

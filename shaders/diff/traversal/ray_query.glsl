@@ -32,12 +32,11 @@ struct Search {
     vec3 origin;  // world, m
     vec3 direction;
     uint mask;
-    // The query accepts only hits on this instance. RELIDAR_NO_INSTANCE accepts all
-    // instances.
+    // Only hits on this instance are used. RELIDAR_NO_INSTANCE means all instances.
     uint instance;
 };
 
-/// Prepares a ray query for one moving instance.
+/// Writes the parameters of a ray query for one moving instance to `search`.
 /// @return false if the ray cannot hit the instance
 bool search_moving_instance(TraceScene scene, Ray ray, MovingInstance moving, out Search search) {
     enter_instance(scene, ray, moving.instance);
@@ -60,8 +59,7 @@ void find_hits(TraceScene scene, Ray ray, Key after_key) {
         Search search = Search(ray.origin, ray.direction, RELIDAR_STANDING_MASK, RELIDAR_NO_INSTANCE);
         if (k > 0u && !search_moving_instance(scene, ray, scene.moving.at[k - 1u], search)) continue;
         float end = 1e30;  // distance at which the query stops
-        // If earlier queries have already filled the hit buffer, this query ends at the
-        // farthest hit of the buffer.
+        // Stops behind the farthest stored hit if the ray needs no farther hits.
         if (hits_closed) end = max(get_last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * get_last_hit_t()) + reach;
         rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT,
                               search.mask, search.origin + start * search.direction, 0.0, search.direction,

@@ -31,8 +31,8 @@ float evaluate_channel(TraceScene scene, uint surfel, uint channel) {
     return value;
 }
 
-/// Evaluates intensity and both logits in one loop, so that each basis value is read only
-/// once.
+/// Evaluates the spherical harmonics of the intensity and of the two logits of the
+/// ray-drop probability, in one loop.
 vec3 evaluate_channels(TraceScene scene, uint surfel) {
     vec3 value = vec3(0.5);
     uint x = surfel * RELIDAR_SH_FLOATS, y = x + RELIDAR_SH_COEFFICIENTS, z = y + RELIDAR_SH_COEFFICIENTS;
@@ -43,7 +43,7 @@ vec3 evaluate_channels(TraceScene scene, uint surfel) {
     return value;
 }
 
-/// Returns the intensity (at least 0), the hit logit and the drop logit of a hit.
+/// Returns the intensity (at least 0) of a hit, and two logits: return and ray drop.
 vec3 evaluate_hit_channels(TraceScene scene, Ray ray, uint instance, uint surfel, SurfelRecord record) {
     if (SH_PER_SURFEL != 0u)
         return vec3(record.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : record.hit_logit, record.drop_logit);

@@ -9,12 +9,12 @@
 // Sizes of BvhNode and SurfelRecord in 32-bit words. Word k is at the offset 4 k of the
 // struct.
 const uint kNodeWords = 20u, kRecordWords = 16u;
-// Maximum number of words of a node that one lane loads: 20 words, divided among at least
-// 4 lanes of a subgroup.
+// Maximum number of words that one lane loads: the 20 words of a tree node divided by the
+// minimum subgroup size, 4.
 const uint kMostParts = 5u;
 
-/// Words of a struct, distributed over the lanes of a subgroup. Lane k % size holds word
-/// k in part[k / size].
+/// 32-bit words of a struct, distributed over the n lanes of a subgroup. Word k is
+/// part[k / n] of lane k % n.
 struct SharedWords {
     uint part[kMostParts];
 };
@@ -31,8 +31,7 @@ SharedWords load_words(Uints source, uint first, uint count) {
     return words;
 }
 
-/// Returns word `index` of the struct to all lanes.
-/// @param index  must be equal in all lanes
+/// Returns word `index` of a struct. `index` must be equal in all lanes of the subgroup.
 uint get_word(SharedWords words, uint index) {
     uint part = words.part[0];
     [[unroll]] for (uint p = 1u; p < kMostParts; ++p) if (index >= p * gl_SubgroupSize) part = words.part[p];
@@ -63,8 +62,8 @@ BvhNode load_node(BvhNodes nodes, uint index) {
     return node;
 }
 
-/// Loads a surfel record together with the other lanes. Fills only the fields that
-/// intersect() reads.
+/// Loads a surfel for all lanes of the subgroup. Each lane loads some words. Fills only
+/// the fields that intersect() reads.
 SurfelRecord load_record(Records records, uint surfel) {
     SharedWords words = load_words(Uints(uvec2(records)), surfel * kRecordWords, kRecordWords);
     SurfelRecord record;

@@ -158,8 +158,8 @@ void push_lane_children(uint first, uint inner, uint hit_mask, float t[RELIDAR_B
     }
 }
 
-/// Pushes the inner children that any ray of the subgroup must visit. Used if the rays
-/// are traversed together. All rays use the order of the subgroup's first ray.
+/// Pushes those child nodes onto the stack whose boxes are hit by any ray of the
+/// subgroup. All rays push in the same order, from far to near for the first ray.
 void push_children(uint first, uint inner, uint opened, uint hit_mask, float t[RELIDAR_BVH_WIDTH]) {
     float key[RELIDAR_BVH_WIDTH];
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] =
@@ -194,22 +194,21 @@ uint collect_leaf_entries(BvhNode node, uint opened) {
     return entries;
 }
 
-/// Removes the lowest set bit from a bit mask.
-/// @return index of this bit
+/// Clears the lowest set bit of a bit mask, and returns the index of this bit.
 uint pop_nearest(inout uint entries) {
     uint lowest = uint(findLSB(entries));
     entries &= entries - 1u;
     return lowest;
 }
 
-/// Returns true if the lanes of this subgroup may load a struct together. All lanes must
-/// be active. At the end of a batch, lanes may have no ray.
+/// Returns true if the lanes of the subgroup may load data together. All lanes must be
+/// active for this.
 bool can_share_loads() {
     return TOGETHER == kSharesLoads && subgroupBallotBitCount(subgroupBallot(true)) == gl_SubgroupSize;
 }
 
-/// Tests surfels in the leaves of a node against all rays of a full subgroup.
-/// @param entries bit mask of leaf entries, equal in all lanes
+/// Tests surfels in the leaves of a node against the rays of all lanes of the subgroup.
+/// @param entries bit mask of the surfels to test, equal in all lanes
 void test_entries_in_subgroup(TraceScene scene, Key after_key, uint instance, uint first_surfel,
                               uint first_leaf, uint entries) {
     if (entries == 0u) return;
@@ -249,18 +248,20 @@ void test_entries_of_ray(TraceScene scene, Key after_key, uint instance, uint fi
     }
 }
 
-/// Transforms the ray that is used for box tests into the frame of a tree. This is the
-/// world frame for the top-level tree, otherwise the frame of an instance's model.
+/// Transforms the ray into the frame of an instance's model for box tests. For the
+/// top-level tree, uses the ray in the world frame.
 void transform_ray_into_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
     if (instance != RELIDAR_BVH_NO_NODE) enter_instance(scene, ray, instance);
     bool in_model = instance != RELIDAR_BVH_NO_NODE;
     set_box_ray(walked, in_model ? entered_origin : ray.origin, in_model ? entered_direction : ray.direction);
 }
 
-/// Visits a node: tests the surfels in its leaves and pushes its inner children.
-/// @param tree instance whose model contains the node. RELIDAR_BVH_NO_NODE for the
+/// Visits a node: tests the surfels in its leaves and pushes its child nodes onto the
+/// stack.
+/// @param tree instance whose model contains the node, or RELIDAR_BVH_NO_NODE for the
 /// top-level tree
-/// @param full_subgroup true if all lanes are active, so that they load the node together
+/// @param full_subgroup true if all lanes of the subgroup are active. They then load the
+/// node together
 /// @return number of tested surfels
 uint visit_node(TraceScene scene, Ray ray, Key after_key, uint tree, uint index, bool full_subgroup,
                 inout BoxRay walked) {
@@ -316,7 +317,7 @@ void find_hits(TraceScene scene, Ray ray, Key after_key) {
             uint lane_entry = entry;
             entry = subgroupBroadcastFirst(entry);
             tree = subgroupBroadcastFirst(tree);
-            // The subgroup now processes a different node, so this ray waits.
+            // A ray whose next node is not the node of the first active ray waits.
             if (lane_entry != entry || instance != tree) continue;
         }
         --stack_size;

@@ -13,10 +13,8 @@
 #include "keys.glsl"
 #include "ray.glsl"
 
-// Size of all arrays of this shader that are indexed at run time. Compilers replace
-// smaller arrays by selections between registers, but a shader has too few registers for
-// this. Mesa's AMD compiler does so up to 256 bytes, Intel's up to 16 elements. Larger
-// arrays stay in memory.
+// Size of the arrays that are indexed at run time. Some compilers keep arrays of up to 64
+// elements in registers, but a shader has too few registers for this.
 const uint SLOTS = 65u;
 
 #ifdef RELIDAR_APPENDS_HITS
@@ -49,18 +47,17 @@ void test_instance_surfel(TraceScene scene, Ray ray, Key after_key, uint instanc
     test_surfel(scene, after_key, instance, entered_first_surfel + local_surfel);
 }
 
-/// Returns the sort key at which the search for hits starts. Hits at t <= near_m are too
-/// close to the sensor and are skipped.
+/// Returns a sort key before all hits that count. Skips hits at t <= near_m, which are
+/// too close to the sensor.
 Key get_first_key(TraceScene scene) { return Key(scene.near_m, 0xffffffffu, 0xffffffffu); }
 
-/// Returns the distance at which the search continues. All hits before the key `after`
-/// are already known. The margin is much larger than the rounding error of t in any
-/// traversal method.
+/// Returns the distance at which the search for the hits behind a known hit starts. It is
+/// slightly nearer than the known hit because of rounding errors.
 float compute_search_start(Key after_key) { return max(after_key.t - (1e-4 + 1e-5 * after_key.t), 0.0); }
 
-/// Returns the product of 1 - alpha over the following hits at which the ray ends. The
-/// factor 0.99 allows for rounding.
-/// @param transmittance transmittance of the ray so far
+/// Returns the limit at which a ray ends, as a product of 1 - alpha over its next hits.
+/// The limit is slightly reduced because of rounding errors.
+/// @param transmittance transmittance of the ray before these hits
 float compute_min_transmittance(TraceScene scene, float transmittance) {
     return 0.99 * scene.transmittance_min / transmittance;
 }

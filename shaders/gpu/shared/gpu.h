@@ -20,11 +20,9 @@ struct ScanParams {
     // replaced by their prefix sums, which kernel scan_write reads. Address 0 = the input
     // has only one tile.
     RELIDAR_OF(Uints, ScanTileSums) tile_sums;
-    // Output of scan_write: prefix sums [n]. May be the same array as `counts` if the
-    // stride is 1.
+    // Output [n]: prefix sums. May be the same array as `counts` if `stride` is 1.
     RELIDAR_OF(Uints, ScanPrefix) prefix;
-    // Output of scan_write: sum of all counts [1]. Address 0 means that the kernel does
-    // not write the sum.
+    // Output [1]: sum of all counts. Not written if the address is 0.
     RELIDAR_OF(Uints, ScanTotal) total;
     uint n;
     uint offset;
@@ -42,8 +40,9 @@ struct RadixSortParams {
     RELIDAR_OF(Uints, SortOrder) order;
     RELIDAR_OF(Uints, SortKeys) sorted_keys;    // Output: sorted keys.
     RELIDAR_OF(Uints, SortOrder) sorted_order;  // Output: original indices of the sorted keys.
-    // Number of keys with each digit in each tile [digits,tiles]. Kernel radix_scan
-    // replaces each number by the number of keys with this digit in all earlier tiles.
+    // Radix sort: number of keys with each digit value in each tile of keys,
+    // [digits,tiles]. Kernel radix_scan replaces these numbers by their sums over all
+    // earlier tiles.
     RELIDAR_OF(Uints, DigitCounts) counts;
     RELIDAR_OF(Uints, DigitTotals) totals;  // Number of keys with each digit, [digits].
     uint capacity;
