@@ -91,8 +91,8 @@ void AccelerationStructure::record_bvh_refit_or_build(Stream& stream, const Devi
 void AccelerationStructure::record_refit_of_animated_actor_bvhs(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
     if (!a.built) return record_bvh_refit_or_build(stream, scene);
-    // Refits the trees of walking actors. These refits are not counted for the next
-    // rebuild, because walking repeats the same shapes and so the trees do not degrade.
+    // Does not increase `refits`, which triggers rebuilds: walking repeats the same
+    // shapes, so refits do not degrade the trees of walking actors.
     a.refit_tree(stream, scene, list_animated_surfel_ranges(scene.get_scene_layout().models));
     ++a.n_updates;
 }

@@ -27,9 +27,8 @@ constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
 // Workgroup size of the kernels whose threads exchange data in shared memory.
 constexpr SpecialisationConstant kShares{SpecialisationConstantId::WORKGROUP_SIZE, kWorkgroup};
 
-// Number of threads of a refit on a CPU. The driver runs a contiguous part of the threads
-// on each core. Each thread processes every n-th node, so that all cores have about the
-// same amount of work.
+// Number of threads that refit a tree on a CPU. Each of the n threads processes every
+// n-th node, so that all cores have about the same amount of work.
 constexpr std::uint32_t kRefitThreadsOfCpu = 1 << 12;
 
 /// Rounds the length of an array in scratch memory up to a multiple of 4 words. The next
@@ -70,12 +69,12 @@ std::uint32_t count_top_level_nodes(std::uint32_t n_instances) {
 
 }  // namespace
 
-/// Passed to compute_node_boxes_of_models() as the last surfel to select all models,
-/// including models without surfels.
+/// Upper bound of surfel indices. As the last surfel of compute_node_boxes_of_models(),
+/// it selects all models.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
-/// Offsets of the arrays in scratch memory, in words per surfel. The last build step
-/// converts binary nodes to wide nodes, and reuses the memory of keys, boxes and costs.
+/// Offsets of the arrays in the scratch memory of a build, in words per surfel. Arrays
+/// that are not needed at the same time share an offset.
 constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5,
                         kBoxesAt = 7, kCostsAt = 13, kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22,
                         kScratchWords = 23;
@@ -95,14 +94,14 @@ struct Bvh::Impl {
     Array<std::uint32_t, shared::InstanceModels> model_of;  ///< [n_instances] model of each instance
     Array<float, shared::SurfelBoxes> boxes;                ///< [n,6] boxes of the surfels, in m
     Array<std::uint32_t, shared::ModelBounds> bounds;       ///< [n_models,6] bounds of the box centres
-    /// Scratch memory for the arrays of the binary trees and for the keys of the sort.
+    /// Memory for arrays that only the build of a tree uses.
     Array<std::uint32_t> scratch;
     Array<std::uint32_t, shared::BinaryRoots> queue;       ///< [bound] binary nodes that become wide nodes
     Array<std::uint32_t, shared::LevelSizes> level_sizes;  ///< number of queue entries per level
     Array<glm::uvec2, shared::SumsOfTiles> tiles;
     Array<shared::BvhNode> nodes;                   ///< [bound] wide nodes of all models
     Array<std::uint32_t, shared::LeafOrder> order;  ///< [n] surfels in the order of the leaves
-    /// Parent of each node, and first surfel of the node's model [bound].
+    /// [bound] Two values per tree node: its parent, and the first surfel of its model.
     Array<glm::uvec2, shared::WideLinks> links;
     Array<float, shared::WideBoxes> node_boxes;  ///< [bound,6] boxes of the nodes before quantisation
     /// [bound] number of children whose boxes are finished
@@ -126,9 +125,8 @@ struct Bvh::Impl {
         return scratch.address_as<T, Meaning>(offset_words_per_surfel *
                                               std::size_t(round_up_to_multiple_of_4(n)));
     }
-    /// Returns the offset of a set of sort keys in scratch memory. The sort alternates
-    /// between two sets, and its result is in set 0. Later, the costs of the binary nodes
-    /// overwrite set 1.
+    /// Returns the offset of one of the two buffers of sort keys in scratch memory. The
+    /// radix sort reads one buffer and writes the other. The sorted keys are in buffer 0.
     std::uint32_t get_sort_keys_offset(int set_index) const { return set_index == 0 ? kKeysAt : kCostsAt; }
     SortBuffers get_sort_buffer_gpu_addresses(int set_index) const;
     std::uint32_t compute_max_tree_levels() const;
@@ -195,8 +193,8 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       cost_sums(d, count_workgroups(bound), "cost sums"),
       costs(d, count_workgroups(bound) * sizeof(float), "cost sums") {}
 
-/// Returns the number of levels for which kernel bvh_wide_mark is launched. This is the
-/// number of levels of a full tree with `bound` nodes, plus 4 for uneven trees.
+/// Returns an upper bound of the number of tree levels: the levels of a full tree with
+/// `bound` nodes, plus 4 because real trees are uneven.
 std::uint32_t Bvh::Impl::compute_max_tree_levels() const {
     std::uint32_t n_levels = 4;
     for (std::uint64_t width = n_models; width < bound; width *= RELIDAR_BVH_WIDTH) ++n_levels;
@@ -248,8 +246,8 @@ SortBuffers Bvh::Impl::sort_surfels_by_morton_code(Stream& stream, const DeviceS
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
-    // Each pass of the sort moves the keys from one set to the other. Chooses the first
-    // set so that the last pass writes set 0.
+    // Each pass of the radix sort moves the keys to the other buffer. Starts with the
+    // buffer for which the last pass writes buffer 0.
     const int first_set = static_cast<int>(RadixSort::count_radix_passes(count_sort_key_bits()) % 2);
     run(stream, keys_kernel, n,
         {.records = scene.get_surfel_records().address(),

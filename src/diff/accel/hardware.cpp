@@ -59,8 +59,8 @@ struct BuildInput {
         VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_GEOMETRY_INFO_KHR};
     VkAccelerationStructureBuildRangeInfoKHR range{};
 
-    /// Returns the memory sizes that a build needs.
-    /// @param n_primitives number of primitives or instances
+    /// Returns the memory sizes that the build of an acceleration structure needs.
+    /// @param n_primitives number of triangles, boxes or instances
     VkAccelerationStructureBuildSizesInfoKHR query_build_sizes(Device::Impl& device,
                                                                std::uint32_t n_primitives) {
         range.primitiveCount = n_primitives;
@@ -130,8 +130,8 @@ struct RayQueryAccel::Impl {
     const ProxyTriangleMesh& mesh;
     Kernel<shared::ProxyParams> proxies;
     Array<float> geometry;  ///< vertices [n,corners,3] or boxes [n,6]
-    /// [1] maximum distance from a hit to the far side of the icosahedron around its
-    /// Gaussian
+    /// [1] maximum distance from a hit on a 2D Gaussian to the far side of the proxy
+    /// shape (icosahedron) that encloses the Gaussian
     Array<std::uint32_t> reach;
     /// Triangle indices for the largest model. Smaller models use the first indices, with
     /// an offset to their first vertex.
@@ -328,7 +328,8 @@ void RayQueryAccel::record_build_or_refit(Stream& stream, const DeviceScene& sce
     Impl& a = *impl_;
     std::uint32_t n = 0;
     for (const SurfelRange& range : ranges) n += range.count;
-    // `reach` is a maximum over all models. It is reset only if all models are updated.
+    // `reach` is a maximum over all models, so it is reset only if all models are
+    // updated.
     if (a.reach.size() && n == scene.size()) stream.fill(a.reach);
     for (const SurfelRange& range : ranges) a.compute_proxy_shapes(stream, scene, options, range);
     // Resets the radii only if all models are updated.

@@ -22,9 +22,9 @@ public:
     RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShape proxy);
     ~RayQueryAccel();
 
-    /// Records commands that build or refit the structures of models. Then builds the
-    /// top-level structure over the instances. A refit requires an earlier build.
-    /// @param ranges models to update. The surfels of other models must not have changed
+    /// Records commands that build or refit the bottom-level acceleration structures of
+    /// models, and then build the top-level structure. A refit requires an earlier build.
+    /// @param ranges surfels of the models to update. Other surfels must be unchanged
     void record_build_or_refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                                const std::vector<SurfelRange>& ranges, bool refit_only);
     /// Records commands that rebuild only the top-level structure, after instances have

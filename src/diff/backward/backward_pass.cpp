@@ -31,10 +31,9 @@ bool should_sum_gradients_without_atomics(const Device& device, GradientReductio
     return sh_direction == ShDirection::ray || !device.info().float_atomics;
 }
 
-/// Returns true if the lanes of a subgroup exchange gradient rows through shared memory
-/// before they add them with atomics. On a GPU this is faster, because each atomic
-/// instruction accesses fewer memory sectors. It requires maximal reconvergence, because
-/// lanes leave the loops over hits at different times.
+/// Returns true if the threads of a subgroup collect gradients in shared memory before
+/// they add them with atomics. This reduces memory traffic on a GPU, but requires a
+/// device that supports maximal reconvergence (VK_KHR_shader_maximal_reconvergence).
 bool should_exchange_rows_in_shared_memory(const Device& device, const BackwardOptions& backward_options,
                                            bool sums_without_atomics) {
     return !sums_without_atomics &&
@@ -50,8 +49,8 @@ struct BackwardPass::Impl {
     Kernel<shared::BackwardParams> trace;
     PoseGradientKernels poses;
     std::unique_ptr<HitGradientGather> gather;  ///< null if gradients are added with atomics
-    /// Counter that the tracing kernel must write. The host ignores it, because the
-    /// forward pass has already counted the same rays.
+    /// Number of truncated rays. The kernel must write this number, but nothing reads it,
+    /// because the forward pass has already counted these rays.
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
 
     static std::vector<SpecialisationConstant> make_backward_kernel_constants(
@@ -64,8 +63,8 @@ struct BackwardPass::Impl {
         all.push_back({SpecialisationConstantId::GATHER, gathered ? 1u : 0u});
         const bool exchanged = should_exchange_rows_in_shared_memory(device, backward_options, gathered);
         all.push_back({SpecialisationConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
-        // With one subgroup per workgroup, subgroup barriers also work on lavapipe, which
-        // treats them as barriers of the full workgroup.
+        // Uses one subgroup per workgroup, because lavapipe (a CPU driver) treats a
+        // subgroup barrier as a barrier of the full workgroup.
         if (exchanged)
             all.push_back({SpecialisationConstantId::WORKGROUP_SIZE,
                            static_cast<std::uint32_t>(device.info().subgroup_size)});

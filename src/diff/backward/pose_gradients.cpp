@@ -12,9 +12,8 @@ namespace relidar {
 namespace {
 
 constexpr std::uint32_t kThreads = 64;  // threads per workgroup
-// Number of surfels per workgroup. The first kernel sums values in each workgroup, and
-// the second kernel sums over workgroups. With a million surfels, each thread adds 16
-// values in both kernels.
+// Number of surfels per workgroup. The first kernel sums the gradients of each workgroup,
+// the second kernel sums over the workgroups.
 constexpr std::uint32_t kBlock = 1024;
 
 struct BlockTable {

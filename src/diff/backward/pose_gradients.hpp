@@ -10,8 +10,8 @@
 
 namespace relidar {
 
-/// Blocks of surfels into which all instances are divided, and the gradient sum of each
-/// block.
+/// Buffers for the gradients of instance poses. The surfels of each instance are divided
+/// into blocks, and a workgroup sums the gradients of one block.
 struct DeviceGradients::PoseGradientSums {
     Array<shared::PoseBlock> blocks;
     Array<std::uint32_t> first_block;            ///< [instances + 1] first block of each instance
@@ -25,9 +25,8 @@ struct DeviceGradients::PoseGradientSums {
 class PoseGradientKernels {
 public:
     explicit PoseGradientKernels(Device& device);
-    /// Computes the pose gradients of all instances and of the sensor. Reads two arrays:
-    /// the gradients of the surfel records, and the gradients of the view directions
-    /// (PoseGradientSums::d_view).
+    /// Computes the pose gradients of all instances and of the sensor from the gradients
+    /// of the surfels and of the viewing directions.
     void compute_pose_gradients(Stream& stream, const DeviceScene& scene, const ImageFormationModel& model,
                                 const glm::vec3& view_origin_m, DeviceGradients& gradients);
 

@@ -37,8 +37,8 @@ struct DensifyThresholds {
 /// different purposes are independent.
 enum class RandomPurpose : std::uint64_t { classify = 1, phase = 2 };
 
-// Opacity of a surfel after a reset, relative to alpha_min. The value is above 1, because
-// a surfel with an opacity below alpha_min is invisible and gets no gradient.
+// Opacity of a surfel after an opacity reset, divided by alpha_min (the lowest opacity
+// that the renderer blends). Above 1, because invisible surfels get no gradient.
 constexpr double kResetOverAlphaMin = 2.5;
 
 }  // namespace

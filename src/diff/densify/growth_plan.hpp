@@ -26,19 +26,18 @@ struct GrowthPlan {
     std::uint32_t phase = 0;  ///< phase of the systematic sampling, below total_weight
 
     std::uint32_t size() const { return survivors + n_new; }
-    /// Returns how many copies the first surfels of the list get. Must use the same
-    /// formula as kernel diff/densify/allot.
-    /// @param cumulative_weight sum of the weights of these first surfels
+    /// Returns the number of copies that the first k surfels get in total. Must use the
+    /// same formula as kernel diff/densify/allot.
+    /// @param cumulative_weight sum of the weights of the first k surfels
     std::uint32_t count_earlier_copies(std::uint64_t cumulative_weight) const;
-    /// Returns the models with the surfel ranges that are valid after the densification.
+    /// Returns the models with their surfel ranges after surfels were added and removed.
     std::vector<SurfelModel> assign_new_surfel_ranges(std::vector<SurfelModel> models,
                                                       const std::vector<ModelDensifyCounters>& counts) const;
 };
 
-/// Plans how many surfels densification adds. Each growing surfel adds one surfel, until
-/// the total reaches DensifyOptions::max_surfels. Surfels that are not dropped always
-/// stay.
-/// @param random_number selects which growing surfels get a copy if the limit is reached
+/// Plans how many surfels densification adds: one copy of each surfel that is marked for
+/// growth, until the total reaches DensifyOptions::max_surfels.
+/// @param random_number selects which surfels are copied if max_surfels is reached
 GrowthPlan plan_surfel_growth(const std::vector<ModelDensifyCounters>& counts, const DensifyOptions& options,
                               std::uint64_t random_number);
 /// Reduces the number of added surfels until the total is at most `max_surfels`. Does not

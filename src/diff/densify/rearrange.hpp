@@ -22,9 +22,9 @@ public:
     std::uint32_t capacity() const;
     /// Returns the memory per surfel in bytes.
     std::size_t compute_bytes_per_surfel() const;
-    /// Submits the kernels that distribute the new copies among growing surfels and
-    /// compute the new position of each surfel. Reads `action` and `weight`.
-    /// @param n_surfels_before number of surfels before the densification
+    /// Submits the kernels that decide which surfels are copied, and compute the new
+    /// array index of each surfel. Reads `action` and `weight`.
+    /// @param n_surfels_before number of surfels before surfels are added and removed
     void compute_new_row_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_surfels_before);
     /// Submits the kernels that move the rows of all arrays in `surfel_arrays` to the new
     /// positions of the surfels.
@@ -32,9 +32,8 @@ public:
     /// @param n_surfels_after number of surfels after the densification
     void move_surfels_to_new_rows(Stream& stream, SurfelArrays& surfel_arrays, bool zero_new_rows,
                                   std::uint32_t n_surfels_after);
-    /// Submits the kernels that move the densification statistics to the new positions of
-    /// the surfels. Keeps the frames in which a surfel was visible, and resets all other
-    /// statistics.
+    /// Submits the kernels that move the per-surfel statistics to the new array indices.
+    /// Resets all statistics except the frames in which a surfel was visible.
     void move_statistics_to_new_rows(Stream& stream);
     /// Submits commands that reset the sums of gradient norms and the numbers of batches
     /// to zero.
@@ -44,8 +43,8 @@ public:
     // [n] action of each surfel, in the old order
     Array<std::uint32_t, shared::DensifyActions> action;
     Array<std::uint32_t, shared::GrowthWeights> weight;
-    /// First new row of each surfel. Holds the cumulative weights before the rows are
-    /// computed.
+    /// New array index of each surfel. Before these indices are computed, the array holds
+    /// prefix sums of `weight`.
     Array<std::uint32_t, shared::RowStarts> starts;
     Array<std::uint32_t, shared::RowCounts> n_rows;
 

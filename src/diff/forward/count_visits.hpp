@@ -15,9 +15,9 @@ struct VisitCounts {
     double nodes = 0.0;    ///< visited nodes, including nodes of the top-level tree
     double surfels = 0.0;  ///< tested surfels
 };
-/// Renders a batch again and counts its visits, at most 2^32. Waits for the result.
-/// Before the call, the surfel records and the acceleration structure must be up to date,
-/// and their commands submitted.
+/// Renders a batch again, and returns how many tree nodes and surfels the rays visit.
+/// Waits for the result. Before the call, submit the commands that compute the surfel
+/// records and build the acceleration structure.
 /// @return nothing if the device uses ray queries, because the driver reports no visits
 std::optional<VisitCounts> count_bvh_visits(Device& device, const DeviceScene& scene,
                                             const AccelerationStructure& accel, const RayBatch& batch,

@@ -13,8 +13,8 @@
 namespace relidar {
 namespace {
 
-// Maximum number of lists. A subgroup sorts each list, and a launch can have at most 2^32
-// threads.
+// Maximum number of hit lists (one per ray). One subgroup sorts each list, so more lists
+// could need more than 2^32 threads in a launch.
 constexpr std::size_t kMostLists = std::size_t(1) << 24;
 
 /// Returns the maximum size of all hit lists in bytes: one eighth of the device's memory.
@@ -86,15 +86,15 @@ bool HitListTracer::has_hit_list_overflowed(Stream& stream) {
     return grows_ && hits_per_list_ < max_hits_per_list_ && n_overflows > 0;
 }
 
-/// Returns memory for hit lists. If the hits that are stored for the backward pass have
-/// enough memory, the lists share this memory.
+/// Returns memory for one hit list per thread. Uses the hit memory of the backward pass
+/// (`kept_hits`) if it is large enough.
 shared::HitLists HitListTracer::reserve_hit_lists(Stream& stream, std::size_t n_threads,
                                                   const StoredRayHits* kept_hits) {
     const std::size_t n = StoredRayHits::round_up_to_interleaved_threads(n_threads);
     if (n > kMostLists) return {};
     if (has_hit_list_overflowed(stream)) {
         hits_per_list_ = std::min(2 * hits_per_list_, max_hits_per_list_);
-        // Resets the overflow count, because it was measured with a smaller capacity.
+        // Restarts the count of full lists, because the lists now have a larger capacity.
         stream.fill(n_overflows_);
         overflows_before_ = 0;
     }
@@ -102,7 +102,8 @@ shared::HitLists HitListTracer::reserve_hit_lists(Stream& stream, std::size_t n_
                                         kept_hits->per_ray <= max_hits_per_list_;
     const bool can_reuse_lists =
         allocated_hits_per_list_ == hits_per_list_ && hits_.size() >= n * hits_per_list_;
-    // Waits, because the device may still write to the lists that are freed below.
+    // The code below frees old lists. Waits first, because the GPU may still write to
+    // them.
     if ((uses_stored_hit_memory ? hits_.size() > 0 : !can_reuse_lists) || lengths_.size() < n)
         stream.submit_and_wait();
     if (uses_stored_hit_memory) hits_ = {};

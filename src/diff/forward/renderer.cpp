@@ -47,9 +47,8 @@ struct Renderer::Impl {
     }
 
     void allocate_ray_arrays(std::size_t n_rays) {
-        // Allocates the memory for kept hits last, because it may become smaller. If
-        // another allocation fails, `rendered` stays empty, so that the next call tries
-        // again.
+        // `rendered` stays empty if an allocation fails, so that the next call tries
+        // again. Allocates the hit storage last, because it can be made smaller to fit.
         batch.surfaces = nullptr;
         rendered = {};
         if (options.trace.writes_normals_or_surface_ranges())
@@ -88,8 +87,8 @@ Renderer::Renderer(Device& device, const Scene& scene, const ImageFormationModel
 Renderer::~Renderer() { wait_for_device(); }
 
 void Renderer::wait_for_device() noexcept {
-    // Also submits the recorded commands of a stream of the caller, because they may use
-    // the arrays.
+    // If the caller provided the stream, its recorded commands may use the renderer's
+    // arrays, so they must finish too.
     try {
         if (!impl_->local_stream) impl_->stream.submit_and_wait();
     } catch (const Error&) {  // nothing to do, because a lost device no longer uses memory
@@ -127,7 +126,8 @@ void Renderer::record_forward_pass(const RayBatch& rays) {
         r.stream.submit_and_wait();
         r.allocate_ray_arrays(rays.n_rays);
     }
-    // An image can need more threads than rays, because its tiles may extend beyond it.
+    // The hit storage needs one entry per thread. An image can have more threads than
+    // rays.
     if (r.stored_hits && !r.stored_hits->can_store_hits(rays)) {
         r.stream.submit_and_wait();
         r.allocate_hit_storage_that_fits(count_trace_threads(rays));

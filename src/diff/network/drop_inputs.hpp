@@ -34,20 +34,20 @@ public:
     /// @param output_images output, [n, channels, rows, columns]
     void make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                           const Tensor& output_images);
-    /// Submits the kernel that creates a batch from images in another device array. These
-    /// images have no targets.
+    /// Submits the kernel that creates a batch from images that are already on the
+    /// device. There is no measured ray drop for these images.
     /// @param samples [samples, channels, rows, columns]
     void make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                           Address<float, shared::DropSamples> samples, const Tensor& output_images);
 
-    /// Returns the rendered drop logits of the last batch, [n, rows, columns]. The
-    /// network predicts a correction of these logits.
+    /// Returns the logits of the rendered ray-drop probabilities of the last batch, [n,
+    /// rows, columns]. The network predicts a correction of these logits.
     const Array<float, shared::StartLogits>& get_rendered_logits() const { return start_; }
-    /// Returns the measured drops of the last batch, [n, rows, columns], with the values
-    /// of RayDropImage::dropped.
+    /// Returns which rays of the last batch were dropped (had no return) in the log, [n,
+    /// rows, columns]. Same values as RayDropImage::dropped.
     const Array<float, shared::DropTargets>& get_measured_drops() const { return target_; }
     bool has_measured_drops() const { return targets_.size() > 0; }
-    /// Returns the number of pixels of an image whose measured drop is known.
+    /// Returns the number of pixels for which the log shows whether the ray was dropped.
     std::size_t count_known_pixels(std::uint32_t image_index) const { return n_known_pixels_[image_index]; }
 
 private:

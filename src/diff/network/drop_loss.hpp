@@ -18,8 +18,8 @@ struct RayDropScore {
 struct RayDropLossArrays {
     Address<float, shared::DropLogits> logit;
     Address<float, shared::StartLogits> start = {};  ///< added to the logits
-    /// Measured outcome: 1 for a ray without a return, 0 for a ray with a return,
-    /// negative for an unknown ray.
+    /// 1 if the LiDAR measured no return for the ray, 0 if it measured a return, negative
+    /// if unknown
     Address<float, shared::DropTargets> target = {};
     Address<float, shared::DropLogitGradients> d_logit = {};     ///< output: gradient of the logits
     Address<float, shared::DropProbabilities> probability = {};  ///< output: drop probabilities

@@ -24,8 +24,8 @@ int get_batch_size(const RayDropNetworkOptions& options);
 /// hardly helps these networks, and rotated images make them less accurate.
 struct NetworkRegularisation {
     double dropout = 0.0;  ///< share of the values that a layer drops
-    /// True: training rotates images around the sensor by a random number of columns.
-    /// Does not rotate channels that describe the sensor's pixels.
+    /// True: training rotates images around the sensor by a random number of columns,
+    /// except input channels that are fixed to the sensor (for example its beams).
     bool turns = false;
 };
 /// Returns the training settings that reduce overfitting of a network.
@@ -35,8 +35,8 @@ NetworkRegularisation get_regularisation(const RayDropNetworkOptions& options);
 /// Returns the index of the input channel that contains the rendered drop logit.
 std::uint32_t find_drop_logit_channel(const RayDropNetwork& network);
 
-/// Returns the number of input channels that describe the sensor's pixels instead of the
-/// scene. They are the last channels.
+/// Returns the number of input channels that are constant for the sensor (do not depend
+/// on the scene). They are the last channels.
 std::uint32_t count_sensor_pixel_channels(const RayDropNetwork& network);
 
 /// Checks the size and the values of an image.

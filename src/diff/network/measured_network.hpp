@@ -21,8 +21,8 @@ struct ConvolutionSize {
     }
 };
 
-/// Convolution on a device, for benchmarks. Its inputs are not zero. Each function waits
-/// until its result is finished.
+/// Convolution layer on a device, for benchmarks. Each function waits until its result is
+/// finished.
 class ConvolutionBenchmark {
 public:
     ConvolutionBenchmark(Device& device, const ConvolutionSize& size);

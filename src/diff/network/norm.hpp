@@ -16,8 +16,8 @@ struct NormWeights {
     Address<glm::vec2, shared::RunningMoments> running;
 };
 
-/// Array into which the gradients of beta and gamma are written, as [channels, 2], and
-/// the index of the first gradient.
+/// Where to write the gradients of a normalisation layer: [channels, 2] gradients of
+/// shift and scale in the array `all`, from index `first`.
 struct NormGradientTarget {
     const Array<float>& all;
     std::size_t first = 0;

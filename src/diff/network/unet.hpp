@@ -46,16 +46,14 @@ struct UnetParameterLayout {
     explicit UnetParameterLayout(const RayDropNetwork& network);
 };
 
-/// Numbers of channels of a decoder level. count_decoder_channels(): its output.
-/// count_upsampled_channels(): its input from the level with smaller images.
-/// count_concatenated_channels(): this input together with the skip connection.
+/// Channels of a decoder level: of the output, of the upsampled input, and of this input
+/// together with the skip connection.
 std::uint32_t count_decoder_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t count_upsampled_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t count_concatenated_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 
-/// Initialises the parameters with Kaiming's uniform distribution. Normalisations start
-/// with gamma 1 and beta 0. If the network predicts a correction, its last convolution
-/// starts with 0, so that the initial correction is 0.
+/// Initialises the parameters with Kaiming's uniform distribution. If the network is
+/// residual, its last convolution starts at 0, so that its first output is 0.
 void initialise_network_parameters(RayDropNetwork& network, const UnetParameterLayout& parameter_layout,
                                    std::uint64_t seed);
 
@@ -100,9 +98,8 @@ private:
         Tensor active;
         NormActivations norm;
     };
-    /// Arrays of one level. `joined` is the input of the decoder: the images from the
-    /// smaller level and the skip connection. The `between` arrays hold the images
-    /// between two blocks.
+    /// Arrays of one level of the U-Net. `joined`: upsampled images and skip connection.
+    /// `between`: images between the two blocks of a level.
     struct UnetLevelBuffers {
         Tensor joined, d_joined, down_between, d_down_between, up_between, d_up_between, up, d_up, pooled,
             d_pooled;

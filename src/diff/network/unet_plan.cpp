@@ -92,8 +92,8 @@ void initialise_network_parameters(RayDropNetwork& network, const UnetParameterL
     };
     draw_conv(parameter_layout.first_conv);
     for (const UnetBlockOffsets& block : parameter_layout.down) draw_block(block);
-    // The output projection of the attention stays 0, so that attention adds nothing at
-    // first.
+    // Leaves the output projection of the attention at 0, so that attention adds nothing
+    // at first.
     if (parameter_layout.query) draw_block(*parameter_layout.query);
     for (const UnetBlockOffsets& block : parameter_layout.up) draw_block(block);
     if (!network.residual) draw_conv(parameter_layout.last_conv);

@@ -49,8 +49,8 @@ WorldRays make_rays_from_origin() {
     return rays;
 }
 
-/// Renders the ring of surfels. If the state is `refitted`, first builds the tree, then
-/// moves the surfels by 0.2 m and refits the tree.
+/// Renders a ring of surfels around the sensor. If `tree_state` is `refitted`, moves the
+/// surfels by 0.2 m after the tree was built, so that the tree is refitted.
 RenderedRayValues render_surfel_ring(Device& device, const AccelOptions& accel_options,
                                      AccelTreeState tree_state) {
     Surfels surfels = make_surfel_ring();
@@ -108,8 +108,7 @@ DeviceTestResults test_device_capabilities(const DeviceOptions& options) {
     if (device.info().float_atomics)
         trust.float_atomics = test_atomic_adds_and_get_max_error(device, false) == 0.0;
     trust.float_swaps = test_atomic_adds_and_get_max_error(device, true) == 0.0;
-    // Tests subgroups only if the device supports software traversal, because only its
-    // kernels rely on subgroups.
+    // Only the kernels of the software ray tracer use subgroup operations.
     if (device.info().software)
         if (const std::string wrong = test_subgroups_and_describe_error(device); !wrong.empty())
             trust.subgroup_size = find_working_subgroup_size(options, device, wrong);
@@ -118,8 +117,7 @@ DeviceTestResults test_device_capabilities(const DeviceOptions& options) {
     if (trust.subgroup_size == 0) {
         n_wrong = count_wrongly_traced_rays(device);
     } else {
-        // Uses a device with the subgroup size that passed the test, because the
-        // renderer's other kernels also need this size.
+        // Traces with the subgroup size that was found to work.
         const ScopedDeviceTestResults trusting_size(trust);
         Device other(options);
         n_wrong = count_wrongly_traced_rays(other);

@@ -67,11 +67,9 @@ inline KernelVariant get_traversal_kernel_variant(const Device& device) {
                                                                                          : "@ray_query");
 }
 
-/// Returns the value of the specialisation constant TOGETHER. 0: each ray traverses the
-/// software tree separately. This is the default on GPUs, because their lanes can
-/// diverge. 1: all rays of a subgroup traverse the tree together. 2 (only on a CPU): the
-/// rays also load surfels together, because the lanes of a CPU are elements of one
-/// vector.
+/// Returns the specialisation constant TOGETHER. 0: each ray traverses the tree
+/// separately (default on GPUs). 1: the rays of a subgroup traverse the tree together. 2
+/// (CPU only): these rays also load each surfel together.
 inline std::uint32_t get_joint_traversal_constant(const Device& device, const TraceOptions& options) {
     const bool is_cpu = device.info().type == "CPU";
     if (options.traversal_mode == BvhTraversalMode::automatic
