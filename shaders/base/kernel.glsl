@@ -36,8 +36,10 @@ layout(push_constant, scalar) uniform Push {
 /// executes.
 #define is_null(pointer) (uvec2(pointer) == push.nothing)
 
-// The host adds `readonly` to this block in the SPIR-V code (src/gpu/spirv.hpp). GLSL
-// would not allow pointers in a `readonly` block as function arguments.
+// The host adds `readonly` to this block in the SPIR-V code (src/gpu/spirv.hpp), so that
+// compilers can keep parameters in scalar registers. GLSL would not allow pointers in a
+// `readonly` block as function arguments. A copy of the struct instead would crash the
+// compiler of SwiftShader.
 #define RELIDAR_PARAMS(Type) \
     layout(buffer_reference, scalar, buffer_reference_align = 16) buffer ParamsBlock { Type value; }
 #define params push.block.value

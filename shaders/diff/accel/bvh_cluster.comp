@@ -94,7 +94,8 @@ uint load_clusters(int from, int to, uint count) {
 }
 
 /// Returns the cluster whose joint bounding box with cluster `index` has the smallest
-/// surface area. If several areas are equal, returns the first of these clusters.
+/// surface area. If several areas are equal, returns the first of these clusters. So at
+/// least two clusters are the nearest neighbours of each other.
 uint find_nearest_cluster(uint index, uint count) {
     Box own = get_box(index);
     float least = BOX_HUGE;

@@ -25,8 +25,7 @@ struct ImageLossParams {
     float depth_weight;
     float intensity_weight;
     float drop_weight;
-    // Weight of the loss (1 - W)^2 for rays with a return. W is the sum of the ray's
-    // blending weights.
+    // Weight of the loss (1 - sum of blending weights)^2 for rays with a return.
     float opacity_weight;
     float intensity_delta;  // Threshold of the Huber loss of the intensity. 0 selects the L1 loss.
     uint n_rays;

@@ -14,7 +14,8 @@
 #include "ray.glsl"
 
 // Size of the arrays that are indexed at run time. Some compilers keep arrays of up to 64
-// elements in registers, but a shader has too few registers for this.
+// elements in registers (Mesa for AMD; Intel's keeps up to 16), but a shader has too few
+// registers for this.
 const uint SLOTS = 65u;
 
 #ifdef RELIDAR_APPENDS_HITS
