@@ -71,8 +71,8 @@ NeighbourPlane fit_plane_to_neighbours(const std::vector<LidarSample>& samples,
         covariance += d * d.transpose();
     }
     const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(covariance);
-    const Eigen::Vector3d values = solver.eigenvalues();
-    const Eigen::Matrix3d axes = solver.eigenvectors();
+    const Eigen::Vector3d& values = solver.eigenvalues();
+    const Eigen::Matrix3d& axes = solver.eigenvectors();
     glm::dvec3 normal(axes(0, 0), axes(1, 0), axes(2, 0));
     const bool is_line = values[1] < 0.02 * values[2];
     if (is_line || !(values[2] > 0.0)) {

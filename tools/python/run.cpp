@@ -175,7 +175,7 @@ std::unique_ptr<LoadedRun> load_run_with_settings(const fs::path& folder, const 
                                                   const SharedDevice& device) {
     TrainedRun run = load_run(folder);
     set_config_values_from_python(run.config, settings);
-    return std::make_unique<LoadedRun>(std::move(run), device);
+    return std::unique_ptr<LoadedRun>(new LoadedRun{std::move(run), device});
 }
 
 std::unique_ptr<LoadedRun> copy_run_with_replaced_surfels(const LoadedRun& loaded_run,

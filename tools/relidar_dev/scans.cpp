@@ -50,7 +50,8 @@ public:
         return sensors_[std::size_t(scan_index % n_sensors())];
     }
     ScanRequest make_scan_request(int scan_index) const {
-        return {first_s_ + (last_s_ - first_s_) * (scan_index / n_sensors() + 0.5) / n_moments_,
+        const int moment = scan_index / n_sensors();
+        return {first_s_ + (last_s_ - first_s_) * (moment + 0.5) / n_moments_,
                 tracks_[std::size_t(scan_index % n_sensors())]};
     }
 

@@ -49,11 +49,12 @@ public:
         add_array(array_name_prefix + "drop", "u8", 1, scan.drop);
         add_array(array_name_prefix + "instance", "u16", 1, scan.instance);
         add_array(array_name_prefix + "ring", "u16", 1, scan.ring);
+        const std::string channel_prefix = array_name_prefix + "channel_";
         for (const auto& [info, values, second] : scan.channels) {
             const auto add_one = [&, &name = info.name]<class T>(const std::vector<T>& of_rays) {
                 constexpr bool is_vector = std::is_same_v<T, glm::vec3>;
-                add_array(array_name_prefix + "channel_" + name,
-                          std::is_same_v<T, std::int32_t> ? "i32" : "f32", is_vector ? 3 : 1, of_rays);
+                add_array(channel_prefix + name, std::is_same_v<T, std::int32_t> ? "i32" : "f32",
+                          is_vector ? 3 : 1, of_rays);
             };
             std::visit(add_one, values);
         }

@@ -13,8 +13,8 @@ RELIDAR_SHARED_BEGIN
 // sorting moves unused records to the end.
 #define RELIDAR_NO_ROW(n_rows) (n_rows)
 
-/// Hit of a ray on a surfel (16 bytes). A later kernel computes the surfel's gradient from
-/// these records.
+/// Hit of a ray on a surfel (16 bytes). A later kernel sums the gradients of the surfel
+/// from these records.
 struct HitRecord {
     uint ray;  // index in the batch
     uint instance;

@@ -181,7 +181,7 @@ std::pair<NamedArray, DataByteRange> parse_array_description(const std::string& 
     if (!expected || *expected != offsets[1] - offsets[0])
         throw DataError(fmt::format("array '{}' has {} bytes, which do not fit its shape", array_name,
                                     offsets[1] - offsets[0]));
-    return {std::move(array), {offsets[0], offsets[1]}};
+    return {std::move(array), DataByteRange{offsets[0], offsets[1]}};
 }
 
 std::map<std::string, std::string> parse_safetensors_metadata(const Json& metadata_json) {

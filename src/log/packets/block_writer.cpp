@@ -78,7 +78,7 @@ BlockWriter::BlockWriter(const PacketLayout& layout, const SpinningSensor& senso
     const auto is_repeat = [](const PacketBeam& one, const PacketBeam& other) {
         return one.line == other.line;
     };
-    if (columns_per_firing_ > 1) fired.erase(std::ranges::unique(fired, is_repeat).begin(), fired.end());
+    if (columns_per_firing_ > 1) fired.erase(std::unique(fired.begin(), fired.end(), is_repeat), fired.end());
     require_beams_of_product(layout, fired, sensor);
     if (layout.n_blocks % (layout.banks * std::size_t(returns_)) != 0)
         throw UsageError(fmt::format("cannot write packets of {}: found {} returns per ray, expected 1",
@@ -127,7 +127,7 @@ std::vector<FiringColumn> BlockWriter::join_scan_columns_to_firings(
                               scan_columns[c + 1].time_s - firing.time_s < 1.5e-6 * layout_.cycle_us;
         const std::vector<std::array<LaserReturn, 2>> none(firing.returns.size());
         const std::vector<std::array<LaserReturn, 2>> of_part[] = {
-            firing.returns, has_next ? std::move(scan_columns[c + 1].returns) : none};
+            firing.returns, has_next ? scan_columns[c + 1].returns : none};
         firing.returns.clear();
         for (const PacketBeam& beam : beams_) firing.returns.push_back(of_part[beam.part][beam.line]);
         if (!has_next) continue;

@@ -9,6 +9,7 @@
 #include <Eigen/Eigenvalues>
 
 #include "base/parallel.hpp"
+#include "base/parallel_sort.hpp"
 
 namespace relidar {
 namespace {
@@ -50,8 +51,8 @@ glm::dvec3 fit_weighted_plane(const std::vector<WorldPointWithOrigin>& points,
         covariance += weights[i] * e * e.transpose();
     }
     const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(covariance);
-    const Eigen::Matrix3d axes = solver.eigenvectors();
-    const Eigen::Vector3d values = solver.eigenvalues();
+    const Eigen::Matrix3d& axes = solver.eigenvectors();
+    const Eigen::Vector3d& values = solver.eigenvalues();
     plane = {mean, get_matrix_column(axes, 0), get_matrix_column(axes, 1), get_matrix_column(axes, 2)};
     return glm::dvec3(values[0], values[1], values[2]) / sum;
 }

@@ -15,6 +15,7 @@
 #include <relidar/simulate/actor_boxes.hpp>
 #include <relidar/simulate/render.hpp>
 #include "simulate/scan_files/packet_files.hpp"
+#include "simulate/scan_files/placed_scan.hpp"
 #include "simulate/scan_files/recording_format.hpp"
 #include "simulate/scan_files/scan_entry.hpp"
 

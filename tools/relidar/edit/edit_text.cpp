@@ -358,9 +358,8 @@ void find_or_insert_actor_and_move_it(const EditArgument& edit, const ScenarioEn
         track = get_track_id_of_last_instance(driving);
     }
     const double begin_s = driving.sequence.frames.front().time_s;
-    driving =
-        replace_trajectory(std::move(driving), track,
-                           convert_to_box_track(entity, begin_s, get_box_size_or_zero_m(driving, track)));
+    const glm::dvec3 size_m = get_box_size_or_zero_m(driving, track);
+    driving = replace_trajectory(std::move(driving), track, convert_to_box_track(entity, begin_s, size_m));
     applied_edit.said += fmt::format("{}{} follows {} of {}", applied_edit.said.empty() ? "" : "\n", track,
                                      entity.name, edit.value.substr(0, edit.value.find('@')));
     append_note_if_not_empty(applied_edit.note, format_warning_if_actor_misses_frames(
