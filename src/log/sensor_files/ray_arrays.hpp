@@ -11,7 +11,8 @@
 
 namespace relidar::sensor_files {
 
-/// Rays with the values of a file. Arrays that the file does not contain are empty.
+/// Ray table as stored in a file (CSV, JSON or npz). An array is empty if the file does
+/// not contain it.
 struct RayFileArrays {
     int rows = 1, columns = 0;
     std::vector<double> direction;  ///< [n,3] directions
