@@ -116,8 +116,8 @@ public:
             blocks_.compute_packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
         std::string& bytes = packet.bytes;
         bytes.append(product_.header.begin(), product_.header.begin() + std::ptrdiff_t(product_.n_header));
-        // In a header of 12 bytes, byte 8 is the position of the last return (1: first of
-        // two blocks), and byte 10 is the number of returns.
+        // Header byte 8: position of the last return (1: first block). Byte 10: number of
+        // returns.
         if (product_.n_header == 12 && blocks_.has_dual_returns()) bytes[8] = 1, bytes[10] = 2;
         blocks_.append_blocks(bytes, columns, packet_number, 1e-3 * kUnit_mm);
         if (product_.has_checksums)

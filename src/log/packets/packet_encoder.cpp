@@ -94,9 +94,8 @@ struct PacketEncoder::Impl {
                format->get_fixed_columns_per_revolution();
     }
 
-    /// Returns the rounded number of firing periods from `anchor` to `firing`. The number
-    /// is 0 or negative if `firing` is in the same period as `anchor` or in an earlier
-    /// one.
+    /// Returns the rounded number of firing periods from `anchor` to `firing`; 0 or
+    /// negative if `firing` is not in a later period than `anchor`.
     double count_firing_steps_between(const FiringClockAnchor& anchor, const FiringColumn& firing) const {
         const double by_time = (firing.time_s - anchor.time_s) / get_firing_period_s();
         if (has_fixed_columns()) {
@@ -175,9 +174,8 @@ struct PacketEncoder::Impl {
             start_packet(needs_packet ? firing_index - 1 : firing_index / get_firings_per_packet());
         while (packet < firing_index / get_firings_per_packet()) {
             write_pending_packet();
-            // A sensor that fires only at fixed azimuths sends no packets outside its
-            // azimuth window, so packet numbers are skipped. Any other sensor sends all
-            // packets.
+            // A sensor with fixed azimuths sends no packets outside its azimuth window.
+            // So packet numbers are skipped. Any other sensor sends all packets.
             start_packet(has_fixed_columns() ? firing_index / get_firings_per_packet() : packet + 1);
         }
         pending[std::size_t(firing_index % get_firings_per_packet())] = std::move(firing);

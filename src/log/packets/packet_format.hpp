@@ -57,13 +57,12 @@ public:
     /// It is above 1 if the lasers fire in several sequences and each sequence has a
     /// separate packet.
     virtual int get_packets_per_firing() const { return 1; }
-    /// Returns the number of scan columns that form one firing (all lasers at one
-    /// azimuth). It is 2 if the lasers fire in two sequences and the scan stores each as
-    /// a column.
+    /// Returns the number of scan columns per firing (all lasers at one azimuth): 2 if
+    /// the lasers fire in two sequences and the scan stores each as a column, otherwise
+    /// 1.
     virtual int get_scan_columns_per_firing() const { return 1; }
     /// If the lasers fire in two sequences, joins each pair of scan columns to one
-    /// firing. Removes simulated rays of lasers that the real sensor does not fire in
-    /// that sequence.
+    /// firing. Removes simulated rays that the sensor does not fire in that sequence.
     virtual std::vector<FiringColumn> join_scan_columns_to_firings(
         std::vector<FiringColumn> scan_columns) const {
         return scan_columns;
@@ -102,8 +101,7 @@ int count_scan_columns_per_firing(const PacketLayout& layout, const SpinningSens
 /// Writes the blocks of a packet. Velodyne and Hesai use the same kind of block.
 class BlockWriter {
 public:
-    /// @throws UsageError if the beams of `sensor` differ from the product that `layout`
-    /// describes, or its packets cannot store the requested number of returns
+    /// @throws UsageError if `sensor` does not have the beams that `layout` describes
     BlockWriter(const PacketLayout& layout, const SpinningSensor& sensor, const PacketOptions& options);
 
     const PacketLayout& layout() const { return layout_; }
@@ -116,10 +114,8 @@ public:
     /// Returns the manufacturer's number of the laser that measures a ring (row) of the
     /// scans, from 0.
     std::size_t get_laser_of_ring(std::size_t ring) const { return laser_of_[ring]; }
-    /// The lasers of some sensors fire in two alternating sequences. Returns the index of
-    /// the sequence that a block of a packet stores.
-    /// @param packet_number  number of the packet; consecutive packets can store
-    /// different sequences
+    /// Returns the index of the firing sequence that a block of a packet stores. Lasers
+    /// of some sensors fire in two sequences, which can be in different packets.
     std::size_t compute_firing_sequence_index(std::size_t block_index, std::uint32_t packet_number) const;
     void append_blocks(std::string& bytes, std::span<const FiringColumn> firings, std::uint32_t packet_number,
                        double range_unit_m) const;

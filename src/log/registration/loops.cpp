@@ -312,8 +312,7 @@ private:
         return Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(h).solve(equations.g);
     }
 
-    /// Returns the correction of pose `pose_index` if it moves together with the
-    /// corrected pose `key_index` like one rigid body.
+    /// Returns the correction of a pose that moves rigidly with a corrected pose.
     Vector6 transfer_key_correction(std::size_t pose_index, std::size_t key_index,
                                     const Eigen::VectorXd& key_corrections) const {
         return make_twist_transfer_matrix(track_.pose[pose_index].translation -
@@ -321,8 +320,7 @@ private:
                key_corrections.segment<6>(6 * Eigen::Index(key_index));
     }
 
-    /// Returns how far the corrected poses are from the relative position that a loop
-    /// closure measured, in metres.
+    /// Returns the error in metres of a loop closure after the poses are corrected.
     double compute_closure_residual_m(const LoopClosure& loop_closure,
                                       const Eigen::VectorXd& key_corrections) const {
         const Vector6 moves =

@@ -14,8 +14,7 @@ struct LoopClosureOptions {
     /// settings of the coarsest and of the finest plane map: cell size, and scale of the
     /// robust kernel that gives outliers a low weight
     RegistrationRound first, last;
-    /// Callback with the progress, 0 to 1. If the callback returns false, loop closing
-    /// stops.
+    /// Reports the progress, 0 to 1. If it returns false, loop closing stops.
     std::function<bool(double done)> proceed;
 };
 

@@ -37,8 +37,7 @@ constexpr double kMemory_m = 80.0;
 // Path length between two removals of old map cells. Removals are rare, because checking
 // all cells takes as long as adding a scan.
 constexpr double kForgotten_m = 5.0;
-// If two predicted poses of a scan are closer than this, the alignment starts only from
-// one of them. Both would lead to the same pose.
+// If two predicted poses of a scan are this close, only one is used as a start value.
 constexpr double kSame_m = 0.05;
 // After this many consecutive scans that do not match the map, the map is cleared.
 constexpr int kLostInARow = 5;
@@ -173,10 +172,8 @@ private:
                                                  : predict_constant_motion(pose_index + 1));
     }
 
-    /// Aligns a scan with the map of the earlier scans, first with large map cells, then
-    /// with smaller ones.
-    /// @return the aligned pose, and the share of the scan's points that lie on planes of
-    /// the map
+    /// Aligns a scan with the map of the earlier scans, from large to small map cells.
+    /// @return the aligned pose, and the share of the scan's points on planes of the map
     PoseCandidate align_scan(std::size_t pose_index, const Pose& start_pose,
                              const std::vector<SubsampledPoint>& scan) {
         set_pose_and_predict_next(pose_index, start_pose);

@@ -22,8 +22,8 @@ struct PlaneMap {
     const LocalPlane* find_plane_at(const glm::dvec3& point_m) const;
 };
 
-/// Weights of two terms that keep pose corrections small and smooth. A weight of 1 counts
-/// like one measured point.
+/// Weights of two terms that keep pose corrections small and smooth, relative to the
+/// weight of one measured point.
 struct PoseCorrectionPrior {
     Vector6 pull = Vector6::Zero();  ///< weight of the term that pulls each correction to zero
     /// weight of the term that pulls consecutive corrections towards each other; valid
@@ -49,8 +49,7 @@ public:
     std::vector<RegistrationRound> adjust_poses_in_rounds(const RegistrationRound& first_round_settings,
                                                           const RegistrationRound& last_round_settings,
                                                           const std::function<bool(double done)>& proceed);
-    /// Sets weights that keep pose corrections small and smooth in
-    /// adjust_poses_in_rounds().
+    /// Sets weights that keep pose corrections small and smooth.
     void set_pose_correction_prior(const PoseCorrectionPrior& prior) { prior_ = prior; }
     PlaneMap fit_planes_to_all_points(const RegistrationRound& round_settings) const;
     const PoseTrack& track() const { return track_; }
@@ -75,8 +74,8 @@ public:
     double compute_fraction_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
                                       double kernel_scale_m) const;
     /// Returns how far the correction of a pose is from the corrections of its
-    /// neighbours, in metres. Uses the smallest distance: to the earlier neighbour, to
-    /// the later neighbour, or to their interpolation. Returns 0 at an end of the track.
+    /// neighbours, in metres: the smallest distance to the earlier one, the later one, or
+    /// their interpolation. Returns 0 at an end of the track.
     /// @param is_neighbour  [poses] true for the poses that can be neighbours
     double compute_deviation_from_neighbours_m(std::size_t pose_index,
                                                const std::vector<bool>& is_neighbour) const;

@@ -18,9 +18,8 @@ namespace {
 
 // Maximum number of solver iterations. Usually 20 to 30 are enough, even for long logs.
 constexpr int kMostIterations = 100;
-// Sums over planes run in parallel: at most kParts partial sums, each over at least
-// kPlanesOfPart planes. Fixed numbers make the result independent of the number of
-// threads.
+// Sums over planes run in parallel: at most kParts sums, each over at least kPlanesOfPart
+// planes. The result does not depend on the number of threads.
 constexpr std::size_t kParts = 64, kPlanesOfPart = 256;
 // The conjugate-gradient solver stops if the residual norm has fallen to this fraction of
 // its initial value. Later Gauss-Newton steps correct the remaining error.
@@ -125,9 +124,8 @@ void PoseEquations::add_plane_residuals_of_cell(const std::vector<SubsampledPoin
         return couplings_.emplace_back(
             PlanePoseCoupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
-    // Normal matrix for the plane's offset and two tilts. It must use the same point
-    // weights as the equations of the poses. Otherwise the joint equations are not
-    // positive definite.
+    // Normal matrix for the plane's offset and two tilts. It must use the point weights
+    // of the pose equations; otherwise the joint matrix is not positive definite.
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : point_indices) {
@@ -241,8 +239,7 @@ public:
         factorise_matrix();
     }
 
-    /// Solves the coarse equations for a residual. Adds the motion of each pose, which
-    /// follows from the motion of its group, to `pose_steps`.
+    /// Solves the coarse equations for a residual, and adds the solution to `pose_steps`.
     void add_group_motions_for_residual(const Eigen::VectorXd& residual, Eigen::VectorXd& pose_steps) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
@@ -259,8 +256,7 @@ private:
     static constexpr std::size_t kGroup = 8;
 
     const std::size_t n_;
-    // [poses] matrix that computes the motion of a pose from the motion of its group,
-    // which moves like a rigid body
+    // [poses] converts the rigid motion of a group of poses to the motion of one pose
     std::vector<Matrix6> carry_;
     std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;  // key: row, column
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;

@@ -81,15 +81,13 @@ public:
                                      std::span<const std::uint32_t> point_indices, const LocalPlane& plane,
                                      double kernel_scale_m);
     void add_equations(PoseEquations&& other);
-    /// Adds a term that pulls the correction of one pose to zero.
     void add_zero_correction_prior(std::size_t pose_index, const Vector6& weights,
                                    const Vector6& current_correction);
     /// Adds a term that pulls the corrections of two consecutive poses towards each
     /// other.
-    /// @param pose_index  index of the first of the two poses
-    /// @param weights  weights of the three translations and the three rotations
-    /// @param correction_difference  correction of the second pose minus correction of
-    /// the first
+    /// @param pose_index  index of the first pose
+    /// @param weights  weights of translations and rotations
+    /// @param correction_difference  second minus first correction
     void add_equal_neighbour_correction_prior(std::size_t pose_index, const Vector6& weights,
                                               const Vector6& correction_difference);
 
@@ -108,9 +106,8 @@ public:
     double compute_rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
-    /// Matrix that couples the six unknowns of a pose with the three unknowns of a plane:
-    /// C L^-T. C is a block of the normal matrix. L is the Cholesky factor of the block
-    /// of the plane, L L^T.
+    /// Couples the six unknowns of a pose with the three unknowns of a plane: C L^-T. C
+    /// is a block of the normal matrix, L the Cholesky factor of the block of the plane.
     struct PlanePoseCoupling {
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;
@@ -123,8 +120,7 @@ private:
     double cost_ = 0.0, weight_ = 0.0;
 
     Eigen::VectorXd multiply_normal_matrix_by(const Eigen::VectorXd& input_vector) const;
-    /// Returns the diagonal of the 6x6 matrix that is added to each pose's block of the
-    /// normal matrix, so that pose corrections are pulled to zero.
+    /// Returns the diagonal matrix that pulls the correction of a pose to zero.
     Vector6 make_prior_diagonal(double prior_weight) const;
     friend class PoseGroupEquations;
 };

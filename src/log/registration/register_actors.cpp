@@ -15,8 +15,7 @@
 namespace relidar {
 namespace {
 
-// Tracks of boxes shorter than this are not corrected. Most of these boxes are
-// pedestrians, who change their shape.
+// Tracks of shorter boxes are not corrected. Most are pedestrians, who change shape.
 constexpr double kSmallest_m = 1.2;
 // Points less than this height above the bottom of a box are ignored, because they can
 // belong to the ground.
@@ -145,9 +144,7 @@ PoseTrack make_identity_poses_at_track_times(const PoseTrack& track) {
     return {track.time_s, std::vector<Pose>(track.pose.size())};
 }
 
-/// Returns true if the actor probably stands still: its points fit a fixed box about as
-/// well as a moving box.
-/// @param registered_fraction  share of points on planes for the moving box
+/// Returns true if the points of an actor fit a fixed box about as well as a moving box.
 bool is_stationary_actor(const BoxTrack& box, const BoxFramePoints& actor_points,
                          const std::vector<bool>& pose_has_points, double registered_fraction) {
     const PoseTrack& track = box.world_from_box;
@@ -162,9 +159,8 @@ bool is_stationary_actor(const BoxTrack& box, const BoxFramePoints& actor_points
     return compute_actor_fraction_on_planes(adjustment, still) >= registered_fraction - kGain;
 }
 
-/// Applies corrections, which are in the frame of the box, to the poses of a track. Poses
-/// with few points have no reliable correction, so neighbouring poses replace them by
-/// interpolation.
+/// Applies corrections, which are in the frame of the box, to the poses of a track. A
+/// pose with few points is interpolated between neighbouring poses instead.
 void apply_corrections_in_box_frame(PoseTrack& track, const PoseTrack& corrections,
                                     const std::vector<bool>& pose_has_points) {
     for (std::size_t k = 0; k < track.pose.size(); ++k) {

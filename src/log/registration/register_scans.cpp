@@ -31,8 +31,7 @@ constexpr RegistrationRound kLast{0.5, 0.05};  // cell size and robust-kernel sc
 constexpr RegistrationRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 
-/// Scans are thinned to one point in each cell of a grid. Returns the size of the cells
-/// in metres. Fewer scans need smaller cells.
+/// Scans are thinned to one point per grid cell. Returns the cell size in metres.
 double choose_downsampling_cell_size_m(std::size_t n_scans) {
     return std::clamp(kThinned_m * std::sqrt(double(n_scans) / kScansOnACell), kThinnest_m, kThinned_m);
 }

@@ -41,8 +41,7 @@ struct WorldPointWithOrigin {
     glm::dvec3 point_m, vehicle_m;
 };
 WorldPointWithOrigin transform_point_to_world(const PoseTrack& track, const SubsampledPoint& point);
-/// A point is interpolated between the two poses around its firing time. Returns the
-/// weight of pose `pose_index`, or 0 if it is not one of these two poses.
+/// A point is interpolated between two poses. Returns the weight of pose `pose_index`.
 double get_interpolation_weight_of_pose(const SubsampledPoint& point, std::size_t pose_index);
 
 /// Selects returns of a frame, at most one in each cell of size `cell_size_m` in the

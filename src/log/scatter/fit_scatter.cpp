@@ -36,8 +36,7 @@ constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
 
-/// One return that trains the decision tree: its features (as bin numbers), and its
-/// intensity (as class and as value).
+/// One return: features (as bin numbers), and intensity (as class and value).
 struct ScatterSample {
     std::array<std::uint8_t, kFeatures> bins;
     std::uint8_t of_class;
@@ -260,8 +259,7 @@ std::vector<TreeNodeSplit> find_best_layer_splits(
 }
 
 /// Splits the nodes of the decision tree from index `first_node` on. A node stays a leaf
-/// if no split improves the prediction enough. Sorts the returns so that the returns of
-/// each node stay contiguous.
+/// if no split predicts better. Keeps the returns of each node contiguous.
 void split_tree_layer(ScatterSampleSet& returns, const EntropyTermTable& k_log_k_table,
                       std::vector<IntensityScatterModel::DecisionTreeNode>& nodes, std::size_t first_node) {
     const std::vector<TreeNodeSplit> cuts =

@@ -39,8 +39,7 @@ constexpr std::array<RayWindow, 5> kMeans{
     {{{0, -2}, {0, -1}}, {{0, -4}, {0, -1}}, {{0, -8}, {0, -1}}, {{-1, -2}, {-1, 2}}, {{-3, -3}, {-1, 3}}}};
 constexpr std::array<RayWindow, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
 
-/// In the rows above the current ray, the decision tree uses rays up to this many columns
-/// further right.
+/// Features of a ray use rays in the rows above, at most this many columns further right.
 constexpr int kAhead = 3;
 static_assert(std::ranges::all_of(kMeans, [](const RayWindow& w) {
     return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
@@ -82,9 +81,8 @@ public:
         const auto at = [&](RayOffset s) {
             return get_pixel_index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
         };
-        // Returns the intensity of a neighbouring ray, or kNoIntensity. A neighbour left
-        // of column 0 would wrap to the right edge, which is drawn later, so it counts as
-        // unknown.
+        // Returns the intensity of a neighbouring ray. A neighbour left of column 0 would
+        // wrap to the right edge, which is drawn later, so it counts as unknown.
         const auto level = [&](RayOffset s) {
             return row + s.rows < 0 || column + s.columns < 0 ? kNoIntensity : known_intensities_[at(s)];
         };
@@ -97,9 +95,8 @@ public:
             const float r = residual(s);
             return r == kNoIntensity ? r : std::abs(r);
         };
-        /// Features are numbered group by group. Returns true if `feature_index` is in
-        /// the current group of `count` features. Otherwise makes the index relative to
-        /// the next group.
+        /// Features are numbered group by group. Returns true if the feature is in this
+        /// group, which has `count` features. Otherwise skips the group.
         const auto is_of = [&](std::size_t count) {
             return feature_index < count || (feature_index -= count, false);
         };

@@ -145,8 +145,7 @@ struct ScanMemoryState {
 };
 
 ScanMemoryState& get_scan_memory_state() {
-    // Never destroyed, because destructors of static objects still use this object after
-    // main().
+    // Never destroyed, because static objects still use this object after main().
     static ScanMemoryState* const all = new ScanMemoryState;
     return *all;
 }
@@ -156,8 +155,7 @@ std::uint64_t get_physical_or_cgroup_memory_bytes() {
                   limit = 0;
     // Files with the memory limit of the control group: cgroup version 2, then version 1.
     for (const char* file : {"/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"})
-        // If the control group has no memory limit, the file contains the text "max".
-        // Reading a number then fails, and the file is ignored.
+        // Without a memory limit, the file contains "max", which is not a number.
         if (std::ifstream group(file); group >> limit) bytes = std::min(bytes, limit);
     return bytes;
 }

@@ -11,8 +11,7 @@
 
 namespace relidar::sensor_files {
 
-/// Ray table as stored in a file (CSV, JSON or npz). An array is empty if the file does
-/// not contain it.
+/// Ray table of a CSV, JSON or npz file. Arrays that the file does not contain are empty.
 struct RayFileArrays {
     int rows = 1, columns = 0;
     std::vector<double> direction;  ///< [n,3] directions

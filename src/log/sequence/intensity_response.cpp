@@ -173,8 +173,7 @@ IntensityJacobianRow compute_intensity_jacobian_row(const IntensityFit& model,
 struct NormalEquations {
     Eigen::MatrixXd h;  ///< lower half only
     Eigen::VectorXd g;
-    /// mean and standard deviation of the expected intensities before the offset of the
-    /// beam is added
+    /// mean and standard deviation of the expected intensities without beam offsets
     double mean = 0.0, spread = 0.0;
 };
 

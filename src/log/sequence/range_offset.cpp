@@ -36,8 +36,7 @@ constexpr double kPriorReturns = 20.0;
 // The range offsets are used only if they reduce the RMS distance of points from planes
 // to less than this ratio. Smaller improvements can be noise.
 constexpr double kLeastGain = 0.97;
-// Each iteration fits planes and then improves the range offsets of the beams. Many
-// iterations are needed if few beams hit the same plane.
+// Number of iterations. Many are needed if few beams hit the same plane.
 constexpr int kRounds = 30;
 
 /// A return in the world frame, not yet corrected by the range offset of its beam.
@@ -113,9 +112,8 @@ std::optional<CellPlane> fit_plane_to_returns(std::span<const UncorrectedReturn>
     return CellPlane{about + fit.mean, fit.axes[0]};
 }
 
-/// Least-squares sums of one beam, whose range offset is sum / weight. c is the cosine of
-/// incidence of a return. `weight` adds c^2, `sum` adds c times the distance of the
-/// uncorrected point from its plane.
+/// Least-squares sums of one beam, whose range offset is sum / weight: `weight` adds c^2
+/// and `sum` adds c d. c: cosine of incidence, d: uncorrected distance from a plane.
 struct BeamOffsetSums {
     double weight = 0.0;
     double sum = 0.0;
@@ -137,9 +135,8 @@ struct BeamResiduals {
         ++n;
         squares += residual * residual;
         fits[uncorrected_return.beam].weight += facing * facing;
-        // Uses the distance of the uncorrected point, so that the result is the full
-        // range offset of the beam. A prior pulls the full offset to zero, not only its
-        // change.
+        // Uses the distance of the uncorrected point, so that the prior pulls the full
+        // range offset to zero, and not only its change.
         fits[uncorrected_return.beam].sum +=
             facing * (residual + beam_offsets_m[uncorrected_return.beam] * facing);
     }
@@ -176,8 +173,7 @@ BeamResiduals sum_plane_residuals_by_beam(const ReturnsByCell& cells,
 }
 
 /// Improves the range offsets of all beams by one iteration.
-/// @return number of returns on planes, and mean square of their distances from the
-/// planes before the iteration
+/// @return before the iteration: number of returns on planes, mean squared distance
 std::pair<std::size_t, double> refine_beam_range_offsets_once(const ReturnsByCell& cells,
                                                               std::vector<double>& beam_offsets_m) {
     const BeamResiduals r = sum_plane_residuals_by_beam(cells, beam_offsets_m);
