@@ -36,7 +36,8 @@ constexpr double kPriorReturns = 20.0;
 // The range offsets are used only if they reduce the RMS distance of points from planes
 // to less than this ratio. Smaller improvements can be noise.
 constexpr double kLeastGain = 0.97;
-// Number of iterations. Many are needed if few beams hit the same plane.
+// Iterations of fitting planes and beam offsets. Many are needed if few beams hit a
+// plane.
 constexpr int kRounds = 30;
 
 /// A return in the world frame, not yet corrected by the range offset of its beam.
