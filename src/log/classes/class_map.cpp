@@ -10,7 +10,8 @@
 namespace relidar {
 namespace {
 
-// Maximum distance between a point and the cell that defines its class.
+// A point has the surface class of the nearest map cell. If the centre of that cell is
+// farther away than this, the class is unknown.
 constexpr float kClassReach_m = 2.0f;
 
 std::uint64_t make_class_cell_key(const SurfaceClassCell& cell) {

@@ -46,9 +46,8 @@ void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, 
     const glm::ivec3 end(glm::floor(a + displacement));
     const double length_m = glm::distance(start_m, end_m);
     glm::ivec3 step;
-    // `next`: where the segment crosses the next cell border along each axis. `pace`:
-    // distance between two borders along the axis. A value of 1 is the length of the
-    // segment.
+    // Fractions of the length of the line segment, for each axis. `next`: position of the
+    // next cell border. `pace`: distance between two cell borders.
     glm::dvec3 next, pace;
     int n_borders = 0;
     for (int axis = 0; axis < 3; ++axis) {

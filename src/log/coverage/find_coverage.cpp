@@ -54,8 +54,8 @@ void mark_space_between_rays_observed(ObservedVoxelSet& coverage, const Observed
     }
 }
 
-/// Returns n if it is enough to process every n-th column, because the columns in between
-/// cross the same cells.
+/// Returns n if it is enough to trace every n-th scan column through the grid, because
+/// the columns in between cross the same grid cells. n is at most 16.
 std::size_t choose_step_between_used_columns(const Lidar& lidar, double max_range_m) {
     const double step_m =
         lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : ObservedVoxelSet::kCell_m;

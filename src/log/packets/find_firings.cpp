@@ -44,9 +44,9 @@ private:
     std::vector<int> shift_;
 };
 
-/// Measures how well the delays of the lasers fit a scan. Subtracts the delays from the
-/// times of the returns. Then adds up, over all firings, the latest minus the earliest
-/// time. 0 is a perfect fit.
+/// Subtracts the delay of each laser from the firing times of its rays. Returns the
+/// remaining time spread of the lasers that fire together, summed over the scan. 0 is a
+/// perfect fit.
 double compute_firing_time_spread_us(const Scan& scan, const FiringRayTable& firing_rays,
                                      const std::vector<double>& beam_delays_us) {
     double sum_us = 0.0;
@@ -142,8 +142,8 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
             fmt::format("cannot write packets of {}: the rays of a scan were fired within {:.3g} s, expected "
                         "the {:.3g} s of one revolution; motion-compensated scans have no firing times",
                         sensor.name, last - first, sensor.period_s));
-    // In a recorded log, the rays of a firing have different times. In a rendered scan,
-    // they have the same time. Tests which case fits the times better.
+    // In a recorded scan, lasers that fire together have different delays. In a rendered
+    // scan, all delays are 0. Checks which case fits this scan better.
     const std::vector<double> no_offset(beam_delays_us.size(), 0.0);
     const bool has_laser_times = compute_firing_time_spread_us(scan, image, beam_delays_us) <
                                  compute_firing_time_spread_us(scan, image, no_offset);

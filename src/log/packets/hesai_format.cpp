@@ -95,8 +95,8 @@ public:
         std::vector<std::string> lines(blocks_.layout().count_lasers_per_firing());
         for (std::size_t ring = 0; ring < sensor_.beams.size(); ++ring) {
             const Beam& beam = sensor_.beams[ring];
-            // The azimuth offset of a beam contains the rotation of the head since the
-            // start of the block. The file stores the azimuth without this rotation.
+            // Mounting azimuth of the laser. The azimuth offset of the beam also includes
+            // the rotation of the head until the laser fires, which is removed here.
             const double azimuth_rad =
                 -beam.azimuth_offset_rad - 2e-6 * kPi / sensor_.period_s * blocks_.get_beam_delays_us()[ring];
             const std::size_t laser = blocks_.get_laser_of_ring(ring);
@@ -116,7 +116,8 @@ public:
             blocks_.compute_packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
         std::string& bytes = packet.bytes;
         bytes.append(product_.header.begin(), product_.header.begin() + std::ptrdiff_t(product_.n_header));
-        // The XT32 manual says that the first of two blocks stores the last return.
+        // Header byte 8: position of the last return (1: first block). Byte 10: number of
+        // returns.
         if (product_.n_header == 12 && blocks_.has_dual_returns()) bytes[8] = 1, bytes[10] = 2;
         blocks_.append_blocks(bytes, columns, packet_number, 1e-3 * kUnit_mm);
         if (product_.has_checksums)
@@ -145,8 +146,8 @@ private:
     SpinningSensor sensor_;
     BlockWriter blocks_;
 
-    /// Sets the operation mode, and the field that states which firing sequence each
-    /// block contains.
+    /// Writes the operation mode of the sensor. If its lasers fire in two alternating
+    /// sequences, also writes which sequence each block of the packet contains.
     void write_operation_mode_and_sequences(std::string& bytes, std::uint32_t packet_number) const {
         const PacketLayout& layout = blocks_.layout();
         bytes.back() = char(product_.operation_mode);

@@ -94,8 +94,8 @@ struct PacketEncoder::Impl {
                format->get_fixed_columns_per_revolution();
     }
 
-    /// Returns the number of firing periods from `anchor` to a firing, including periods
-    /// in which no firing is recorded. The result is below 1 if the firing is not later.
+    /// Returns the rounded number of firing periods from `anchor` to `firing`; 0 or
+    /// negative if `firing` is not in a later period than `anchor`.
     double count_firing_steps_between(const FiringClockAnchor& anchor, const FiringColumn& firing) const {
         const double by_time = (firing.time_s - anchor.time_s) / get_firing_period_s();
         if (has_fixed_columns()) {
@@ -110,9 +110,9 @@ struct PacketEncoder::Impl {
         return std::round((turned_deg + 360.0 * turns) / get_firing_step_deg());
     }
 
-    /// Returns the number of firing periods since the last firing. Returns 0 for a firing
-    /// without returns in the same period as the last firing. The caller skips such a
-    /// firing.
+    /// Returns the number of firing periods since the last firing, or 0 to skip `firing`.
+    /// A firing without returns is skipped if it is not later than the last firing.
+    /// @throws UsageError if a firing with returns is not later than the last firing
     std::int64_t count_firing_steps_from_last(const FiringColumn& firing) const {
         const double steps = count_firing_steps_between(*last, firing);
         if (steps < 1.0 && !firing.has_returns) return 0;
@@ -125,8 +125,8 @@ struct PacketEncoder::Impl {
     }
 
     /// Returns the position of the first firing within its packet. In a recorded log,
-    /// times jump at the start of each original packet. The new packets start at the same
-    /// firings.
+    /// times jump between packets. The new packets start at the same firings as the
+    /// recorded packets.
     std::int64_t find_packet_slot_of_first_firing(const std::vector<FiringColumn>& firings_of_scan) const {
         if (has_fixed_columns()) return compute_firing_column(firings_of_scan.front());
         if (!options.times_jitter) return 1;
@@ -167,14 +167,15 @@ struct PacketEncoder::Impl {
 
     /// Stores a firing in its packet. First writes all earlier packets.
     void store_firing_in_packet(FiringColumn firing, std::int64_t firing_index) {
-        // Drivers need a firing before the first turn. If each packet holds one firing,
-        // an extra packet is needed for this firing.
+        // Sensor drivers need one firing before the first turn. If a packet holds only
+        // one firing, an extra packet without returns is written first.
         const bool needs_packet = get_firings_per_packet() == 1 && !has_fixed_columns();
         if (pending.empty())
             start_packet(needs_packet ? firing_index - 1 : firing_index / get_firings_per_packet());
         while (packet < firing_index / get_firings_per_packet()) {
             write_pending_packet();
             // A sensor with fixed azimuths sends no packets outside its azimuth window.
+            // So packet numbers are skipped. Any other sensor sends all packets.
             start_packet(has_fixed_columns() ? firing_index / get_firings_per_packet() : packet + 1);
         }
         pending[std::size_t(firing_index % get_firings_per_packet())] = std::move(firing);
@@ -218,8 +219,8 @@ struct PacketEncoder::Impl {
         pending.assign(std::size_t(get_firings_per_packet()), FiringColumn{});
     }
 
-    /// Interpolates time and azimuth of the firings in the pending packet that are
-    /// missing in the scans.
+    /// The pending packet can contain firings that no scan contains. Computes their times
+    /// and azimuths from another firing and the nominal rotation rate.
     void interpolate_missing_firings() {
         const auto first =
             std::ranges::find_if(pending, &FiringColumn::has_time_and_azimuth) - pending.begin();
@@ -247,8 +248,8 @@ struct PacketEncoder::Impl {
                 format->encode_packet(pending, has_fixed_columns() ? std::uint32_t(packet) : n_written));
     }
 
-    /// Writes the pending packet. For a sensor that fires at any azimuth, also writes one
-    /// more packet without returns.
+    /// Writes the packet that is being filled. If the sensor fires at any azimuth, also
+    /// writes one more packet without returns.
     void encode_final_packets() {
         if (pending.empty()) return;
         write_pending_packet();

@@ -32,7 +32,7 @@ struct FiringColumn {
     bool is_filled = false;
     bool has_returns = false;
     /// [rings] strongest and second strongest return of each beam, highest beam first;
-    /// empty if the scans do not contain this firing
+    /// empty if no scan contains the firing
     std::vector<std::array<LaserReturn, 2>> returns = {};
 
     /// Returns true if time and azimuth are set.
@@ -53,15 +53,16 @@ public:
     virtual int firings_per_packet() const = 0;
     /// Returns the time between two firings.
     virtual double get_firing_period_us() const = 0;
-    /// Returns the number of packets that contain get_number_of_firings_per_packet()
-    /// firings. The number is 2 if the lasers fire in two sequences and each sequence has
-    /// a separate packet.
+    /// Returns the number of packets that one firing (all lasers at one azimuth) needs.
+    /// It is above 1 if the lasers fire in several sequences and each sequence has a
+    /// separate packet.
     virtual int get_packets_per_firing() const { return 1; }
-    /// Returns the number of columns of a scan per firing. The number is 2 if the lasers
-    /// fire in two sequences, and the scan has a column for each sequence.
+    /// Returns the number of scan columns per firing (all lasers at one azimuth): 2 if
+    /// the lasers fire in two sequences and the scan stores each as a column, otherwise
+    /// 1.
     virtual int get_scan_columns_per_firing() const { return 1; }
-    /// Joins get_scan_columns_per_firing() columns of a scan to one firing. Removes the
-    /// rays that the real sensor does not fire.
+    /// If the lasers fire in two sequences, joins each pair of scan columns to one
+    /// firing. Removes simulated rays that the sensor does not fire in that sequence.
     virtual std::vector<FiringColumn> join_scan_columns_to_firings(
         std::vector<FiringColumn> scan_columns) const {
         return scan_columns;
@@ -92,15 +93,15 @@ std::unique_ptr<PacketFormat> make_velodyne_format(const SpinningSensor& sensor,
 std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, const PacketOptions& options);
 std::unique_ptr<PacketFormat> make_ouster_format(const SpinningSensor& sensor, const PacketOptions& options);
 
-/// Returns the number of columns of a scan per firing. The lasers of some products fire
-/// in two sequences. Scans of such a sensor have a column for each sequence. Scans that
-/// were decoded from packets have a row for each laser and sequence instead.
+/// Returns the number of scan columns that form one firing: 2 if the lasers fire in two
+/// sequences and each sequence is a column, otherwise 1. Scans that were decoded from
+/// packets store both sequences in one column.
 int count_scan_columns_per_firing(const PacketLayout& layout, const SpinningSensor& sensor);
 
 /// Writes the blocks of a packet. Velodyne and Hesai use the same kind of block.
 class BlockWriter {
 public:
-    /// @throws UsageError if the beams of the sensor differ from the beams of the product
+    /// @throws UsageError if `sensor` does not have the beams that `layout` describes
     BlockWriter(const PacketLayout& layout, const SpinningSensor& sensor, const PacketOptions& options);
 
     const PacketLayout& layout() const { return layout_; }
@@ -113,8 +114,8 @@ public:
     /// Returns the manufacturer's number of the laser that measures a ring (row) of the
     /// scans, from 0.
     std::size_t get_laser_of_ring(std::size_t ring) const { return laser_of_[ring]; }
-    /// Returns the index of the firing sequence of a block.
-    /// @param packet_number  number of the packet
+    /// Returns the index of the firing sequence that a block of a packet stores. Lasers
+    /// of some sensors fire in two sequences, which can be in different packets.
     std::size_t compute_firing_sequence_index(std::size_t block_index, std::uint32_t packet_number) const;
     void append_blocks(std::string& bytes, std::span<const FiringColumn> firings, std::uint32_t packet_number,
                        double range_unit_m) const;
@@ -124,8 +125,8 @@ public:
                                         double FiringColumn::*firing_time_member) const;
 
 private:
-    /// What a block contains: index of the firing sequence, of the group of lasers, and
-    /// of the return.
+    /// What a block of a packet stores: indices of the firing sequence, of the group of
+    /// lasers, and of the return.
     struct PacketBlockIndex {
         std::size_t part, bank, number;
     };

@@ -31,9 +31,9 @@ public:
     RegistrationRound get_level_settings(int level) const {
         return interpolate_round_settings(first_, last_, level / double(kLevels - 1));
     }
-    /// Adds points to the maps of all levels.
-    /// @param travelled_distance_m distance that the sensor had driven when it measured
-    /// the points
+    /// Adds points to the map of each cell size.
+    /// @param travelled_distance_m  distance that the vehicle had driven when it measured
+    /// the points; used to remove old cells later
     void add_points_to_maps(const std::vector<glm::dvec3>& points_m, double travelled_distance_m) {
         parallel_for(kLevels, [&](int level) {
             for (const glm::dvec3& point_m : points_m)

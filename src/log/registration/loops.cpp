@@ -17,27 +17,27 @@ namespace {
 // Distance along the path between two key poses (selected poses of the track). Loop
 // closures connect only key poses.
 constexpr double kKey_m = 4.0;
-// Minimum path length between two passes over the same road. Odometry has already aligned
-// passes with a shorter path between them.
+// Minimum path length between two passes over the same road. If the path between two
+// passes is shorter, odometry has already aligned them.
 constexpr double kApart_m = 80.0;
-// Maximum distance between two passes that are joined. The limit grows by
-// kLoopDistanceGrowth per metre of path between the passes, up to kMaxLoopDistance_m,
-// because odometry drifts.
+// A loop closure is searched between two poses that are at most this far apart. The limit
+// grows by kLoopDistanceGrowth per metre of path between the poses, because odometry
+// drifts.
 constexpr double kLoopDistance_m = 4.0, kLoopDistanceGrowth = 0.01, kMaxLoopDistance_m = 15.0;
-// The map for a loop closure contains the scans from this path length before the earlier
-// key pose to this path length after it.
+// A loop closure aligns a scan with a map of an earlier pass over the road. The map
+// contains the scans up to this path length before and after the nearest earlier pose.
 constexpr double kMap_m = 14.0;
 // Registration tries a grid of start positions around the predicted pose. The values are
 // the spacing of the grid, and its largest horizontal and vertical distance.
 constexpr double kGrid_m = 1.5, kWidest_m = 6.0, kHighest_m = 4.5;
-// Start positions near the prediction are preferred. This value per grid step is
-// subtracted from the share of points that match.
+// Score of a start position: share of points on planes of the map, minus this value for
+// each grid step away from the predicted position.
 constexpr double kGridPenalty = 0.01;
 constexpr std::size_t kGridPoints = 400;
 constexpr int kMostLoopSteps = 10;
 constexpr double kLoopStep_m = 1e-3, kLoopPrior = 1e-4;
-// A loop closure is valid if at least this share of the scan's points lies on planes of
-// the earlier pass. In odometry, 0.5 to 0.8 of the points match.
+// A loop closure is rejected if less than this share of the scan's points lies on planes
+// of the map.
 constexpr double kLeastShare = 0.4;
 constexpr std::size_t kMinLoopClosures = 2;
 // standard deviations of odometry errors on a path of length kKey_m, which is the
@@ -139,8 +139,8 @@ private:
         maps_.add_points_to_maps(points_m, 0.0);
     }
 
-    /// Returns the points of a scan in the frame of its key pose. Each point has the
-    /// position from which the vehicle measured it.
+    /// Returns the points of a scan in the vehicle frame of its pose. Also returns the
+    /// vehicle position from which each point was measured.
     std::vector<WorldPointWithOrigin> transform_scan_to_key_pose_frame(std::size_t key_index) const {
         const Pose pose_from_world = inverse(get_key_pose(key_index));
         std::vector<WorldPointWithOrigin> points;
@@ -234,8 +234,8 @@ private:
                                                                       get_key_pose(later_key_index))
                                    : find_best_start_pose(points, get_key_pose(later_key_index), reach_m);
         double share = refine_pose_and_get_plane_fraction(points, at);
-        // The pose predicted from the previous loop closure did not match, so this tries
-        // the grid of start positions.
+        // If too few points match from the pose that the previous loop closure predicts,
+        // searches for a better start pose and aligns the scan again.
         if (previous_closure && share < kLeastShare) {
             at = find_best_start_pose(points, get_key_pose(later_key_index), reach_m);
             share = refine_pose_and_get_plane_fraction(points, at);
@@ -253,9 +253,8 @@ private:
         return world_from_world * other_pose;
     }
 
-    /// Least-squares equations for the corrections x of all key poses.
-    /// add_relative_correction_constraint() adds a term that pulls x_second towards
-    /// x_first (converted to the second pose) plus `expected_difference`.
+    /// Least-squares equations for the corrections of selected poses (key poses). Each
+    /// term gives the expected difference between the corrections of two poses.
     struct LoopClosureEquations {
         std::vector<Eigen::Triplet<double>> h;
         Eigen::VectorXd g;
@@ -313,7 +312,7 @@ private:
         return Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(h).solve(equations.g);
     }
 
-    /// Returns the correction of a pose that is attached rigidly to a corrected key pose.
+    /// Returns the correction of a pose that moves rigidly with a corrected pose.
     Vector6 transfer_key_correction(std::size_t pose_index, std::size_t key_index,
                                     const Eigen::VectorXd& key_corrections) const {
         return make_twist_transfer_matrix(track_.pose[pose_index].translation -
@@ -321,7 +320,7 @@ private:
                key_corrections.segment<6>(6 * Eigen::Index(key_index));
     }
 
-    /// Returns the distance in metres between a loop closure and the corrected key poses.
+    /// Returns the error in metres of a loop closure after the poses are corrected.
     double compute_closure_residual_m(const LoopClosure& loop_closure,
                                       const Eigen::VectorXd& key_corrections) const {
         const Vector6 moves =

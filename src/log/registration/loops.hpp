@@ -11,9 +11,10 @@
 namespace relidar {
 
 struct LoopClosureOptions {
-    /// cell sizes and robust-kernel scales at the coarsest and at the finest level
+    /// settings of the coarsest and of the finest plane map: cell size, and scale of the
+    /// robust kernel that gives outliers a low weight
     RegistrationRound first, last;
-    /// Callback with the progress. If it returns false, the search for loops stops.
+    /// Reports the progress, 0 to 1. If it returns false, loop closing stops.
     std::function<bool(double done)> proceed;
 };
 

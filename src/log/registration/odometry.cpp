@@ -24,30 +24,31 @@ namespace {
 
 constexpr int kMostSteps = 8;
 constexpr double kConverged_m = 1e-3;  // stops the iteration if a step is shorter than this
-// Weight of the prior that pulls a pose to its prediction, relative to the mean weight of
-// the points. The prior matters only in directions that the points do not determine, for
-// example along a road without walls.
+// Weight of a term that pulls each pose to its predicted pose, relative to the mean
+// weight of the points. The term matters only in directions that the points do not
+// determine, for example along a road without walls.
 constexpr double kPrior = 3e-4;
-// A scan is lost if less than this share of its points lies on planes of the map. In
-// streets, the share is 0.5 to 0.8.
+// The alignment of a scan failed if less than this share of its points lies on planes of
+// the map.
 constexpr double kFewestShare = 0.1;
-// Map cells that were not observed on this path length are removed. Odometry must not
-// match old cells, because a separate step closes loops.
+// Map cells without new points on this length of path are removed, so that odometry does
+// not match an earlier pass over the same road. close_loops() aligns such passes later.
 constexpr double kMemory_m = 80.0;
 // Path length between two removals of old map cells. Removals are rare, because checking
 // all cells takes as long as adding a scan.
 constexpr double kForgotten_m = 5.0;
-// Two predictions that are closer than this lead to the same pose, so only one is tried.
+// If two predicted poses of a scan are this close, only one is used as a start value.
 constexpr double kSame_m = 0.05;
 // After this many consecutive scans that do not match the map, the map is cleared.
 constexpr int kLostInARow = 5;
 constexpr std::size_t kStretch = 200;  // number of poses in a section of the log
-// Number of poses that two consecutive sections share, which is enough to build a map.
+// Consecutive sections of a log share this number of poses, so that each section has a
+// map before its first new scan.
 constexpr std::size_t kOverlap = 20;
-// number of scans for estimating the first motion of a section
+// Without given poses, several initial speeds are tried on this number of scans.
 constexpr int kTrialScans = 4;
-// Range of forward motions per scan that are tested: from -kBackwards_m to kFastest_m.
-// The maximum is 40 m/s at 10 Hz.
+// Forward motions per scan that are tried: from -kBackwards_m to kFastest_m, which is 40
+// m/s at 10 Hz.
 constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;
 
 Pose scale_relative_motion(const Pose& first_pose, const Pose& second_pose, double factor) {
@@ -171,8 +172,8 @@ private:
                                                  : predict_constant_motion(pose_index + 1));
     }
 
-    /// Aligns a scan with the maps, from coarse to fine.
-    /// @return the aligned pose, and the share of the scan's points that lie on planes
+    /// Aligns a scan with the map of the earlier scans, from large to small map cells.
+    /// @return the aligned pose, and the share of the scan's points on planes of the map
     PoseCandidate align_scan(std::size_t pose_index, const Pose& start_pose,
                              const std::vector<SubsampledPoint>& scan) {
         set_pose_and_predict_next(pose_index, start_pose);

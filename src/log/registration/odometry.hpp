@@ -16,7 +16,8 @@
 namespace relidar {
 
 struct OdometryOptions {
-    /// cell sizes and robust-kernel scales at the coarsest and at the finest level
+    /// settings of the coarsest and of the finest plane map: cell size, and scale of the
+    /// robust kernel that gives outliers a low weight
     RegistrationRound first, last;
     /// True: the motion between scans is predicted from the given poses. False: constant
     /// velocity is assumed.

@@ -11,19 +11,18 @@
 namespace relidar {
 namespace {
 
-// Number of partial sums. A fixed number makes the result independent of the number of
-// threads.
+// Sums are computed in this fixed number of parts, so that rounding does not depend on
+// the number of threads.
 constexpr int kChunks = 64;
-// number of rounds in which the cells become smaller, and number of later rounds with the
-// smallest cells
+// Planes are fitted in grid cells. Number of optimisation rounds with shrinking cells,
+// and number of further rounds with the smallest cells.
 constexpr int kShrinking = 8, kLastRounds = 2;
 constexpr double kShift = 0.37;  // Shift of the cell grid from one round to the next, in cells.
-// Weight of the prior that pulls corrections to zero, relative to the mean weight of the
-// points. The prior matters only in directions that the points do not determine.
+// Weight of a term that pulls pose corrections to zero, relative to the mean weight of
+// the points. The term matters only in directions that the points do not determine.
 constexpr double kAdjustmentPrior = 1e-4;
 constexpr std::size_t kFewestPlaced = 30;
-// A pose is lost if less than this share of its points lies on planes. The share is 0.3
-// to 0.7 in streets, and 0.003 for random ranges.
+// The registration of a scan failed if less than this share of its points lies on planes.
 constexpr double kFewestOnPlanes = 0.05;
 
 /// Splits the indices 0 to `count` into kChunks parts. Calls task(begin, end, chunk) in
@@ -156,7 +155,8 @@ void PlanePoseAdjustment::add_correction_prior(PoseEquations& equations) const {
 
 void PlanePoseAdjustment::remove_mean_correction() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
-    // The mean of rotation vectors is only approximate, so it is removed three times.
+    // Each pass removes most of the mean correction. Three passes are needed, because the
+    // mean of rotation vectors is only approximate.
     for (int i = 0; i < 3; ++i) {
         glm::dvec3 centre(0.0), v(0.0), w(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
@@ -231,8 +231,8 @@ double PlanePoseAdjustment::compute_deviation_from_neighbours_m(std::size_t pose
     };
     const glm::dvec3 between =
         glm::mix(correction(before), correction(after), compute_time_fraction(before, pose_index, after));
-    // The minimum ignores jumps in the given poses. Next to a jump, one of the two
-    // neighbours has the same jump, and its distance is small.
+    // If the given poses jump between this pose and one neighbour, the other neighbour
+    // still has a similar correction. So the smallest distance is used.
     double least = glm::distance(correction(pose_index), between);
     for (const std::size_t neighbour : {before, after})
         least = std::min(least, glm::distance(correction(pose_index), correction(neighbour)));

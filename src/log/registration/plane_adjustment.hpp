@@ -22,44 +22,44 @@ struct PlaneMap {
     const LocalPlane* find_plane_at(const glm::dvec3& point_m) const;
 };
 
-/// Prior for pose corrections. Its weights are relative to the weight of one point.
+/// Weights of two terms that keep pose corrections small and smooth, relative to the
+/// weight of one measured point.
 struct PoseCorrectionPrior {
     Vector6 pull = Vector6::Zero();  ///< weight of the term that pulls each correction to zero
-    /// weight of the term that pulls consecutive corrections towards each other, for
-    /// poses 0.1 s apart
+    /// weight of the term that pulls consecutive corrections towards each other; valid
+    /// for poses 0.1 s apart, smaller for a longer time
     Vector6 link = Vector6::Zero();
 };
 
 class PlanePoseAdjustment {
 public:
-    /// Prepares the optimisation of a track.
-    /// @param initial_track  poses that the corrections refer to
-    /// @param start  start values of the poses, accurate enough for the cells of the
-    /// first round
+    /// Prepares the optimisation of the poses of a track.
+    /// @param initial_track  poses before any correction
+    /// @param start  start values of the poses, accurate enough for the first cell size
     /// @param points  points of all sweeps, sweep by sweep
-    /// @param gauge  [poses] true for the poses whose mean correction is kept at zero
+    /// @param gauge  [poses] true for the poses whose mean correction is kept at zero, so
+    /// that the track does not move as a unit
     PlanePoseAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
                         std::vector<SubsampledPoint> points, std::vector<bool> gauge);
 
-    /// Runs several rounds. Cell size and scale of the robust kernel decrease from
-    /// `first_round_settings` to `last_round_settings`. Two more rounds with
-    /// `last_round_settings` follow.
-    /// @return statistics of the rounds; fewer rounds if the callback `proceed` returned
+    /// Optimises all poses in several rounds. The cell size and the scale of the robust
+    /// kernel decrease from `first_round_settings` to `last_round_settings`.
+    /// @return statistics of each round; fewer rounds if the callback `proceed` returned
     /// false
     std::vector<RegistrationRound> adjust_poses_in_rounds(const RegistrationRound& first_round_settings,
                                                           const RegistrationRound& last_round_settings,
                                                           const std::function<bool(double done)>& proceed);
-    /// Sets the prior for the pose corrections of the next rounds.
+    /// Sets weights that keep pose corrections small and smooth.
     void set_pose_correction_prior(const PoseCorrectionPrior& prior) { prior_ = prior; }
     PlaneMap fit_planes_to_all_points(const RegistrationRound& round_settings) const;
     const PoseTrack& track() const { return track_; }
 
-    /// Finds the candidates whose registration failed. Either too few points of the pose
-    /// lie on planes, or its correction differs from the neighbouring corrections by more
-    /// than `max_deviation_m`. Replaces these corrections by interpolation between the
-    /// nearest valid poses. Poses that are not candidates are interpolated too.
+    /// Finds the poses whose registration failed: too few of their points lie on planes,
+    /// or their correction differs from the corrections of both neighbours by more than
+    /// `max_deviation_m`. Replaces these poses, and all poses without points, by
+    /// interpolation between the nearest valid poses.
     /// @param has_pose_points  [poses] true for the poses that have points
-    /// @return indices of the failed candidates
+    /// @return indices of the failed poses
     std::vector<std::size_t> interpolate_unregistered_poses(const PlaneMap& map,
                                                             const std::vector<bool>& has_pose_points,
                                                             double kernel_scale_m, double max_deviation_m);
@@ -73,10 +73,10 @@ public:
     /// Returns the share of a scan's points that lie on planes of a map.
     double compute_fraction_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
                                       double kernel_scale_m) const;
-    /// Compares the correction of a pose with three others: of the earlier neighbour, of
-    /// the later neighbour, and their interpolation. Returns the smallest distance in
-    /// metres. Returns 0 at an end of the track.
-    /// @param is_neighbour  [poses] true for the poses that count as neighbours
+    /// Returns how far the correction of a pose is from the corrections of its
+    /// neighbours, in metres: the smallest distance to the earlier one, the later one, or
+    /// their interpolation. Returns 0 at an end of the track.
+    /// @param is_neighbour  [poses] true for the poses that can be neighbours
     double compute_deviation_from_neighbours_m(std::size_t pose_index,
                                                const std::vector<bool>& is_neighbour) const;
     void set_pose(std::size_t pose_index, const Pose& new_pose) { track_.pose[pose_index] = new_pose; }

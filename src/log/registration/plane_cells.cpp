@@ -16,16 +16,15 @@ namespace {
 
 constexpr std::size_t kFewestPoints = 8;
 constexpr int kFits = 4;
-// Points form a plane only if they spread over the cell. This is the minimum standard
-// deviation along the narrower axis of the plane, divided by the cell size. A cell that
-// is filled evenly has 0.29.
+// Points form a plane only if they cover enough of their cell. Minimum standard deviation
+// along the narrower direction of the plane, divided by the cell size.
 constexpr double kSpread = 0.12;
-// Minimum standard deviation of points along the narrower axis of a plane, divided by the
-// scale of the robust kernel. If poses are wrong, the points of a single beam form a
-// narrow ribbon, which is not a surface.
+// Minimum width (standard deviation) of a plane, divided by the scale of the robust
+// kernel. Rejects narrow ribbons of points, which a single beam produces if poses are
+// wrong.
 constexpr double kSpreadScale = 0.8;
-// Minimum share of the points whose distance from the plane is less than the scale of the
-// robust kernel.
+// Minimum share of inliers. An inlier is closer to the plane than the scale of the robust
+// kernel, which is the distance at which a point has a weight of 1/4.
 constexpr double kInliers = 0.7;
 
 glm::dvec3 get_matrix_column(const Eigen::Matrix3d& matrix, int column) {

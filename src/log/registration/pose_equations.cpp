@@ -18,11 +18,11 @@ namespace {
 
 // Maximum number of solver iterations. Usually 20 to 30 are enough, even for long logs.
 constexpr int kMostIterations = 100;
-// Maximum number of partial sums, and minimum number of planes per sum. Fixed numbers
-// make the result independent of the number of threads.
+// Sums over planes run in parallel: at most kParts sums, each over at least kPlanesOfPart
+// planes. The result does not depend on the number of threads.
 constexpr std::size_t kParts = 64, kPlanesOfPart = 256;
-// The solver stops at this residual norm, relative to its initial value. The next round
-// corrects the remaining error.
+// The conjugate-gradient solver stops if the residual norm has fallen to this fraction of
+// its initial value. Later Gauss-Newton steps correct the remaining error.
 constexpr double kTolerance = 1e-4;
 
 Eigen::Vector3d to_eigen(const glm::dvec3& vector) { return {vector.x, vector.y, vector.z}; }
@@ -124,8 +124,8 @@ void PoseEquations::add_plane_residuals_of_cell(const std::vector<SubsampledPoin
         return couplings_.emplace_back(
             PlanePoseCoupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
-    // Matrix B of the plane's three unknowns. B uses the current weights of the points.
-    // With the weights of the plane fit, the equations would be indefinite.
+    // Normal matrix for the plane's offset and two tilts. It must use the point weights
+    // of the pose equations; otherwise the joint matrix is not positive definite.
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : point_indices) {
@@ -216,8 +216,8 @@ Vector6 PoseEquations::make_prior_diagonal(double prior_weight) const {
     return prior_weight * mean;
 }
 
-/// Coarse equations, in which a group of consecutive poses moves like one rigid body. The
-/// unknowns are the twist (translation and rotation) of each group about its first pose.
+/// Coarse equations for the solver's preconditioner. Eight consecutive poses move like
+/// one rigid body, so there is only one translation and rotation for each group of poses.
 class PoseGroupEquations {
 public:
     PoseGroupEquations(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
@@ -239,7 +239,7 @@ public:
         factorise_matrix();
     }
 
-    /// Computes the group motions that reduce a residual, and adds them to `pose_steps`.
+    /// Solves the coarse equations for a residual, and adds the solution to `pose_steps`.
     void add_group_motions_for_residual(const Eigen::VectorXd& residual, Eigen::VectorXd& pose_steps) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
@@ -256,7 +256,7 @@ private:
     static constexpr std::size_t kGroup = 8;
 
     const std::size_t n_;
-    // [poses] matrix that converts the twist of a group to the twist of one pose in it
+    // [poses] converts the rigid motion of a group of poses to the motion of one pose
     std::vector<Matrix6> carry_;
     std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;  // key: row, column
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;

@@ -37,18 +37,18 @@ PlaneResidual compute_plane_residual(const WorldPointWithOrigin& point, const Lo
 /// counts the points that lie on planes.
 class SinglePoseEquations {
 public:
-    /// Adds the residual of a point.
-    /// @param pose_motion_fraction  share of the pose's motion by which the point moves,
-    /// 0 to 1
+    /// Adds the distance of a point from its plane as a residual.
+    /// @param pose_motion_fraction  fraction of the pose's motion by which the point
+    /// moves; below 1 if the point is interpolated between two poses
     void add_plane_residual(const PlaneResidual& plane_residual, double pose_motion_fraction = 1.0);
     SinglePoseEquations& operator+=(const SinglePoseEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
     std::size_t count_points_on_planes() const { return n_on_planes_; }
-    /// Solves the equations for the next step of the pose.
-    /// @param prior_weight  weight that pulls the correction to zero, relative to the
-    /// mean weights of translations and of rotations. It matters only in directions that
-    /// the points do not determine.
-    /// @param current_correction  current correction of the pose
+    /// Solves the equations for the next Gauss-Newton step of the pose.
+    /// @param prior_weight  weight of a term that pulls the total correction of the pose
+    /// to zero, relative to the mean weight of the points. It matters only in directions
+    /// that the points do not determine.
+    /// @param current_correction  total correction of the pose so far
     Twist solve_for_pose_step(double prior_weight, const Twist& current_correction = {}) const;
 
 private:
@@ -74,20 +74,20 @@ public:
     explicit PoseEquations(std::size_t n_poses);
 
     void add_plane_residual_of_point(const SubsampledPoint& point, const PlaneResidual& plane_residual);
-    /// Adds the residuals of all points in a cell, and eliminates the unknowns of the
-    /// cell's plane (Schur complement).
+    /// Adds the distances of a cell's points from the plane of the cell. The parameters
+    /// of the plane are unknowns too; they are eliminated by a Schur complement.
     void add_plane_residuals_of_cell(const std::vector<SubsampledPoint>& points,
                                      const std::vector<WorldPointWithOrigin>& world_points,
                                      std::span<const std::uint32_t> point_indices, const LocalPlane& plane,
                                      double kernel_scale_m);
     void add_equations(PoseEquations&& other);
-    /// Adds a prior that pulls the correction of one pose to zero.
     void add_zero_correction_prior(std::size_t pose_index, const Vector6& weights,
                                    const Vector6& current_correction);
-    /// Adds a prior that pulls the corrections of `pose_index` and of the next pose
-    /// towards each other.
-    /// @param correction_difference  correction of the next pose minus correction of
-    /// `pose_index`
+    /// Adds a term that pulls the corrections of two consecutive poses towards each
+    /// other.
+    /// @param pose_index  index of the first pose
+    /// @param weights  weights of translations and rotations
+    /// @param correction_difference  second minus first correction
     void add_equal_neighbour_correction_prior(std::size_t pose_index, const Vector6& weights,
                                               const Vector6& correction_difference);
 
@@ -106,8 +106,8 @@ public:
     double compute_rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
-    /// Matrix C L^-T, which couples the unknowns of a plane with a pose. L is the
-    /// Cholesky factor of the plane's matrix B = L L^T.
+    /// Couples the six unknowns of a pose with the three unknowns of a plane: C L^-T. C
+    /// is a block of the normal matrix, L the Cholesky factor of the block of the plane.
     struct PlanePoseCoupling {
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;
@@ -120,7 +120,7 @@ private:
     double cost_ = 0.0, weight_ = 0.0;
 
     Eigen::VectorXd multiply_normal_matrix_by(const Eigen::VectorXd& input_vector) const;
-    /// Returns the six diagonal terms of the prior that pulls corrections to zero.
+    /// Returns the diagonal matrix that pulls the correction of a pose to zero.
     Vector6 make_prior_diagonal(double prior_weight) const;
     friend class PoseGroupEquations;
 };

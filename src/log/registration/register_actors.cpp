@@ -15,15 +15,15 @@
 namespace relidar {
 namespace {
 
-// Shorter boxes are not registered. Most are pedestrians, who change their shape.
+// Tracks of shorter boxes are not corrected. Most are pedestrians, who change shape.
 constexpr double kSmallest_m = 1.2;
 // Points less than this height above the bottom of a box are ignored, because they can
 // belong to the ground.
 constexpr double kAboveGround_m = 0.25;
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
 constexpr RegistrationRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
-// The track of a box is replaced only if the share of its points on planes increases by
-// at least this value.
+// The corrected track of a box is used only if it increases the share of points that lie
+// on planes of the box by at least this value.
 constexpr double kGain = 0.02;
 // Larger corrections of a pose are rejected as errors of the registration.
 constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;
@@ -31,9 +31,9 @@ constexpr double kStanding_m = 3.0;  // a box that moves farther than this is no
 constexpr int kNeighbours = 3;       // number of poses on each side that are used to interpolate a pose
 constexpr double kLongestGap_s = 1.0;
 
-/// Returns the prior for pose corrections of labelled boxes. Labels are assumed to have
-/// errors of 0.15 m and 2 degrees, which change by 0.05 m and 1 degree within 0.1 s.
-/// Points are assumed to have errors of 0.05 m.
+/// Returns weights that keep the corrections of labelled boxes small and smooth. Assumed
+/// standard deviations: 0.05 m for points; 0.15 m and 2 degrees for labels; 0.05 m and 1
+/// degree for the change of the label error within 0.1 s.
 PoseCorrectionPrior make_actor_pose_correction_prior() {
     const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
     const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
@@ -49,9 +49,8 @@ struct BoxFramePoints {
     std::vector<std::size_t> n_of_pose;   ///< [poses] number of points
 };
 
-/// Collects the training returns inside each labelled box. The outer loop is over
-/// returns, so that each return is converted to the world frame only once.
-/// @return [boxes] points in the order of frames and rays, sorted by pose
+/// Collects the training returns inside each labelled box.
+/// @return [boxes] points sorted by pose of the box, then by frame and ray
 std::vector<BoxFramePoints> collect_points_in_boxes(const LidarSequence& sequence,
                                                     const std::vector<int>& train_frame_indices,
                                                     const std::vector<BoxTrack*>& actor_boxes) {
@@ -124,8 +123,8 @@ std::optional<Pose> fit_pose_to_neighbours_with_points(const PoseTrack& track,
     return apply_twist(reference, twist);
 }
 
-/// Returns the share of points that lie on planes. Only planes that several poses observe
-/// count.
+/// Returns the share of points that lie on planes. A plane is fitted in each grid cell
+/// that contains points of at least two poses.
 double compute_actor_fraction_on_planes(const PlanePoseAdjustment& adjustment,
                                         const std::vector<SubsampledPoint>& points) {
     return adjustment.compute_fraction_on_planes(adjustment.fit_planes_to_all_points(kLastActorRound), points,
@@ -145,7 +144,7 @@ PoseTrack make_identity_poses_at_track_times(const PoseTrack& track) {
     return {track.time_s, std::vector<Pose>(track.pose.size())};
 }
 
-/// Returns true if the points fit a box at rest as well as they fit the registered track.
+/// Returns true if the points of an actor fit a fixed box about as well as a moving box.
 bool is_stationary_actor(const BoxTrack& box, const BoxFramePoints& actor_points,
                          const std::vector<bool>& pose_has_points, double registered_fraction) {
     const PoseTrack& track = box.world_from_box;
@@ -160,8 +159,8 @@ bool is_stationary_actor(const BoxTrack& box, const BoxFramePoints& actor_points
     return compute_actor_fraction_on_planes(adjustment, still) >= registered_fraction - kGain;
 }
 
-/// Corrects the poses of a track. The corrections are in the frame of the box.
-/// Interpolates the poses that have no points.
+/// Applies corrections, which are in the frame of the box, to the poses of a track. A
+/// pose with few points is interpolated between neighbouring poses instead.
 void apply_corrections_in_box_frame(PoseTrack& track, const PoseTrack& corrections,
                                     const std::vector<bool>& pose_has_points) {
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
@@ -176,8 +175,8 @@ void apply_corrections_in_box_frame(PoseTrack& track, const PoseTrack& correctio
                 track.pose[k] = *pose;
 }
 
-/// Registers the track of one box. Keeps the old track if the new poses do not fit the
-/// points better.
+/// Corrects the track of a box, so that its points from all frames lie on common planes.
+/// Keeps the labelled track if the corrected track does not fit the points better.
 void refine_actor_track_by_registration(BoxTrack& box, const BoxFramePoints& actor_points,
                                         ActorRegistrationResult& result,
                                         std::vector<double>& moved_distances_m) {

@@ -22,17 +22,16 @@ namespace {
 // A grid keeps one point of a scan per cell. Largest and smallest cell size: cells of 0.5
 // m keep 12 thousand points of a 64-beam scan, cells of 0.1 m nearly all.
 constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
-// Usual number of scans that observe the same cell. Shorter logs need more points per
-// scan, because a plane needs at least eight points.
+// Usual number of scans that hit the same grid cell. A log with fewer scans keeps more
+// points of each scan, so that each cell has enough points for a plane.
 constexpr double kScansOnACell = 24.0;
 constexpr RegistrationRound kLast{0.5, 0.05};  // cell size and robust-kernel scale of the last rounds
-// Cell size and robust-kernel scale of the last odometry step. The scale is larger than
-// in the last rounds of the joint optimisation, because the map of odometry is less
-// accurate.
+// Final cell size and robust-kernel scale of odometry. The scale is larger than in kLast,
+// because the map of odometry is less accurate than jointly optimised poses.
 constexpr RegistrationRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 
-/// Returns the size of the cells in which one point of a scan is kept.
+/// Scans are thinned to one point per grid cell. Returns the cell size in metres.
 double choose_downsampling_cell_size_m(std::size_t n_scans) {
     return std::clamp(kThinned_m * std::sqrt(double(n_scans) / kScansOnACell), kThinnest_m, kThinned_m);
 }

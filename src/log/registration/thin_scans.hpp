@@ -10,9 +10,8 @@
 
 namespace relidar {
 
-/// Sweeps to register, at the sweep times of the LiDAR with the most returns. A frame of
-/// another LiDAR belongs to the sweep with the same time. Poses at other times are
-/// interpolated.
+/// Frames of all LiDARs, grouped by vehicle pose. The group of a pose is registered if it
+/// contains a frame of the LiDAR with the most returns. All other poses are interpolated.
 struct SweepsToRegister {
     PoseTrack track;                       ///< [sweeps] poses of the vehicle before registration
     std::vector<std::size_t> pose;         ///< [sweeps] index in LidarSequence::world_from_vehicle, ascending
@@ -42,7 +41,7 @@ struct WorldPointWithOrigin {
     glm::dvec3 point_m, vehicle_m;
 };
 WorldPointWithOrigin transform_point_to_world(const PoseTrack& track, const SubsampledPoint& point);
-/// Returns the share of the motion of a pose by which a point moves, 0 to 1.
+/// A point is interpolated between two poses. Returns the weight of pose `pose_index`.
 double get_interpolation_weight_of_pose(const SubsampledPoint& point, std::size_t pose_index);
 
 /// Selects returns of a frame, at most one in each cell of size `cell_size_m` in the
@@ -56,10 +55,10 @@ std::vector<std::size_t> select_one_return_per_cell(const LidarSequence& sequenc
 /// @param pose_index index in `track` of the pose of this frame
 SubsampledPoint make_subsampled_point(const LidarSequence& sequence, const PoseTrack& track,
                                       std::size_t pose_index, int frame_index, std::size_t ray_index);
-/// Selects points of some sweeps, at most one per scan in each cell of size `cell_size_m`
-/// in the sensor frame.
+/// Thins the scans of selected sweeps. Keeps at most one point of a scan in each cell of
+/// a grid in the sensor frame.
 /// @param is_sweep_selected  [sweeps] true for the sweeps to use
-/// @return [sweeps] points frame by frame in the order of the scan; empty for other
+/// @return [sweeps] points frame by frame in the order of the rays; empty for other
 /// sweeps
 std::vector<std::vector<SubsampledPoint>> downsample_selected_sweeps(
     const LidarSequence& sequence, const SweepsToRegister& sweeps, const std::vector<bool>& is_sweep_selected,

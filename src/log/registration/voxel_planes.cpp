@@ -9,14 +9,13 @@ namespace relidar {
 namespace {
 
 constexpr double kFewestOfVoxel = 6;
-// Points form a plane only if they spread over the cell. This is the minimum standard
-// deviation along the narrower axis of the plane, divided by the cell size. A cell that
-// is filled evenly has 0.29.
+// Points form a plane only if they cover enough of their cell. Minimum standard deviation
+// along the narrower direction of the plane, divided by the cell size.
 constexpr double kVoxelSpread = 0.12;
 // maximum standard deviation of the points along the normal, divided by the cell size
 constexpr double kThickness = 0.1;
-/// Returns the mutex of a cell. All cells share 64 mutexes, because threads rarely fit
-/// planes at the same time.
+/// Returns the mutex that is locked while a plane is fitted to the points of a cell. All
+/// cells share 64 mutexes, because fits rarely run at the same time.
 std::mutex& get_cell_mutex(const void* cell_address) {
     static std::array<std::mutex, 64> mutexes;
     return mutexes[reinterpret_cast<std::uintptr_t>(cell_address) / 64 % mutexes.size()];

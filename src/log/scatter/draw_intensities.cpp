@@ -16,9 +16,9 @@ namespace relidar {
 namespace {
 
 constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has one row.
-/// A tile needs the tile on its left, and the row above up to kAhead columns further
-/// right. So tile t of row r needs tile t + 1 of row r - 1. Tiles with the same 2 r + t
-/// are therefore independent and can run in parallel.
+/// A tile of the image needs the tile on its left and, in the row above, at most one tile
+/// further right. Tiles with equal 2 * row + tile are therefore independent and run in
+/// parallel.
 static_assert(scatter_detail::kAhead <= kTileColumns);
 
 const IntensityScatterModel::DecisionTreeNode& find_tree_leaf(

@@ -29,22 +29,22 @@ using scatter_detail::RayFeatures;
 
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
-// Minimum gain in log-likelihood for which a tree node is split. For unrelated features,
-// twice the gain is chi-square distributed with 23 degrees of freedom. The best split
-// then exceeds the limit in 1 of 100 cases.
+// A node of the decision tree is split only if the log-likelihood increases by at least
+// this value. If features and intensities are unrelated, about 1 in 100 best splits
+// reaches this value.
 constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
 
-/// Features (as bin numbers), class and intensity of one return.
+/// One return: features (as bin numbers), and intensity (as class and value).
 struct ScatterSample {
     std::array<std::uint8_t, kFeatures> bins;
     std::uint8_t of_class;
     float value;
 };
 
-/// All returns of the scans. The returns of a tree node are contiguous in memory, so
-/// counting them is fast.
+/// All returns that train the decision tree. Returns in the same tree node are contiguous
+/// in memory.
 struct ScatterSampleSet {
     std::vector<ScatterSample> all;
     std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins except the last
@@ -170,8 +170,8 @@ struct TreeNodeSplit {
     std::size_t bin = 0;
 };
 
-// Number of features that are counted at the same time. Their counts fit into the
-// first-level cache.
+// Number of features whose histograms are computed at the same time. Their histograms fit
+// into the first-level cache.
 constexpr std::size_t kTogether = 4;
 using ClassCountsByBin = std::array<ClassCounts, kBins>;
 
@@ -187,7 +187,7 @@ TreeNodeSplit find_best_feature_split(const ClassCountsByBin& class_counts_by_bi
     std::uint32_t n_low = 0;
     for (std::size_t b = 0; b < n_bin_borders; ++b) {
         const std::uint32_t of_bin = class_counts_by_bin[b].count_returns_of_all_classes();
-        // A split before an empty bin equals a split after it, so one of them is skipped.
+        // A split after an empty bin equals the split before this bin, so it is skipped.
         if (of_bin == 0) continue;
         low.add_counts(class_counts_by_bin[b]);
         n_low += of_bin;
@@ -258,8 +258,8 @@ std::vector<TreeNodeSplit> find_best_layer_splits(
     return cuts;
 }
 
-/// Splits the tree nodes from index `first_node` on. A node without enough gain stays a
-/// leaf. Reorders the returns so that the returns of each child are contiguous.
+/// Splits the nodes of the decision tree from index `first_node` on. A node stays a leaf
+/// if no split predicts better. Keeps the returns of each node contiguous.
 void split_tree_layer(ScatterSampleSet& returns, const EntropyTermTable& k_log_k_table,
                       std::vector<IntensityScatterModel::DecisionTreeNode>& nodes, std::size_t first_node) {
     const std::vector<TreeNodeSplit> cuts =
@@ -324,8 +324,8 @@ double find_quantisation_step(std::vector<float> values) {
     for (const float value : values) {
         step = step > 0.0 ? find_approximate_gcd(double(value), step, kError * largest) : double(value);
         if (value > 0.0f && step < kFinest * largest) return 0.0;
-        // Improves the step with the current value. Values ascend, so each step is more
-        // accurate.
+        // `value` is an integer multiple of the step. Computes the step again from
+        // `value`, because a larger multiple gives a more accurate step.
         if (step > 0.0) step = double(value) / std::round(double(value) / step);
     }
     const auto is_multiple = [&](float v) {

@@ -20,16 +20,17 @@ namespace relidar::scatter_detail {
 struct RayOffset {
     int rows, columns;
 };
-/// Rectangle of rays near a ray, given by its first and last offset.
+/// Rectangle in the range image, as offsets from the current ray to the first (top left)
+/// and the last (bottom right) ray of the rectangle.
 struct RayWindow {
     RayOffset first, last;
 };
 
 constexpr std::array<RayOffset, 4> kBeside{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
 constexpr std::array<RayWindow, 2> kSmoothed{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
-/// Offsets of earlier rays whose residuals (measured minus rendered intensity) are
-/// features. Neighbouring lasers fire alternately. So the ray two rows away is more
-/// similar than the ray in the next row.
+/// Rays whose residuals (measured minus rendered intensity) are inputs of the decision
+/// tree. Lasers in adjacent rows fire alternately, so the second row above is more
+/// similar than the first.
 constexpr std::array<RayOffset, 7> kResiduals{
     {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, 0}, {-2, 0}, {-4, 0}}};
 constexpr std::array<RayOffset, 10> kLevels{
@@ -38,7 +39,7 @@ constexpr std::array<RayWindow, 5> kMeans{
     {{{0, -2}, {0, -1}}, {{0, -4}, {0, -1}}, {{0, -8}, {0, -1}}, {{-1, -2}, {-1, 2}}, {{-3, -3}, {-1, 3}}}};
 constexpr std::array<RayWindow, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
 
-/// Features use rays in the rows above that are up to this many columns to the right.
+/// Features of a ray use rays in the rows above, at most this many columns further right.
 constexpr int kAhead = 3;
 static_assert(std::ranges::all_of(kMeans, [](const RayWindow& w) {
     return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
@@ -58,8 +59,8 @@ constexpr std::size_t kFeatures = kRenderedFeatures + 2 * kBeside.size() + kSmoo
                                   kResiduals.size() + kLevels.size() + kMeans.size() + kSizes.size();
 using RayFeatures = std::array<float, kFeatures>;
 
-/// Computes the features of a ray in a scan where the intensities of earlier rays are
-/// known.
+/// Computes the inputs (features) with which a decision tree predicts the intensity of a
+/// ray. Some features are known intensities of rays to the left or above.
 class RayFeatureExtractor {
 public:
     /// Stores references to the scan and to the known intensities.
@@ -80,8 +81,8 @@ public:
         const auto at = [&](RayOffset s) {
             return get_pixel_index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
         };
-        // A ray to the left of column 0 counts as unknown. Each row can then be drawn
-        // from left to right.
+        // Returns the intensity of a neighbouring ray. A neighbour left of column 0 would
+        // wrap to the right edge, which is drawn later, so it counts as unknown.
         const auto level = [&](RayOffset s) {
             return row + s.rows < 0 || column + s.columns < 0 ? kNoIntensity : known_intensities_[at(s)];
         };
@@ -94,8 +95,8 @@ public:
             const float r = residual(s);
             return r == kNoIntensity ? r : std::abs(r);
         };
-        /// Returns true if `feature_index` is less than `count`. Otherwise subtracts
-        /// `count` from it.
+        /// Features are numbered group by group. Returns true if the feature is in this
+        /// group, which has `count` features. Otherwise skips the group.
         const auto is_of = [&](std::size_t count) {
             return feature_index < count || (feature_index -= count, false);
         };

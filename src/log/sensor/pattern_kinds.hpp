@@ -15,14 +15,14 @@
 
 namespace relidar {
 
-/// Functions for one kind of sensor, such as "spinning". Their arguments must be patterns
-/// of this kind.
+/// Name and functions of one kind of sensor, such as "spinning". holds() tests if a
+/// pattern is of this kind. The other functions accept only such patterns.
 struct PatternKind {
     const char* name;     ///< key of the JSON object that describes the sensor
     const char* members;  ///< names of the members of the JSON object, for the command-line help
     bool (*holds)(const SensorPattern& pattern);
     /// Creates a sensor from its JSON object.
-    /// @param kind_name  name of the sensor if the object contains none
+    /// @param name  name of the sensor if the object contains none
     /// @throws DataError naming the member that is wrong
     SensorModel (*parse)(const JsonField& field, const std::string& name);
     /// Returns the JSON object without name and range limits. Reading the object back
@@ -32,9 +32,9 @@ struct PatternKind {
     ScanPatternSummary (*describe)(const SensorPattern& pattern);
 };
 
-/// Creates the table row of a kind of sensor from the static functions of a struct.
-/// @tparam Functions  struct with the static functions parse, write, make_rays and
-/// describe
+/// Creates the PatternKind of a sensor from the static functions of a struct.
+/// @tparam Functions  struct with the type Pattern and the static functions parse, write,
+/// make_rays and describe
 template <class Functions>
 PatternKind make_pattern_kind(const char* kind_name, const char* json_member_names) {
     using Pattern = typename Functions::Pattern;
@@ -49,9 +49,9 @@ PatternKind make_pattern_kind(const char* kind_name, const char* json_member_nam
 
 /// Returns the table of all kinds of sensors.
 const std::vector<PatternKind>& list_pattern_kinds();
-/// Return the kinds "spinning" and "rays". Readers need them for JSON files that do not
-/// name the kind.
+/// Returns the kind "spinning", for JSON files that do not name the kind of sensor.
 PatternKind make_spinning_pattern_kind();
+/// Returns the kind "rays", for JSON files that do not name the kind of sensor.
 PatternKind make_ray_table_pattern_kind();
 /// Returns the kind of sensor that a JSON object names, or null if it names none.
 const PatternKind* find_pattern_kind(const JsonField& field);

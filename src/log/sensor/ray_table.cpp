@@ -31,7 +31,8 @@ std::vector<glm::dvec2> make_footprint_offsets(int n_sub_rays) {
             offsets.push_back(radius *
                               glm::dvec2(std::cos(first + k * kPi / 2.0), std::sin(first + k * kPi / 2.0)));
     };
-    // With these radii, the sum of radius^2 over all sub-rays is n_sub_rays / 2.
+    // Radii of the sub-rays in units of the beam radius. The mean of radius^2 over all
+    // sub-rays is 1/2, as for a uniform disc.
     if (n_sub_rays == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
     if (n_sub_rays == 9) add_ring(0.5, kPi / 4.0), add_ring(std::sqrt(7.0 / 8.0), 0.0);
     if (n_sub_rays == 1 || n_sub_rays == 5 || n_sub_rays == 9) return offsets;

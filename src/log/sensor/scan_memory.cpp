@@ -31,8 +31,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Arrays smaller than this (bytes) are kept in memory, because an array in the file
-// occupies complete pages.
+// Smaller arrays (in bytes) always stay in memory. In the memory-mapped file, they would
+// waste space, because each array starts a new page.
 constexpr std::size_t kSmall = 16 << 10;
 constexpr std::size_t kReserved = std::size_t(1) << 40;  // Size of the reserved address range in bytes.
 
@@ -137,15 +137,15 @@ struct ScanMemoryState {
     MappedFile& get_or_create_mapped_file() {
         if (MappedFile* made = file) return *made;
         const std::lock_guard lock(mutex);
-        // The file is never closed, because static objects may free arrays at the end of
-        // the process.
+        // The file stays open until the process ends, because static objects may free
+        // arrays in the file after main().
         if (!file) file = std::make_unique<MappedFile>(folder).release();
         return *file;
     }
 };
 
 ScanMemoryState& get_scan_memory_state() {
-    // Never destroyed, because static objects free their arrays after main().
+    // Never destroyed, because static objects still use this object after main().
     static ScanMemoryState* const all = new ScanMemoryState;
     return *all;
 }
@@ -155,7 +155,7 @@ std::uint64_t get_physical_or_cgroup_memory_bytes() {
                   limit = 0;
     // Files with the memory limit of the control group: cgroup version 2, then version 1.
     for (const char* file : {"/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"})
-        // A file without a limit contains "max", so that reading a number fails.
+        // Without a memory limit, the file contains "max", which is not a number.
         if (std::ifstream group(file); group >> limit) bytes = std::min(bytes, limit);
     return bytes;
 }

@@ -39,7 +39,8 @@ SensorSpecifier parse_sensor_name_columns_and_rate(const std::string& specifier_
     const auto columns = parse_number(suffix.substr(0, x));
     const auto rate_hz =
         x < suffix.size() ? parse_number(suffix.substr(x + 1)) : std::optional<double>(kTableRate_hz);
-    // If no valid numbers follow the colon, the colon belongs to a file path.
+    // In "OS1-64:1024x20", columns and rate follow the colon. If the text after the colon
+    // is not a number, the colon is part of a file path.
     if (!columns || !rate_hz) return {specifier_text};
     if (!(*columns >= 1.0 && *columns <= kMaxColumns) || *columns != std::floor(*columns) ||
         !(*rate_hz > 0.0 && *rate_hz <= kMaxRate_hz)) {

@@ -11,7 +11,7 @@
 
 namespace relidar::sensor_files {
 
-/// Rays with the values of a file. Arrays that the file does not contain are empty.
+/// Ray table of a CSV, JSON or npz file. Arrays that the file does not contain are empty.
 struct RayFileArrays {
     int rows = 1, columns = 0;
     std::vector<double> direction;  ///< [n,3] directions

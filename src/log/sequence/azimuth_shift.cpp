@@ -17,8 +17,8 @@ namespace {
 // azimuth) is estimated.
 constexpr std::size_t kFewest = 3;
 constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding errors
-// At least half of the rays must be this close to the median azimuth shift of their
-// firing, in columns. Otherwise the beams do not rotate together.
+// Lasers that fire together must have the same azimuth error, up to this difference in
+// columns (median over all rays). Otherwise the lasers do not rotate together.
 constexpr double kAgree_columns = 0.1;
 
 /// Returns the difference of two directions in azimuth, positive to the left.

@@ -13,11 +13,11 @@
 namespace relidar {
 namespace {
 
-// Intensities are compared within grid cells ("places") of this size. A place is so small
-// that it contains one surface, but large enough to be hit several times.
+// Intensities of returns in the same grid cell of this size are compared. The cell is so
+// small that it contains one surface, but large enough to be hit several times.
 constexpr double kIntensityCell_m = 0.1;
-// Size of larger cells. A plane is fitted in each, and its normal is used for all places
-// in the cell.
+// Size of the grid cells in which planes are fitted. The normal of the plane gives the
+// angle of incidence of all returns in the cell.
 constexpr double kSurface_m = 0.4;
 constexpr double kMinPoints = 8.0;
 // Points form a plane only if their standard deviation along the normal is small. The
@@ -95,7 +95,7 @@ RepeatedCellReturns collect_repeatedly_hit_cells(const LidarSequence& sequence,
     }
     const ItemCellIndices cell_numbers = assign_returns_to_cells(returns, kIntensityCell_m);
     const CellItemLists items(cell_numbers);
-    std::vector<CellReturn> returns_by_cell;  // sorted by place; places with a single return are left out
+    std::vector<CellReturn> returns_by_cell;  // cells with a single return are left out
     for (std::uint32_t cell = 0; cell < cell_numbers.n_cells; ++cell) {
         if (items.get_item_indices_of_cell(cell).size() < 2) continue;
         for (const std::uint32_t i : items.get_item_indices_of_cell(cell)) {

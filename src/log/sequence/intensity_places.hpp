@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collects returns that hit the same small cell (place) in several sweeps or with several
-// beams, because only their intensities can be compared. Used only in src/log/sequence.
+// Collects returns that hit the same grid cell in several sweeps or with several beams,
+// because only their intensities can be compared. Used only in src/log/sequence.
 #pragma once
 
 #include <cstdint>
@@ -10,8 +10,7 @@
 
 namespace relidar {
 
-/// One return: index of the small cell ("place") that it hit, beam, range, angle of
-/// incidence and intensity.
+/// A return in a grid cell. Intensities of returns in the same cell are compared.
 struct CellReturn {
     std::uint32_t cell;
     std::uint32_t beam;
@@ -20,8 +19,8 @@ struct CellReturn {
     float intensity;  ///< measured intensity
 };
 
-/// Returns in small cells ("places") that were hit at least twice, sorted by place.
-/// Places have the numbers 0, 1, 2 and so on.
+/// Returns in grid cells that were hit at least twice, sorted by cell. Cells have the
+/// indices 0 to n_cells - 1.
 struct RepeatedCellReturns {
     std::vector<CellReturn> sorted_returns;
     std::size_t n_cells = 0;

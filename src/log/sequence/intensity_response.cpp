@@ -24,10 +24,9 @@ namespace relidar {
 namespace {
 
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
-constexpr std::size_t kReference = 3;  // index of the knot where rho is 1
-// Weight of the prior, as a number of returns. The prior pulls each beam towards the mean
-// beam. It also pulls rho, the factor at a range, towards a straight line through the
-// neighbouring knots.
+constexpr std::size_t kReference = 3;  // index of the range at which the intensity factor is fixed to 1
+// A prior pulls beams with few returns to the mean beam, and smooths the intensity factor
+// over range. This is the number of returns that have the same weight as the prior.
 constexpr double kResponsePrior = 200.0;
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
 // A part of the intensity model is used only if it reduces the error to less than this
@@ -43,7 +42,7 @@ struct BeamGainOffset {
 };
 
 struct IntensityFit {
-    std::vector<double> albedo;  ///< [places]
+    std::vector<double> albedo;  ///< [cells]
     IntensityResponse shared{
         {kKnots_m.begin(), kKnots_m.end()}, std::vector<double>(kKnots_m.size(), 1.0), 0.0};
     std::vector<BeamGainOffset> beams;
@@ -54,8 +53,8 @@ struct FittedIntensityTerms {
     bool shared, beams;
 };
 
-/// Returns the index of the last knot (sampled range) before a range. Also returns the
-/// position of the range between this knot and the next, clamped to 0 .. 1.
+/// Returns the index of the last sampled range up to `range_m`. Also returns the position
+/// of `range_m` between this and the next sampled range, clamped to 0 .. 1.
 std::pair<std::size_t, double> find_range_knot_and_fraction(double range_m) {
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t left = std::size_t(
@@ -63,8 +62,8 @@ std::pair<std::size_t, double> find_range_knot_and_fraction(double range_m) {
     return {left, std::clamp((range_m - kKnots_m[left]) / (kKnots_m[left + 1] - kKnots_m[left]), 0.0, 1.0)};
 }
 
-/// Divides returns into chunks for parallel sums. All returns of a place (small cell) are
-/// in the same chunk. Returns the first index of each chunk, and the number of returns.
+/// Splits returns, which are sorted by grid cell, into chunks for parallel sums. A cell
+/// is never split. Returns the first index of each chunk, and the total number.
 std::vector<std::size_t> find_chunk_bounds_between_cells(
     const std::vector<CellReturn>& returns_sorted_by_cell) {
     std::vector<std::size_t> bounds{0};
@@ -79,8 +78,8 @@ std::vector<std::size_t> find_chunk_bounds_between_cells(
     return bounds;
 }
 
-/// Calls task(returns, chunk) for the returns of each place (small cell). Chunks of
-/// places run in parallel.
+/// Calls process_cell_returns(returns, chunk) for each grid cell. `returns` are the
+/// returns in the cell. The cells are divided into chunks, which run in parallel.
 template <class Task>
 void group_returns_by_cell_in_parallel(const std::vector<CellReturn>& returns_sorted_by_cell,
                                        const Task& process_cell_returns) {
@@ -111,8 +110,8 @@ void fit_albedo_of_each_cell(IntensityFit& model, const RepeatedCellReturns& ret
         });
 }
 
-/// Index of each unknown in the linear system: the range factors rho at the knots, the
-/// incidence factor q, then gain and offset of each beam.
+/// Indices of the unknowns in the linear system: intensity factor at each sampled range,
+/// incidence factor, then gain and offset of each beam.
 struct UnknownIndices {
     FittedIntensityTerms parts;
     std::size_t n_beams;
@@ -129,13 +128,13 @@ struct UnknownIndices {
     Eigen::Index size() const { return get_unknown_index_of_beam_gain(parts.beams ? n_beams : 0); }
 };
 
-/// Nonzero derivatives of the expected intensity of one return with respect to the
-/// unknowns, in ascending order of the unknowns.
+/// Nonzero derivatives of the expected intensity of one return: by two range factors,
+/// incidence factor, beam gain and beam offset, in this order.
 struct IntensityJacobianRow {
     std::array<std::pair<Eigen::Index, double>, 5> by;
     std::size_t n = 0;
-    /// derivative with respect to the albedo of the place (small cell), and measured
-    /// minus expected intensity
+    /// `by_albedo`: derivative by the albedo of the surface. `error`: measured minus
+    /// expected intensity.
     double by_albedo, error;
     void append_derivative_by_unknown(Eigen::Index unknown_index, double derivative) {
         by[n++] = {unknown_index, derivative};
@@ -174,19 +173,18 @@ IntensityJacobianRow compute_intensity_jacobian_row(const IntensityFit& model,
 struct NormalEquations {
     Eigen::MatrixXd h;  ///< lower half only
     Eigen::VectorXd g;
-    /// mean and standard deviation of the expected intensities, without the beam offsets
+    /// mean and standard deviation of the expected intensities without beam offsets
     double mean = 0.0, spread = 0.0;
 };
 
-/// Sums over the places (small cells) of a chunk. Uses only the lower half of the
-/// symmetric matrix h. Aligned to cache lines, because threads write to neighbouring
-/// elements.
+/// Partial sums of one thread for the normal equations. Aligned to cache lines, because
+/// threads write to neighbouring elements.
 struct alignas(64) Sums {
     NormalEquations system;
-    // [unknowns] sums over the returns of the current place: derivative by the albedo
-    // times derivative by the unknown; zero before each place
+    // [unknowns] entries of the normal matrix that couple each unknown with the albedo of
+    // the current grid cell; zero before each cell
     std::vector<double> coupling;
-    std::vector<Eigen::Index> touched;  // unknowns that are coupled to the current place
+    std::vector<Eigen::Index> touched;  // unknowns with a nonzero entry in `coupling`
     double sum = 0.0, squares = 0.0;    // sum and sum of squares of the expected intensities
 
     explicit Sums(Eigen::Index n)
@@ -244,8 +242,8 @@ void add_intensity_priors_to_equations(NormalEquations& equations, const Intensi
     };
     const double prior =
         kResponsePrior * (equations.mean * equations.mean + equations.spread * equations.spread);
-    // If a knot (sampled range) has few returns, the prior pulls its factor rho to the
-    // line through the neighbouring knots.
+    // Smooths the intensity factor over range. If few returns are near a sampled range,
+    // its factor is pulled to the line through the two neighbouring factors.
     for (std::size_t k = 1; unknown_indices.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
@@ -258,8 +256,8 @@ void add_intensity_priors_to_equations(NormalEquations& equations, const Intensi
             prior * bend * bend.dot(now);
     }
     if (unknown_indices.parts.shared) {
-        // A scale that all albedos share cannot be observed, so rho is fixed to 1 at one
-        // knot.
+        // Doubling all albedos and halving all range factors gives the same intensities.
+        // Therefore the range factor is fixed to 1 at one range.
         pull(unknown_indices.get_unknown_index_of_range_factor(kReference), 1e3 * prior,
              1.0 - model.shared.factor[kReference]);
         for (std::size_t k = 0; k < kKnots_m.size(); ++k)
@@ -301,8 +299,8 @@ void add_solver_step_to_model(IntensityFit& model, const UnknownIndices& unknown
     }
 }
 
-/// Normalises the beams so that their mean, weighted by numbers of returns, has gain 1
-/// and offset 0. A scale and a shift that all albedos share cannot be observed.
+/// Scales and shifts all beams so that the mean beam (weighted by number of returns) has
+/// gain 1 and offset 0. A common gain would look the same as brighter surfaces.
 void normalise_mean_beam_gain_and_offset(std::vector<BeamGainOffset>& beams,
                                          const RepeatedCellReturns& returns) {
     std::vector<double> n(beams.size(), kResponsePrior);

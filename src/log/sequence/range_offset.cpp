@@ -30,13 +30,14 @@ constexpr int kMinReturns = 20;  // minimum number of returns in a cell for fitt
 constexpr double kMaxThickness_m = 0.05;
 // Points farther from the plane of their cell belong to another object and are ignored.
 constexpr double kMaxResidual_m = 0.15;
-// Weight of the prior that pulls range offsets to zero. The unit is returns at normal
-// incidence.
+// Weight of a term that pulls the range offset of each beam to zero. The term counts like
+// this number of returns at normal incidence.
 constexpr double kPriorReturns = 20.0;
-// Range offsets are used only if they reduce the residuals to less than this ratio.
-// Smaller improvements can be noise.
+// The range offsets are used only if they reduce the RMS distance of points from planes
+// to less than this ratio. Smaller improvements can be noise.
 constexpr double kLeastGain = 0.97;
-// Number of iterations. Many are needed if few beams observe the same plane.
+// Iterations of fitting planes and beam offsets. Many are needed if few beams hit a
+// plane.
 constexpr int kRounds = 30;
 
 /// A return in the world frame, not yet corrected by the range offset of its beam.
@@ -58,8 +59,8 @@ std::vector<UncorrectedReturn> collect_frame_returns_in_world(const LidarSequenc
     return result;
 }
 
-/// Returns of a log, sorted by cell and, within a cell, by frame. Range offsets are so
-/// small that a corrected return stays in its cell.
+/// Returns of a log, sorted by grid cell and, within a cell, by frame. Range corrections
+/// of beams do not change the cell, because they are very small.
 struct ReturnsByCell {
     std::vector<UncorrectedReturn> returns;
     std::vector<std::size_t> first;  ///< [cells + 1] index into `returns`
@@ -112,8 +113,8 @@ std::optional<CellPlane> fit_plane_to_returns(std::span<const UncorrectedReturn>
     return CellPlane{about + fit.mean, fit.axes[0]};
 }
 
-/// Sums over the returns of one beam. `weight`: squared cosines of incidence. `sum`:
-/// distances from planes, each multiplied by its cosine.
+/// Least-squares sums of one beam, whose range offset is sum / weight: `weight` adds c^2
+/// and `sum` adds c d. c: cosine of incidence, d: uncorrected distance from a plane.
 struct BeamOffsetSums {
     double weight = 0.0;
     double sum = 0.0;
@@ -135,8 +136,8 @@ struct BeamResiduals {
         ++n;
         squares += residual * residual;
         fits[uncorrected_return.beam].weight += facing * facing;
-        // Adds the full offset and not only its change, because the prior pulls the full
-        // offset to zero.
+        // Uses the distance of the uncorrected point, so that the prior pulls the full
+        // range offset to zero, and not only its change.
         fits[uncorrected_return.beam].sum +=
             facing * (residual + beam_offsets_m[uncorrected_return.beam] * facing);
     }
@@ -151,8 +152,8 @@ struct BeamResiduals {
     }
 };
 
-/// Computes the distances of all returns from the planes of their cells with the current
-/// offsets. Runs in parallel, but adds the sums in a fixed order.
+/// Fits a plane in each cell with the current range offsets of the beams. Sums the
+/// distances of the returns from the planes by beam, in a fixed order.
 BeamResiduals sum_plane_residuals_by_beam(const ReturnsByCell& cells,
                                           const std::vector<double>& beam_offsets_m) {
     constexpr std::size_t kBlock = 2048;
@@ -173,7 +174,7 @@ BeamResiduals sum_plane_residuals_by_beam(const ReturnsByCell& cells,
 }
 
 /// Improves the range offsets of all beams by one iteration.
-/// @return number and mean square of the residuals before the iteration
+/// @return before the iteration: number of returns on planes, mean squared distance
 std::pair<std::size_t, double> refine_beam_range_offsets_once(const ReturnsByCell& cells,
                                                               std::vector<double>& beam_offsets_m) {
     const BeamResiduals r = sum_plane_residuals_by_beam(cells, beam_offsets_m);
@@ -183,8 +184,8 @@ std::pair<std::size_t, double> refine_beam_range_offsets_once(const ReturnsByCel
         mean += r.fits[b].weight * beam_offsets_m[b];
         weight += r.fits[b].weight;
     }
-    // Removes the mean offset. An offset that all beams share cannot be distinguished
-    // from a different scene.
+    // Removes the mean offset. An offset of all beams moves planes and points together,
+    // so it cannot be measured.
     for (double& offset : beam_offsets_m) offset -= mean / weight;
     return {r.n, r.n > 0 ? r.squares / double(r.n) : 0.0};
 }

@@ -51,8 +51,8 @@ BoxTrack BoxTrack::copy_track_of_labelled_poses() const {
 bool BoxTrack::contains_point(const glm::dvec3& point_m, double t_s, double margin_m) const {
     const glm::dvec3 half = 0.5 * size_m + glm::dvec3(margin_m);
     const PoseTrack& track = world_from_box;
-    // First compares the distance from the centre of the box. This fast test rejects most
-    // points, so the rotation is interpolated only for the remaining points.
+    // For a moving box, first rejects points outside the bounding sphere. This fast test
+    // avoids the slow interpolation of the rotation for most points.
     if (track.pose.size() > 1) {
         const TrackInterpolation at = find_pose_segment_at_time(track.time_s, t_s);
         const glm::dvec3 centre =
@@ -278,9 +278,8 @@ constexpr double kUsual = 0.02;
 
 /// Rotation of a LiDAR's head in one sweep, estimated from its rays.
 struct HeadRotation {
-    /// sum over the rays of exp(i a); a: azimuth of the head at time 0, computed from the
-    /// ray
-    /// time 0
+    /// Each ray gives an estimate a of the azimuth of the head at time 0. This is the sum
+    /// of exp(i a) over all rays.
     std::complex<double> at_zero = 0.0;
     float first_s = std::numeric_limits<float>::infinity();
 
@@ -294,9 +293,8 @@ struct HeadRotation {
 }  // namespace
 
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningSensor& sensor) {
-    // If all rays come from one rotating head, the mean of exp(i azimuth) at time 0 has
-    // at least this length. Azimuth offsets and uneven rotation keep the length slightly
-    // below 1.
+    // Each ray predicts the azimuth of the head at time 0. The rays come from one
+    // rotating head if the mean of these unit vectors is at least this long.
     constexpr double kTogether = 0.9;
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;

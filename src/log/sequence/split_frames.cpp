@@ -18,8 +18,8 @@
 namespace relidar {
 namespace {
 
-// If `test_every_nth_frame` has this value, the published split of the dataset is used,
-// if one exists.
+// If every 10th frame is requested (the default), the published split of the dataset is
+// used instead, if one exists.
 constexpr int kPublishedEvery = 10;
 constexpr const char* kSetting = "dataset.test_frames";
 
