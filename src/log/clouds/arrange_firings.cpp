@@ -13,8 +13,8 @@ namespace {
 // Number of azimuth steps per revolution to which the head azimuth is rounded. A step is
 // 0.0055 degrees.
 constexpr int kTicks = 1 << 16;
-// If more firings than this are missing, they are added without returns at the end of the
-// revolution. The sensor fired there, but measured nothing.
+// A revolution may lack this many firings (shots of all lasers at one azimuth). If more
+// are missing, firings without returns are appended.
 constexpr int kMostMissing = 8;
 
 /// Returns the azimuth of the LiDAR's head for each firing (all lasers at one azimuth).
@@ -23,8 +23,8 @@ std::map<int, double> compute_head_azimuth_per_firing(const LidarPoints& points,
                                                       const std::vector<int>& firing_numbers,
                                                       const SpinningSensor& sensor, double azimuth_step_rad) {
     const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
-    // One sum per firing. The phase of the sum is the mean difference between the
-    // azimuths of the points and a constant rotation.
+    // For each firing: sum of exp(i d) over its points. d is the head azimuth minus the
+    // azimuth at a constant rotation rate. The angle of the sum is the mean of d.
     std::map<int, std::complex<double>> sums;
     for (std::size_t i = 0; i < points.size(); ++i)
         sums[firing_numbers[i]] +=

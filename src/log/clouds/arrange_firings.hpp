@@ -26,10 +26,11 @@ namespace relidar {
 SweepFirings estimate_sweep_and_assign_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
                                                const SpinningSensor& sensor, double azimuth_step_rad);
 
-/// Sorts firings by the azimuth of the head, and assigns each point to its firing.
-/// @param firing_numbers  [points] firing number of each point
-/// @param head_azimuth_by_firing  azimuth of the head for each firing number, also for
-/// firings without points
+/// Assigns each point to its firing (one shot of all lasers). Sorts the firings by
+/// decreasing azimuth of the LiDAR's head.
+/// @param firing_numbers  [points] number of the firing that measured each point
+/// @param head_azimuth_by_firing  head azimuth in radians for each firing number, also
+/// for firings without points
 SweepFirings make_sweep_of_firings_by_azimuth(LidarPoints& points, const std::vector<int>& firing_numbers,
                                               const std::map<int, double>& head_azimuth_by_firing);
 

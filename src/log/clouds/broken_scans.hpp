@@ -14,8 +14,8 @@
 
 namespace relidar {
 
-/// Collects the errors of scans that cannot be read. A scan has the index of its frame or
-/// of its file.
+/// Collects the errors of scans that cannot be read. A scan is identified by the index of
+/// its frame or file.
 class ScanErrorCollector {
 public:
     explicit ScanErrorCollector(bool skip) : skip_(skip) {}
@@ -36,9 +36,8 @@ public:
     }
 
     bool is_scan_broken(std::size_t scan_index) const;
-    /// Marks scan `scan_index` as broken, even if the user does not allow broken scans.
-    /// Used for scans from which points are missing, because their rays would count as
-    /// dropped.
+    /// Marks a scan as broken, even if the user does not allow broken scans. Used for
+    /// truncated scans, whose missing points would look like rays without a return.
     void record_broken_scan(std::size_t scan_index, const std::string& reason);
     std::size_t size() const { return reasons_.size(); }
 
@@ -46,9 +45,9 @@ public:
     /// @param n_scans  total number of scans
     /// @throws DataError if all scans are broken
     void add_broken_scan_notes_or_throw(LidarSequence& sequence, std::size_t n_scans) const;
-    /// Removes the frames of broken scans, and the poses that are then unused. Adds a
-    /// note for the user about each broken scan. The indices of scans must be indices of
-    /// frames.
+    /// Removes the frames of broken scans and the poses that no other frame uses. Adds a
+    /// note for the user about each broken scan. Each `scan_index` must be the index of a
+    /// frame.
     /// @throws DataError if all scans are broken
     void remove_broken_frames(LidarSequence& sequence) const;
 

@@ -15,8 +15,8 @@ enum class PointTimeReference {
     none,   ///< unknown, because the points have no usable times
     stamp,  ///< offsets from the cloud's stamp
     epoch,  ///< zero of the clock that also gives the message stamps
-    /// another clock with an unknown zero; the message stamp is used as the time of the
-    /// first point of a cloud
+    /// unknown start of the sensor's own clock; the first point of each cloud gets the
+    /// time stamp of its message
     sensor_clock
 };
 

@@ -17,8 +17,8 @@ public:
     /// Tests whether the files store their points one ring after another.
     /// @param scans  some scans of the LiDAR
     explicit RingOrderDetector(const std::vector<LidarPoints>& scans);
-    /// Returns true if the files store points one ring after another, with at least 4
-    /// rings.
+    /// Returns true if the constructor found at least 4 rings that are stored one after
+    /// another.
     bool is_stored_ring_by_ring() const { return !elevation_rad_.empty(); }
     std::size_t n_rings() const { return elevation_rad_.size(); }
     /// Sets the ring of each point. Ring 0 is the first ring in the files. If a scan has

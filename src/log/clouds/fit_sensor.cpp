@@ -21,15 +21,13 @@ namespace {
 
 constexpr double kLeastStep_rad = 2e-4;  // minimum azimuth step between two firings (about 0.01 degrees)
 constexpr double kLargestStep_rad = 0.2;
-// The search tests numbers of columns that differ from the first estimate by at most this
-// share.
+// The first estimate of the number of columns per revolution may be wrong by this share.
 constexpr double kColumnSearchMargin = 0.03;
-// The azimuths are on a regular grid if the sum over the rings of |S_r|, divided by the
-// number of points, is above this value. S_r is the sum of exp(i N azimuth) over ring r
-// for N columns.
+// Minimum coherence of the azimuths: 1 if the points of each ring are on a regular
+// azimuth grid, near 0 if they are not.
 constexpr double kCoherent = 0.5;
-// If the fullest ring has more points than columns, the number of columns is increased,
-// at most by this factor.
+// Maximum factor by which the estimated number of columns is raised if one ring has more
+// points than columns.
 constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
@@ -121,9 +119,9 @@ std::vector<std::complex<double>> compute_azimuth_phase_sums(const RingPointList
     return sums;
 }
 
-/// Returns the sum over all rings r of |S_r(N)|, where S_r(N) is the sum of exp(i N
-/// azimuth). Computes it for `n_counts_to_try` consecutive N, starting with
-/// `first_column_count`.
+/// Tests consecutive numbers of columns, starting with `first_column_count`. Returns for
+/// each number how well the azimuths in each ring fit a grid of so many columns. For a
+/// perfect fit, the value is the number of points.
 std::vector<double> compute_coherence_of_column_counts(const RingPointLists& rings, int first_column_count,
                                                        std::size_t n_counts_to_try) {
     std::vector<double> lengths(n_counts_to_try, 0.0);

@@ -47,7 +47,8 @@ std::vector<std::string> read_optional_text_list(const JsonField& field, const s
     return texts;
 }
 
-/// Returns the index of the text of a JSON field in a list of allowed words.
+/// Reads a JSON text field and returns its index in `allowed_words`. Throws if the text
+/// is not in this list.
 std::size_t read_index_of_allowed_word(const JsonField& field,
                                        const std::vector<std::string>& allowed_words) {
     const auto at = std::find(allowed_words.begin(), allowed_words.end(), field.get_string());
@@ -98,9 +99,9 @@ void read_sensor_by_name_into_lidar(const JsonField& field, const fs::path& log_
     set_nominal_sensor(lidar, model);
 }
 
-/// Reads the sensor of a LiDAR from a JSON object: {"<kind>": {...}}, or the keys of a
-/// spinning sensor. If the sweep period is missing, the reader uses the time between
-/// frames.
+/// Reads the sensor of a LiDAR from {"<kind>": {...}}. A JSON object without a kind
+/// describes a spinning sensor. If its period_s is missing, sets the period to 0. The
+/// period is then estimated from the time between frames.
 void read_sensor_object_into_lidar(const JsonField& field, bool must_spin, Lidar& lidar) {
     const double max_range_m = lidar.sensor.max_range_m;
     const PatternKind* kind = find_pattern_kind(field);

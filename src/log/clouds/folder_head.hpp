@@ -27,8 +27,8 @@ inline constexpr std::size_t kLongestName = 200, kLongestText = 10000, kLongestP
 struct PointFileUnits {
     /// Names of the columns in .bin and .npy files. Empty means x y z intensity.
     std::vector<std::string> columns;
-    /// File value of the intensity 1. If not set, intensities are not scaled, and values
-    /// above 1 are an error.
+    /// Intensities are divided by this value. If it is not set, intensities are not
+    /// scaled, and values above 1 are an error.
     std::optional<double> intensity_max;
     double time_unit_s = 1.0;
     /// True: point times use the clock of the log. False: they are relative to the time
@@ -37,8 +37,7 @@ struct PointFileUnits {
     /// Name of the field with the intensities. If empty, the first field with a usual
     /// name is used.
     std::string intensity_field = {};
-    /// Points at exactly this position are rays without a return, in addition to points
-    /// with NaN.
+    /// Position that marks a ray without a return. Points with NaN also mark such rays.
     std::optional<glm::vec3> no_return = {};
     double time_zero = 0.0;  ///< value of the point time at the time 0 s, in the unit of the file
 };
@@ -104,9 +103,9 @@ std::vector<BoxTrack> read_box_tracks(const std::filesystem::path& box_file,
                                       const std::vector<SequenceHeaderFrame>& loaded_frames,
                                       const std::vector<SequenceHeaderFrame>& all_frames);
 
-/// Reads the scans of all frames, which must already have poses. Estimates unknown beams
-/// from the points. Undoes motion compensation, but not if the user loads the log without
-/// poses.
+/// Reads the scans of all frames. The poses of the frames must be set before. Estimates
+/// unknown beams from the points. Undoes motion compensation, unless the user sets
+/// dataset.poses=none, because the true poses are then unknown.
 /// @param scan_files  [frames] scan file of each frame
 void read_scans(LidarSequence& sequence, const SequenceHeader& sequence_header,
                 const std::vector<std::filesystem::path>& scan_files, const DatasetOptions& options);

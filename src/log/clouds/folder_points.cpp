@@ -20,8 +20,8 @@ namespace relidar::folder {
 namespace {
 
 constexpr float kFarthestCoordinate_m = 1e6f;
-// Returns of one ray have nearly the same direction. This is the limit of 1 - cos(angle),
-// for 1.4 mrad. The tolerance is needed because coordinates in files are rounded.
+// If the directions of two points differ by less, they can be returns of the same ray.
+// The value is 1 - cos(1.4 mrad), because coordinates in files are rounded.
 constexpr float kOneRay = 1e-6f;
 
 /// Returns true if a return is the strongest of its ray. `return_type` is a number of the

@@ -34,9 +34,9 @@ public:
     virtual Scan read_rays_of_frame(std::size_t frame_index) const = 0;
 };
 
-/// Reads the scans of all frames, which must already have poses. Estimates unknown beams
-/// from the points. Undoes motion compensation, but not if the user loads the log without
-/// poses.
+/// Reads the scans of all frames. The poses of the frames must be set before. Estimates
+/// unknown beams from the points. Undoes motion compensation, unless the user sets
+/// dataset.poses=none, because the true poses are then unknown.
 void read_scans(LidarSequence& sequence, const SequenceHeader& sequence_header,
                 const ScanProvider& scan_provider, const DatasetOptions& options);
 

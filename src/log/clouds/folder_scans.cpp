@@ -34,8 +34,8 @@ constexpr std::size_t kSamples = 6;  // number of scans per LiDAR that are used 
 // sweep period in seconds that is assumed if the log has only one frame
 constexpr double kUsualPeriod_s = 0.1;
 
-/// Counts the points that are the first return of their ray. The difference to the
-/// returns of the finished scan is the number of lost points.
+/// Counts the points that are the first return of their ray. Ignores points at the
+/// sensor.
 std::size_t count_first_returns(const LidarPoints& points) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -180,8 +180,7 @@ private:
     std::map<std::size_t, LidarPoints> samples_;
     std::vector<std::size_t> left_out_;  ///< [frames] number of ignored points
     std::vector<std::size_t> n_first_;   ///< [frames] number of first returns
-    /// [frames] number of first returns that were lost, because another point has the
-    /// same ray
+    /// [frames] number of points that are skipped, because their ray has a nearer point
     std::vector<std::size_t> behind_;
 
     void add_note_once(const std::string& text) {
@@ -258,7 +257,8 @@ private:
                           "the scans are motion-compensated. This cannot be undone without times of points "
                           "and poses, so all rays start at the sensor's position at the time of the frame");
         for (std::size_t k = 0; k < samples.size(); ++k) {
-            // Removes ring numbers that were estimated only to fit the sensor.
+            // Removes ring numbers that are not in the files. They were estimated to fit
+            // the sensor.
             if (!plan.has_rings) samples[k].ring.clear();
             samples_.emplace(of_sample[k], std::move(samples[k]));
         }
@@ -323,8 +323,8 @@ private:
     /// Sets ring numbers of points that have none, from their elevations or from their
     /// order. Returns false if both methods fail.
     bool try_to_assign_ring_numbers(std::size_t lidar_index, std::vector<LidarPoints>& sample_scans) {
-        // Elevations are tried first, because the order of points does not show the rings
-        // of an Ouster. Its rings begin at different azimuths.
+        // First tries to recognise the rings by their elevations. The order of the points
+        // fails for Ouster LiDARs, because their rings begin at different azimuths.
         if (const std::vector<Beam> beams = estimate_beams(sample_scans); !beams.empty()) {
             for (LidarPoints& sample : sample_scans) assign_points_to_rings(sample, beams);
             return true;
@@ -436,8 +436,8 @@ IntensityScale estimate_image_intensity_scale(const std::vector<fs::path>& scan_
     return estimate_intensity_scale(intensities);
 }
 
-/// Estimates units that sequence.json does not contain from the points of some scans. If
-/// the intensity scale is ambiguous, it stays unset. Intensities above 1 are then an
+/// Estimates the units that are missing in sequence.json, from the points of some scans.
+/// If several intensity scales are possible, sets none. Intensities above 1 are then an
 /// error.
 void estimate_missing_point_units(SequenceHeader& sequence_header, const std::vector<fs::path>& scan_files,
                                   std::vector<std::string>& notes) {

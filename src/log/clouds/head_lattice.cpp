@@ -25,16 +25,16 @@ SweepFirings fit_equal_azimuth_steps_to_points(const LidarPoints& points, const 
     SweepFirings sweep{{sensor.columns, 0.0}, {}};
     const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
     const BeamRayGenerator ideal((Beam()));
-    // The phase of this sum is the mean difference between the head azimuths and a grid
-    // that starts at azimuth 0.
+    // Sum of exp(i n azimuth) over all points, for a grid of n columns. Its angle divided
+    // by n is the mean offset of the azimuths from the grid.
     std::complex<double> sum = 0.0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const BeamRayGenerator& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;
         sum += std::polar(1.0, sensor.columns * beam.compute_head_azimuth(glm::dvec3(points.position_m[i])));
     }
     sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
-    // Lists the grid steps of one revolution in clockwise order, starting near the
-    // azimuth +pi.
+    // The first firing is at the grid step just below azimuth +pi. All others follow
+    // clockwise.
     int last = sweep.lattice.find_nearest_encoder_tick(kPi);
     if (sweep.lattice.compute_azimuth_of_encoder_tick_rad(last) < 0.0)
         last = (last + sensor.columns - 1) % sensor.columns;

@@ -10,8 +10,8 @@
 namespace relidar {
 namespace {
 
-// If the LiDAR rotates, points of one ring have nearly the same elevation. This is the
-// maximum difference between the 10th and the 90th percentile, over the farther points.
+// Maximum spread of the elevations in a ring, if the LiDAR rotates. The spread is the
+// difference between the 90th and 10th percentile of the farther half of the points.
 constexpr double kMostSpread_rad = 1.5 * kPi / 180.0;
 // A wider azimuth range without points means a limited field of view. In a narrower
 // range, the vehicle may block the view.

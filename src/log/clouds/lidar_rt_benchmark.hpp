@@ -16,8 +16,8 @@ struct BenchmarkSequence {
     const char* name;
     const char* drive;  ///< part of the drive's name in the dataset that is unique
     int first, last;    ///< first and last frame
-    /// The paper uses four frames as the test set: test_first, test_first + test_every,
-    /// and so on. All other frames are for training.
+    /// The LiDAR-RT paper uses four frames for testing: test_first, test_first +
+    /// test_every, and so on. All other frames are for training.
     int test_first, test_every;
 };
 inline constexpr int kBenchmarkTestFrames = 4;
@@ -38,18 +38,20 @@ inline constexpr BenchmarkSequence kWaymoBenchmark[] = {
 
 /// Drive and frames that the user requested.
 struct RequestedDriveFrames {
-    /// name of the drive (a recording of the dataset) that the user requested by its
-    /// name, or by a sequence of the paper
+    /// Requested drive (a recording of the dataset): its name, or a unique part of its
+    /// name.
     std::string drive;
-    /// Requested frames. For a sequence of the paper, only frames of this sequence.
+    /// Requested frames. If the user requested a sequence of the LiDAR-RT paper, contains
+    /// only frames of this sequence.
     FrameRange frames;
     bool is_benchmark = false;
-    /// Requested frames in the test set of the paper. Empty if the user did not request a
-    /// sequence of the paper.
+    /// Requested frames that the LiDAR-RT paper uses for testing. Empty if the user did
+    /// not request a sequence of this paper.
     std::vector<int> test_frames = {};
 };
 /// Returns the drive (a recording of the dataset) and the frames that the user requested.
-/// @throws UsageError if the requested frames do not overlap the sequence of the paper
+/// options.sequence is the name of a drive, or of a sequence of the LiDAR-RT paper.
+/// @throws UsageError if this sequence contains none of the requested frames
 RequestedDriveFrames find_requested_drive_and_frames(const DatasetOptions& options,
                                                      std::span<const BenchmarkSequence> benchmark_sequences);
 

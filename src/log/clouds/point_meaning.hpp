@@ -27,8 +27,7 @@ IntensityScale estimate_intensity_scale(std::vector<double>& intensities);
 struct PointFieldSemantics {
     std::string intensity_field;  ///< name of the field that contains the intensities; may be empty
     IntensityScale scale;
-    /// Points at exactly this position are rays without a return, in addition to points
-    /// with NaN.
+    /// Position that marks a ray without a return. Points with NaN also mark such rays.
     std::optional<glm::vec3> no_return;
     std::vector<std::string> notes;  ///< texts for the user about each assumption
 };

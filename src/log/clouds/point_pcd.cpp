@@ -140,8 +140,8 @@ std::string decompress_lzf(std::string_view compressed_data, std::size_t decompr
         const std::size_t back = ((control & 31) << 8) + next() + 1;
         if (back > out.size() || length > decompressed_size - out.size())
             throw_damaged_lzf_error(error_location);
-        // Copies byte by byte, because a reference may repeat bytes that it has just
-        // written.
+        // Copies byte by byte, because the copied bytes may overlap the bytes that this
+        // loop appends.
         for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];
     }
     if (out.size() != decompressed_size) throw_damaged_lzf_error(error_location);

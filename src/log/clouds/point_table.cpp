@@ -127,7 +127,8 @@ PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::
                         bin_file.string(), n_bytes, record, fields.size()));
     PointTable table = make_table_of_binary_points(data, fields, n_bytes / record,
                                                    PointMemoryLayout::by_point, bin_file.string());
-    // The function that read the head has already reported unread columns.
+    // Clears the list of unread columns, because the user already got a note about them
+    // when sequence.json was read.
     table.unread.clear();
     return table;
 }
@@ -172,7 +173,8 @@ std::optional<PointAttribute> find_attribute_of_field_name(std::string_view fiel
 }
 
 std::vector<std::string> PointTable::list_fields_with_attribute(PointAttribute attribute) const {
-    // If names differ only in spelling, the exact name comes first.
+    // Sort keys: row in the table of known names; true if upper and lower case differ
+    // from the known name; name.
     std::vector<std::tuple<std::size_t, bool, std::string>> ranked;
     for (const auto& [name, values] : fields_) {
         const std::size_t row = find_field_index_ignoring_case(name);

@@ -53,8 +53,8 @@ public:
     PointFieldView(ScalarType type, const char* first, std::size_t step)
         : first_(first), step_(step), type_(type) {}
 
-    /// Calls visitor(value_at). `value_at` is a function that returns the value of point
-    /// i as value_at(i), in the number type of the file.
+    /// Calls visitor(value_at). The function value_at(i) returns the value of this field
+    /// for point i, in the number type of the file, for example float.
     template <class Use>
     void visit_with_value_reader(const Use& visitor) const {
         switch (type_) {

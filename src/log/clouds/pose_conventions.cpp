@@ -16,9 +16,9 @@ namespace {
 // A vehicle drives forward if the mean x component of its unit motion vectors is above
 // this value. The vectors are in the vehicle frame.
 constexpr double kForward = 0.9;
-// The numbers of a pose file have several possible meanings. Another meaning replaces the
-// documented one only if it is better by at least these amounts: in the share of forward
-// motion, and in the overlap of the scans.
+// Minimum improvement if the numbers of a pose file are not interpreted as documented.
+// kMoreForward: increase of the mean forward component of unit motion vectors.
+// kMoreOverlap: increase of the share of points that overlap in two scans.
 constexpr double kMoreForward = 0.3, kMoreOverlap = 0.02;
 // Minimum number of motions between poses for estimating the driving direction.
 constexpr std::size_t kFewestSteps = 3;

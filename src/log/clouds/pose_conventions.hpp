@@ -17,12 +17,12 @@ namespace relidar::folder {
 struct PoseInterpretation {
     std::string about;             ///< description for notes
     PoseTrack world_from_vehicle;  ///< poses according to this meaning
-    /// True if scans must confirm this meaning of the pose file. The motion alone does
-    /// not prove it, because a vehicle may also drive backwards.
+    /// True if overlapping scans must confirm this interpretation. Forward motion is no
+    /// proof, because vehicles can also drive backwards.
     bool needs_scans = false;
 };
 
-/// Pairs of scans. The meaning of a pose file is right if the scans of a pair overlap.
+/// Pairs of scans for testing poses. With correct poses, the scans of a pair overlap.
 class OverlapScanPairs {
 public:
     /// Adds a pair of scans from the same LiDAR.

@@ -23,10 +23,11 @@ constexpr std::size_t kFewestBands = 4;
 // Maximum width of a band (the points of one beam), relative to its distance from the
 // nearest other band.
 constexpr double kWidest = 0.5;
-// A bin counts as empty if it has fewer points than this share of a full bin.
+// A bin of the elevation histogram counts as empty if it has fewer points than this share
+// of a well-filled bin (90th percentile).
 constexpr double kStray = 0.005;
-// A near point can have the elevation of another beam, because beams start beside the
-// sensor origin. The search covers this many beams on either side.
+// Each point is compared with this many beams above and below its elevation. Near points
+// can have the elevation of another beam, because beams start beside the sensor origin.
 constexpr std::ptrdiff_t kReach = 6;
 
 double compute_elevation(const glm::dvec3& vector) {
@@ -66,8 +67,8 @@ struct RingBand {
     double elevation_rad;  ///< median elevation of the band
 };
 
-/// Returns the groups of consecutive bins with at least `min_points_per_bin` points each.
-/// Gaps of up to kLeastGap bins do not split a group.
+/// Groups consecutive bins that have at least `min_points_per_bin` points. At least
+/// kLeastGap empty bins separate two groups.
 std::vector<RingBand> group_filled_elevation_bins(const std::vector<int>& points_per_bin,
                                                   double min_points_per_bin) {
     std::vector<RingBand> bands;

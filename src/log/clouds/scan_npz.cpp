@@ -124,7 +124,8 @@ std::vector<SurfaceClass> read_ray_classes(const ScanNpzArrays& arrays, const st
     return classes;
 }
 
-/// Returns the rays of the sensor model, for images that do not contain ray directions.
+/// Returns the rays of the LiDAR's sensor model, for a range image without ray
+/// directions. Throws if the image and the model differ in size.
 RayTable make_sensor_rays_of_array_shape(const ScanNpzArrays& arrays, const ScanImageContext& image_context) {
     RayTable rays = make_nominal_rays(image_context.lidar, image_context.time_s);
     if (rays.size() == 0)

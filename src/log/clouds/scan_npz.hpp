@@ -18,8 +18,8 @@ namespace relidar::folder {
 struct ScanImageContext {
     const SequenceHeader& head;
     const SequenceHeaderLidar& of_head;  ///< the LiDAR as described in sequence.json
-    /// LiDAR with all known properties. It defines the rays if the file has no ray
-    /// directions.
+    /// LiDAR that measured the image. Its sensor model defines the rays if the image file
+    /// contains no ray directions.
     const Lidar& lidar;
     double time_s;  ///< time of the frame
 };

@@ -119,8 +119,8 @@ public:
         for (std::size_t i = 0; i < points.size(); ++i) assign_far_point_if_ray_is_free(i);
     }
     std::vector<RayPointIndices> by_return;
-    /// [points] firing of each point; kEmpty if the range of the point is outside the
-    /// limits
+    /// [points] index of the firing (one shot of all lasers) that measured each point;
+    /// kEmpty if the point is too near or too far
     std::vector<int> firing_of;
 
 private:
@@ -128,7 +128,8 @@ private:
     const SpinningSensor& sensor_;
     const SweepFirings& sweep_;
     const std::vector<double>& head_rad_;
-    /// [azimuth steps] index of the nearest firing, for points without firing numbers
+    /// [azimuth steps] index of the firing (one shot of all lasers) nearest to each
+    /// azimuth; empty if each point has a firing index
     std::vector<int> nearest_;
 
     float compute_point_range(int point_index) const {
@@ -159,8 +160,8 @@ private:
         RayPointIndices& cells = get_or_add_image_of_return_number(number);
         int point = static_cast<int>(point_index);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
-            // A second return must be on the ray of its first return, so it does not move
-            // to another firing.
+            // If the ray of a first return already has a point, tries the neighbouring
+            // firings. Later returns must stay on the ray of their first return.
             if (cells.get_point_index(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
             std::swap(cells.get_point_index(ring, f), point);
             break;

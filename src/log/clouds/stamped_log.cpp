@@ -141,7 +141,8 @@ bool do_points_match_fitted_beams(const std::vector<LidarPoints>& sample_scans,
         for (std::size_t i = 0; i < scan.size(); ++i) {
             const std::size_t b = fitted_sensor.beam_of_ring[scan.ring[i]];
             double apart = INFINITY;
-            // b - 1 is a very large, invalid index if b is 0
+            // Compares with the beams next to b. If b is 0, b - 1 wraps to a very large
+            // index, which the next line skips.
             for (const std::size_t next : {b - 1, b + 1})
                 if (next < beams.size())
                     apart = std::min(apart, std::abs(beams[next].elevation_rad - beams[b].elevation_rad));
@@ -151,9 +152,9 @@ bool do_points_match_fitted_beams(const std::vector<LidarPoints>& sample_scans,
     return compute_median(std::move(off)) < kMaxBeamMisfit;
 }
 
-/// Fits the nominal beams to the points. Returns nothing if the points come from another
-/// LiDAR. Also returns nothing if azimuths are not on a regular grid, for example after
-/// motion compensation.
+/// Returns a sensor with the beams in `format`, fitted to the points. Returns nothing if
+/// the points come from another LiDAR. Also returns nothing if their azimuths are not on
+/// a regular grid, for example after motion compensation.
 std::optional<SpinningSensor> fit_nominal_sensor(const std::vector<LidarPoints>& sample_scans,
                                                  const PointFileFormat& format) {
     if (sample_scans.empty()) return std::nullopt;
@@ -240,8 +241,9 @@ DrivingDirection estimate_driving_direction(const PoseTrack& world_from_sensor) 
         const glm::dvec3 step = poses[to].translation - poses[from].translation;
         const bool is_late = world_from_sensor.time_s[to] - world_from_sensor.time_s[from] > kLongestStep_s;
         if (!is_late && glm::length(step) < kStep_m) continue;
-        // In a curve, the direction of motion differs between the frames of the first and
-        // the second pose. Uses the mean of both directions.
+        // Adds the direction of motion in the sensor frame, unless the poses are far
+        // apart in time. In a curve, the frames of both poses differ, so this uses the
+        // mean direction.
         if (!is_late) {
             const glm::dvec3 d = glm::normalize(step);
             const glm::dvec3 direction_in_sensor =
@@ -333,8 +335,8 @@ void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& 
                 "point is assigned to the nominal beam with the nearest elevation",
                 sensor.beams.size(), sensor.columns));
         } else {
-            // If `format` contains no beams, `scan_provider` returns points without
-            // rings. without rings.
+            // The beams do not match this LiDAR. Without beams, points are read without
+            // rings.
             format.beams.clear();
         }
     }

@@ -93,10 +93,10 @@ struct PointFileFormat {
     folder::PointFileUnits units;
     double sweep_duration_s = 0.1;  ///< duration of a sweep in seconds; used if the points have no times
     double turned_rad = 0.0;        ///< rotation about z from the axes in the files to relidar's axes
-    /// Nominal beams of the LiDAR, for files without ring numbers. Each point belongs to
-    /// the nearest beam. The elevations of the beams are fitted to the points, and their
-    /// azimuth offsets only within one azimuth step. If the points come from another
-    /// LiDAR, its beams are estimated from the elevations of the points.
+    /// Beams from the data sheet of the LiDAR, for files without ring numbers. Each point
+    /// belongs to the beam with the nearest elevation. The beam angles are fitted to the
+    /// points. If the points come from another LiDAR, its beams are estimated from their
+    /// elevations.
     std::vector<Beam> beams = {};
     /// Function that adds values which the files do not contain, such as rings and times.
     /// Several threads can call it at the same time. May be empty.
@@ -108,16 +108,14 @@ struct PointFileFormat {
 void read_scans_of_frames(LidarSequence& sequence, const std::vector<std::filesystem::path>& scan_files,
                           PointFileFormat format, const DatasetOptions& options);
 
-/// Scale of the intensities in a dataset: the file value that becomes 1. The value is 1
-/// or 255 if no intensity is above it. Otherwise it is a value that only few intensities
-/// exceed.
-/// intensities exceed.
+/// Intensity in the files of a dataset that becomes 1. `most` is 1 or 255 if no intensity
+/// exceeds it. Otherwise, only few intensities exceed it.
 struct DatasetIntensityScale {
     double most = 1.0;
     std::string about;  ///< text for a note, used if larger intensities are clamped to 1
 };
-/// Estimates the file value that becomes the intensity 1.
-/// @param scan_files  scan files. Reads only some of them, and skips unreadable files
+/// Estimates the intensity in the files that becomes 1.
+/// @param scan_files  scan files; only some are read, and unreadable files are skipped
 DatasetIntensityScale estimate_full_scale_file_intensity(const std::vector<std::filesystem::path>& scan_files,
                                                          const std::vector<std::string>& column_names);
 

@@ -19,17 +19,17 @@ constexpr double kLeast_m = 1e-3;
 // The size of a rotation is measured as the shift of a point at this distance.
 constexpr double kReach_m = 50.0;
 
-/// Returns the maximum distance by which a pose correction moves points up to kReach_m
-/// from the sensor.
+/// Returns how far a pose correction can move a point that is kReach_m from the sensor,
+/// in metres.
 double compute_max_displacement_m(const Pose& pose_correction) {
     const double sine = glm::length(
         glm::dvec3(pose_correction.rotation.x, pose_correction.rotation.y, pose_correction.rotation.z));
     return glm::length(pose_correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
 }
 
-/// Computes the pose corrections during one sweep. They convert rays from the true sensor
-/// pose to the pose that is interpolated between frames. Times are relative to the time
-/// of the frame.
+/// Returns transforms at several times during a sweep. They convert from the true sensor
+/// frame to the sensor frame that the log interpolates between frames. Times are relative
+/// to the time of the frame.
 PoseTrack compute_pose_corrections(const LidarSequence& sequence, const LidarFrame& frame,
                                    const PoseLookup& find_vehicle_pose) {
     const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;

@@ -243,8 +243,8 @@ void apply_range_limits_to_lidars_and_scans(LidarSequence& sequence, const Range
 /// then does not contain real intensities.
 void add_note_if_intensities_missing(LidarSequence& sequence) {
     constexpr float kNone = -1.0f, kSeveral = -2.0f;
-    // [frames] intensity that all returns of a frame have; otherwise one of the constants
-    // above
+    // [frames] intensity that all returns of a frame share; kNone if the frame has no
+    // returns, kSeveral if the intensities differ
     std::vector<float> common(sequence.frames.size(), kNone);
     const auto add = [&](float& all, float intensity) {
         if (all == kNone) all = intensity;
@@ -311,8 +311,9 @@ std::pair<std::string, fs::path> split_kind_and_path(const std::string& dataset)
                     : std::pair(std::string(), fs::path(dataset));
 }
 
-/// Returns the reader for a dataset.
-/// @param requested_drive  name of the drive that the user requested; may be empty
+/// Returns the kind of a dataset and the functions that read it.
+/// @param requested_drive  name of the requested recording (drive) in the dataset; may be
+/// empty
 /// @throws UsageError if a drive is requested but the dataset contains only one drive
 const DatasetKind& find_dataset_kind_of_path(const std::string& dataset, const std::string& requested_drive) {
     const auto [kind, path] = split_kind_and_path(dataset);

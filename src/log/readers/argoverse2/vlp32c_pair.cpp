@@ -20,8 +20,8 @@ namespace {
 constexpr double kCycle_ns = 55296.0, kRate_hz = 10.0;
 constexpr const char* kName = "VLP-32C";
 
-/// For each channel of a VLP-32C, the laser number in Argoverse's files, modulo 32. The
-/// numbers were derived from the times and elevations of points in a published sweep.
+/// [channels of a VLP-32C] laser number in the files of Argoverse 2, modulo 32. The files
+/// count the lasers of two LiDARs from 0 to 63. Derived from a published sweep.
 constexpr std::array<int, kLasers> kNumbers = {31, 13, 1,  17, 29, 9, 3,  21, 27, 12, 5,  16, 25, 8, 7,  20,
                                                22, 2,  10, 28, 23, 6, 11, 24, 18, 0,  14, 30, 19, 4, 15, 26};
 
@@ -66,9 +66,9 @@ double compute_mean_laser_elevation_error(const RawSweep& sweep, int laser_group
     return n > 0.0 ? sum / n : 0.0;
 }
 
-/// Returns for each point the number of its firing cycle, in which all lasers fire once.
-/// Counts from the time stamp of the sweep. The stamp is not the start of a cycle, so the
-/// start is estimated from all points.
+/// Returns the index of the firing cycle of each point. All lasers fire once per cycle.
+/// Cycle 0 starts near the time stamp of the sweep. Its exact start is estimated from all
+/// points.
 std::vector<int> compute_firing_cycle_of_each_point(const std::vector<double>& cycle_start_of_each_point_ns) {
     std::complex<double> sum = 0.0;
     for (const double t : cycle_start_of_each_point_ns) sum += std::polar(1.0, 2.0 * kPi * t / kCycle_ns);

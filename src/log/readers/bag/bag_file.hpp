@@ -101,7 +101,7 @@ class BagRecording {
 public:
     /// Opens a recording: a ROS bag or a network capture.
     /// @param path  a file, or a folder of files with or without metadata.yaml
-    /// @throws DataError with the file
+    /// @throws DataError that names the file
     BagRecording(const std::filesystem::path& path, bool skip_broken);
 
     /// Returns the topics of all messages that were read so far.

@@ -104,8 +104,8 @@ bool are_clouds_in_single_sensor_frame(const CloudTopic& cloud_topic) {
     return !is_cloud_frame_one_of(cloud_topic, kOfWorld) && !is_cloud_frame_one_of(cloud_topic, kOfVehicle);
 }
 
-/// Checks by the frame of a topic whether the topic contains LiDAR scans. Throws if it
-/// certainly does not, and adds a note for the user if it probably does not.
+/// Throws if the clouds of a topic are in a world-fixed frame. Adds a note for the user
+/// if the clouds are in the vehicle frame.
 void require_clouds_outside_world_frame(const std::string& topic_name, const CloudTopic& clouds,
                                         SelectedCloudTopics& selected_topics) {
     if (is_cloud_frame_one_of(clouds, kOfWorld))

@@ -14,17 +14,16 @@ namespace {
 
 /// A possible source of vehicle poses: a pose topic, or a chain of transforms.
 struct PoseSourceCandidate {
-    /// reference frame of the poses: the frame of the topic, or an ancestor of the
-    /// LiDAR's frame
+    /// name of the frame in which the poses are given, for example "map"
     std::string outer;
     const PoseTopic* topic = nullptr;  ///< pose topic; null if the poses come from the transforms in /tf
     std::string vehicle;
     std::string about;
 };
 
-/// Returns the frame of the vehicle. On the path from the sensor to the frame
-/// `ancestor_frame`, this is the first frame that moves relative to its parent. If no
-/// frame moves, returns the sensor's frame.
+/// Follows the parent frames from the sensor to `ancestor_frame`. Returns the first frame
+/// that moves relative to its parent, which is the vehicle. If no frame moves, returns
+/// the sensor's frame.
 std::string find_vehicle_frame(const FrameTree& frame_tree,
                                const std::vector<std::string>& frame_path_to_root,
                                const std::string& ancestor_frame) {

@@ -41,14 +41,15 @@ public:
     void append_sampled_child_transform(const std::vector<StampedPose>& pose_samples, LogClock clock,
                                         std::int64_t time_origin_ns);
     Pose compute_pose_at(double t_s) const;
-    /// Returns true if all changing transforms have a pose at this time. Poses exist up
-    /// to 0.1 s before the first and after the last sample.
+    /// Returns true if every transform in this chain is known at `t_s`. A moving
+    /// transform is known from 0.1 s before its first sample to 0.1 s after its last
+    /// sample.
     bool covers_time(double t_s) const;
     bool is_moving() const;
 
 private:
-    /// Transforms along the path in the tree, from the ancestor frame down. A constant
-    /// transform has a single sample.
+    /// Transforms of this chain, from the ancestor frame down to the child frame. A
+    /// constant transform has a single sample.
     std::vector<PoseTrack> links_;
 };
 
@@ -88,16 +89,16 @@ public:
                                                                        const std::string& source_frame,
                                                                        LogClock clock,
                                                                        std::int64_t time_origin_ns) const;
-    /// Returns the frames for which the bag has several parent frames. The tree uses the
-    /// parent with the most transforms.
+    /// Returns the coordinate frames that have several parent frames in the bag. This
+    /// class uses the parent with the most transforms.
     std::vector<std::string> list_frames_with_several_parents() const;
 
 private:
     struct FrameTreeEdge {
         std::vector<StampedPose> samples;
         bool is_static = false;  ///< from /tf_static
-        /// True if the samples differ. Equal samples mean that the frame does not move,
-        /// because drivers often repeat a constant transform on /tf.
+        /// True if the samples differ. If all samples are equal, the transform is
+        /// constant, even if it was published on the topic /tf for moving frames.
         bool changes = false;
     };
     std::map<std::string, std::map<std::string, FrameTreeEdge>> parents_;  ///< by frame, then by parent

@@ -27,7 +27,8 @@ public:
             throw DataError(
                 fmt::format("the message has only {} bytes, expected a CDR message with a header of 4 bytes",
                             bytes.size()));
-        // Encodings 0 and 1 are XCDR1, 6 and 7 are XCDR2. Odd numbers are little-endian.
+        // The second byte is the encoding: XCDR version 1 (0 and 1) or version 2 (6 and
+        // 7). Odd numbers mean little-endian.
         const auto kind = static_cast<unsigned char>(bytes[1]);
         if (bytes[0] != 0 || (kind != 0 && kind != 1 && kind != 6 && kind != 7))
             throw DataError(fmt::format(

@@ -276,13 +276,12 @@ private:
         const packets::LidarProduct* product = nullptr;
         std::string run;
         std::size_t n = 0;
-        /// `at`: byte offset of the first frame of the current message in the file.
-        /// `first_at`: byte offset of its first datagram. They differ if fragments of
-        /// several datagrams are mixed.
+        /// `at`: byte offset from which the file must be read to get all datagrams of the
+        /// current message. `first_at`: byte offset of its first datagram. `at` is
+        /// smaller if a later datagram has an IP fragment before it.
         std::uint64_t at = 0, first_at = 0;
         std::int64_t log_ns = 0;
-        /// Byte offset of the first datagram, by the byte offset of its message. Only for
-        /// messages in which the two offsets differ.
+        /// For messages whose `at` and `first_at` differ: first_at by at.
         std::map<std::uint64_t, std::uint64_t> late_runs;
         /// Histogram of datagram sizes in bytes, for streams of unknown products.
         std::map<std::size_t, std::size_t> n_of_bytes;
@@ -369,8 +368,8 @@ private:
     }
 
     /// Adds notes for the user about packets that cannot be decoded, although they have
-    /// the size of Ouster packets. Also adds a note if two senders match the same
-    /// metadata.
+    /// the size of Ouster packets. Also adds a note if packets of two sensors match the
+    /// same metadata file.
     void report_undecoded_ouster_packets(const MessageReadCallbacks& callbacks) const {
         std::map<const packets::OusterMetadata*, std::string> senders;
         for (const auto& [key, stream] : streams_) {

@@ -65,8 +65,8 @@ std::vector<std::string> format_line_per_topic(const BagRecording& bag, const Ba
         const TopicStatistics& facts = bag_index.facts[t];
         std::string line = fmt::format("topic {}: {}", shorten_for_error_message(topic.name),
                                        shorten_for_error_message(topic.type));
-        // Number and rate of messages mean nothing for a network capture, because the
-        // reader itself groups packets into messages.
+        // In a network capture, the reader itself groups packets into messages. So their
+        // number and rate are not reported.
         const bool is_run = topic.type == packets::kDatagrams;
         if (!is_run) line += fmt::format(", {} messages", facts.n);
         if (!is_run && facts.compute_message_rate_hz() > 0.0)

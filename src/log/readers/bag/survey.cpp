@@ -54,8 +54,8 @@ public:
             if (facts.n_broken++ == 0) facts.broken = error.what();
         }
     }
-    /// Reads sensor metadata from files next to the recording. For a network capture,
-    /// call it before the first packet. For a bag, call it before the second pass.
+    /// Reads sensor metadata from files next to the recording. Ouster packets without
+    /// metadata in the recording can be decoded only after this call.
     void read_ouster_metadata_files() {
         if (has_read_metadata_) return;
         has_read_metadata_ = true;
@@ -166,8 +166,8 @@ private:
     }
 };
 
-/// Packets of Ouster LiDARs do not name a frame. Adds their missing transforms with the
-/// frame names of Ouster's driver, rotated by 180 degrees to relidar's sensor frame.
+/// Ouster packets contain no frame name. Connects their clouds to the frame `os_lidar` of
+/// Ouster's driver, which is rotated by 180 degrees about z.
 void add_missing_ouster_transforms(const BagRecording& bag, BagIndex& bag_index) {
     std::vector<CloudTopic*> ousters;
     for (CloudTopic& clouds : bag_index.clouds)

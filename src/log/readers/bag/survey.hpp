@@ -44,8 +44,8 @@ struct CloudIndexEntry {
 struct CloudTopic {
     std::size_t topic = 0;
     std::string frame;  ///< frame of the first cloud
-    /// For a topic of packets: frames of the clouds that drivers compute from these
-    /// packets.
+    /// Names of the coordinate frames of clouds that Ouster's driver computes from these
+    /// packets. Empty if the topic does not contain Ouster packets.
     std::vector<std::string> driver_frames;
     std::vector<CloudMessage::CloudField> fields;  ///< fields of the first cloud
     /// Clouds with points, in the order of the recording. Clouds that were parts of a
@@ -54,7 +54,8 @@ struct CloudTopic {
     std::string parts_about;           ///< text about the joined clouds; empty if no clouds are joined
     std::vector<RevolutionPart> arcs;  ///< used during the survey
     std::size_t n_empty = 0;
-    /// index of the packets, if the topic contains packets; each revolution is a cloud
+    /// Packets of the topic, if it contains packets instead of clouds. Each revolution
+    /// then becomes one scan.
     packets::PacketIndex packets;
     std::vector<packets::PacketRevolution> revolutions;
 

@@ -21,9 +21,9 @@ constexpr double kMostOfPart = 300.0 * kPi / 180.0;
 // If all clouds together leave a wider azimuth range empty, the LiDAR scans a window and
 // does not rotate.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// Clouds are joined if the azimuth steps between them are similar. kTogether: minimum
-// length of the mean of the steps as unit vectors; 1 if all steps are equal. kAbut:
-// maximum relative difference between a step and the azimuth range of a cloud.
+// Clouds are joined to revolutions if they advance by similar azimuth steps. kTogether:
+// minimum coherence of the steps; 1 if all are equal. kAbut: maximum relative difference
+// between a step and the azimuth range of a cloud.
 constexpr double kTogether = 0.8, kAbut = 0.4;
 // If a time step is longer than this multiple of the usual step, a part of a revolution
 // is missing.
@@ -50,11 +50,11 @@ const CloudMessage::CloudField* find_float_field(const CloudMessage& cloud, cons
     return field == cloud.fields.end() || field->kind != 'F' ? nullptr : &*field;
 }
 
-/// Returns the azimuth range that contains points: the circle without its widest gap.
+/// Returns the azimuth range that contains all points: the full circle except its widest
 /// gap.
 std::optional<AzimuthArc> find_occupied_azimuth_range(const std::array<bool, kBins>& is_bin_occupied) {
     std::size_t widest = 0, end = 0, run = 0;
-    // Counts every bin twice, because a gap may cross the end of the circle.
+    // Loops over the circle twice, because its widest gap may contain the azimuth pi.
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = is_bin_occupied[b % kBins] ? 0 : run + 1;
         if (run > widest) widest = run, end = b + 1;
@@ -77,15 +77,15 @@ double compute_widest_azimuth_gap_rad(const std::vector<RevolutionPart>& partial
     return 2.0 * kPi - double(all ? all->extent_rad : 0.0f);
 }
 
-/// How clouds divide a revolution of the LiDAR into parts.
+/// How a revolution of the LiDAR is split into several clouds (parts).
 struct RevolutionPartition {
     /// Median azimuth range of a part, and mean azimuth step to the next part. The step
-    /// is negative for clockwise rotation. It is also negative for half revolutions,
-    /// because their direction is unknown.
+    /// is negative for clockwise rotation, and for half revolutions, whose direction is
+    /// unknown.
     double extent_rad, step_rad;
     double step_s;
-    /// Azimuth at which a revolution begins. This is the boundary between two parts that
-    /// is nearest to the back of the sensor.
+    /// Azimuth at which a revolution begins: the boundary between parts that is nearest
+    /// to the rear.
     double cut_rad;
 };
 

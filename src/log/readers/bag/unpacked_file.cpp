@@ -56,8 +56,8 @@ DecompressedFile open_file_and_unpack_gzip(const std::filesystem::path& path) {
             throw DataError(fmt::format("cannot unpack {}: no space is left in {}", path.string(),
                                         std::filesystem::temp_directory_path().string()));
     };
-    // LiDAR captures unpack to two to five times their size. If the factor is much
-    // larger, the file is damaged.
+    // A file is damaged if it unpacks to more than kMostGrowth times its size. Files that
+    // unpack to at most kSmall bytes are always accepted.
     constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
     const std::uint64_t most = std::max(kSmall, kMostGrowth * std::filesystem::file_size(path));
     std::uint64_t n_unpacked = 0;

@@ -11,7 +11,8 @@ namespace relidar::bag {
 /// Removes the extension ".gz" from a path, if the path has this extension.
 std::filesystem::path remove_gz_extension(const std::filesystem::path& file);
 
-/// A file that is open for reading. The caller must close it.
+/// A file that is open for reading. If it was compressed with gzip, this is the unpacked
+/// file. The caller must close it.
 struct DecompressedFile {
     std::FILE* file = nullptr;
     std::string problem;  ///< text about a truncated gzip file; empty if the file is complete

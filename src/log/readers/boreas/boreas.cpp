@@ -27,15 +27,14 @@ constexpr std::size_t kPoseNumbers = 12;
 constexpr std::size_t kFirstAngle = 6;
 constexpr double kMicrosecond = 1e-6;
 constexpr double kMostGap_s = 0.5;  // maximum time between two poses; the dataset has one pose per scan
-// Another convention for the angles replaces the documented one if it increases the
-// forward component of the driving direction by this value. The effect of curves is
-// smaller.
+// Another convention for roll, pitch and yaw is used if it increases the mean forward
+// component of the motion by more than this.
 constexpr double kClearlyForward = 0.05;
-// Another convention for the angles also replaces the documented one if it reduces the
-// vertical spread of the motions to less than this ratio.
+// Another convention for roll, pitch and yaw is also used if it reduces the standard
+// deviation of the vertical motion below this ratio.
 constexpr double kClearlyLevel = 0.7;
-// Minimum distance in metres that the vehicle must drive before the vertical spread of
-// its motions is compared.
+// Minimum number of motions between poses for comparing their vertical components. Each
+// motion is at least one metre long.
 constexpr std::size_t kFewestSteps = 50;
 constexpr double kBrightest = 255.0;
 
@@ -106,8 +105,8 @@ double compute_forward_motion_score(const stamped::DrivingDirection& driving,
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
-/// Reads the poses of the LiDAR with the angle convention that Boreas documents. Uses
-/// another convention only if the vehicle then clearly drives forward better.
+/// Reads the poses of the LiDAR. Uses the documented convention for roll, pitch and yaw,
+/// unless the vehicle drives clearly more forward or more level with another convention.
 PoseTrack read_boreas_poses(const fs::path& pose_file, const stamped::StampedLog& log,
                             const ForwardDirection& forward_direction, std::vector<std::string>& notes) {
     const std::vector<stamped::StampedPoseRow> rows =

@@ -103,7 +103,7 @@ void replace_vehicle_poses(LidarSequence& sequence, const folder::SequenceHeader
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
     if (pose_file == kNoPoses) {
         track.pose.resize(track.time_s.size());
-        // If relidar converted the log, it may already contain this note.
+        // Adds the note that the log has no poses, unless the log already contains it.
         const auto& notes = sequence.notes;
         if (std::find(notes.begin(), notes.end(), kitti::kNoPosesNote) == notes.end())
             sequence.notes.push_back(kitti::kNoPosesNote);

@@ -62,15 +62,15 @@ std::complex<double> compute_mean_tick_phasor(const BeamPolarPoints& polar, doub
     return n > 0 ? sum / static_cast<double>(n) : sum;
 }
 
-/// How well the azimuths of one beam fit a grid of encoder ticks. left_offset_m: distance
-/// of the beam from the spin axis. phase_rad: offset from the grid. concentration: 1 is a
-/// perfect fit.
+/// How the azimuths of one beam fit the ticks of the encoder that measures the head
+/// angle. left_m: distance of the beam from the spin axis. phase_rad: azimuth offset of
+/// the beam. concentration: 1 is a perfect fit.
 struct TickGridPhase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
 
-/// Improves the fit of a beam to the grid of encoder ticks by least squares: azimuth
-/// residual = phase + left / rho.
+/// Refines the azimuth offset (phase) and the lateral offset (left) of a beam by least
+/// squares: azimuth = tick + phase + left / distance.
 void refine_phase_by_least_squares(TickGridPhase& phase, const BeamPolarPoints& polar,
                                    double encoder_tick_rad) {
     double n = 0, su = 0, se = 0, suu = 0, sue = 0;
@@ -82,8 +82,8 @@ void refine_phase_by_least_squares(TickGridPhase& phase, const BeamPolarPoints& 
         n += 1, su += u, se += e, suu += u * u, sue += u * e;
     }
     const double spread = n * suu - su * su;
-    // If all points have similar distances, the left offset cannot be separated from the
-    // phase.
+    // If all points have similar distances, the lateral offset of the beam cannot be
+    // separated from its azimuth offset.
     if (n < 16 || spread < 1e-4 * n * n) return;
     const double left = (n * sue - su * se) / spread;
     phase.left_m += left;
@@ -97,8 +97,8 @@ TickGridPhase fit_azimuth_phase_of_beam(const BeamPolarPoints& polar, double enc
         const std::complex<double> mean =
             compute_mean_tick_phasor(polar, encoder_tick_rad, mm * 1e-3, stride);
         const double gain = std::abs(mean) - best.concentration;
-        // Selects the left offset with the highest concentration. The code below prefers
-        // offset 0 if no other offset is clearly better.
+        // Keeps the lateral offset of the beam for which the azimuths fit the encoder
+        // ticks best. The code below prefers offset 0 if it is nearly as good.
         if (mm == -60 || gain > 0.0)
             best = {mm * 1e-3, std::arg(mean) * encoder_tick_rad / (2.0 * kPi), std::abs(mean)};
     }
@@ -171,10 +171,10 @@ EncoderTicksByBeam compute_encoder_ticks_per_beam(const ScanWithRings& scan,
     return ticks;
 }
 
-/// Returns for each scan and encoder tick whether at least `min_beams` beams have a
-/// return at this tick.
-/// @param tick_shift_of_each_beam  [beams] number that is subtracted from the ticks of
-/// each beam
+/// Returns for each scan and tick of the head's encoder: true if at least `min_beams`
+/// beams have a return there.
+/// @param tick_shift_of_each_beam  [beams] azimuth offset of each beam in ticks, which is
+/// subtracted
 std::vector<std::vector<char>> flag_ticks_with_returns_of_min_beams(
     const std::vector<EncoderTicksByBeam>& ticks_of_scans, const std::vector<int>& tick_shift_of_each_beam,
     int n_ticks, int min_beams) {
@@ -192,9 +192,9 @@ std::vector<std::vector<char>> flag_ticks_with_returns_of_min_beams(
     return pattern;
 }
 
-/// Returns the shift of a beam, in full ticks, for which most of its ticks are also ticks
-/// of other beams. Returns 0 if no other shift matches at least 1 % more of the ticks. Of
-/// equally good shifts, returns the one nearest to 0.
+/// Returns the azimuth offset of a beam in encoder ticks. With this offset, most returns
+/// of the beam are at ticks where other beams have returns. Returns 0 if no offset is
+/// clearly better.
 /// @param is_tick_fired  [scans][ticks] true if other beams have returns at the tick
 int find_best_tick_shift(const std::vector<EncoderTicksByBeam>& ticks_of_scans, std::size_t ring,
                          const std::vector<std::vector<char>>& is_tick_fired, int n_ticks, int max_shift) {
@@ -235,8 +235,8 @@ std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBe
     }
     std::vector<int> shift(kRings, 0);
     auto pattern = flag_ticks_with_returns_of_min_beams(reference, shift, n_ticks, 1);
-    // First compares each beam with the beam that has the most points. Then compares it
-    // with all beams.
+    // Compares each beam first with the beam that has the most points, then with all
+    // beams, shifted by the result of the first pass.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] =
@@ -268,8 +268,8 @@ std::vector<Beam> BeamFiringGrid::make_beams_with_elevations_of_cones(const Beam
 }
 
 BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& scans) {
-    // Minimum mean concentration of azimuths at the encoder ticks for a valid fit. It is
-    // 0.98 on KITTI, and near 0 for azimuths that are not on ticks.
+    // Minimum quality of the fit of the azimuths to the encoder ticks. 1 is a perfect
+    // fit, and 0 means that the azimuths are not on ticks.
     constexpr double kMinConcentration = 0.8;
     const std::array<BeamPolarPoints, kRings> polar = collect_far_points_as_polar_by_ring(scans);
     BeamFiringGrid lattice;

@@ -21,25 +21,25 @@ namespace relidar::kitti {
 /// of each beam from the head.
 struct BeamFiringGrid {
     EncoderTickGrid head;
-    /// True if the azimuths show no encoder ticks. The sensor is then assumed to fire at
-    /// every step of the grid.
+    /// True if the azimuths do not show the steps of the head's encoder. The sensor is
+    /// then assumed to fire at every step of `head`.
     bool every_tick = false;
     /// azimuth of each beam relative to the head; the mean of all beams is 0
     std::array<double, kRings> offset_rad{};
     /// distance of each beam from the spin axis, positive to the left
     std::array<double, kRings> left_m{};
 
-    /// Returns the beams of the sensor, with elevations from the cones and offsets from
-    /// this fit. Each beam starts z0 cos(elevation) above the origin of the sensor.
+    /// Returns the beams of the sensor. Elevations and heights are from the cones on
+    /// which the points of each beam are. Azimuth and lateral offsets are from this grid.
     std::vector<Beam> make_beams_with_elevations_of_cones(const BeamCones& cones) const;
 };
 
-/// Fits the head azimuths and the beam offsets to a few scans. If the azimuths show no
-/// encoder ticks, for example in a resampled log, returns even steps and zero offsets.
+/// Estimates the azimuth grid at which the head fires, and the offsets of all beams, from
+/// a few scans. If the azimuths fit no grid, returns equal steps and zero offsets.
 BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& scans);
 
-/// Returns the encoder ticks at which the sensor fired in a sweep, in order of time. The
-/// first azimuth is near +pi. Azimuths decrease, because the head rotates clockwise.
+/// Returns the azimuth steps at which the head fired in a sweep, in order of time. The
+/// head rotates clockwise, starting near azimuth +pi.
 std::vector<int> find_fired_encoder_ticks(const ScanWithRings& scan, const BeamFiringGrid& firing_grid);
 
 }  // namespace relidar::kitti

@@ -26,8 +26,9 @@ double compute_height_residual_m(const BeamCone& cone, const RhoHeightSample& sa
     return sample.z_m - cone.z0_m - sample.rho_m * cone.tan_el;
 }
 
-/// Fits a line z(rho) to points by least squares. Ignores points whose distance from the
-/// line `previous_line` is more than max_residual_m.
+/// Fits the line z = z0 + rho tan(elevation) to points of a beam by least squares. rho is
+/// the horizontal distance. Ignores points more than max_residual_m above or below
+/// `previous_line`.
 BeamCone fit_line_to_inliers(const std::vector<RhoHeightSample>& samples, const BeamCone& previous_line,
                              double max_residual_m) {
     double n = 0, sr = 0, sz = 0, srr = 0, srz = 0;
@@ -36,8 +37,8 @@ BeamCone fit_line_to_inliers(const std::vector<RhoHeightSample>& samples, const 
         n += 1, sr += s.rho_m, sz += s.z_m, srr += s.rho_m * s.rho_m, srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
-    // If all points have similar distances, they do not determine the slope. Coordinates
-    // are rounded to 0.3 mm, so the slope would have an error above 5e-5.
+    // Points at similar distances do not determine the slope of the line. Coordinates are
+    // rounded to 0.3 mm. This limit keeps the error of the slope below 5e-5.
     if (n < 16 || spread < 36.0 * n) return {};
     const double slope = (n * srz - sr * sz) / spread;
     return {(sz - slope * sr) / n, slope, static_cast<std::size_t>(n)};
@@ -57,8 +58,8 @@ BeamCone fit_beam_cone_robustly(const std::vector<RhoHeightSample>& samples) {
     return cone;
 }
 
-/// Height of the lasers in a block of 32 beams, as a linear function of the slope of the
-/// beam: z0 = mean_z0 + slope * (tan_elevation - mean_tan).
+/// Heights of 32 lasers that are mounted together, as a linear function of
+/// tan(elevation): z0 = mean_z0 + slope * (tan_elevation - mean_tan).
 struct LaserHeightFit {
     double mean_tan = 0.0, mean_z0 = 0.0, slope = 0.0;
     double compute_height_m(double tan_elevation) const {
@@ -82,9 +83,9 @@ LaserHeightFit fit_height_to_slope_of_laser_block(const BeamCones& cones,
     return line;
 }
 
-/// Estimates the slope of a beam whose points have too similar distances for a fit. The
-/// height of the beam is computed from other beams of its block of 32. The slope is then
-/// the median over the points.
+/// Returns the median of tan(elevation) over the points of a beam. Used if the points
+/// have too similar distances for a line fit. `height_of_block` gives the height of the
+/// laser.
 double estimate_tan_elevation_at_known_height(const std::vector<RhoHeightSample>& samples,
                                               const LaserHeightFit& height_of_block,
                                               double initial_tan_elevation) {
@@ -98,8 +99,8 @@ double estimate_tan_elevation_at_known_height(const std::vector<RhoHeightSample>
     return initial_tan_elevation;
 }
 
-/// Estimates slope and height of each beam that could not be fitted. Uses the fitted
-/// beams in the same block of 32.
+/// Estimates height and elevation of each beam that could not be fitted. Uses the fitted
+/// beams in the same half of the 64 beams.
 void estimate_cones_from_other_beams(BeamCones& cones,
                                      const std::array<std::vector<RhoHeightSample>, kRings>& samples_of_rings,
                                      const std::string& error_location) {
@@ -129,8 +130,8 @@ void estimate_cones_from_other_beams(BeamCones& cones,
     }
 }
 
-/// Returns the ring whose cone has the smallest median distance from a group of
-/// consecutive points.
+/// Returns the ring of a group of consecutive points. The points of each ring are on a
+/// cone. Chooses the cone with the smallest median distance from the points.
 int find_nearest_ring_of_points(const ScanWithRings& scan, std::size_t begin_point, std::size_t end_point,
                                 const BeamCones& cones) {
     const std::size_t step = std::max<std::size_t>((end_point - begin_point) / 32, 1);

@@ -39,15 +39,15 @@ using BeamCones = std::array<BeamCone, kRings>;
 /// azimuth changes from the 4th to the 1st quadrant. Ring numbers are limited to 63.
 ScanWithRings split_points_into_rings(std::vector<glm::vec4> points);
 
-/// Fits the cone of each ring to several scans by robust least squares.
+/// Fits a cone to the points of each ring in several scans, by robust least squares.
 /// @param error_location  name of the log, for error messages
 /// @throws DataError if no scan has 64 rings
 BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
                                 const std::string& error_location);
 
-/// Corrects ring numbers by the distances of points from the cones. The order of the
-/// points gives wrong numbers in two cases: a beam has no returns, or the last point of a
-/// ring was rounded to azimuth 0.
+/// Corrects ring numbers of points that are nearer to the cone of another ring. Numbers
+/// by file order are wrong after a beam without returns, or if the last point of a ring
+/// was rounded to azimuth 0.
 void correct_ring_numbers(ScanWithRings& scan, const BeamCones& cones);
 
 }  // namespace relidar::kitti

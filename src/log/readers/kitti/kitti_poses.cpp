@@ -93,8 +93,8 @@ Pose read_imu_pose_from_oxts(const fs::path& oxts_file, std::optional<double>& m
              *mercator_scale * kEarthRadius_m * std::log(std::tan(kPi / 4 + lat / 2)), v[2]}};
 }
 
-/// Returns the first frame with an OXTS file. It defines the Mercator scale and the
-/// origin of the poses. The poses are then the same for all requested ranges of frames.
+/// Returns the first frame with a GPS/IMU file (OXTS). It defines the origin and scale of
+/// all poses, so that poses do not depend on the requested frames.
 int find_first_oxts_frame(const fs::path& drive_folder) {
     const fs::path folder = drive_folder / "oxts/data";
     if (does_path_exist(folder)) {
@@ -111,8 +111,8 @@ int find_first_oxts_frame(const fs::path& drive_folder) {
                     folder.string()));
 }
 
-/// Returns the path of calib_imu_to_velo.txt for a drive. Searches the drive, the folder
-/// above it, and the folder from DATE_calib.zip.
+/// Returns the path of calib_imu_to_velo.txt for a drive (a recording of KITTI). Searches
+/// the folder of the drive, two folders above it, and their calibration folders.
 fs::path find_imu_calibration_file(const fs::path& drive_folder) {
     const char* name = "calib_imu_to_velo.txt";
     // date in a name such as 2011_09_26_drive_0005_sync
@@ -206,7 +206,8 @@ void replace_vehicle_poses_from_file(LidarSequence& sequence, const fs::path& po
     if (pose_file.empty()) return;
     PoseTrack user_track{sequence.world_from_vehicle.time_s,
                          std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
-    // LiDARs of the same sweep share a pose, so each frame number is listed only once.
+    // Lists each frame number once, because all LiDARs of a sweep share the number and
+    // the pose.
     std::vector<int> frames;
     for (const LidarFrame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);

@@ -22,9 +22,8 @@
 namespace relidar::kitti {
 namespace {
 
-// Number of scans to which the sensor is fitted. More scans are not needed, because the
-// fit is already far more accurate than the coordinates, which are rounded to
-// millimetres.
+// Number of scans for fitting the beams (kFitScans) and the firing azimuths
+// (kLatticeScans).
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 
 std::vector<const ScanWithRings*> select_evenly_spaced_scans(const std::vector<ScanWithRings>& scans,
@@ -60,7 +59,8 @@ LidarPoints convert_raw_scan_to_points(const ScanWithRings& raw_scan) {
 /// azimuths increase from 0. So a complete scan ends near 360.
 double get_last_point_azimuth_deg(const ScanWithRings& scan) {
     if (scan.points.empty()) return 0.0;
-    // The scan is complete. A stray point after its last ring counts as another ring.
+    // If a scan has more than 64 rings, a stray point after the last ring counts as a
+    // ring. So the scan is complete.
     if (scan.n_rings > kRings) return 360.0;
     const double azimuth =
         std::atan2(double(scan.points.back().y), double(scan.points.back().x)) * 180.0 / kPi;
@@ -83,9 +83,11 @@ public:
     /// An incomplete scan has far fewer points or rings than its neighbours, or its last
     /// ring ends much earlier.
     std::string explain_incomplete_scan(std::size_t scan_index, const std::string& file_name) const {
-        // One missing ring is accepted, because one beam may have no returns.
+        // A scan is damaged if at least this many rings are missing. One missing ring is
+        // accepted, because it can be a beam without returns.
         constexpr int kMissingRings = 2;
-        // In complete scans, the azimuth of the last point varies by up to 20 degrees.
+        // A scan is damaged if its last point is this much earlier in azimuth than usual.
+        // In complete scans, the last azimuth varies by up to 20 degrees.
         constexpr double kEarly_deg = 60.0;
         if (n_points_[scan_index] == 0)
             return fmt::format("{}: the scan contains no returns, expected at least one", file_name);
@@ -113,7 +115,8 @@ private:
     std::vector<int> n_rings_;
     std::vector<double> end_deg_;
 
-    /// Returns the median over up to five scans on each side of scan `scan_index`.
+    /// Returns the median of a value over up to five scans before and after scan
+    /// `scan_index`. Ignores values of 0.
     template <class T>
     static T compute_median_of_neighbours(const std::vector<T>& values_of_scans, std::size_t scan_index) {
         constexpr std::size_t kReach = 5;
@@ -136,7 +139,6 @@ std::string scale_byte_intensities_and_get_note(std::vector<ScanWithRings>& raw_
     constexpr float kBytes = 255.0f;
     // Fractional intensities up to this value are rejected, because they could be
     // percentages.
-    // rejected.
     constexpr float kPercent = 100.0f;
     float lowest = 0.0f, highest = 0.0f;
     bool are_integers = true;

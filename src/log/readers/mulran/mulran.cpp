@@ -29,11 +29,11 @@ constexpr double kMostGap_s = 0.5;
 // Nearer points are not used to identify beams by elevation. A beam starts about a
 // centimetre from the spin axis, which changes the elevation of near points.
 constexpr double kLeastRange_m = 2.0;
-// Maximum standard deviation of the elevations of one beam. With a wrong order of the
-// points, it is larger.
+// Maximum standard deviation of the elevations of one beam. It is larger if the points
+// are not sorted as expected.
 constexpr double kMostSpread_rad = kPi / 180.0;
-// Minimum forward component of the mean driving direction, which is at most 1. With wrong
-// poses, it is smaller.
+// Minimum forward component of the vehicle's mean unit motion vector. A smaller value
+// means that the poses are wrong.
 constexpr double kForward = 0.9;
 
 /// Published pose of the LiDAR on the vehicle: position in metres; roll, pitch and yaw in
@@ -201,8 +201,8 @@ LidarSequence load_mulran_dataset(const fs::path& log_folder, const DatasetOptio
     if (options.poses_file.empty()) {
         const PoseTrack track =
             add_offset_to_track_positions(log.world_from_vehicle, -sequence.world_offset_m);
-        // All these times have a pose, because add_frames_and_get_scan_files() has
-        // skipped scans without a pose.
+        // `track` has a pose at every requested time, because scans without a pose were
+        // skipped.
         const auto pose_at = [&](double t_s) { return std::optional(track.interpolate_pose(t_s)); };
         if (std::string note = bag::correct_rays_for_vehicle_motion(sequence, pose_at); !note.empty())
             sequence.notes.push_back(std::move(note));

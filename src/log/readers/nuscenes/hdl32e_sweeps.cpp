@@ -21,8 +21,7 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kBeams = 32, kPointBytes = 20;
 constexpr double kPeriod_s = 0.05;
-// Nearer points are rays without a return. The dataset stores them at the LiDAR, and
-// motion compensation has moved them a little.
+// Points nearer to the LiDAR than this are rays without a return.
 constexpr double kNoReturn_m = 1.0;
 constexpr double kFarthestOfSweep_m = 1e4;
 constexpr std::size_t kMostColumnsOfSweep = 8192;

@@ -19,18 +19,18 @@ Lidar make_hdl32e_lidar(const Pose& ego_from_lidar);
 
 struct SweepFiles {
     std::filesystem::path points;
-    /// Category index of each point, 8 bits per point. Empty if the points have no
-    /// labels.
+    /// File with the category index of each point, one byte per point. Empty if the
+    /// points have no labels.
     std::filesystem::path categories;
 };
 
-/// Reads the scans of all frames in sequence.frames. Also sets the properties of the
-/// sensors that can be computed from the scans.
+/// Reads the scans of all frames in sequence.frames. Also sets the sensor properties that
+/// can be computed from the scans.
 /// @param sweep_files  [frames] files of each frame
 /// @param class_of_category  class of each category index
-/// @param vehicle_track vehicle poses of the dataset, with which the motion compensation
-/// is undone
-/// @throws DataError with file and point
+/// @param vehicle_track  vehicle poses, used to undo the motion compensation of the
+/// points
+/// @throws DataError that names the file and the point
 void read_hdl32e_sweeps(LidarSequence& sequence, const std::vector<SweepFiles>& sweep_files,
                         const std::array<SurfaceClass, 256>& class_of_category,
                         const PoseTrack& vehicle_track, const DatasetOptions& options);

@@ -73,7 +73,7 @@ private:
         character = block_[at_++];
         return true;
     }
-    /// Checks a character between two objects of the table.
+    /// Checks a character of a JSON array that is outside of the array's objects.
     /// @return true if the character starts an object
     bool is_object_start(char character) {
         if (character == '{' && opened_ && !closed_) return true;
@@ -105,7 +105,7 @@ void JsonRecord::copy_number_list_of_key(std::string_view key, std::size_t count
     const auto list = get_value<simdjson::dom::array>(key, "numbers");
     if (list.size() != count) throw_wrong_value(key, count == 3 ? "3 numbers" : "4 numbers");
     for (const simdjson::dom::element element : list)
-        // JSON cannot store infinity or NaN, so this needs no check.
+        // Does not test for infinity or NaN, because JSON cannot store them.
         if (element.get(*output_numbers++) != simdjson::SUCCESS) throw_wrong_value(key, "numbers");
 }
 

@@ -34,8 +34,8 @@ constexpr double kMostIntensity = 255.0;
 // Assumed duration of a revolution. LiDARs of this kind rotate ten times per second,
 // although the dataset has only five sweeps per second.
 constexpr double kLyftRevolution_s = 0.1;
-// Only for points without times. If the LiDAR sweeps of a frame are farther apart in time
-// than this, a note is added for the user.
+// If the points have no times, all LiDARs of a frame use one time. If their sweeps differ
+// by more than this, a note is added for the user.
 constexpr double kStampsApart_s = 1e-3;
 
 /// Format of a dataset with the tables of nuScenes. The extension of the LiDAR files
@@ -44,8 +44,8 @@ struct NuscenesVariant {
     const char* ending;
     const char* dataset;
     const char* conventions;  ///< conventions of the dataset, except units and vehicle axes
-    /// True if a file contains the columns of one HDL-32E revolution, motion-compensated
-    /// to its end.
+    /// True if all points of a file were moved to the end of the revolution (motion
+    /// compensation). Such a file has the columns of one HDL-32E revolution.
     bool is_compensated;
     bool has_times;  ///< true: points have times
 };
@@ -65,8 +65,8 @@ constexpr NuscenesVariant kFormats[] = {
      false, false},
 };
 
-/// Format of T4 datasets. Points are in the vehicle frame. A file may contain the merged
-/// points of several LiDARs.
+/// Format of T4 datasets, which use the tables of nuScenes. Points are in the vehicle
+/// frame. A file may contain the merged points of several LiDARs.
 constexpr NuscenesVariant kT4 = {
     ".pcd.bin", "T4",
     "Points are motion-compensated and in the frame of the vehicle. The time of a frame is the stamp of "
@@ -282,7 +282,7 @@ private:
     }
 
     /// Selects the frames in the requested range. If only keyframes have files, selects
-    /// only keyframes. The user has then unpacked samples/ but not sweeps/.
+    /// only keyframes. This happens if the user has not unpacked the folder sweeps/.
     void select_sweeps_of_requested_frames() {
         const std::vector<FrameSweepRecord> sweeps = assign_frame_numbers_to_sweeps();
         const auto is_between = [](const FrameSweepRecord& sweep) { return !sweep.record->is_keyframe; };
@@ -316,7 +316,8 @@ private:
         return sequence_.world_from_vehicle;
     }
 
-    /// Returns the files of each frame. Adds a note if files with categories are missing.
+    /// Returns the files of each frame: points and point labels. Adds a note if label
+    /// files are missing.
     std::vector<SweepFiles> list_files_of_frames() {
         std::vector<SweepFiles> files;
         std::size_t n_missing = 0;
@@ -332,7 +333,7 @@ private:
         return files;
     }
 
-    /// Reads the point files of datasets without rings and without motion compensation.
+    /// Reads the scans of all formats except nuScenes itself (T4, TruckScenes, Lyft).
     void read_scans_of_point_files() {
         std::vector<fs::path> files;
         for (const FrameSweepRecord& frame : frames_) files.push_back(get_file_of_sweep(*frame.record));

@@ -27,8 +27,8 @@ constexpr double kMillisecond = 1e-3;
 // Duration of a revolution. The LiDAR rotates ten times per second, but the dataset
 // contains only every fifth revolution.
 constexpr double kRevolution_s = 0.1;
-// rotation about z from ONCE's axes (x left, y back) to relidar's axes (x forward, y
-// left)
+// rotation about z from the axes of the dataset ONCE (x left, y back) to relidar's axes
+// (x forward, y left)
 constexpr double kTurned_rad = kPi / 2.0;
 constexpr double kUnitLength = 1e-3;  // tolerance of a quaternion's length
 constexpr double kLargestCoordinate_m = 1e8;

@@ -47,13 +47,14 @@ struct MovingStreetActor {
     std::vector<StreetShape> shapes;
     std::vector<SwingingLimb> limbs;
     double stride_m = 0.0;  ///< length of a stride; a stride consists of two steps
-    /// Poses in the street frame. A non-empty track replaces start, yaw and speed.
+    /// Poses of the box in street coordinates over time. If not empty, the box follows
+    /// these poses instead of moving straight at constant speed.
     PoseTrack track;
 
     Pose compute_world_from_box(double time_s) const;
-    /// Returns the distance that the person has walked at a time. It is 0 at time 0. For
-    /// a person who follows a track, it is 0 at `start_m` instead. Therefore all persons
-    /// on the same path step on the same places, even at different speeds.
+    /// Returns the distance in metres that a person has walked at a time, for swinging
+    /// arms and legs. Without a track, it is 0 at time 0. With a track, it starts at the
+    /// distance from start_m to the first pose.
     double compute_walked_distance_m(double time_s) const;
 };
 
@@ -122,8 +123,8 @@ private:
     /// that misses their bounding sphere skips the group.
     struct Cluster {
         BoundingSphere around;
-        /// index after the last shape; the first shape is the `end` of the previous
-        /// cluster
+        /// Index after the last shape of this group. Its first shape follows the last
+        /// shape of the previous group.
         std::size_t end;
     };
     class NearestSurfaceSearch;

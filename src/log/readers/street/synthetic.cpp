@@ -117,8 +117,8 @@ Scan make_empty_scan(const RayTable& rays) {
             .classes = ScanArray<SurfaceClass>(rays.size(), SurfaceClass::unknown)};
 }
 
-/// Returns the origin of the log in the street frame. It is the position of the sensor in
-/// the middle frame.
+/// Returns the origin of the log in street coordinates: the sensor position in the middle
+/// frame.
 glm::dvec3 compute_world_origin_in_street_m(const SyntheticOptions& options) {
     return street::compute_sensor_pose(options, street::compute_frame_time_s(options.n_frames / 2))
         .translation;

@@ -138,8 +138,9 @@ const CompressedLidarImages& find_range_images_of_laser(const WaymoFrameRecord& 
                                 error_location, kLaserNames[laser_id]));
 }
 
-/// Returns the vehicle pose at the time when the LiDAR TOP faces forward. This is the
-/// pose of the pixel with a return that is nearest to the middle column.
+/// Waymo stores a vehicle pose for each pixel of the roof LiDAR (TOP). Returns the pose
+/// of the pixel nearest to the middle column, where the LiDAR faces forward. Skips pixels
+/// without a return.
 Pose find_pose_facing_forward(const WaymoFrameRecord& frame_record, const std::string& error_location) {
     if (frame_record.images.empty() || frame_record.images.front().laser != kTop)
         return frame_record.world_from_vehicle;
@@ -302,8 +303,9 @@ private:
         }
     }
 
-    /// Corrects a ray, because two vehicle poses at its firing time differ: the pose in
-    /// the dataset, and the pose that the log interpolates between frames.
+    /// Transforms a ray from the true sensor frame to the sensor frame that the log
+    /// interpolates between frames. `world_from_vehicle` is the true pose, which the
+    /// dataset stores.
     void correct_ray_for_given_vehicle_pose(std::size_t ray_index, const Pose& world_from_vehicle) {
         const Pose moved = sensor_from_world_[ray_index % std::size_t(scan.rays.columns)] *
                            (world_from_vehicle * lidar_.vehicle_from_sensor);
@@ -352,8 +354,8 @@ void read_scans_of_records(LidarSequence& sequence, const TfRecordReader& record
     std::vector<RayTable> models;
     for (const Lidar& lidar : sequence.lidars) {
         RayTable& model = models.emplace_back(make_rays(lidar.sensor));
-        // The dataset has no ray times for the other LiDARs. Their rays get the time of
-        // the frame.
+        // The dataset has ray times only for the roof LiDAR (TOP). Rays of other LiDARs
+        // get the time of the frame.
         if (lidar.name != kLaserNames[kTop])
             std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);
     }
@@ -361,7 +363,6 @@ void read_scans_of_records(LidarSequence& sequence, const TfRecordReader& record
     parallel_for_with_progress(
         sequence.frames.size() / n_lidars, options.progress, "reading range images", [&](std::size_t sweep) {
             const int record = sequence.frames[sweep * n_lidars].index;
-            // The record is complete, because its pose was read before.
             const std::string data = records.read_record_data(std::size_t(record)),
                               where = format_record_location(records, record);
             const WaymoFrameRecord parsed = parse_frame_record(data, where);

@@ -34,7 +34,8 @@ constexpr std::uint32_t make_float_tag(std::uint32_t field_number) {
     return protozero::tag_and_type(field_number, pbf_wire_type::fixed32);
 }
 
-// Maximum size in bytes of a decompressed image. A six-channel image of TOP has 4 MB.
+// Maximum size in bytes of a decompressed image. Six channels of the roof LiDAR (TOP)
+// have 4 MB.
 constexpr std::size_t kMostInflated = std::size_t(32) << 20;
 constexpr double kLargestOfFrame = 1e8;  // maximum value of all numbers in a frame (metres or radians)
 

@@ -30,11 +30,11 @@ struct CompressedLidarImages {
     int laser = 0;
     /// images of the first and the second returns; `second` is empty if there are none
     std::string_view first, second;
-    /// Image with the vehicle pose of each pixel of `first`. Empty if one pose applies to
-    /// all pixels.
+    /// Compressed image with a vehicle pose for each pixel of `first`, the image of first
+    /// returns. Empty if all pixels have the same pose.
     std::string_view pixel_pose;
-    /// Instance and class of each pixel of the first return. Empty if the frame has no
-    /// labels of points.
+    /// Compressed image with the object instance and class of each pixel of `first`.
+    /// Empty if the frame has no point labels.
     std::string_view labels;
 };
 

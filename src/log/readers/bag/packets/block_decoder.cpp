@@ -147,8 +147,8 @@ private:
     /// text for the user that names the source of the angles
     std::string angles_about_ = "beam angles from the data sheet";
     std::vector<PacketBeam> beams_;  ///< [rings]
-    /// [firing sequences, lasers] ring of each laser; kNoRing if it does not fire in the
-    /// sequence
+    /// [sets of lasers that fire together, lasers] row of each laser in the range image;
+    /// kNoRing if the laser is not in the set
     std::vector<std::vector<int>> ring_of_;
 
     /// Selects the angle correction file with the right number of lasers. Uses no file if
@@ -175,8 +175,9 @@ private:
         }
     }
 
-    /// Returns the index of the firing sequence in which a firing takes place.
-    /// @param firing_index  number of the firing in the packet
+    /// Some sensors alternate between two sets of lasers. Returns the index of the set
+    /// that fires, 0 or 1.
+    /// @param firing_index  index of the firing in the packet
     int read_firing_sequence_index(std::string_view packet_bytes, std::size_t firing_index,
                                    std::size_t n_returns) const {
         if (layout_.part_rule == FiringSequenceRule::none) return 0;
@@ -248,7 +249,8 @@ private:
             if (slot % per_block == 0 && next < packet.firings.size()) {
                 const double to_next =
                     std::remainder(packet.firings[next].azimuth_deg - firing.azimuth_deg, 360.0);
-                // A larger step means that the sensor skips a sector here.
+                // Ignores a large azimuth step, because the sensor does not fire in this
+                // sector.
                 if (std::abs(to_next) < kLargestStep_deg) step_deg = to_next;
             }
             firing.azimuth_deg = std::fmod(
@@ -286,7 +288,7 @@ std::unique_ptr<PacketDecoder> make_block_packet_decoder(const char* product_nam
     };
     const auto* layout =
         find_layout(std::string(product_name) + (calibration.has_two_returns ? " with two returns" : ""));
-    // Most products use the same layout for one return and for two returns.
+    // If the sensor has no separate layout for two returns, uses its usual layout.
     if (layout == std::end(kLayouts)) layout = find_layout(product_name);
     return std::make_unique<BlockDecoder>(*layout, calibration.corrections);
 }

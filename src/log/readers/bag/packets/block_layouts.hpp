@@ -80,7 +80,8 @@ inline constexpr LaserFiringTimes kOt128State1 = {
 inline constexpr LaserFiringTimes kOt128Standard[] = {kOt128All};
 inline constexpr LaserFiringTimes kOt128States[] = {kOt128State0, kOt128State1};
 
-/// How a packet states to which of two firing sequences a block belongs.
+/// Some sensors alternate between two sets of lasers. Defines where a packet stores which
+/// set has fired.
 enum class FiringSequenceRule {
     none,           ///< no field, because all blocks have the same firing sequence
     mode_flag,      ///< number of the block; for packets with two returns, bit 0 of a byte
@@ -103,23 +104,24 @@ struct PacketLayout {
     double range_unit_m = 0.0;
     std::size_t unit_at = 9, time_at = 0;
     std::size_t mode_at = 0;  ///< byte offset of the return mode; 0 if all packets have one return
-    /// True if numbers are stored with the highest byte first. Times then consist of
-    /// milliseconds and microseconds.
+    /// True if numbers are stored with the highest byte first. In such packets, a time is
+    /// stored as two numbers: milliseconds and microseconds.
     bool is_big_endian = false;
     double wrap_us = 1e6, cycle_us = 50.0;
-    /// True if `shift_us` refers to the last firing of a packet. False if it refers to
-    /// the first firing.
+    /// True if the time stamp of a packet refers to its last firing, false if to its
+    /// first firing.
     bool at_end = true;
-    /// time between the packet's time stamp and the start of its last or first firing
+    /// time from the packet's time stamp to the start of this firing (last or first, see
+    /// `at_end`)
     double shift_us = 0.0;
     double forward_deg = 90.0;        ///< azimuth of the sensor's x axis in the angles of the packet
     int first_channel = 1;            ///< number of the first channel in the beam table
     bool has_correction_file = true;  ///< true if each unit has a file with its beam angles
     /// Range values up to this one mean "no return".
     std::uint16_t last_marker = 0;
-    /// [firing sequences] firing times of the lasers, for sensors that alternate between
-    /// firing sequences. The decoder subtracts the earliest time. Empty for all other
-    /// sensors, because the beam table contains their firing times.
+    /// Firing times of the lasers in each set, for sensors that alternate between sets of
+    /// lasers. The decoder subtracts the earliest time. Empty for all other sensors,
+    /// whose firing times are in the table of built-in sensors.
     std::span<const LaserFiringTimes> loops = {};
     FiringSequenceRule part_rule = FiringSequenceRule::none;
     std::size_t part_at = 0;  ///< byte offset of the field that contains the firing sequence
@@ -128,7 +130,7 @@ struct PacketLayout {
     std::size_t count_firing_sequences() const { return loops.empty() ? 1 : loops.size(); }
 };
 
-/// A beam of a scan. A laser that fires in two firing sequences becomes two beams.
+/// One row of a scan. A laser that fires twice per column has two rows.
 struct PacketBeam {
     std::size_t laser = 0;  ///< index of the laser in a firing, from 0
     std::size_t part = 0;   ///< index of the firing sequence

@@ -59,19 +59,18 @@ struct FiringTiming {
     int parts = 1;
     /// time after which the sensor's clock restarts at 0; 0 if it never restarts
     double wrap_us = 0.0;
-    /// [rings] time between the start of a firing and each beam. If there are several
-    /// firing sequences, times start with the first sequence.
+    /// [rings] time between the first firing of a column (all lasers at one azimuth) and
+    /// the firing of each beam
     std::vector<double> offset_us;
-    /// True: the head azimuth of a beam is interpolated between two firings. False: it is
-    /// computed from a constant rotation rate.
+    /// True if the head azimuth of each beam is interpolated between consecutive firings.
+    /// False if the rotation rate is assumed to be constant.
     bool interpolates = false;
-    /// [columns per revolution] true if the sensor fires at this column. Column 0 is at
-    /// 180 degrees. Empty if the sensor can fire at any azimuth. All times are from the
-    /// sensor's clock if the list is not empty, otherwise from the time stamps of
-    /// packets.
+    /// [columns per revolution] true if the sensor fires at this column, for sensors with
+    /// fixed firing azimuths. Column 0 is at 180 degrees. For all other sensors, this is
+    /// empty, and times are from the packets' time stamps instead of the sensor's clock.
     std::vector<bool> fires = {};
-    /// True if intensities can exceed 1. Their scale is then estimated from all returns
-    /// of the topic.
+    /// True if intensities can exceed 1. They are then divided by a scale that is
+    /// estimated from all returns of the topic.
     bool is_wide = false;
 };
 
@@ -106,8 +105,8 @@ struct DecoderCalibration {
 /// A LiDAR product whose packets relidar recognises.
 struct LidarProduct {
     const char* name;
-    /// Returns true if a packet has the size and header of this product. Null for Ouster,
-    /// because the headers of its packets do not identify it.
+    /// Returns true if a packet has the size and the header of this product. The pointer
+    /// is null for Ouster, whose packets are recognised by the sensor's metadata.
     bool (*is)(std::string_view bytes);
     /// Creates a decoder. Null if relidar recognises the packets but cannot decode them.
     /// @throws DataError if a calibration is damaged or belongs to another sensor

@@ -8,12 +8,12 @@
 namespace relidar::packets {
 namespace {
 
-// If more consecutive columns than this were not measured, the sensor was not active in
-// this sector.
+// If more consecutive columns than this have no measurement, their rays count as rays
+// without a return.
 constexpr std::size_t kMostUnmeasured = 8;
 
-/// Marks long runs of unmeasured columns as fired. Their rays then become dropped rays.
-/// Does not mark columns of lost packets.
+/// Finds long runs of columns without measurements and sets `column_has_fired` to true.
+/// Their rays then become rays without a return. Skips columns whose packets were lost.
 void mark_long_unmeasured_runs_as_fired(std::vector<bool>& column_has_fired,
                                         const std::vector<bool>& column_is_enabled,
                                         const std::vector<bool>& column_is_lost) {

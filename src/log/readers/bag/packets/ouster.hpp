@@ -25,7 +25,7 @@ struct OusterProfile {
     /// Bit mask of the range in the first 4 bytes of a pixel.
     std::uint32_t range_bits;
     double range_unit_m;
-    /// byte offset of the reflectivity, counted from the range of the same return
+    /// byte offset from the range of a return to its reflectivity
     std::size_t reflectivity_at;
     bool is_wide;  ///< true if the reflectivity has 2 bytes, false if it has 1 byte
     int returns;   ///< number of returns; the second return is stored directly after the first
@@ -60,9 +60,9 @@ bool is_ouster_metadata(std::string_view json_text);
 /// @throws DataError if the metadata is invalid
 std::shared_ptr<const OusterMetadata> parse_ouster_metadata(const std::string& json_text,
                                                             const std::string& error_location);
-/// Reads Ouster metadata files in the folder of a recording. If the recording X.pcap has
-/// a file X.json, reads only the files X*.json. Otherwise reads all metadata files that
-/// do not have the name of another recording.
+/// Reads the Ouster metadata files in the folder of a recording X.pcap. If X.json is such
+/// a file, reads only files X*.json. Otherwise reads all files, except a file Y.json that
+/// belongs to another recording Y.pcap.
 /// @param error_messages  output: error messages about files that cannot be read
 OusterMetadataList read_ouster_metadata_in_folder_of(const std::filesystem::path& recording_path,
                                                      std::vector<std::string>& error_messages);

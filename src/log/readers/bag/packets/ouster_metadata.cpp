@@ -31,8 +31,7 @@ constexpr OusterProfile kProfiles[] = {
     {"RNG19_RFL8_SIG16_NIR16_DUAL", false, 16, 0x7FFFF, 1e-3, 3, false, 2},
     {"RNG15_RFL8_NIR8", false, 4, 0x7FFF, 8e-3, 2, false, 1},
     {"RNG15_RFL8_NIR8_DUAL", false, 8, 0x7FFF, 8e-3, 2, false, 2},
-    // Old name of the profile RNG15_RFL8_NIR8_DUAL. Newer firmware uses the new name, and
-    // sets header_type to FUSA. The header has the same size.
+    // Same layout as RNG15_RFL8_NIR8_DUAL, under its name in older firmware.
     {"FUSA_RNG15_RFL8_NIR8_DUAL", false, 8, 0x7FFF, 8e-3, 2, false, 2},
 };
 constexpr int kUsualColumns = 16;  // columns per packet
@@ -81,8 +80,8 @@ const OusterProfile& find_ouster_profile_of_metadata(const Json& json, const std
                                 shorten_for_error_message(name), names));
 }
 
-/// Returns the ring of each pixel in a column of a packet. Pixels have the order of the
-/// beams in the metadata. Rings are sorted by elevation.
+/// Returns the ring of each pixel in a column: the rank of its beam by elevation, highest
+/// first. The pixels are stored in the order of the beams in the metadata.
 std::vector<std::size_t> compute_ring_of_each_pixel(const Json& json, const std::string& error_location) {
     const JsonField root(json, error_location, "");
     const std::vector<double> altitude_deg =
@@ -257,9 +256,9 @@ std::shared_ptr<const OusterMetadata> find_ouster_metadata_of_packet(const Ouste
                                                                      std::string_view packet) {
     OusterMetadataList left;
     const int port = parse_port_of_topic(topic_name);
-    // Packets in the LEGACY layout have no serial number. If only one sensor has
-    // metadata, the port may differ, because users can change the port after they save
-    // the metadata.
+    // If only one sensor has metadata, accepts its LEGACY packets on any UDP port. These
+    // packets have no serial number, and users may change the port after saving the
+    // metadata.
     const bool is_alone = std::ranges::all_of(
         metadata_list, [&](const auto& format) { return format->text == metadata_list.front()->text; });
     for (const auto& format : metadata_list) {

@@ -28,8 +28,8 @@ constexpr double kBehind_deg = 180.0;
 constexpr double kMostBright = 65535.0;
 // A larger azimuth step between two firings means that the sensor skips a sector.
 constexpr double kJump_deg = 5.0;
-// If more than this share of an incomplete first or last revolution was recorded, the
-// user gets a note.
+// Minimum share of an incomplete revolution, at the start or the end of the recording,
+// about which the user gets a note.
 constexpr double kCutOff = 0.02;
 
 // Returns true if the sensor fires at a column. A column beyond one end of the range
@@ -165,8 +165,9 @@ std::size_t PacketIndex::count_packets_since_previous(std::size_t packet_index) 
     return std::size_t(std::clamp(std::round(n), 1.0, 1e9));
 }
 
-/// Only for a sensor that can fire at any azimuth. Returns the number of firings in the
-/// packets that were lost before this packet. Firings in a skipped sector do not count.
+/// Returns the number of firings that were lost before this packet, computed from the
+/// elapsed time. Subtracts the time in which the sensor passes azimuths where it never
+/// fires. Only for sensors without fixed firing azimuths.
 double PacketIndex::count_lost_firings_before_packet(std::size_t packet_index) const {
     const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
     const double cycle_us = decoder_->get_laser_timing().cycle_us,
@@ -219,15 +220,15 @@ void PacketIndex::count_and_store_lost_packets(PacketRevolution& revolution) con
     revolution.has_gaps = n_missing > 0.0;
 }
 
-/// Returns the range of head angles that the packets cover. Includes neighbouring angles
-/// at which the sensor never fires.
+/// Returns the head azimuths at the start and the end of the recording. Includes adjacent
+/// azimuths at which the sensor never fires, because no packets are missing there.
 std::pair<double, double> PacketIndex::find_recorded_azimuth_range_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
     if (fires.empty()) {
         if (!(skipped_.width_deg > 0.0)) return {first.azimuth_deg, last.azimuth_deg};
-        // If the packets begin or end at the edge of the skipped sector, the range
-        // includes the sector.
+        // If the recording begins or ends next to the sector in which the sensor never
+        // fires, the range includes this sector.
         const double slack_deg = deg_us_ * decoder_->get_laser_timing().cycle_us;
         const double last_deg = last.azimuth_deg + double(last.turned_deg);
         const double before_deg = skipped_.compute_sector_overlap_deg(first.azimuth_deg - slack_deg,
@@ -260,8 +261,8 @@ void PacketIndex::find_complete_revolutions() {
         revolution.first = std::max(first_behind(begin), std::size_t(1)) - 1;
         revolution.last = std::min(first_behind(begin + 360.0), packets_.size()) - 1;
         p = revolution.last;
-        // If the sensor has two firing sequences, the next packet can contain the second
-        // sequence of the last column.
+        // If the sensor fires twice per column, with two sets of lasers, the second
+        // firing of the last column can be in the next packet.
         if (decoder_->get_laser_timing().parts > 1)
             revolution.last = std::min(revolution.last + 1, packets_.size() - 1);
         // All packets of this revolution were lost. Continues at the next packet.
@@ -307,8 +308,9 @@ std::string PacketIndex::describe_problems() const {
     return fmt::format("{}", fmt::join(texts, "; "));
 }
 
-/// Computes the time at which the head faces forward. If times are from the sensor's
-/// clock, also computes the difference between time stamps and this clock.
+/// Computes the time at which the head faces forward. For sensors with fixed firing
+/// azimuths, also computes the difference between packet time stamps and the sensor's
+/// clock.
 void PacketIndex::set_revolution_times(PacketRevolution& revolution) const {
     const double forward = revolution.begin_deg + 180.0;
     const auto behind =
@@ -337,9 +339,8 @@ bool PacketIndex::has_steady_sensor_clock(const PacketRevolution& revolution) co
     return packets_[revolution.last].clock_ns - packets_[revolution.first].clock_ns <= kMaxRevolution_ns;
 }
 
-/// Returns the index of the first message that contains packets of a revolution. Tests
-/// all packets, because messages may have another order than the packets, which are
-/// sorted by time.
+/// Returns the index of the first message with packets of a revolution. Tests all
+/// packets, because they are sorted by time, but messages may have another order.
 std::uint32_t PacketIndex::find_first_message_index(const PacketRevolution& revolution) const {
     std::uint32_t first = packets_[revolution.first].message;
     for (std::size_t i = revolution.first; i <= revolution.last; ++i)
@@ -371,7 +372,8 @@ SpinningSensor PacketIndex::make_spinning_sensor_model() const {
     const FiringTiming& timing = decoder_->get_laser_timing();
     if (!timing.fires.empty())
         return decoder_->make_spinning_sensor_model(int(timing.fires.size()), 1.0 / period_s);
-    // The scan needs as many columns as the revolution with the most firings.
+    // Number of firings in the revolution with the most firings. All of them must fit
+    // into the scan.
     double most = 1e6 * period_s / timing.cycle_us;
     for (const PacketRevolution& revolution : revolutions_)
         most = std::max(most, 360.0 / compute_mean_firing_step_deg(revolution));
@@ -387,8 +389,8 @@ double PacketIndex::find_max_raw_intensity() const {
     return most > 0 ? double(most - 1) : 0.0;
 }
 
-/// Returns the value that becomes the intensity 1. If some intensities exceed 1, this is
-/// their 99.5th percentile.
+/// Returns the value by which intensities are divided: 1 if no intensity exceeds 1,
+/// otherwise their 99.5th percentile.
 double PacketIndex::compute_full_scale_intensity() const {
     if (find_max_raw_intensity() <= 255.0) return 1.0;
     std::uint64_t n = 0, left = 0;
@@ -484,14 +486,15 @@ Scan PacketIndex::decode_revolution(const PacketRevolution& revolution,
             azimuth += f > begin ? step : 0.0;
             if (f + 1 < end)
                 step = compute_rotation_deg(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
-            // If a column has several firing sequences: time between the first sequence
-            // and this one.
+            // time from the first firing of a column to this firing, if the sensor fires
+            // several times per column
             const double late_us = timing.cycle_us * double(firing.part);
             const double start_deg = azimuth - late_us * mean_deg_us;
             const int slot = int(before) + firing.slot - entry.first_slot;
             const int number = n_columns > 0 ? compute_column_of_azimuth(revolution, azimuth)
                                              : (slot - firing.part + timing.parts) / timing.parts;
-            // Firings of the same column (equal numbers) belong to the same revolution.
+            // Tests only the first firing of a column, because all its firings belong to
+            // the same revolution. `number` is the number of the column.
             if (number != previous_number)
                 is_inside = n_columns > 0 ? number >= 0 && number < n_columns
                                           : start_deg >= revolution.begin_deg &&
@@ -518,8 +521,9 @@ Scan PacketIndex::make_scan_of_revolution(const PacketRevolution& revolution,
                                                  find_lost_columns(revolution), sensor);
     const SweepFirings sweep = make_sweep_of_firings_by_azimuth(
         revolution_points.points, revolution_points.numbers, revolution_points.head_rad);
-    // All complete revolutions have the same number of columns. If packets were lost, the
-    // scan has only the columns that were received.
+    // Sets the number of columns of this scan. A complete revolution has all columns at
+    // which the sensor can fire. If packets were lost, the scan has only the received
+    // columns.
     SpinningSensor scan_sensor = sensor;
     scan_sensor.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
     if (revolution.has_gaps) scan_sensor.columns = int(sweep.firings.size());

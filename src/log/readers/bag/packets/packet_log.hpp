@@ -21,8 +21,8 @@ struct RevolutionPoints;
 
 /// One revolution of the LiDAR's head. It begins and ends when the head faces backward.
 struct PacketRevolution {
-    /// Time at which the head faces forward, and recording time of the packet at that
-    /// time.
+    /// Time at which the head faces forward, and time at which the recorder received the
+    /// packet with this firing.
     std::int64_t forward_ns = 0, log_ns = 0;
     std::size_t first = 0, last = 0;  ///< packets of the revolution
     /// Head angle at the start of the revolution. It is continuous over the full
@@ -97,8 +97,8 @@ private:
     double deg_us_ = 0.0;  ///< mean rotation rate in degrees per microsecond
     /// sector in which the sensor never fires, although it could fire at any azimuth
     SkippedSector skipped_;
-    /// Histogram of the intensities. The bin of an intensity is 255 times its value.
-    /// Empty if intensities cannot exceed 1.
+    /// Number of returns by intensity. An intensity of 1 is counted in element 255. Used
+    /// only for sensors whose intensities can exceed 1, otherwise empty.
     std::vector<std::uint32_t> n_bright_;
 
     void require_same_product_or_set_it(const ReceivedPacket& packet, const DecoderCalibration& calibration);

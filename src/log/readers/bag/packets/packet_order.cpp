@@ -62,8 +62,8 @@ PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& pa
         while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kLatest_ns) --at;
         if (at > 0 && is_later(at - 1)) at = n;
         bool is_repeated = false;
-        // Limits the search. If the sensor's clock stands still, many packets have the
-        // same time.
+        // Maximum number of packets with the same time that are compared. Many packets
+        // have the same time if the sensor's clock stands still.
         constexpr std::size_t kMostCompared = 64;
         for (std::size_t k = at, n_compared = 0;
              k > 0 && !is_repeated && n_compared < kMostCompared && packets[k - 1].clock_ns == entry.clock_ns;
@@ -73,9 +73,9 @@ PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& pa
         faults.n_repeated += is_repeated && counts;
         if (is_repeated) continue;
         if (at < n) {
-            // The time stamp of a late packet is its time of arrival. A better stamp is
-            // computed from a neighbouring packet. The stamps of the packets after it are
-            // corrected, because they cannot be earlier.
+            // This packet was received late, so its receive time stamp is wrong. Computes
+            // the stamp from the sensor's clock, with the clock offset of a neighbouring
+            // packet. Packets after it get at least this offset.
             const PacketIndexEntry& beside = packets[at > 0 ? at - 1 : at];
             const std::int64_t stamp_less_clock_ns = beside.stamp_ns - beside.clock_ns;
             entry.stamp_ns = entry.clock_ns + stamp_less_clock_ns;
@@ -110,7 +110,8 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
         PacketIndexEntry& entry = packets[p];
         if (entry.skipped_deg == 0.0f) continue;
-        // Reference: the neighbouring packet on the same side of the skipped sector.
+        // Neighbouring packet on the same side of the sector in which the sensor never
+        // fires.
         const std::size_t beside = entry.skipped_deg > 0.0f ? p + 1 : p - 1;
         std::int64_t skipped_ns = std::llround(1e3 * skipped_us(entry));
         if (beside < packets.size())
@@ -123,8 +124,8 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
 }
 
 double SkippedSector::compute_sector_overlap_deg(double from_deg, double to_deg) const {
-    // Returns how many degrees of the skipped sector are before an azimuth, summed over
-    // all revolutions.
+    // Returns how many degrees from begin_deg to an azimuth are in the sector without
+    // firings, summed over all revolutions.
     const auto until = [&](double azimuth_deg) {
         const double turns = std::floor((azimuth_deg - begin_deg) / 360.0);
         return turns * width_deg + std::min(azimuth_deg - begin_deg - 360.0 * turns, width_deg);
@@ -139,7 +140,8 @@ SkippedSector find_sector_without_firings(const std::vector<PacketIndexEntry>& p
         for (double on = 0.0; on <= std::min(double(entry.turned_deg), 360.0) + firing_step_deg; on += 0.4)
             fires[std::size_t(std::max(entry.azimuth_deg + on, 0.0) / 360.0 * kBins) % kBins] = true;
     std::size_t widest = 0, end = 0, run = 0;
-    // Counts every bin twice, because the sector may contain azimuth 0.
+    // Loops over the circle twice, because the widest gap between firings may contain
+    // azimuth 0.
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = fires[b % kBins] ? 0 : run + 1;
         if (run > widest) widest = run, end = b + 1;
@@ -147,7 +149,8 @@ SkippedSector find_sector_without_firings(const std::vector<PacketIndexEntry>& p
     const double bin_deg = 360.0 / kBins;
     if (double(widest) * bin_deg < kLeastSector_deg || widest >= kBins) return {};
     const double inside_deg = (double(end) - 0.5 * double(widest)) * bin_deg;
-    // angles from the middle of the skipped sector to the nearest firing on each side
+    // angles from the middle of the sector without firings to the nearest firing on each
+    // side
     double before_deg = 360.0, behind_deg = 360.0;
     std::size_t n_skips = 0;
     for (std::size_t p = 0; p < packets.size(); ++p) {

@@ -14,13 +14,14 @@ namespace relidar::packets {
 /// A packet in the index of a recording. If the sensor skips a sector within a packet,
 /// the packet has two entries, one for each side of the sector.
 struct PacketIndexEntry {
-    /// Times of the first firing: receive time stamp, and time on the sensor's clock
-    /// without restarts.
+    /// Time of the first firing, by the receiver's clock and by the sensor's clock. The
+    /// sensor time is continuous, although the sensor's clock restarts at 0.
     std::int64_t stamp_ns, clock_ns;
     double azimuth_deg;  ///< azimuth of the first firing in degrees, without jumps at 360 degrees
     float turned_deg;    ///< rotation of the head from the first to the last firing
-    /// Angle of the skipped sector, if it is between these firings and the packet's time,
-    /// otherwise 0. Negative if the firings are before the sector.
+    /// Width of the azimuth sector without firings, if it is between these firings and
+    /// the firing to which the packet time refers. Negative if it follows these firings.
+    /// Otherwise 0.
     float skipped_deg;
     std::uint32_t message;
     std::uint16_t in_message;  ///< index in the message
@@ -45,8 +46,8 @@ struct PacketFaultCounts {
 /// packet whose time is much earlier, because its clock was set back.
 PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& packets);
 
-/// Removes the jumps of the azimuths at 360 degrees. Corrects the times of packets in
-/// which the sensor skips a sector.
+/// Makes the azimuths continuous, without jumps at 360 degrees. Corrects the times of
+/// packets with firings on both sides of a sector in which the sensor does not fire.
 /// @return mean rotation rate in degrees per microsecond
 double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing);
 
@@ -54,8 +55,8 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
 struct SkippedSector {
     double begin_deg = 0.0, width_deg = 0.0;  ///< width 0: no such sector
 
-    /// Returns how many degrees of the sector are between two azimuths that are counted
-    /// without jumps at 360 degrees.
+    /// Returns how many degrees between two azimuths are in this sector. The azimuths
+    /// count over all revolutions, so they may exceed 360 degrees.
     double compute_sector_overlap_deg(double from_deg, double to_deg) const;
 };
 /// Finds the azimuth sector in which the sensor never fires. The sector must occur in at
