@@ -41,15 +41,15 @@ std::array<glm::vec3, kProbes> make_evenly_spaced_sphere_directions() {
     return directions;
 }
 
-/// Exact synthetic street, path of the sensor, and time of a scan.
+/// Synthetic street, sensor path, and time of a scan.
 struct StreetScanSetup {
     const SyntheticOptions& street;
     const PoseTrack& world_from_sensor;
     double time_s;
 };
 
-/// Simulated rays and their ranges, and the exact ranges of the street along the same
-/// rays.
+/// Rays of a simulated scan with their ranges. `truth` has the exact ranges of the
+/// synthetic street along the same rays.
 struct SimulatedRayRanges {
     const RayTable& rays;
     const std::vector<float>& range_m;

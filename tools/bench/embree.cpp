@@ -37,8 +37,8 @@ using Context = RTCIntersectContext;
 #endif
 
 constexpr int kMaxChunk = 64, kMaxPasses = 4096;
-// Margins around the shapes that bound the surfels: a factor and a distance, as in
-// AccelOptions.
+// The quad around each surfel is enlarged by this factor and this distance (see
+// AccelOptions).
 constexpr float kGrow = 1.002f, kPad_m = 1e-4f;
 
 /// Geometry and opacity of a surfel, from which hits of rays are computed.
@@ -101,8 +101,8 @@ struct RayQueryState {
 void collect_hit_in_embree_filter(const RTCFilterFunctionNArguments* filter_arguments) {
     RayQueryState& query = *reinterpret_cast<RayQueryState*>(filter_arguments->context);
     query.intersect_surfel_and_insert_hit(RTCHitN_primID(filter_arguments->hit, 1, 0));
-    // Rejects hits before the end of the query, so that Embree continues the search.
-    // Accepts the first hit after the end, because it stops the ray.
+    // Accepting a hit ends Embree's search. Therefore accepts only hits that are farther
+    // than all hits that this query needs.
     filter_arguments->valid[0] =
         RTCRayN_tfar(filter_arguments->ray, 1, 0) > query.get_search_end_distance() ? -1 : 0;
 }
@@ -184,7 +184,8 @@ private:
     int chunk_;
     EmbreeSceneData world_;
 
-    /// Adds a surfel to the world, and returns the corners of its bounding rectangle.
+    /// Adds a surfel to the scene, and stores the corners of its bounding rectangle in
+    /// `output_corners`.
     void add_surfel_quad(const Surfels& surfels, std::size_t surfel_index, glm::vec3* output_corners) {
         const glm::vec4 q = surfels.rotation[surfel_index];
         const glm::mat3 r = glm::mat3_cast(glm::normalize(glm::quat(q[0], q[1], q[2], q[3])));

@@ -26,7 +26,8 @@ using namespace relidar;
 constexpr float kOnSurface_m = 0.3f;
 
 struct RigScanScore {
-    /// Range errors of rays that return in both the exact scan and the rendered scan.
+    /// Range errors of rays that have a return in both the rendered scan and the exact
+    /// scan of the synthetic street.
     std::vector<double> errors_m;
     double squares = 0.0;
     std::size_t rays = 0, returns = 0, missed = 0, behind = 0, drops_right = 0, second_returns = 0,
@@ -37,7 +38,7 @@ double compute_percentage(std::size_t count, std::size_t total) {
     return total ? 100.0 * double(count) / double(total) : 0.0;
 }
 
-/// Ranges of a scan, either rendered or cast into the exact synthetic street.
+/// Ranges of a rendered scan, or exact ranges of the synthetic street.
 struct ScanRanges {
     /// [rays] range in metres, 0 for no return. `second_m` is empty if the sensor has no
     /// second returns.
@@ -58,10 +59,9 @@ ScanRanges extract_return_ranges(const Scan& scan) {
     return {{scan.range_m.begin(), scan.range_m.end()}, second_m};
 }
 
-/// Compares the second return of ray `ray_index` with the exact scan, and counts the
-/// result.
-/// @param exact_returns exact scan, whose second returns have at least a tenth of the
-/// beam's light
+/// Compares the second return of a ray with the exact scan of the synthetic street, and
+/// counts the result.
+/// @param exact_returns has only second returns with at least a tenth of the beam's light
 void count_second_return_in_score(RigScanScore& score, const ScanRanges& rendered_returns,
                                   const ScanRanges& exact_returns, std::size_t ray_index) {
     const float is_m = exact_returns.second_m[ray_index], reported_m = rendered_returns.second_m[ray_index];
@@ -108,9 +108,10 @@ std::string format_score_row(const std::string& name, RigScanScore& score) {
                        compute_percentage(score.drops_right, score.rays), seconds);
 }
 
-/// Casts rays into the exact synthetic street and returns their ranges. A beam with two
-/// returns is cast as a cone of rays.
-/// @param lateral_offset_m shift of the sensor to the left and upwards, metres
+/// Casts rays into the synthetic street and returns their exact ranges. If the sensor
+/// reports two returns, casts each beam as a cone of several rays.
+/// @param lateral_offset_m distance by which the sensor is shifted to the left and also
+/// upwards, metres
 ScanRanges cast_exact_street_ranges(const SyntheticOptions& street, RayTable rays_in_sensor_frame,
                                     const PoseTrack& world_from_sensor, double time_s,
                                     const SimulatedSensor& sensor, float lateral_offset_m = 0.0f) {

@@ -27,8 +27,8 @@ double compute_loss_and_gradients(const RenderedRayValues& rendering, const Scan
         gradients.hit_logit[i] = -gradients.drop_logit[i];
         if (!returned || weight < 0.1f) continue;
         const float error =
-            // Divides depth by weight to get the rendered range, because both are sums
-            // over the surfels.
+            // Rendered minus measured range, in units of 0.2 m. `depth` is a weighted sum
+            // over surfels and is divided by the total weight.
             (rendering.depth[i] / weight - measured_scan.range_m[i]) / 0.2f;
         loss += std::log1p(double(error) * double(error)) / double(n);
         gradients.depth[i] = 2.0f * error / (1.0f + error * error) / 0.2f / float(n) / weight;

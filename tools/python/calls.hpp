@@ -32,8 +32,8 @@ inline ProgressReporter wrap_python_progress_callback(const PythonProgressCallba
     };
 }
 
-/// Calls Python functions from C++ work. After the first exception or Ctrl-C, the work
-/// stops at a safe point, and rethrow_stored_exception() raises the exception again.
+/// Lets C++ code call Python functions. After an exception or Ctrl-C, calls return false,
+/// so that the C++ code can stop. rethrow_stored_exception() then raises the exception.
 class PythonCallGuard {
 public:
     /// Calls a Python function, and stores the first exception that any call raises.

@@ -46,8 +46,8 @@ public:
 
 private:
     LockableDevice& device_;
-    /// Must be declared before the lock, so that the thread releases the GIL before it
-    /// waits for the device.
+    /// Releases Python's global lock (GIL). Declared before `lock_`, so that no thread
+    /// holds the GIL while it waits for the device.
     py::gil_scoped_release others_run_;
     std::unique_lock<std::mutex> lock_;
 };

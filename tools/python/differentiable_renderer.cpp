@@ -106,8 +106,8 @@ py::dict run_forward_pass(PythonDifferentiableRenderer& renderer, const py::obje
     return dict;
 }
 
-// Texts for error messages and help. The first text lists the names of the rendered
-// values. The second text also contains the meaning of each name.
+// RELIDAR_NAME lists the names of the rendered values for error messages and help.
+// RELIDAR_MEANING also lists their meanings.
 #define RELIDAR_NAME(name, built, value, input, slope, meaning) #name ", "
 #define RELIDAR_MEANING(name, built, value, input, slope, meaning) #name " (" meaning "), "
 

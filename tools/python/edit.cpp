@@ -25,7 +25,8 @@ namespace fs = std::filesystem;
 struct RunBeingEdited {
     TrainedRun run;
     SharedDevice device;
-    /// Absolute path of the original run. Empty if the run was not loaded from a folder.
+    /// Absolute path of the run that is edited. Empty if this run was not loaded from a
+    /// folder.
     std::string origin;
 
     explicit RunBeingEdited(const LoadedRun& start) : run(start.run), device(start.device) {

@@ -59,7 +59,8 @@ private:
     Clock::time_point last_{};
 };
 
-/// Returns a callback that library functions call to show their progress as "what 30 %".
+/// Returns a callback that prints the progress of a library function, for example
+/// "rendering 30 %".
 relidar::ProgressReporter make_terminal_progress_callback(TerminalProgress& terminal_progress);
 
 }  // namespace relidar::cli

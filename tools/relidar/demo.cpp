@@ -65,8 +65,8 @@ EvaluationResult evaluate_on_held_out_frames(Device& device, const TrainedRun& r
     return evaluation;
 }
 
-/// Renders the held-out frames from the shifted sensor. Compares the rendered scans with
-/// exact scans of the street from the same position.
+/// Renders the held-out frames from a sensor that is shifted from its recorded position.
+/// Compares the scans with exact scans of the synthetic street.
 EvaluationResult evaluate_with_shifted_sensor(Device& device, const TrainedRun& run,
                                               const SyntheticOptions& exact_street_options, bool quiet) {
     TerminalProgress progress(quiet);

@@ -123,7 +123,8 @@ public:
 
 private:
     std::filesystem::path path_;
-    /// Lock of the existing folder. Has no value if the folder does not exist yet.
+    /// Lock of the output folder if the folder already existed. Has no value for a new
+    /// folder.
     std::optional<RunOutputFolder> earlier_;
 };
 

@@ -24,8 +24,8 @@ using Clock = std::chrono::steady_clock;
 
 constexpr int kImageRows = 64, kImageColumns = 1024;
 
-/// Makes the surfels of an actor of about 4 m length by scaling down the benchmark
-/// street.
+/// Makes the surfels of a test actor: the benchmark street, scaled down to a length of
+/// about 4 m.
 Surfels make_benchmark_actor_surfels() {
     constexpr float kHalfLength_m = 2.0f;
     Surfels actor = make_benchmark_street_surfels(kActorSurfels);

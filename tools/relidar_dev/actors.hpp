@@ -15,9 +15,8 @@ namespace relidar::cli {
 /// The sensor has 64 x 1024 rays.
 struct ActorBenchTimes {
     int n_actors = 0;
-    /// If true, each actor has its own model, and spherical harmonics are evaluated per
-    /// surfel. If false, all actors share one model, and spherical harmonics are
-    /// evaluated per ray.
+    /// If true, each actor has its own model. If false, all actors share one model.
+    /// Spherical harmonics are evaluated per surfel if true, per ray if false.
     bool copy_shared_models = false;
     /// Wall time of building the complete acceleration structure: all bottom levels and
     /// the top level.
@@ -25,9 +24,10 @@ struct ActorBenchTimes {
     /// Wall time of uploading the poses and rebuilding the top level of the acceleration
     /// structure. Includes all waits.
     TimePercentiles move_ms{};
-    /// number of times that bottom levels were built or refitted while the actors moved
+    /// number of builds and refits of bottom-level acceleration structures while the
+    /// actors moved
     std::uint64_t builds = 0;
-    /// wall time of rendering: activation functions, refit and forward pass
+    /// wall time of rendering one scan, including the refit of the acceleration structure
     TimePercentiles scan_ms{};
     TimePercentiles step_ms{};  ///< Wall time of a training iteration.
     std::uint64_t memory = 0;   ///< Device memory during training, in bytes.
@@ -36,8 +36,8 @@ struct ActorBenchTimes {
 };
 inline constexpr std::uint32_t kActorSurfels = 1000;
 
-/// Measures the times of a scene with many actors.
-/// @throws DeviceError if a ray reaches the maximum number of passes, or if the device
+/// Measures build, rendering and training times of a scene with many actors.
+/// @throws DeviceError if a ray needs more search passes than allowed, or if the device
 /// has no timestamps
 ActorBenchTimes measure_actor_times(Device& device, int n_actors, bool one_model_per_actor,
                                     const BenchSettings& settings);

@@ -34,8 +34,8 @@ struct BenchOptions {
     BenchSettings settings;
     bool no_backward = false;
     std::string json;
-    /// Numbers of actors, such as "1,10,100". If set, measures scenes with so many actors
-    /// instead of the street.
+    /// Numbers of actors, such as "1,10,100". If set, measures a scene for each number of
+    /// actors, instead of the benchmark street.
     std::string actors;
     ServeBenchOptions service;
     ScanBenchOptions scans;

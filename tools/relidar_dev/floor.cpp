@@ -13,8 +13,8 @@ constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay
                  kTarget = 12, kUpstream = 20, kStoredHit = 16, kHit = 16, kHitRecord = 16, kRow = 4,
                  kMark = 4;
 constexpr double kBox = 24, kCorners = 48, kKey = 8, kIndex = 4;
-// Minimum number of tree nodes per surfel, because a node has 8 children and a leaf has 4
-// surfels.
+// Minimum number of BVH nodes per surfel. Leaves have 4 surfels and nodes have 8
+// children, so n surfels need at least about n / 4 / 7 nodes.
 constexpr double kFewestNodes = 1.0 / 28.0;
 // Arithmetic operations for each tree node that a ray visits, and for each surfel that it
 // tests. Counted in shaders/diff/traversal/software_bvh.glsl.
@@ -58,9 +58,9 @@ double count_backward_trace_bytes(const MemoryTrafficSizes& sizes) {
            sizes.n_touched * (kRecord + get_sh_bytes_if_evaluated_per_ray(sizes)) + sums;
 }
 
-/// Returns the number of bytes that the derivative of the activation functions must read
-/// and write. It reads the gradient of every surfel record. Only for surfels with a
-/// gradient, it reads the parameters and writes their gradients.
+/// Returns the memory traffic in bytes of the kernel that differentiates the activation
+/// functions. The kernel reads the gradients of all surfels. For surfels with a gradient,
+/// it also reads parameters and writes parameter gradients.
 double count_activation_gradient_bytes(const MemoryTrafficSizes& sizes) {
     return sizes.n_surfels * (kRecord + kMark) +
            sizes.n_touched * 2 * (kGeometry + get_sh_bytes_if_evaluated_per_surfel(sizes));
@@ -82,8 +82,8 @@ struct KernelTraffic {
     double (*bytes)(const MemoryTrafficSizes&);
 };
 
-/// Minimum number of bytes of each kernel. Kernels need to load only surfels that rays
-/// hit; these are the surfels with a gradient.
+/// Minimum memory traffic of each kernel in bytes. Tracing kernels load at least the
+/// surfels that rays hit, which are the surfels with a gradient.
 constexpr KernelTraffic kFloorRows[] = {
     {"scene/activate", KernelCondition::always,
      [](const MemoryTrafficSizes& sizes) {
@@ -163,8 +163,8 @@ std::map<std::string, double> compute_cache_load_bytes_per_kernel(const MemoryTr
     // share of the hits that are not stored, so that the backward pass must search them
     // again
     const double searched_again = sizes.n_hits > 0.0 ? 1.0 - sizes.n_stored_hits_read / sizes.n_hits : 0.0;
-    // Bytes that each hit adds to the gradient sums: a hit record, or atomic operations
-    // on 16 floats.
+    // Bytes that each hit needs to add its gradients: a stored record, or atomic
+    // additions to 16 floats.
     const double sums = sizes.gather ? kHitRecord + kRow : kRecord + get_sh_bytes_if_evaluated_per_ray(sizes);
     bytes["diff/backward/trace"] = searched_again * search + shading + sizes.n_hits * (kRecord + sums);
     return bytes;

@@ -12,7 +12,8 @@
 
 namespace relidar::cli {
 
-/// Sizes of a benchmark, from which the minimum number of bytes is computed.
+/// Sizes of a benchmark scene, from which the minimum memory traffic of each kernel is
+/// computed.
 struct MemoryTrafficSizes {
     double n_surfels = 0.0;
     double n_models = 1.0;
@@ -28,13 +29,13 @@ struct MemoryTrafficSizes {
     bool sh_per_surfel = true;
     bool training = true;
     bool lists = false;  ///< If true, the forward pass writes lists of hits.
-    /// If true, gradients are first written as hit records and then summed. If false,
-    /// they are summed by atomic operations.
+    /// If true, each hit stores its gradients, and a later kernel sums them. If false,
+    /// hits add their gradients by atomic operations.
     bool gather = false;
     bool only_touched = false;
     bool boxes = true;  ///< If true, surfels are represented by boxes in the acceleration structure.
-    /// True if the tree is traversed in software. With hardware traversal, the driver's
-    /// tree is unknown, so it is not counted.
+    /// True if kernels traverse the BVH instead of ray tracing hardware. The memory
+    /// traffic of hardware traversal is unknown and not counted.
     bool software = true;
     /// Number of tree nodes that all rays together visit in the forward pass, or 0 if
     /// unknown.
@@ -42,17 +43,18 @@ struct MemoryTrafficSizes {
     double surfels_tested = 0.0;
 };
 
-/// Returns the minimum number of bytes that each kernel must exchange with other kernels.
-/// Counts a read only if another kernel has written the data, and a write only if another
-/// kernel reads them. Leaves out kernels of the driver and very short kernels.
+/// Returns the minimum memory traffic of each kernel in bytes. Counts only data that one
+/// kernel writes and another kernel reads. Leaves out kernels of the driver and very
+/// short kernels.
 std::map<std::string, double> compute_min_traffic_bytes_per_kernel(const MemoryTrafficSizes& sizes);
 
-/// Returns how many bytes the tracing kernels load through the caches, for all visits of
-/// tree nodes and all hits. Returns an empty map if visits were not counted.
+/// Returns the bytes that each tracing kernel loads from memory or cache, for all visited
+/// tree nodes and all hits. Returns an empty map if the number of visited nodes is
+/// unknown.
 std::map<std::string, double> compute_cache_load_bytes_per_kernel(const MemoryTrafficSizes& sizes);
 
-/// Returns the number of arithmetic operations with which the forward pass finds hits, or
-/// 0 if visits were not counted.
+/// Returns the number of arithmetic operations that the forward pass needs to find hits.
+/// Returns 0 if the number of visited tree nodes is unknown.
 double count_traversal_operations(const MemoryTrafficSizes& sizes);
 
 }  // namespace relidar::cli

@@ -52,8 +52,8 @@ constexpr const char* kOrder[] = {"scene/activate",
                                   "scene/activate_vjp",
                                   "diff/optimizer/adam"};
 
-/// Returns the row of the result table in which a kernel is counted. Groups the kernels
-/// that build the tree, prefix sums, and sorts.
+/// Returns the row of the result table to which a kernel's time is added. Several
+/// kernels, for example all kernels that build the BVH, share a row.
 std::string get_table_row_name_of_kernel(const std::string& kernel_name, const std::string& phase_name) {
     if (kernel_name == "diff/accel/bvh_top") return "accel/top_level";
     if (kernel_name.starts_with("diff/accel/bvh_"))
@@ -199,8 +199,8 @@ private:
     std::uint64_t allocated_before_;
     Array<DeviceRay> rays_;
     BenchMemory memory_;  ///< Device memory that each part of the case uses.
-    /// Renderer without training. Null if training is measured, because then `training_`
-    /// is used.
+    /// Renderer in benchmarks of rendering. Null in benchmarks of training, which use
+    /// `training_`.
     std::unique_ptr<Renderer> image_;
     std::unique_ptr<TrainingStep> training_;
     MemoryTrafficSizes sizes_;
@@ -283,8 +283,8 @@ BenchResult BenchRunner::make_bench_result() {
     return result;
 }
 
-/// Returns the sizes of this benchmark, from which lower bounds of the kernel times are
-/// computed.
+/// Returns the sizes of the benchmark scene, from which the minimum memory traffic of the
+/// kernels is computed.
 MemoryTrafficSizes BenchRunner::compute_memory_traffic_sizes(const BenchResult& result) {
     MemoryTrafficSizes s = sizes_;
     s.n_surfels = get_renderer().scene().size();

@@ -42,8 +42,8 @@ struct ScanBenchTimes {
     double host_ms = 0.0;    ///< mean processor time per scan of the calling thread
 };
 
-/// Measures scans of a sensor or a rig that moves along the path of the log. The times of
-/// the scans are evenly spaced between the first and the last sweep.
+/// Measures how long scans take to render. A sensor or a rig moves along the path of the
+/// log. The scan times are evenly spaced between the first and the last sweep.
 /// @throws UsageError if a number is out of range
 /// @throws DataError if the run or the rig cannot be read
 ScanBenchTimes measure_scan_times(Device& device, const ScanBenchOptions& bench_options);

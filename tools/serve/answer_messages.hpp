@@ -20,12 +20,13 @@ void write_scan_into_message(const RenderedPoints& scan, const RenderRequest& re
                              v1::LidarScan& message);
 
 /// Writes the boxes of the actors in a scan into a Protobuf message.
-/// @param run_with_actors run without surfels
+/// @param run_with_actors run that has the tracks of the actors; its surfels are not
+/// needed
 void write_actor_boxes_into_message(const RenderedScan& scan, const RenderRequest& request,
                                     const TrainedRun& run_with_actors, v1::LidarScan& message);
 
 /// Writes the description of a scene into a message.
-/// @param run_with_actors run without surfels
+/// @param run its surfels are not needed
 void write_scene_description(const std::string& scene_name, const TrainedRun& run, v1::Scene& message);
 
 /// Writes the recorded poses of a LiDAR and of actors, in the world frame of the dataset.

@@ -55,8 +55,7 @@ grpc::Status call_and_convert_errors_to_status(const std::function<void()>& hand
     } catch (const DeviceLost& error) {
         return {grpc::StatusCode::UNAVAILABLE,
                 fmt::format("{}; this server process is ending; restart the server", error.what())};
-        // Other exceptions come from the device, from a changed run folder, or from a
-        // bug.
+        // The remaining exceptions are device errors, changed run folders or bugs.
     } catch (const std::exception& error) {
         return {grpc::StatusCode::INTERNAL, error.what()};
     }

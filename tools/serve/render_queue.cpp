@@ -103,11 +103,11 @@ QueuedRequest* RenderQueue::take_next_request(const std::optional<std::size_t>& 
     return nullptr;
 }
 
-/// Runs submit_to_device() or wait_for_device_and_store_response() of a request. A
-/// request is done after wait_for_device_and_store_response(), or when one of them throws
-/// an exception.
-/// @param is_last_of_batch argument of submit_to_device(); without a value, runs
-/// wait_for_device_and_store_response() instead
+/// Submits a request to the device, or waits for the device and stores the response. A
+/// request with a scene is done after the second step, other requests after the first. A
+/// failed request is done immediately.
+/// @param is_last_of_batch argument of submit_to_device(); without a value, waits for the
+/// device
 void RenderQueue::submit_request_or_store_response(QueuedRequest& request,
                                                    std::optional<bool> is_last_of_batch,
                                                    std::unique_lock<std::mutex>& lock) {

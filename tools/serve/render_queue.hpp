@@ -34,8 +34,9 @@ public:
     /// to time.
     virtual bool is_cancelled() const { return false; }
 
-    /// Index of the scene to render. A request for the same scene may be submitted before
-    /// the previous request has finished. Without a value, the request runs alone.
+    /// Index of the scene to render. Requests for the same scene may be submitted before
+    /// earlier requests have finished. Requests without a value never overlap with other
+    /// requests.
     std::optional<std::size_t> scene = {};
     /// get_queued_time_ms() is the time between run_request_and_wait() and
     /// submit_to_device(). get_render_time_ms() is the time from submit_to_device() until
@@ -63,7 +64,8 @@ public:
     /// @param n_pending maximum number of waiting requests, not counting the current
     /// request
     explicit RenderQueue(std::size_t n_pending);
-    /// Waits until all requests have ended. The caller must release all slots first.
+    /// Waits until all requests have ended. All QueueSlot objects must be destroyed
+    /// before.
     ~RenderQueue();
     RenderQueue(const RenderQueue&) = delete;
     RenderQueue& operator=(const RenderQueue&) = delete;

@@ -68,7 +68,6 @@ static_assert(2 * kBatchSize * kMostAtOnce <= ScanRenderer::kScansInFlight);
 /// render them together with the scans of other requests.
 class PointsRequest final : public ClientRequest {
 public:
-    /// Creates the request.
     /// @param requests scans to render, at most kMostAtOnce
     PointsRequest(SceneSet& scenes, const grpc::ServerContext& context,
                   std::span<const RenderRequest> requests);

@@ -255,8 +255,8 @@ std::vector<ActorToSpawn> RequestReader::read_actors_to_spawn(const v1::SpawnAct
         if (!spawn.has_actor()) throw_invalid_field(field, "neither an actor nor an asset", "one of them");
         const auto actor = std::ranges::find(run_actors, spawn.actor());
         if (actor == run_actors.end()) throw_unknown_name(field + ".actor", spawn.actor(), run_actors);
-        // The index also fits `visible_actors`, because this list begins with the actors
-        // of the run.
+        // `visible_actors` begins with the actors of the run, in the same order as
+        // `run_actors`.
         const VisibleActor& model = visible_actors[std::size_t(actor - run_actors.begin())];
         wishes.push_back({spawn.name(), {false, spawn.actor()}, model.size_m, model.surfels});
     }

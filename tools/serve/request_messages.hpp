@@ -64,10 +64,11 @@ std::vector<std::string> list_actor_names_of_run(const TrainedRun& run);
 /// request. The constructor's arguments must outlive this object.
 class RequestReader {
 public:
-    /// Creates a reader of requests for these scenes.
-    /// @param scenes uses only members that any thread may call
+    /// Creates a reader of requests for the scenes of a server.
+    /// @param scenes only its thread-safe members are called
     explicit RequestReader(SceneSet& scenes);
-    /// Creates a reader of requests for runs whose surfels are not on a device.
+    /// Creates a reader that needs no device.
+    /// @param outlines runs without surfels, one per scene
     RequestReader(const std::vector<TrainedRun>& outlines, const std::vector<SceneSource>& sources,
                   const AssetCatalogue& assets, const SpawnedActorRegistry& spawned);
 

@@ -109,8 +109,8 @@ void SceneSet::load_scene_to_device(std::size_t scene_index, const TrainedRun& r
         loaded.renderer->render(make_one_ray_sensor(), make_scan_request_at_first_log_pose(run));
     });
     const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
-    // Number of copies of the scene that fit into the free memory. Copies allow parallel
-    // rendering, but they must not displace another scene.
+    // Number of copies of the scene that fit into the free memory. Parallel rendering
+    // needs copies, but no other scene is unloaded for them.
     const std::uint64_t copies = left / std::max<std::uint64_t>(loaded.bytes, 1);
     const int side_by_side = loaded.renderer->get_max_parallel_scans();
     loaded.renderer->set_max_parallel_scans(
@@ -135,8 +135,8 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t 
     if (loaded.renderer && loaded.n_slots == spawned_.count_slots_of_scene(scene_index))
         return occupied_slots;
     const auto undo = [&] {
-        // Without the renderer, the next request loads the scene again, without the new
-        // actors.
+        // Unloads the scene. The next request loads it again, without the actors that
+        // could not be added.
         loaded.renderer.reset();
         spawned_.free_and_remove_new_slots(scene_index, occupied_slots, n_before);
     };

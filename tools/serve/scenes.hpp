@@ -47,20 +47,20 @@ public:
     /// Number that changes each time a scene is loaded. Loading discards pending scans,
     /// so a changed number shows that a scan is lost.
     enum class SceneLoadNumber : std::uint64_t {};
-    /// Calls a function with the renderer of a scene. First loads the scene if it is not
-    /// on the device.
+    /// Calls `use_renderer` with the renderer of a scene. If the scene is not on the
+    /// device, loads it first.
     /// @param scene_index index into get_runs_without_surfels()
-    /// @param weather_or_default weather to simulate; without a value, the weather of the
-    /// scene's source
-    /// @return number of the current load, for call_if_scene_was_not_reloaded()
+    /// @param weather_or_default weather to simulate; without a value, the default
+    /// weather of the scene
+    /// @return number of this load; changes if the scene is loaded again
     SceneLoadNumber load_scene_and_call_with_renderer(std::size_t scene_index,
                                                       const std::optional<Weather>& weather_or_default,
                                                       const std::function<void(ScanRenderer&)>& use_renderer);
-    /// Calls a function that reads the results of an earlier
-    /// load_scene_and_call_with_renderer(). Must be called before another scene is used.
-    /// @param expected_load_number the number that load_scene_and_call_with_renderer()
-    /// returned
-    /// @throws DeviceError if the device was lost or the scene was loaded again
+    /// Calls `use_renderer` to read results that an earlier
+    /// load_scene_and_call_with_renderer() has requested. Must be called before another
+    /// scene is used.
+    /// @param expected_load_number return value of the earlier call
+    /// @throws DeviceError if the device was lost, or if the scene was loaded again
     void call_if_scene_was_not_reloaded(std::size_t scene_index, SceneLoadNumber expected_load_number,
                                         const std::function<void(ScanRenderer&)>& use_renderer);
 

@@ -112,7 +112,7 @@ RayTable read_ray_table_message(const v1::RayTable& message, const std::string& 
     return rays;
 }
 
-/// Checks a beam like a beam in a sensor file, and adds it to the sensor.
+/// Adds a beam to the sensor. Applies the same limits as for beams in sensor files.
 void add_beam_from_message(const v1::Beam& message, const std::string& field_name, SpinningSensor& sensor) {
     const Beam beam{
         require_number_in_range(field_name + ".elevation_rad", message.elevation_rad(), -kPi / 2, kPi / 2),
@@ -226,8 +226,8 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
             pattern.divergence_rad = static_cast<decltype(pattern.divergence_rad)>(divergence_rad);
         },
         sensor.pattern);
-    // Computes the rays to check that they are finite. Otherwise the error would occur
-    // only when a scan is rendered.
+    // If the rays change from scan to scan, computes them here once. Invalid rays are
+    // then reported immediately instead of during rendering.
     if (summarise_scan_pattern(sensor.pattern).has_rays_by_time) make_rays(sensor);
     return make_simulated_sensor(sensor);
 }
@@ -253,8 +253,8 @@ SimulatedSensor find_built_in_or_log_sensor(const std::string& sensor_name_or_na
 
 FiringTimeSpan compute_firing_span(const SimulatedSensor& sensor) {
     const ScanArray<float>& times = sensor.rays.time_offset_s;
-    // Without fixed firing times, assumes a full period around the reference time. This
-    // applies to rosette sensors and to sensors that are known only from their scans.
+    // The sensor has no fixed firing times, for example a rosette scanner. Assumes a full
+    // scan period, centred at the time of the scan.
     if (times.empty()) {
         const double period_s = sensor.pattern ? get_scan_period_s(*sensor.pattern) : 0.0;
         return {-0.5 * period_s, 0.5 * period_s};

@@ -23,10 +23,10 @@ namespace sensorsim = nre::grpc::protos::sensorsim;
 /// Reads requests of sensorsim.proto. Several threads may use it at the same time.
 class SensorsimReader {
 public:
-    /// Creates a reader for requests of sensorsim.proto.
     /// @param outlines runs without surfels, one per scene of `reader`; `outlines` and
     /// `reader` must outlive this object
-    /// @param order says whether a pose applies its rotation or its translation first
+    /// @param order says whether the rotation or the translation of a pose is applied
+    /// first
     SensorsimReader(const std::vector<TrainedRun>& outlines, const RequestReader& reader,
                     PoseTransformOrder order)
         : outlines_(outlines), reader_(reader), order_(order) {}

@@ -80,8 +80,8 @@ private:
     // does not move its elements.
     std::deque<std::string> methods_;
 
-    /// Registers a method. The function answers a call and throws RejectedRequest to
-    /// reject it.
+    /// Registers an RPC method with gRPC. `handle_call` computes the answer, and throws
+    /// RejectedRequest to reject a call.
     template <class RequestMessage, class Answer, class Function>
     void register_method(const std::string& method_name, Function handle_call) {
         using grpc::internal::RpcMethodHandler, grpc::internal::RpcServiceMethod;

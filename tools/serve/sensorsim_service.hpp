@@ -21,7 +21,8 @@ class SceneSet;
 class SensorsimReader;
 struct RenderRequest;
 
-/// Answers the calls of SensorsimService under all names of its protobuf package.
+/// Implements the gRPC service SensorsimService. The service has one name per version of
+/// its protobuf package, so that old and new clients can call it.
 class SensorsimService {
 public:
     /// Creates the service. The queue and the scenes must outlive this object.

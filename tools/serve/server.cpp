@@ -62,7 +62,7 @@ std::shared_ptr<grpc::ServerCredentials> make_server_credentials(const ServerOpt
 void disable_grpc_log() {
     if (std::getenv("GRPC_VERBOSITY")) return;
     gpr_set_log_function([](gpr_log_func_args*) {});
-// Protobuf 22 and later log through absl, which prints nothing by default.
+// Turns the log of Protobuf off. Version 22 and later print nothing by default.
 #if GOOGLE_PROTOBUF_VERSION < 4022000
     google::protobuf::SetLogHandler(nullptr);
 #endif

@@ -30,8 +30,9 @@ enum class PoseTransformOrder {
     translation_first,  ///< R (p + t): the translation is applied first.
 };
 
-/// Receives a scan of RenderLidar before the call is answered. Several threads may call
-/// it simultaneously. If it throws a UsageError, the call fails with INVALID_ARGUMENT.
+/// Called with each scan that RenderLidar renders, before the response is sent. Several
+/// threads may call it simultaneously. If it throws a UsageError, the request fails with
+/// INVALID_ARGUMENT.
 /// @param sensor_name  name of a built-in sensor; empty for the log's sensor and for a
 /// sensor that the client has described
 using RenderedScanCallback = std::function<void(const TrainedRun& run, const SimulatedSensor& sensor,
@@ -44,7 +45,8 @@ struct ServerOptions {
     /// channels of scans; they replace the setting render.channels of each run
     std::optional<std::string> channels;
     Weather weather = {};  ///< Weather that is simulated if the request does not contain a weather.
-    /// Pose order of SensorsimService. Without a value, this service is disabled.
+    /// Enables SensorsimService, and says whether its poses apply rotation or translation
+    /// first. Without a value, this service is disabled.
     std::optional<PoseTransformOrder> sensorsim;
     std::string listen = "127.0.0.1:50051";  ///< Address to listen on. Port 0 selects a free port.
     /// Device memory for all scenes together in MiB. The value 0 means half of the device

@@ -33,7 +33,7 @@ void write_actors_with_too_few_surfels(const RenderRequest& request, v1::LidarSc
     if (request.placed.empty()) return;
     const SimulatedSensor& sensor = *request.sensor;
     const double time_s = request.request.time_s;
-    // True if the ray directions of the sensor change from scan to scan.
+    // The rays are computed here if they change from scan to scan.
     const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
     const RayTable made = makes_rays ? make_rays(*sensor.pattern, time_s) : RayTable{};
     const RayTable& rays = makes_rays ? made : sensor.rays;

@@ -14,8 +14,9 @@
 namespace relidar::serve {
 namespace {
 
-// Maximum number of slots that are added at the same time. With
-// image.sh_direction=surfel, even an unused slot needs memory for a copy of the surfels.
+// Maximum number of slots (instances for future actors) that are added at the same time.
+// With image.sh_direction=surfel, each unused slot needs memory for a copy of the
+// surfels.
 constexpr std::size_t kMaxAddedSlots = 8;
 
 using SpawnedActorSlots = std::vector<ActorToSpawn>;
@@ -84,7 +85,7 @@ std::size_t SpawnedActorRegistry::count_slots_of_scene(std::size_t scene_index) 
 std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::assign_actors_to_slots(
     std::size_t scene_index, const std::vector<ActorToSpawn>& actors) {
     const std::lock_guard lock(mutex_);
-    // Changes only this copy, so that a rejected request has no effect.
+    // Changes a copy of the slots, so that a rejected request has no effect.
     SpawnedActorSlots slots = scenes_[scene_index];
     std::vector<SpawnSlot> occupied_slots;
     for (const ActorToSpawn& wish : actors) {
@@ -142,7 +143,8 @@ void add_spawned_actors_to_run(TrainedRun& run, const std::vector<SpawnedActorRe
         else {
             const AssetCatalogue::CatalogueEntry& asset = *assets.find_asset(source.name);
             model = models[source.name] = add_asset_model(run.scene, asset.folder);
-            // The channel "class" reads the kind of the asset from this box.
+            // The output channel "class" reads the kind of the actor, for example
+            // vehicle, from this box.
             run.sequence.boxes.push_back({.id = run.scene.models[model].name,
                                           .category = get_name(asset.facts.kind),
                                           .size_m = asset.facts.size_m,

@@ -43,8 +43,7 @@ public:
 
     explicit SpawnedActorRegistry(std::size_t n_scenes) : scenes_(n_scenes) {}
 
-    /// A slot that is free or contains one actor. `slot_index` is its number in the
-    /// scene.
+    /// A slot that is free or contains one actor. `position` is its index in the scene.
     struct SpawnSlot {
         std::size_t position = 0;
         ActorToSpawn actor;  ///< Actor in this slot. The name is empty if the slot is free.
@@ -53,9 +52,9 @@ public:
     /// Returns the slots that contain an actor.
     std::vector<SpawnSlot> list_occupied_slots(std::size_t scene_index) const;
 
-    /// Assigns a slot to each actor. If a model has no free slot, its number of slots is
-    /// doubled, but at most 8 slots are added.
-    /// @return the slots in the order of the requests
+    /// Assigns a slot (additional instance of a model) to each actor. If all slots of a
+    /// model are occupied, doubles their number, but adds at most 8 slots.
+    /// @return the slots in the order of `actors`
     /// @throws RejectedRequest if a name is in use or the maximum number of slots is
     /// reached; then nothing changes
     std::vector<SpawnSlot> assign_actors_to_slots(std::size_t scene_index,
@@ -63,8 +62,8 @@ public:
     /// Removes the named actors and makes their slots free again.
     /// @throws RejectedRequest if a name is unknown; then nothing changes
     void remove_actors_and_free_slots(std::size_t scene_index, const std::vector<std::string>& actor_names);
-    /// Reverts assign_actors_to_slots(). Removes the actors and the slots that
-    /// assign_actors_to_slots() has added.
+    /// Undoes assign_actors_to_slots(): frees the slots of these actors, and removes all
+    /// slots from index `n_slots_before`.
     void free_and_remove_new_slots(std::size_t scene_index, const std::vector<SpawnSlot>& slots_to_free,
                                    std::size_t n_slots_before);
     std::size_t count_slots_of_scene(std::size_t scene_index) const;
@@ -75,14 +74,14 @@ private:
     std::vector<std::vector<ActorToSpawn>> scenes_;
 };
 
-/// Returns the track name of a slot in the rendered scene. No track of a run has this
-/// name.
+/// Returns a track name for the actor in a slot. The name differs from all track names of
+/// the run.
 std::string make_unique_track_name_of_slot(std::size_t slot_index);
 
-/// Adds an instance for each slot to the run. Adds the model of each asset only once.
-/// Must be called before the run is rendered.
-/// @throws DataError if an asset cannot be read, or if the shape of its surfels differs
-/// from the shape in the run
+/// Adds an actor instance for each slot to the run. Adds the model of each asset only
+/// once. Must be called before the run is rendered.
+/// @throws DataError if an asset cannot be read, or if its type of Gaussians differs from
+/// the run
 void add_spawned_actors_to_run(TrainedRun& run, const std::vector<SpawnedActorRegistry::SpawnSlot>& slots,
                                const AssetCatalogue& assets);
 

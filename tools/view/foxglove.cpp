@@ -16,7 +16,8 @@ using Json = nlohmann::json;
 
 constexpr char kMessageData = 1, kTime = 2;  // first bytes of binary messages
 constexpr int kErrorLevel = 2;
-// Maximum number of queued texts of a client. Further errors are not reported.
+// Maximum number of queued messages for a client. Error messages beyond this limit are
+// discarded.
 constexpr std::size_t kMaxTexts = 16;
 
 template <class T>
@@ -189,8 +190,8 @@ void FoxglovePlayer::render_and_send_next_scan() {
     const RenderedScan scan = playback_->renderer.render(sensor_, time_s);
     send_to_subscribers(playback_->messages.convert_to_messages({&scan, 1}));
     frame = (frame + 1) % times_s_.size();
-    // The last scan lasts one period of the sensor. The next loop needs new messages,
-    // because the times of a ScanMessageEncoder must not decrease.
+    // Starts the log again. A new encoder is needed, because the times of its messages
+    // must not decrease.
     if (frame == 0) playback_->messages = ScanMessageEncoder({format_});
     const std::chrono::duration<double> interval(
         frame > 0 ? times_s_[frame] - time_s

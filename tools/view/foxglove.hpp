@@ -45,7 +45,7 @@ public:
     /// Describes the topics to a new client.
     void add_client_and_send_topics(ClientId client_id);
     /// Handles a message of a client.
-    /// @return false if the client was not opened here
+    /// @return false if the client was not added by add_client_and_send_topics()
     bool handle_message_if_client_is_known(ClientId client_id, const std::string& message);
     void remove_client(ClientId client_id);
 

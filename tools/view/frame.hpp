@@ -42,8 +42,8 @@ struct ScanColumns {
     /// [n] probability that the ray has no return. In a measured scan, each value is
     /// either 0 or 255.
     std::vector<std::uint8_t> drop = {};
-    /// [n] index of the object that the ray has hit, in the list of the header. The value
-    /// 65535 means that the ray hit no object. The array may be empty.
+    /// [n] index of the object that each ray hits, in the object list of the message
+    /// header; 65535 if the ray hits no object. May be empty.
     std::vector<std::uint16_t> instance = {};
     std::vector<std::uint16_t> ring = {};  ///< [n] beam numbers.
     /// Additional channels with [n] values each. The message contains them as arrays

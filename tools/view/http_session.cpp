@@ -108,8 +108,8 @@ std::optional<HttpSession::Status> HttpSession::find_error_status_if_not_allowed
     const bool may_be_foreign =
         is_foxglove_client && (is_origin_allowed_for_foxglove(credentials.origin) || knows_token);
     if (request.count(http::field::origin) > 1 || (is_foreign && !may_be_foreign)) return Status::forbidden;
-    // The browser also sends the cookie for pages of other local servers, so a foreign
-    // page needs the token in the address.
+    // The token must be in the address or in a cookie. Browsers send cookies also for
+    // pages of other local servers, so a foreign page needs the token in the address.
     if (!token.empty() && !knows_token &&
         (is_foreign || !is_token_in_cookie_header(credentials, token, hub_.cookie_name)))
         return Status::unauthorized;
@@ -153,8 +153,8 @@ void HttpSession::answer_request(const Request& request) {
 }
 
 /// Creates an HTTP response with the security headers.
-/// @param host checked value of the Host header, or empty. The security policy contains
-/// it, because some browsers do not accept WebSockets for 'self'.
+/// @param host host name for the WebSocket address in the security policy, or empty.
+/// Needed because some browsers do not include WebSockets in 'self'.
 HttpSession::Response HttpSession::make_response_with_common_headers(Status status,
                                                                      const std::string& host) const {
     Response response{status, 11};

@@ -31,8 +31,8 @@ namespace relidar::view {
 struct ActorEdits {
     struct ActorCopy {
         std::string of;
-        /// Name of the run that contains the original actor. An empty name means the run
-        /// that the viewer shows.
+        /// Name of the run with the actor that is copied. Empty if the viewer shows this
+        /// run.
         std::string from;
         /// Position x, y, z in relidar's world frame (metres); yaw, pitch and roll
         /// (degrees); forward speed (m/s).
@@ -69,7 +69,8 @@ struct SensorFile {
     std::string text;
 };
 
-/// Requests the pose of an actor that stands on the ground where the user has clicked.
+/// Requests a ground pose for a new copy of an actor at the position where the user has
+/// clicked.
 struct GroundPoseRequest {
     std::string of;
     std::string from;            ///< See ActorEdits::ActorCopy.

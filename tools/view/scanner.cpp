@@ -225,9 +225,9 @@ Json BrowserScanRenderer::store_uploaded_sensor_and_describe_it(TabCache& tab_ca
     return make_sensor_size_json(*tab_cache.file_sensor, 0.0);
 }
 
-/// Returns a renderer whose scene contains the copied actors. Creates a new renderer also
-/// when an actor is moved for the first time, because its unseen sides are then
-/// completed. Other moves and removals reuse the renderer.
+/// Returns a renderer for the scene with all edits. Creates a new renderer if an actor is
+/// copied or moved for the first time, because the surfels change. Other edits reuse the
+/// renderer.
 ScanRenderer& BrowserScanRenderer::get_renderer_for_edited_scene(const EditedTraffic& traffic) {
     const auto models = list_copied_and_moved_actors(traffic.get_edits());
     if (!renderer_ || rendered_ != models) {
@@ -277,9 +277,9 @@ RenderedScan BrowserScanRenderer::render_simulated_scan(const EditedTraffic& edi
     return renderer.render(sensor, request);
 }
 
-/// Returns the time of the last launch of each kernel that has run since the previous
-/// call, in milliseconds. A kernel has run if its list of times has grown. A full list
-/// cannot grow, so its kernel is always included.
+/// Returns the time in milliseconds of the last launch of each kernel that has run since
+/// the previous call. Also includes kernels whose list of times is full, because this
+/// list cannot grow.
 Json BrowserScanRenderer::make_kernel_times_json() {
     constexpr std::size_t kFull = 4096;
     Json times = Json::array();

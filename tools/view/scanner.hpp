@@ -34,8 +34,7 @@ struct TabCache {
 /// Renders scans of a run for the web page. Only one thread may use this object.
 class BrowserScanRenderer {
 public:
-    /// Creates the scanner of a run.
-    /// @param others other runs, whose actors the user can insert into this run
+    /// @param others other runs, whose actors the user can insert into the scene
     BrowserScanRenderer(TrainedRun run, OtherRunsByName others, Device& device);
 
     const TrainedRun& get_run() const { return run_; }

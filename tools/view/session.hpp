@@ -24,10 +24,8 @@ namespace relidar::view {
 using TabId = std::uint64_t;
 
 /// Callbacks that send responses to browser tabs. Only the thread that calls
-/// wait_for_and_run_next_request() calls them. Texts are JSON objects with a "kind":
-/// hello (BrowserScanRenderer::make_initial_page_data_json), log {state, why}, sensor
-/// {name, rows, columns, rays}, ground {of, from, at}, saved {folder}, error {about,
-/// text}
+/// wait_for_and_run_next_request() calls them. A text is a JSON object whose member
+/// "kind" is hello, log, sensor, ground, saved or error.
 struct TabSendCallbacks {
     std::function<void(TabId, std::string)> text;
     /// Sends a binary message in the format of frame.hpp to a browser tab.
@@ -61,7 +59,7 @@ private:
         bool greeted = false;
         /// Last state of the log reader that was sent to the browser tab.
         RecordedScans::RecordedScansState last_sent_state = RecordedScans::RecordedScansState::loading;
-        /// newest scan that the tab has requested, if it is not rendered yet
+        /// latest scan request of this browser tab, until the scan is rendered
         std::optional<LiveScanRequest> scan = {};
         /// Queued requests that are not scans: sensor files, positions on the ground, and
         /// runs to save.

@@ -66,7 +66,7 @@ void SocketSession::handle_read_result(Error error) {
 
 void SocketSession::send_or_queue_message(std::string bytes, bool is_text, bool drop_queued_older_message) {
     if (id_ == 0 || refused_) return;
-    // Removes older scans from the queue, except the first message, which is already
+    // Removes older scans from the queue. The first message stays, because it is already
     // being written.
     if (drop_queued_older_message) {
         const auto stale = [](const OutgoingMessage& m) { return m.newest_only; };

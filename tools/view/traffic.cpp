@@ -64,9 +64,9 @@ const TrainedRun& get_other_run_by_name(const std::string& run_name, const Other
     return match->second;
 }
 
-/// Adds the copied actors to a scene.
-/// @param get_scene_with_log_of_run returns the tracks and instances of another run, with
-/// or without surfels
+/// Adds a copy of an actor to the scene for each element of `copies`.
+/// @param get_scene_with_log_of_run returns tracks and instances of another run, with or
+/// without surfels
 SceneWithLog copy_actors_from_this_or_other_run(
     SceneWithLog scene_with_log, const OtherRunsByName& other_runs,
     const std::vector<ActorEdits::ActorCopy>& copies,

@@ -22,8 +22,8 @@ namespace relidar::view {
 /// page.
 using OtherRunsByName = std::map<std::string, TrainedRun>;
 
-/// Adds copies of actors to a scene. The original actors belong to this run or to other
-/// runs. Does not apply moves and removals.
+/// Adds copies of actors to a scene. The copied actors belong to this run or to other
+/// runs.
 /// @throws UsageError if a run or track is unknown
 SceneWithLog add_copied_actors_with_surfels(SceneWithLog scene_with_log, const OtherRunsByName& other_runs,
                                             const std::vector<ActorEdits::ActorCopy>& copies);

@@ -20,8 +20,8 @@ namespace fs = std::filesystem;
 // actor well. Farther boxes have few returns.
 constexpr double kMaxActorDistance_m = 60.0;
 
-/// Counts the training frames of a block in which a box is near the sensor, so that they
-/// train its actor well.
+/// Counts the training frames of a part of the log (block) in which a box is near the
+/// sensor.
 std::size_t count_training_frames_near_box(const BoxTrack& box, const LidarSequence& sequence,
                                            const TrajectoryBlock& block) {
     return std::size_t(std::count_if(block.train.begin(), block.train.end(), [&](int position) {
@@ -95,7 +95,7 @@ void keep_most_observed_actor_models(const TrainedRun& block_run, const LidarSeq
     }
 }
 
-/// Copies the vehicle poses of a block's sweeps to the track of the full log.
+/// Copies the vehicle poses of one part of the log (block) to the track of the full log.
 void copy_block_vehicle_poses_to_track(const TrainedRun& block_run, const LidarSequence& full_sequence,
                                        const TrajectoryBlock& block, PoseTrack& full_track) {
     for (const int position : block.recorded_frames) {
@@ -132,8 +132,8 @@ void join_trained_blocks(TrainedRun& run, const std::vector<TrajectoryBlock>& bl
     }
     scene.sensor_drop = drop.compute_mean_table();
     run.sequence.world_from_vehicle = std::move(poses);
-    // Iterates over the boxes of the log, so that the actors have the same order as in a
-    // scene that is not divided into blocks.
+    // Adds the actors in the order of the log's boxes, as in a scene that is not divided
+    // into blocks.
     for (BoxTrack& box : run.sequence.boxes) {
         const auto entry = actors.find(box.id);
         if (entry == actors.end()) continue;

@@ -11,9 +11,8 @@
 namespace relidar {
 namespace {
 
-/// Returns the settings of the paper, which are mostly the defaults of the structs.
-/// Ranges are not divided by the sum of the blending weights, as in the paper's
-/// evaluation.
+/// Returns the settings of the LiDAR-RT paper, which are mostly the defaults of the
+/// structs.
 Config make_paper_preset_config() {
     Config config;
     config.dataset.waymo_intensity = "clamp";
@@ -23,7 +22,7 @@ Config make_paper_preset_config() {
     config.init.actor_min_points = 100;
     config.init.deform = "";
     config.init.actor_pad_to = 8000;
-    config.render.range = "expected";
+    config.render.range = "expected";  // not divided by the sum of the blending weights
     config.densify.strategy = DensifyStrategy::adaptive;
     config.refine = {.enabled = true,
                      .network = "paper",
@@ -63,13 +62,14 @@ Config make_default_preset_config() {
     config.init.voxel_m = 0.1;
     config.init.voxel_growth = 0.006;    // approximately the spacing of neighbouring rays
     config.init.normal_neighbours = 24;  // with 6 points, noise of 2 cm would tilt a normal by 0.1 rad
-    // Points without a clear normal, for example on leaves, become discs that face the
-    // sensor.
+    // Points with less flat neighbourhoods than this, for example on leaves, become
+    // surfels that face the sensor.
     config.init.flatness = 0.04;
     // KITTI labels only objects that its front camera sees.
     config.init.unlabelled_movers = UnlabelledMoverPolicy::actors;
     config.init.opacity = 0.8;
-    // New surfaces have a ray-drop probability of 12 %, which is typical for sensors.
+    // Initial ray-drop probability of 1 / (1 + exp(2)) = 12 %, which is typical for
+    // sensors.
     config.init.hit_margin = 2.0;
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
@@ -80,11 +80,10 @@ Config make_default_preset_config() {
     config.init.thickness = 0.05;
     config.image.sh_direction = ShDirection::surfel;
     config.image.transmittance_min = 1e-3f;
-    // With the Huber loss, the mean of the intensity is learned. With the L1 loss, the
-    // median would be learned.
     config.loss.intensity = 0.3f;
-    config.loss.intensity_delta = 0.2f;  // lowers the RMSE of held-out intensities
-    // Without division by the sum of weights, a sum of 0.97 would move surfaces by 3 %.
+    config.loss.intensity_delta = 0.2f;  // Huber loss; its RMSE is lower than with L1
+    // Divides ranges by the sum of the blending weights. Otherwise, a sum of 0.97 would
+    // shift surfaces by 3 %.
     config.loss.normalised_depth = true;
     config.loss.chamfer = 0.0f;      // off, because it changes metrics by less than 1 % and takes time
     config.loss.opacity = 0.1f;      // closes holes that remain with the normalised range
@@ -98,7 +97,8 @@ Config make_default_preset_config() {
     config.train.scale_rate = 1e-2;
     config.train.max_growth = 8.0;  // without this limit, some surfels grow far too large, up to 8 m
     config.train.sh_rate = 3e-2;
-    // A factor of 1 would overfit the intensities, because few rays observe a surfel.
+    // Learning rate of intensities relative to drop probabilities. A factor of 1 would
+    // overfit, because few rays observe each surfel.
     config.train.intensity_factor = 0.25;
     config.train.rate_decay = 0.05;
     config.train.sensor_drop = true;
@@ -119,17 +119,16 @@ Config make_quick_preset_config() {
     Config config = make_default_preset_config();
     config.preset = "quick";
     config.init.voxel_growth = 0.01;
-    // Must be below 1 - alpha_max. Otherwise a ray would end before an opaque surfel is
-    // blended.
+    // A ray ends before the surfel that would reduce its transmittance below this value.
+    // An opaque surfel leaves 0.01, so the value must be smaller.
     config.image.transmittance_min = 9e-3f;
-    // Ignores faint surfels. Training steps are about 20 % faster, and metrics change by
-    // 1 %.
+    // Larger than in `default`. Surfels become smaller, so that rays hit fewer surfels
+    // and training is faster.
     config.image.alpha_min = 0.04f;
     config.image.sh_degree = 2;
     config.train.iterations = 540;
-    // These learning rates are higher than in the preset `default`, because there are few
-    // steps and each step trains few surfels. train.max_growth limits surfels that grow
-    // fast.
+    // The learning rates are higher than in the preset `default`, because there are few
+    // steps and each step trains few surfels.
     config.train.opacity_rate = 0.15;
     config.train.scale_rate = 6.5e-2;
     config.train.rotation_rate = 5e-3;
@@ -137,14 +136,14 @@ Config make_quick_preset_config() {
     config.train.intensity_factor = 0.5;
     config.train.rays_per_iteration = 24576;
     config.train.sh_degree_interval = 180;
-    // Updates only surfels with a gradient. Steps on a CPU become up to a sixth faster,
-    // and errors increase by about 2 %.
+    // Updates only surfels with a gradient. This is faster on a CPU, but slightly less
+    // accurate.
     config.train.only_touched = true;
     config.train.log_every = 20;
     config.refine.network = "pixel";  // nearly as accurate as "small", in a quarter of its time
     config.refine.frames = 32;
     config.refine.epochs = 4;
-    // This small network learns at ten times the rate of the larger networks, so it needs
+    // Ten times the learning rate of the U-Nets, so that the small network `pixel` needs
     // only a few epochs.
     config.refine.rate = 2e-2;
     return config;

@@ -138,8 +138,8 @@ void require_valid_trajectory(const PoseTrack& track, const std::string& track_i
 }
 
 /// Adds interpolated poses to a track, so that consecutive poses are at most `max_step_s`
-/// apart. A box exists only at times near its poses. With short steps, the box appears
-/// shortly before its first pose and disappears shortly after its last pose.
+/// apart. A box exists from half a time step before its first pose to half a time step
+/// after its last pose. Short steps keep this extension short.
 PoseTrack insert_interpolated_poses(const PoseTrack& track, double max_step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
@@ -218,8 +218,8 @@ SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, d
 std::string describe_frames_without_actor(const BoxTrack& original_box,
                                           const LidarSequence& edited_sequence) {
     const BoxTrack* box = find_box_track_by_id(edited_sequence, original_box.id);
-    // Frames of LiDARs that sweep at the same time have the same number. The set contains
-    // it once.
+    // Numbers of the frames in which the actor is now missing. LiDARs that sweep at the
+    // same time share a frame number.
     std::set<int> lost;
     for (const LidarFrame& frame : edited_sequence.frames)
         if (box && original_box.is_observed_at_time(frame.time_s) && !box->is_observed_at_time(frame.time_s))

@@ -50,8 +50,8 @@ constexpr std::array kMargins_m{0.25, 0.5, 1.0};
 // measured in the small area below a pedestrian.
 constexpr double kSmallestBelow_m = 0.75;
 constexpr std::size_t kFewestOnPlane = 8;  // Minimum number of surfels on a ground plane.
-// Minimum standard deviation of the surfels along the narrow side of the area. The
-// surfels of a single ring are narrower, so the slope of the ground is unknown.
+// Minimum standard deviation of the ground surfels in their narrow direction. Surfels of
+// a single LiDAR ring are narrower, and such a strip does not determine the slope.
 constexpr double kNarrowest_m = 0.15;
 constexpr int kDraws = 200;
 // Approximate number of positions along a track at which the height of an actor above the
@@ -203,8 +203,8 @@ private:
             plane = {points.front() + fit.mean, fit.axes[0] * (fit.axes[0].z > 0.0 ? 1.0 : -1.0)};
             const glm::dvec2 beside = glm::abs(footprint.transform_to_footprint_frame(plane.origin_m));
             if (fit.variance[1] < kNarrowest_m * kNarrowest_m || plane.normal.z < kLevelPlane) return {};
-            // Rejects the plane if the centre of its surfels is not below the box. The
-            // surfels then cover only a part of the area.
+            // Rejects the plane if the centre of its surfels is far from the centre of
+            // the area. The surfels then cover only one side of the area.
             const glm::dvec2 middle_m = 0.5 * (footprint.half_m + footprint_margin_m);
             if (beside.x > middle_m.x || beside.y > middle_m.y) return {};
         }

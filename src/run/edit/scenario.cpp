@@ -164,8 +164,8 @@ Pose read_vertex_pose(const ScenarioDocument& document, const pugi::xml_node& ve
 PoseTrack read_polyline_trajectory(const ScenarioDocument& document, const ScenarioAction& action,
                                    const std::string& error_location) {
     const pugi::xml_node follow = action.node.child("RoutingAction").child("FollowTrajectoryAction");
-    // In version 1.1 and later, the trajectory is a child of TrajectoryRef. In version
-    // 1.0, it is a direct child of the action.
+    // In OpenSCENARIO 1.1 and later, the trajectory is a child of TrajectoryRef. In
+    // OpenSCENARIO 1.0, the trajectory is a child of the action.
     pugi::xml_node trajectory = follow.child("TrajectoryRef").child("Trajectory");
     if (!trajectory) trajectory = follow.child("Trajectory");
     if (!trajectory)

@@ -23,8 +23,8 @@ constexpr const char* kClassesFormat = "relidar classes";
 constexpr const char* kClassesVersion = "1";
 constexpr const char* kCell = "cell_m";
 
-/// Reads the arrays of a file with cells. Checks the format of the file and the size of
-/// its cells.
+/// Reads the arrays of a file that stores a voxel grid. Checks format, version and voxel
+/// size.
 std::vector<NamedArray> read_cell_arrays(const std::filesystem::path& path, const char* expected_format,
                                          const char* expected_version, double expected_cell_size_m) {
     std::map<std::string, std::string> metadata;
@@ -36,7 +36,7 @@ std::vector<NamedArray> read_cell_arrays(const std::filesystem::path& path, cons
     return arrays;
 }
 
-/// Writes the arrays of a file with cells.
+/// Writes the arrays of a file that stores a voxel grid.
 void write_cell_arrays(const std::filesystem::path& path, const std::vector<NamedArray>& arrays,
                        const char* format, const char* version, double cell_size_m) {
     write_safetensors(path, arrays,

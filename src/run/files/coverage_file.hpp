@@ -11,10 +11,9 @@
 
 namespace relidar::run_detail {
 
-/// Writes to a file which space the log has observed. `place` [blocks,3] i4 is the
-/// position of each block of cells, in units of blocks. `cells` [blocks,32] u2 has one
-/// bit per observed cell (ObservedVoxelSet::VoxelBits). Writes no file if the coverage is
-/// empty.
+/// Writes the voxels (cells) that the log has observed. `place` [blocks,3] int32 has the
+/// position of each block of 8 x 8 x 8 voxels, in blocks. `cells` [blocks,32] uint16 has
+/// one bit per voxel. Writes no file if no voxel is observed.
 void save_coverage(const std::filesystem::path& path, const ObservedVoxelSet& coverage);
 /// Reads a file that describes which space the log of a run has observed.
 /// @throws DataError for missing arrays, wrong shapes, or cells of another size

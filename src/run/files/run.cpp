@@ -154,9 +154,9 @@ bool is_file_content_equal_to(const fs::path& file, const std::string& expected_
     return does_path_exist(file) && read_file(file) == expected_bytes;
 }
 
-/// Moves the files of `staging_folder` to the run's folder. Does not move an unchanged
-/// config.toml, so that training can be resumed even if the process is killed during the
-/// move.
+/// Moves the files of `staging_folder` to the run's folder. Unless old files are removed,
+/// an unchanged config.toml stays in place. Training can then be resumed even if the
+/// process is killed during the move.
 void move_staged_files(const fs::path& staging_folder, const fs::path& run_folder,
                        const std::function<void()>& remove_old_files) {
     const bool same_config =

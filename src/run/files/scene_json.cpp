@@ -26,8 +26,8 @@ constexpr int kSceneVersion = 3;
 // Maximum length or time in a file. A file with a larger value is damaged and is
 // rejected.
 constexpr double kHuge = 1e12;
-// Maximum distance from the origin of the scene. The origin is the position of the sensor
-// in the middle frame.
+// Maximum coordinate of a position, relative to the origin of the scene. The origin is
+// the position of the sensor in the middle frame.
 constexpr double kFarthest_m = 1e6;
 // Maximum distance between the origin of the scene and the origin of the dataset's world.
 constexpr double kFarthestWorld_m = 1e9;

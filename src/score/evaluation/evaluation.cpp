@@ -25,9 +25,8 @@ constexpr double kSameTime_s = 1e-3;
 // images of these frames are in memory at the same time.
 constexpr std::size_t kScoredAtOnce = 16;
 
-/// Returns the sensor with which a frame is rendered, as set by config.sensor. For the
-/// grid "native", the sensor has exactly the rays of the recorded scan.
-/// @param frame  the frame, with its scan
+/// Returns the sensor with which a frame is rendered. If config.sensor.grid is "native",
+/// the sensor fires exactly the rays of the recorded scan.
 SimulatedSensor make_sensor_for_frame(const Config& config, const LidarSequence& sequence,
                                       const LidarFrame& frame) {
     SimulatedSensor sensor = make_sensor_from_config(config, sequence, frame.lidar);
@@ -79,8 +78,8 @@ RenderedFrame make_frame_with_real_image(const Config& config, const LidarSequen
     return result;
 }
 
-/// Returns true if the classes of a rendered frame can be compared with labels. Labels
-/// and pixels correspond only with the grid "native".
+/// Returns true if the rendered classes of a frame can be compared with labels. The frame
+/// must have labels, and each pixel must be a recorded ray (grid "native").
 bool can_score_classes(const ScanRenderer& renderer, const Config& config, const LidarFrame& frame) {
     return renderer.has_background_classes() && config.sensor.grid == "native" && !frame.scan.classes.empty();
 }
@@ -138,8 +137,8 @@ void compute_and_store_actor_scores(std::vector<ScoredFrame>& frames, const Lida
     for (ScoredFrame& frame : frames) {
         const SweepTiming sweep{frame.time_s, frame.lidar, frame.start};
         const RangeImage& rendered = frame.rendered.image;
-        // Uses the ranges of the image if there is no renderer, which is the case for a
-        // baseline.
+        // If the frame has no separate point ranges (a baseline without a renderer), uses
+        // the ranges of the image.
         const std::vector<float>& points_m = select_point_ranges(frame.rendered, config);
         FrameActorScores scores = compute_actor_scores(
             rendered, points_m.empty() ? rendered.range_m : points_m, frame.real, sequence, sweep);
@@ -248,8 +247,8 @@ ScoredFrame render_and_score_frame(ScanRenderer& renderer, const Config& config,
 EvaluationResult evaluate_frames(ScanRenderer& renderer, const Config& config, const LidarSequence& sequence,
                                  const std::vector<int>& frame_indices, const ProgressReporter& progress,
                                  const ScoredFrameCallback& on_frame) {
-    // Also renders the drop probability before its correction by the neural network,
-    // because reports show both probabilities.
+    // Reports show the drop probability before and after its correction by a neural
+    // network. The channel "surfel_drop_prob" has the values before the correction.
     if (on_frame && renderer.has_drop_network_for(make_sensor_from_config(config, sequence)))
         renderer.enable_optional_channels("surfel_drop_prob");
     if (std::ranges::any_of(frame_indices, [&](int position) {

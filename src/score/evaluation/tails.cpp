@@ -10,7 +10,7 @@
 namespace relidar {
 namespace {
 
-// Margin around boxes at the time of the point. It is needed because labels do not fit
+// A point within this distance of a box belongs to the object, because labels do not fit
 // objects exactly.
 constexpr double kNowMargin_m = 0.3;
 constexpr double kGround_m = 0.3;
@@ -51,9 +51,8 @@ bool is_point_in_swept_volume(const SweptBoxVolume& swept_volume, const glm::dve
                        });
 }
 
-/// Numbers of points: all points, and points in comet tails. A comet tail is the space
-/// that a moving box occupies at other times of the log, but not at the time of the
-/// point.
+/// Numbers of points: all points, and points in a tail. The tail of a moving box is the
+/// space that the box occupies only at other times of the log.
 struct CometTailPointCounts {
     std::size_t n_points = 0, n_tail_points = 0;
     std::vector<std::size_t> n_of_box;  ///< [swept] points in the tail of each box

@@ -13,11 +13,11 @@
 
 namespace relidar {
 
-/// Points in the comet tails of a scan.
+/// Points of a scan in the tails (motion trails) of moving boxes.
 struct CometTailStatistics {
     double share = 0.0;  ///< Fraction of all returned points that are in a tail.
-    /// For each moving box, by its id, the number of points in its tail. A point can be
-    /// in the tails of several boxes.
+    /// Number of points in the tail (motion trail) of each moving box, by box id. Tails
+    /// of several boxes can contain the same point.
     std::map<std::string, std::size_t> n_of_box;
 };
 /// Counts the returned points that lie in comet tails. The tail of a moving box is the

@@ -26,8 +26,8 @@ using PointPositions = std::vector<glm::dvec3>;
 // Minimum mean squared error, so that the PSNR of identical images is finite.
 constexpr double kMinSquaredError = 1e-20;
 constexpr double kFineThreshold_m = 0.05;
-// Distance threshold of the F-score in the published evaluation protocol ("peer"): the
-// square root of 0.05, because that protocol compares squared distances with 0.05.
+// Distance threshold of the F-score in published tables: the square root of 0.05, because
+// the published code compares squared distances with 0.05.
 constexpr double kPeerThreshold_m = 0.22360679774997896964;
 constexpr int kSsimWindow = 7;
 // Minimum edge length of an image for LPIPS. Smaller images would be empty after the

@@ -16,9 +16,8 @@
 namespace relidar {
 namespace {
 
-// Number of columns that are searched on each side of the column of an azimuth. The ray
-// with this azimuth can be in another column. For an HDL-64E, the difference is up to 2.8
-// columns.
+// The column computed from an azimuth can be wrong by up to 2.8 columns (HDL-64E).
+// Therefore this many columns are searched on each side.
 constexpr int kColumnSearch = 4;
 
 /// Returns the nearest training frames of the same LiDAR before and after a position of
@@ -162,8 +161,8 @@ Scan predict_scan_from_neighbours(const LidarSequence& sequence, int predicted_f
                 w.direction;
             glm::dvec3 world_m = w.point_m;
             if (const BoxTrack* box = find_containing_box(moving, w.point_m, w.time_s)) {
-                // In both sweeps, the LiDAR measures the box at about the same time after
-                // the time of the frame.
+                // Time at which the predicted sweep measures the box. Assumes the same
+                // offset from the frame time as in the neighbouring sweep.
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);
                 if (!box->is_observed_at_time(then_s)) continue;
                 world_m = box->world_from_box.interpolate_pose(then_s) *

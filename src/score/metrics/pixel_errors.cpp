@@ -12,8 +12,8 @@
 namespace relidar::metrics_detail {
 namespace {
 
-// Minimum of clamped ranges and intensities in the published evaluation protocol
-// ("peer").
+// Ranges and intensities are clamped to at least this value, as in the evaluation code of
+// published tables.
 constexpr double kClampLow = 1e-6;
 
 double clamp_value(float value, double maximum) { return std::clamp(double(value), kClampLow, maximum); }

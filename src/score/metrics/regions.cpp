@@ -103,8 +103,8 @@ std::vector<bool> mask_returns_in_labelled_movers(const LidarSequence& sequence,
                                                   const Pose& sensor_offset) {
     std::vector<BoxTrack> labelled = sequence.boxes;
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
-    // Uses only the labelled poses of each box, without the poses that discover_tracks()
-    // added. Runs with and without added poses are then compared on the same returns.
+    // Ignores poses that discover_tracks() has added to labelled boxes, so that the
+    // selected returns do not depend on these poses.
     for (BoxTrack& box : labelled) box = box.copy_track_of_labelled_poses();
     return mask_returns_in_moving_boxes(std::move(labelled), sequence, frame, sensor_offset);
 }

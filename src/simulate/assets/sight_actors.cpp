@@ -63,8 +63,8 @@ void add_actor_returns_to_observations(const RenderedScan& scan, const TrainedRu
         const Pose& world_from_firing = firing.compute_firing_pose(i);
         const glm::dvec3 point_m =
             box_from_world * (world_from_firing * point_in_firing_m - run.sequence.world_offset_m);
-        // Skips a return from a side of the actor that was completed with mirrored
-        // surfels, because the log has not observed this side.
+        // Skips returns from surfels that were mirrored to fill an unobserved side of the
+        // actor.
         const SurfelModel& model = run.scene.models[run.scene.instances[std::size_t(scan.instance[i])].model];
         if (model.surface && model.surface->find_mirror_completed_side(point_m)) continue;
         ActorObservations& actor = observations_by_track[box->id];

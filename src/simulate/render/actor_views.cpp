@@ -68,8 +68,8 @@ std::vector<ActorVisibility> ScanRenderer::Impl::count_first_hits_per_instance(
 }
 
 /// For each actor, traces the nearby rays in a scene that contains only this actor, and
-/// counts their hits. Then removes the entries of the background and of actors without
-/// hits.
+/// counts their hits. Then removes the background and actors without hits from
+/// `actor_views`.
 void ScanRenderer::Impl::count_hits_without_occluders(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
                                                       std::vector<ActorVisibility>& actor_views) {
     const std::vector<FiredRay> rays = compute_fired_rays_in_world(sweep);

@@ -148,8 +148,8 @@ static_assert(1 + int(ObjectKind::vehicle) == int(SurfaceClass::vehicle) &&
 std::vector<std::int32_t> compute_instance_classes(const Scene& scene, const LidarSequence& sequence) {
     std::vector<std::int32_t> classes;
     for (const ModelInstance& instance : scene.instances) {
-        // A copied actor has no box in the log. Its model has the name of the original
-        // actor's box.
+        // A copied actor has no box in the log. Uses the box of the original actor
+        // instead, which has the name of the model.
         const BoxTrack* box = find_box_track_by_id(sequence, instance.track);
         if (!box) box = find_box_track_by_id(sequence, scene.models[instance.model].name);
         const ObjectKind kind = box ? parse_object_kind(box->category) : ObjectKind::other;

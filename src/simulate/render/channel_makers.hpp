@@ -49,9 +49,9 @@ bool is_full_rendering_needed(const std::vector<ChannelInfo>& channels);
 /// @param rendering may be empty if is_full_rendering_needed() returns false
 void add_traced_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays,
                              const RenderedRayValues& rendering, const std::vector<ChannelInfo>& channels);
-/// Adds the optional channels that are computed for each beam, after its sub-rays were
-/// joined. Call this function before a network or random sampling changes the drop
-/// probabilities. Leaves out channels without values.
+/// Adds the optional channels that are computed for each beam. A beam can consist of
+/// several traced sub-rays. Call this function before a network or random sampling
+/// changes the drop probabilities. Leaves out channels without values.
 void add_joined_beam_channels(RenderedScan& scan, const ChannelInputs& context,
                               const std::vector<ChannelInfo>& channels);
 

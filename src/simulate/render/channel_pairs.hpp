@@ -13,9 +13,8 @@
 
 namespace relidar {
 
-/// Calls visit(info, values in `source`, values in `target`) for each basic channel, such
-/// as range or intensity. Leaves out time and ring, because they are properties of the
-/// rays.
+/// Calls visit(ChannelInfo, source values, target values) for the channels that every
+/// scan has, for example range. Leaves out time and ring, which belong to the rays.
 template <class Visit>
 void for_each_basic_channel_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
     const BasicChannels& basic = get_basic_channels();
@@ -28,8 +27,8 @@ void for_each_basic_channel_pair(const RenderedScan& source, RenderedScan& targe
     visit(basic.instance, source.instance, target.instance);
 }
 
-/// Calls visit(info, values in `source`, values in `target`) for each basic and each
-/// optional channel of two scans.
+/// Calls visit(ChannelInfo, source values, target values) for the same channels and for
+/// the optional channels in RenderedScan::channels.
 /// @param target must have the channels of `source` in the same order;
 /// make_scan_without_measurements() creates such a scan
 template <class Visit>

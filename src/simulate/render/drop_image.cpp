@@ -22,9 +22,9 @@ float compute_clamped_logit(float probability) {
     return std::log(p / (1.0f - p));
 }
 
-/// Returns a function that computes one input channel of the network (RELIDAR_DROP_*) for
-/// a ray. The kernel simulate/render/drop_channels computes the same values on the
-/// device.
+/// Returns a function that computes one input value of the ray-drop network for a ray,
+/// for example its intensity. `channel_index` selects the value (RELIDAR_DROP_*). The
+/// kernel simulate/render/drop_channels computes equal values.
 std::function<float(std::size_t)> make_channel_value_function(const RenderedScan& scan,
                                                               std::uint32_t channel_index,
                                                               const glm::vec3& origin_m) {

@@ -13,8 +13,8 @@
 namespace relidar {
 namespace {
 
-// Minimum weight of a sub-ray in a mean, so that sub-rays with intensity 0 are not
-// ignored.
+// A laser beam is simulated by several sub-rays. Means over sub-rays are weighted by
+// intensity, with at least this weight.
 constexpr float kDarkest = 1e-3f;
 
 /// Returns two unit vectors that are perpendicular to a direction and to each other.
@@ -30,9 +30,8 @@ struct SubRayReturn {
     float light = 0.0f;              ///< sum of the intensities
 };
 
-/// Returns true if sub-rays hit the same plane. On a plane, 1 / range is a linear
-/// function of the sub-ray offsets. The ranges can therefore differ, for example at a
-/// grazing angle. Returns false for fewer than five sub-rays.
+/// Returns true if at least five sub-rays of a beam hit the same plane, even at different
+/// ranges. On a plane, 1 / range is a linear function of the sub-ray offsets.
 bool are_sub_rays_on_one_plane(const std::vector<std::size_t>& sub_ray_indices,
                                const std::vector<float>& ranges_m, std::size_t first_sub_ray,
                                const std::vector<glm::dvec2>& sub_ray_offsets, double range_tolerance_m) {
@@ -55,12 +54,12 @@ bool are_sub_rays_on_one_plane(const std::vector<std::size_t>& sub_ray_indices,
     });
 }
 
-/// Joins consecutive groups of sub-rays that lie on the same plane.
+/// Joins consecutive groups of sub-rays that hit the same plane.
 void join_coplanar_groups(std::vector<SubRayReturn>& groups, const std::vector<float>& ranges_m,
                           std::size_t first_sub_ray, const std::vector<glm::dvec2>& sub_ray_offsets,
                           double range_tolerance_m) {
-    // Tries to join all groups first, then shorter and shorter sequences of groups. The
-    // first try succeeds if the beam hits a single surface.
+    // First tries to join all groups of sub-rays of the beam, then shorter and shorter
+    // sequences of groups.
     for (std::size_t length = groups.size(); length >= 2; --length) {
         for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
             SubRayReturn joined;
@@ -97,7 +96,8 @@ std::vector<SubRayReturn> group_sub_rays_into_returns(const RenderedScan& scan, 
     return groups;
 }
 
-/// Returns the mean value of the sub-rays of a group, weighted by intensity.
+/// Returns the mean of `values` over some sub-rays of a beam, weighted by their
+/// intensities.
 float compute_weighted_group_mean(const SubRayReturn& group, const std::vector<float>& values,
                                   const RenderedScan& scan) {
     double sum = 0.0;
@@ -123,8 +123,8 @@ float compute_mean_of_slice(const std::vector<float>& values, std::size_t first_
 /// can detect second echoes down to about a tenth of the main echo.
 constexpr double kSecondReturnShare = 0.1;
 
-/// Returns the group of sub-rays that forms the second return, or null if there is no
-/// second return.
+/// Returns the group that is the second return of a beam, or null if there is no second
+/// return. A group is a set of sub-rays of the beam that hit the same surface.
 const SubRayReturn* find_second_return(const std::vector<SubRayReturn>& groups,
                                        const SubRayReturn& strongest_group) {
     const SubRayReturn* second = nullptr;

@@ -53,8 +53,8 @@ void append_second_return_values(ScanChannel& merged_channel, const ScanChannel&
     std::visit(add, source_channel.second);
 }
 
-/// Returns a scan with the firing times of one sensor, but with the poses of the rig. A
-/// rig is the group of all merged sensors.
+/// Returns a scan with the poses of the merged scan and the firing times of one sensor's
+/// scan.
 RenderedScan make_scan_with_rig_poses(const RenderedScan& merged_scan, const RenderedScan& scan) {
     RenderedScan rig;
     rig.image.rows = scan.image.rows;
@@ -66,13 +66,12 @@ RenderedScan make_scan_with_rig_poses(const RenderedScan& merged_scan, const Ren
     return rig;
 }
 
-/// Computes the pose of a sensor in the frame of the rig at the firing time of a ray.
-/// Interpolates the poses of sensor and rig separately, because the interpolated
-/// positions move along different straight lines. A fixed mounting pose would be slightly
-/// wrong.
+/// Computes the pose of a sensor relative to the rig (the group of merged sensors) at the
+/// firing time of a ray. Poses of rig and sensor are interpolated separately, so the
+/// relative pose is not exactly constant.
 class RigPoseInterpolator {
 public:
-    /// Copies the poses of the rig, and keeps a reference to the scan of the sensor.
+    /// @param merged merged scan, which has the poses of the rig
     /// @param scan scan of the sensor; must outlive this object
     RigPoseInterpolator(const RenderedScan& merged, const RenderedScan& scan)
         : rig_(make_scan_with_rig_poses(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
@@ -128,8 +127,8 @@ void pad_second_returns(RenderedScan& merged_scan) {
                 channel.second);
 }
 
-/// For each actor, adds the number of rays that hit the actor to the number in the merged
-/// scan. Does the same for each unobserved side of an actor.
+/// Adds the ray counts of a scan to the merged scan: rays per actor, and rays per
+/// unobserved side of an actor.
 void merge_actor_ray_counts(RenderedScan& merged_scan, const RenderedScan& scan) {
     for (const ActorVisibility& view : scan.actor_views) {
         const auto existing_view =

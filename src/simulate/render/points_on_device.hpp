@@ -47,26 +47,26 @@ public:
     explicit DevicePointComputer(Device& device);
     /// Records GPU commands that compute the points of a measured scan and copy them to
     /// the host.
-    /// @param capped_ray_count device counter of the rays that reached the maximum number
-    /// of traversal passes
-    /// @return host buffers that receive the points. Later scans reuse the buffers after
-    /// the caller has released them
+    /// @param capped_ray_count device counter of rays whose search for hits was stopped
+    /// by its limit
+    /// @return host buffers that receive the points; reused after the caller has released
+    /// the pointer
     std::shared_ptr<PointReadbackSlot> record_point_compute_and_copy(
         Stream& stream, const DeviceSensorRays& rays, const PointComputeOptions& options,
         const Array<std::uint32_t>& capped_ray_count);
 
     struct GatheredPoints {
         std::span<const shared::ReturnedPoint> points;
-        /// [sampled rays] distance to the surface in metres. get_sampled_ray_index()
-        /// returns the ray of each element
+        /// [count_sampled_rays()] distance to the surface in metres, for an evenly spaced
+        /// sample of the rays
         std::span<const float> requested_m;
         std::uint32_t n_capped;
     };
     /// Waits until the points are copied to these host buffers.
     /// @return valid until the buffers are reused
     static GatheredPoints wait_for_copied_points(Stream& stream, PointReadbackSlot& host_buffers);
-    /// Returns the index of a sampled ray. For these rays, the distance to the surface is
-    /// copied to the host even if the ray has no return.
+    /// Returns a ray of an evenly spaced sample of the rays. The host receives the
+    /// distance to the surface for each sampled ray, even if the ray has no return.
     /// @param sample_index index below count_sampled_rays()
     static std::size_t get_sampled_ray_index(std::size_t sample_index, std::size_t n_rays) {
         return sample_index * n_rays / count_sampled_rays(n_rays);

@@ -62,8 +62,7 @@ void copy_measurements_to_scan(RenderedScan& scan, std::span<const shared::Measu
     }
 }
 
-/// Drops beams whose range is outside the sensor's limits. Needed because until now only
-/// the ranges of the sub-rays were compared with the limits.
+/// Sets the drop probability of beams to 1 if their range is outside the sensor's limits.
 void mark_out_of_range_beams_as_dropped(RenderedScan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))
@@ -88,8 +87,8 @@ WeatherSensorProperties make_sensor_properties_for_weather(const Config& config,
     if (config.sensor.divergence_mrad > 0.0) result.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
     else if (divergence_rad > 0.0) result.divergence_rad = divergence_rad;
     if (intensity_step > 0.0) result.darkest = 0.5 * intensity_step;
-    // The sensor reports every intensity below half a step as 0. Assumes the mean of
-    // these intensities.
+    // Intensities below half a step (`darkest`) are reported as 0. Their mean is used as
+    // the limit of detection.
     result.weakest_reflectivity = 0.5 * result.darkest;
     result.separation_m = config.sensor.return_separation_m;
     result.min_range_m = limits.min_m, result.max_range_m = limits.max_m;
@@ -218,8 +217,8 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
     scan.track = add_offset_to_track_positions(sweep.world_from_sensor, offset_m);
     scan.world_from_sensor = {sweep.pose.rotation, sweep.pose.translation + offset_m};
     scan.time_s = sweep.time_s;
-    // Adds the incidence channel if there is a ray-drop network, because it is an input
-    // of the network.
+    // Ray-drop networks read the channel "incidence", so this channel is computed even if
+    // it is not requested.
     std::vector<ChannelInfo> channels = settings.channels;
     if (lanes->get_drop_network() && !is_optional_channel_enabled(kIncidence))
         channels.push_back(parse_channel_names(kIncidence).front());
@@ -308,7 +307,8 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep,
     if (plan.network == Network::cells) scan = project_points_into_grid_image(scan, *sensor.grid);
     if (plan.network == Network::device) replace_drop_probabilities(scan, drops);
     else if (plan.network != Network::none) correct_drops_with_network(scan);
-    // This call traces more rays, so `drops` is invalid afterwards.
+    // count_hits_without_occluders() traces more rays, which invalidates the drop
+    // probabilities in `drops`.
     if (settings.has_views) count_hits_without_occluders(sweep, plan, views);
     if (!is_optional_channel_enabled(kIncidence))
         std::erase_if(scan.channels,

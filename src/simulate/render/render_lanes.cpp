@@ -24,7 +24,8 @@ ParallelScanResources& ParallelScanResourcePool::get_next_scan_resources_of_batc
             const std::size_t n_before = others_.size();
             try {
                 others_.emplace_back(device_).copy = scene_.copy_scene_to_new_renderer();
-                // If device memory is exhausted, continues with the copies that exist.
+                // If the device memory is too small for another copy of the scene, uses
+                // fewer copies.
             } catch (const OutOfDeviceMemory&) {
                 if (others_.size() > n_before) others_.pop_back();
                 most_ = 1 + int(others_.size());
@@ -82,7 +83,7 @@ std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_sensor_rays(
         return rays.use_count() == 1 &&
                (rays->get_ray_table().size() == 0 || rays->get_sensor_name() == name);
     };
-    // Overwrites the entry of the same sensor if the rays of the sensor have changed.
+    // Reuses a free entry of the cache, or adds an entry.
     auto free_entry = std::ranges::find_if(cached_sensor_rays, is_free);
     if (free_entry == cached_sensor_rays.end())
         free_entry = cached_sensor_rays.insert(free_entry, std::make_shared<DeviceSensorRays>(device));

@@ -24,7 +24,7 @@ class ResidentScene;
 /// Device resources for rendering one scan. Scans that are rendered in parallel use
 /// different resources.
 struct ParallelScanResources {
-    /// copy of the scene on the device; null if the original scene is used
+    /// renderer of a copy of the scene; null if the original scene is used
     std::unique_ptr<Renderer> copy = {};
     /// Rays of recently used sensors on the device. The most recently used sensor is
     /// first.
@@ -49,10 +49,10 @@ class ParallelScanResourcePool {
 public:
     ParallelScanResourcePool(Device& device, ResidentScene& scene);
 
-    /// Returns the lane for a scan that is not part of a batch.
+    /// Returns the device resources for a scan that is not part of a batch.
     ParallelScanResources& get_unbatched_scan_resources() { return first_; }
-    /// Returns the lane for the next scan of a batch. Begins a batch if there is none.
-    /// The first call creates the lanes.
+    /// Returns the device resources for the next scan of a batch. Begins a batch if there
+    /// is none. The first call allocates the resources.
     ParallelScanResources& get_next_scan_resources_of_batch();
     bool has_open_batch() const { return batch_.has_value(); }
     /// Submits the GPU commands of all scans of the batch.
@@ -67,8 +67,8 @@ public:
     const RayDropNetwork* get_drop_network() const {
         return first_.refiner ? &first_.refiner->network() : nullptr;
     }
-    /// Returns the object that runs the ray-drop network in a lane. The first call
-    /// creates the object.
+    /// Returns the object that runs the ray-drop network with these resources. The first
+    /// call creates the object.
     RayDropRefiner& get_or_create_drop_refiner(ParallelScanResources& lane);
     int get_parallel_scan_limit() const { return most_; }
     void set_parallel_scan_limit(int count);

@@ -33,9 +33,9 @@ public:
     /// Returns the renderer of the loaded scene. Call load_blocks_near_sensor() before.
     Renderer& renderer() { return *renderer_; }
     bool has_loaded_renderer() const { return renderer_.has_value(); }
-    /// Copies a scene without blocks on the device, so that several scans can be rendered
-    /// in parallel. The copy uses the stream of renderer(), so that object must outlive
-    /// the copy. Waits until the copy is finished.
+    /// Copies the scene on the device, so that several scans can be rendered in parallel.
+    /// The scene must not be divided into blocks. renderer() must outlive the copy,
+    /// because both use the same stream. Waits until the copy is finished.
     /// @throws DeviceError if memory is exhausted
     std::unique_ptr<Renderer> copy_scene_to_new_renderer();
     /// Returns the kernel times of all renderings so far.

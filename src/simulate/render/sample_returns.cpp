@@ -68,8 +68,7 @@ void sample_random_returns(RenderedScan& scan, const RangeNoiseTable& noise,
         for (std::size_t i = 0; i < drawn.size(); ++i)
             if (returning[i] != 0) scan.image.intensity[i] = drawn[i];
     }
-    // Adds the noise of the median range to the mean range, so that their difference does
-    // not change.
+    // Adds the same noise to the mean range as to the median range.
     for (std::size_t i = 0; i < ranges_m.size(); ++i) scan.mean_range_m[i] += ranges_m[i] - likely_m[i];
     scan.image.range_m = ranges_m;
     scan.median_range_m = std::move(ranges_m);

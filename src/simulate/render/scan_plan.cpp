@@ -10,8 +10,8 @@
 namespace relidar {
 namespace {
 
-/// A ray-drop network with this image name corrects the rays of the sensor. A network
-/// with another name corrects the cells of a grid.
+/// Image name of a ray-drop network that processes one pixel per ray of the sensor, not
+/// the pixels of another grid.
 constexpr const char* kNative = "native";
 
 SensorConfig make_beam_config(const SimulatedSensor& sensor, const Config& config) {

@@ -18,12 +18,14 @@ struct ScanRenderSettings {
     bool has_views = false;  ///< if true, scans have RenderedScan::actor_views
 };
 
-/// The steps that render a scan. The device always traces the rays.
+/// Says how a scan is rendered: sub-rays per beam, input of the ray-drop network, and
+/// where points are computed.
 struct ScanRenderPlan {
-    /// number of sub-rays and number of returns of each beam; the host joins the sub-rays
+    /// number of rays that are traced for each beam (sub-rays), and number of returns per
+    /// beam
     SensorConfig beams;
-    /// Rays that the ray-drop network corrects: traced rays on the device, joined beams,
-    /// or cells of a grid.
+    /// Input of the ray-drop network: rays on the device, beams (after the host has
+    /// combined their sub-rays), or pixels of a grid.
     enum class RayDropStage { none, device, beams, cells } network = RayDropStage::none;
     /// True if the device computes the points. The scan must not have sub-rays, grid,
     /// channels, weather or random sampling. Otherwise place_points() computes the same
@@ -33,9 +35,9 @@ struct ScanRenderPlan {
     bool has_sub_rays() const { return beams.sub_rays > 1; }
 };
 
-/// Selects the steps for the scans of a sensor.
-/// @param rays rays of the sensor before they are split into sub-rays
-/// @param network network that corrects the ray-drop, or null
+/// Decides how the scans of a sensor are rendered.
+/// @param rays rays of the sensor, one per beam, before they are split into sub-rays
+/// @param network network that corrects the ray-drop probabilities, or null
 /// @throws UsageError if the sensor cannot be rendered with these settings
 ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, const Config& config,
                          const ScanRenderSettings& settings, const RayDropNetwork* network,

@@ -50,7 +50,8 @@ struct ScanRenderer::Impl {
     ResidentScene scene;
     std::unique_ptr<ParallelScanResourcePool> lanes;
     SurfaceClassMap class_map = {};
-    /// Search tree of `class_map`. Null until the first scan with the channel `class`.
+    /// Search tree of `class_map`, which has the classes of background surfaces. Null
+    /// until the first scan with the channel "class".
     std::unique_ptr<const SurfaceClassLookup> class_finder = {};
     std::deque<PendingPoints> pending = {};  ///< requested scans, sorted from the oldest to the newest
 

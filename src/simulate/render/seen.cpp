@@ -20,7 +20,7 @@ RayWithSurfaceRange get_ray_with_surface_range(const RenderedScan& scan, std::si
             glm::dvec3(scan.image.direction[ray_index]), scan.median_range_m[ray_index]};
 }
 
-/// Returns the share of a ray's path in space that the log observed. The path ends at the
+/// Returns the fraction of a ray's path that the log has observed. The path ends at the
 /// surface that the ray hits, or at the maximum range.
 float compute_observed_path_fraction(const RayWithSurfaceRange& ray, const LogObservedSpace& observed_space) {
     Pose world_from_firing = ray.dataset_from_firing;

@@ -38,9 +38,9 @@ std::vector<float> compute_observed_path_fractions(const RenderedScan& scan,
                                                    const std::vector<std::size_t>& ray_indices,
                                                    const LogObservedSpace& observed_space);
 
-/// Sets RenderedScan::unseen_share to the share of rays that count as unobserved. Uses
-/// the channel "seen" if the scan has it. Otherwise samples kSampledRays rays. Sets no
-/// value if the log has no coverage.
+/// Sets RenderedScan::unseen_share to the fraction of rays whose path the log has mostly
+/// not observed. Uses the channel "seen" if the scan has it, otherwise a sample of the
+/// rays. Sets no value if the observed space is unknown.
 void estimate_and_set_unobserved_fraction(RenderedScan& scan, const LogObservedSpace& observed_space);
 
 }  // namespace relidar

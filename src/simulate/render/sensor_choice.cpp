@@ -20,14 +20,16 @@ namespace relidar {
 
 namespace {
 
-/// Minimum blending weight of a simulated ray that becomes a point of the grid.
+/// Minimum sum of blending weights along a ray. Rays with a lower sum hit almost nothing
+/// and are not projected into the range image.
 constexpr float kLeastWeight = 0.05f;
 
 RangeLimits get_configured_range_limits(const Config& config, const LidarSequence& sequence) {
     return {config.dataset.min_range_m, replace_automatic_max_range(config, sequence).dataset.max_range_m};
 }
 
-/// Returns the rays of a sensor. Returns no rays if they differ from scan to scan.
+/// Calls `make_table` and returns the rays of a sensor. Returns no rays if the rays
+/// differ from scan to scan.
 template <class Make>
 RayTable make_rays_if_time_invariant(const std::optional<SensorPattern>& pattern, const Make& make_table) {
     return pattern && summarise_scan_pattern(*pattern).has_rays_by_time ? RayTable{} : make_table();
@@ -97,8 +99,8 @@ void copy_ray_to_grid_cell(const RenderedScan& source_scan, std::size_t ray_inde
     target_scan.time_offset_s[cell_index] = source_scan.time_offset_s[ray_index];
 }
 
-/// Lowers the drop probability of a cell to the drop probability of a ray in this cell.
-/// The cell keeps the smallest value, because one return is enough to fill it.
+/// Lowers the drop probability of a pixel (cell) to the value of a ray in this pixel. A
+/// pixel is filled if any of its rays returns.
 void merge_drop_probability_into_cell(const RenderedScan& source_scan, std::size_t ray_index,
                                       RenderedScan& target_scan, std::size_t cell_index) {
     for_each_channel_pair(
@@ -177,8 +179,8 @@ RenderedScan project_points_into_grid_image(const RenderedScan& scan, const Rang
             of_cells.assign(n, get_value_of_rays_without_hit<T>(channel));
         });
     result.time_offset_s.assign(n, 0.0f);
-    // [cells] drop probability of the ray whose values are stored in the cell; 2 if the
-    // cell has no ray yet
+    // [cells] drop probability of the ray that each pixel shows; 2 for pixels without a
+    // ray
     std::vector<float> winner_drop(n, 2.0f);
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;

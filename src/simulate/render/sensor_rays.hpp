@@ -34,12 +34,11 @@ class DeviceSensorRays {
 public:
     explicit DeviceSensorRays(Device& device);
 
-    /// Uploads the rays of a sensor if they are not on the device yet. Pending GPU
+    /// Uploads the rays of a sensor unless they are already on the device. Pending GPU
     /// commands must not use the old rays.
-    /// @param sensor_name name of the sensor. Needed because two sensors with the same
-    /// rays can have different `get_no_return_probability`
+    /// @param sensor_name identifies the sensor; another name forces an upload
     /// @param get_no_return_probability returns the probability that the sensor never
-    /// gets a return along a ray
+    /// gets a return along a ray, for example because the vehicle blocks the ray
     void upload_ray_table(const RayTable& rays, const std::string& sensor_name,
                           const std::function<float(std::size_t)>& get_no_return_probability);
     /// Records GPU commands that transform the rays to the world frame, each with the
@@ -51,14 +50,14 @@ public:
     /// Returns the rays in the world frame, with the rows and columns of the sensor's ray
     /// table.
     RayBatch get_world_ray_batch() const;
-    /// Records GPU commands that compute the measurements of all rays of
-    /// get_world_ray_batch().
+    /// Records GPU commands that convert rendering results to measurements, such as range
+    /// and intensity, for all rays.
     void record_measurement(Stream& stream, const RenderedBatch& rendered_batch,
                             const RayMeasurementOptions& options);
     /// Records GPU commands that run a ray-drop network on the measured rays. Afterwards
     /// get_drop_probability_address() returns the address of the result.
-    /// @param relative_sensor_position_m [3] position of the sensor relative to
-    /// get_first_vehicle_position()
+    /// @param relative_sensor_position_m sensor position relative to the first vehicle
+    /// position of the log
     /// @throws DataError if the image or the channels do not match the network
     void record_drop_network(Stream& stream, RayDropInference& network,
                              const glm::vec3& relative_sensor_position_m);
@@ -109,11 +108,10 @@ private:
 /// @throws DataError for an unknown input
 std::vector<std::uint32_t> list_drop_network_channel_numbers(const std::vector<std::string>& channel_names);
 
-/// Returns the poses of a sensor during a sweep in the format of the kernels. The first
-/// pose is the last pose before the first ray. The last pose is the first pose after the
-/// last ray.
-/// @param first_offset_s time offset of the first ray
-/// @param last_offset_s time offset of the last ray
+/// Returns the poses of a sensor during a sweep in the format of the kernels. The list
+/// also has one pose before the first ray and one pose after the last ray.
+/// @param first_offset_s firing time of the first ray, relative to `sweep_time_s`
+/// @param last_offset_s firing time of the last ray, relative to `sweep_time_s`
 std::vector<shared::SensorPose> list_poses_between_time_offsets(const PoseTrack& world_from_sensor,
                                                                 double sweep_time_s, double first_offset_s,
                                                                 double last_offset_s);

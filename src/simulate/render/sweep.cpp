@@ -93,8 +93,8 @@ PoseTrack SimulatedSweepBuilder::convert_track_to_dataset_frame(const PoseTrack&
     return add_offset_to_track_positions(world_from_object, log_.world_offset_m);
 }
 
-/// Makes a sweep for a sensor that follows a given track. Moves the vehicle of the log
-/// with the sensor.
+/// Makes a sweep for a sensor on a given track. Sets the vehicle track of the log so that
+/// the sensor follows `world_from_sensor`.
 /// @param world_from_actor poses of the actors; if null, uses the tracks of the run
 SimulatedSweep SimulatedSweepBuilder::make_sweep_along_track(const SimulatedSensor& sensor, double time_s,
                                                              PoseTrack world_from_sensor,
@@ -104,8 +104,8 @@ SimulatedSweep SimulatedSweepBuilder::make_sweep_along_track(const SimulatedSens
         compute_mounted_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
     log_.rolling_shutter = fires_rays_at_different_times(sensor, config_);
     lidar.pattern = sensor.pattern;
-    // The pattern of the sensor determines the azimuth at which the sweep starts. If the
-    // sensor has no pattern, the LiDAR that it replaces determines this azimuth.
+    // The azimuth at which the sweep starts depends on the sensor's scan pattern. Without
+    // a pattern, it depends on the LiDAR of the log.
     const SweepTiming now{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
     SimulatedSweep sweep{sensor, time_s, make_sweep_rays_if_different(sensor, time_s, log_.rolling_shutter),
                          log_.get_world_from_sensor(sensor.lidar)};

@@ -34,8 +34,8 @@ public:
     /// Shows only the selected instances in all following sweeps.
     /// @throws UsageError if the number of instances is wrong
     void set_visible_instances(const std::vector<bool>& shown);
-    /// Returns the sensor with the head azimuths that the LiDAR of the log measured in
-    /// the sweep at `time_s` (copy_sensor_with_azimuths_of_sweep()).
+    /// Returns a copy of the sensor with the azimuths that the LiDAR of the log measured
+    /// in the sweep at `time_s`.
     SimulatedSensor align_azimuths_with_log(const SimulatedSensor& sensor, double time_s) const;
     /// Returns the sweep of a sensor on the vehicle of the log. The vehicle drives along
     /// its recorded path.
@@ -43,7 +43,7 @@ public:
     /// @param sensor_offset pose of the sensor relative to its recorded mounting
     SimulatedSweep make_sweep_on_recorded_path(const SimulatedSensor& sensor, double time_s,
                                                const Pose& sensor_offset);
-    /// Returns a sweep with the poses of a request.
+    /// Returns a sweep with the sensor poses and actor poses of `request`.
     /// @throws DataError if poses or times are invalid
     SimulatedSweep make_sweep_of_request(const SimulatedSensor& sensor, const ScanRequest& request);
 

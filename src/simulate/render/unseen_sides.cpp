@@ -42,8 +42,8 @@ struct PartlyObservedActor {
     const ObservedBoxSurface* surface;
     std::int32_t instance;                ///< index of the actor in Scene::instances
     ObservedSideFractions side_coverage;  ///< observed or completed fraction of each side
-    /// Sphere in the world frame that contains the box during the scan. Rays that miss
-    /// the sphere are skipped.
+    /// Bounding sphere of the actor's box during the scan, in the world frame. Rays that
+    /// miss the sphere are skipped.
     glm::dvec3 centre_m{0.0};
     double radius_m = 0.0;
     std::array<std::size_t, kBoxSides> n_through{}, n_completed{};
@@ -55,8 +55,9 @@ struct PartlyObservedActor {
                glm::dot(to_centre, to_centre) - along_m * along_m < radius_m * radius_m;
     }
 
-    /// Counts a ray if it hits a side that mirrored surfels complete, or if it enters the
-    /// box through an unobserved side. All coordinates are in the box frame.
+    /// Counts a ray if it sees a side of the actor that the log has not observed. Such a
+    /// side is either filled with mirrored surfels or left empty. All coordinates are in
+    /// the box frame.
     /// @param range_m range of the return; 0 if the ray has no return
     /// @param hits_actor true if the return is a surface of this actor
     void count_ray_on_unobserved_side(const glm::dvec3& ray_origin, const glm::dvec3& ray_direction,

@@ -353,9 +353,8 @@ std::vector<RecordedMessage> make_vehicle_transform_messages(const RecordedSweep
 }
 
 /// Returns one message with the poses of all sensors on the vehicle. Each scan repeats
-/// the message for players that start in the middle of the file. The message joins one
-/// message per sensor, because protobuf messages with repeated fields can be
-/// concatenated.
+/// this message, so that playback can start anywhere in the file. Concatenated protobuf
+/// messages are one valid message with all list entries.
 std::vector<RecordedMessage> make_sensor_mounting_messages(const RecordedRig& rig,
                                                            const RecordedSweep& moment) {
     std::string bytes;

@@ -67,8 +67,8 @@ struct RecordedSweep {
     /// poses in ascending order of time, all later than the poses of earlier scans
     std::vector<RecordedPose> poses;
     /// [sensors] point cloud of each sensor. `time_s` is the firing time of the first
-    /// ray, as a time of the file. Motion-compensated points are in the sensor's frame at
-    /// `time_s`.
+    /// ray, in the clock of the output file. Motion-compensated points are in the
+    /// sensor's frame at `time_s`.
     std::vector<LidarPoints> clouds;
     /// actors at the time stamp of each point cloud
     std::map<std::uint64_t, std::vector<RecordedActor>> actors;

@@ -6,8 +6,8 @@
 namespace relidar::scan_files {
 
 std::span<const RecordingFormat> list_recording_formats() {
-    // The empty key `serialized_metadata` makes rosbag2 read quality-of-service policies
-    // as numbers. Bags before version 9 also store numbers.
+    // rosbag2 reads quality-of-service policies as numbers if the metadata key
+    // `serialized_metadata` is empty.
     static const RecordingFormat formats[] = {
         {"mcap", "scans.mcap", "", "protobuf", "protobuf", {}, list_foxglove_topics},
         {"rosbag",

@@ -122,8 +122,8 @@ std::vector<RecordedTopic> list_ros_cloud_topics(const RecordedRig& rig, std::si
         });
     };
     std::vector<RecordedTopic> topics{of_type(topic, kPlainType)};
-    // Leaves this topic out if the points are in the world frame, because it contains
-    // azimuth and elevation relative to the sensor.
+    // Points in the world frame have no azimuth and elevation relative to the sensor, so
+    // this topic is left out.
     if (!rig.world) topics.push_back(of_type(topic + "_xyzircaedt", kAutowareType));
     return topics;
 }

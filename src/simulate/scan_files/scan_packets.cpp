@@ -72,8 +72,8 @@ std::vector<std::vector<SensorPacket>> ScanPacketEncoder::encode_scans_as_packet
     if (!std::exchange(impl_->has_started, true)) {
         double first_s = 0.0;
         for (const RenderedScan& scan : scans) first_s = std::min(first_s, scan.time_s);
-        // Makes all times positive. Adds one more second, because a scan starts before
-        // its reference time.
+        // If the log starts at time 0, shifts all times so that they are positive. The
+        // extra second covers rays that fire before the time of their scan.
         if (impl_->sensors.front().packets.log_start_ns == 0)
             impl_->create_packet_encoders(1.0 + std::ceil(-first_s));
     }

@@ -27,7 +27,7 @@ struct ActorInScan {
 };
 
 /// Returns the actors of the log that are present during a scan.
-/// @param format output options with the log; must outlive the result
+/// @param format output options, which include the log; must outlive the result
 std::vector<ActorInScan> find_actors_present_in_scan(const RenderedScan& scan,
                                                      const ScanOutputOptions& format);
 

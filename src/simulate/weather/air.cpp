@@ -46,8 +46,8 @@ WeatherRaySimulator::WeatherRaySimulator(const Weather& weather, const WeatherSe
                                          std::vector<std::unique_ptr<RayWeatherEffect>> effects)
     : sensor_(sensor), alpha_(compute_extinction_coefficient(weather)), effects_(std::move(effects)) {}
 
-/// Returns the reflectivity of a surface. If the intensity is below one step of the
-/// sensor, the reflectivity is unknown. The function then draws a random value between
+/// Returns the reflectivity of a surface. If the reflectivity is below one quantisation
+/// step of the intensity, its exact value is unknown. Then draws a random value between
 /// the weakest detectable reflectivity and one step.
 double WeatherRaySimulator::sample_surface_reflectivity(const LidarEcho& surface_echo, Random& random) const {
     const double step = 2.0 * sensor_.darkest;

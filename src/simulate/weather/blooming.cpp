@@ -22,8 +22,8 @@ namespace {
 constexpr std::uint64_t kOfBeams = 0x626C6F6F6D696E67ull;
 constexpr float kSaturated = 0.95f;
 constexpr double kSpread = 3.0;  // standard deviation of ln X, where X is the random factor of a beam
-// Minimum angle in degrees between a ray and the reflector. At smaller angles, the laser
-// beam itself hits the reflector.
+// Lower limit of the angle, in degrees, between a ray and a retro-reflector. At smaller
+// angles, the laser beam would hit the reflector itself.
 constexpr double kNearest_deg = 0.5;
 constexpr double kSameRange_m = 0.5;
 constexpr double kPerRad = 180.0 / kPi;
@@ -68,8 +68,9 @@ std::vector<RetroReflector> find_retro_reflectors(const RenderedScan& scan) {
     return reflectors;
 }
 
-/// Returns the stray light that a ray in this direction receives from all reflectors. The
-/// caller must multiply it by the random factor X and by the setting `bloom`.
+/// Returns the stray light of retro-reflectors that a ray in this direction receives. The
+/// caller must multiply the result by the setting `bloom` and by the random factor of the
+/// beam.
 LidarEcho compute_stray_light_echo(const std::vector<RetroReflector>& reflectors,
                                    const glm::dvec3& ray_direction) {
     std::vector<double> share;

@@ -21,8 +21,8 @@ constexpr double kFogStep_m = 0.05;  // Range step in metres of the table of bac
 constexpr double kBackscatter = 0.046;
 // Standard deviation of the logarithm of the fog density. The value is an assumption.
 constexpr double kFogSpread = 1.0;
-// Maximum fog density, as a number of standard deviations. Ignores denser fog, because it
-// is very rare.
+// Densest fog that is considered: this many standard deviations above the mean of the
+// logarithmic density.
 constexpr double kRareFog = 5.0;
 
 double compute_fog_extinction(const Weather& weather) { return std::log(20.0) / weather.fog_visibility_m; }

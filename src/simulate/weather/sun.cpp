@@ -20,9 +20,8 @@ namespace {
 constexpr double kIrradiance = 0.65;
 constexpr double kSun_rad = 4.65e-3;  // angular radius of the sun
 constexpr double kSun_sr = kPi * kSun_rad * kSun_rad;
-// Sunlight that a dusty sensor window scatters, per steradian, at an angle of one degree
-// from the sun. It decreases with 1 / angle^2. In total, the window scatters 5 % of the
-// light.
+// Fraction of the sunlight that a dusty sensor window scatters per steradian, at one
+// degree from the sun. Decreases with 1 / angle^2.
 constexpr double kScatter_sr = 5.0;
 constexpr double kDegree_rad = kPi / 180.0;
 constexpr double kFilter_nm = 20.0;
@@ -68,9 +67,9 @@ public:
     SunlightEffect(const WeatherInput& input, std::vector<float> angles_rad)
         : sensor_(input.sensor), sun_(input.weather.sun), angles_rad_(std::move(angles_rad)) {}
 
-    /// Adds false returns that are caused by noise. Their powers are distributed like the
-    /// local maxima of Gaussian noise above the detection threshold: power^2 =
-    /// threshold^2 + 2 sigma^2 E, where E is exponentially distributed.
+    /// Adds false returns caused by sunlight: peaks of Gaussian noise above the detection
+    /// threshold. A peak has power^2 = threshold^2 + 2 sigma^2 E, with an exponential
+    /// random number E.
     void append_effect_returns(EchoCandidates& candidates, const RayWeatherState& ray,
                                Random& random) const override {
         if (!(ray.free_m > 0.0)) return;
@@ -118,8 +117,8 @@ double compute_sunlight_noise_power(const Sun& sun, const WeatherSensorPropertie
     const double view_sr = kPi * half_rad * half_rad, electrons_per_J = kEfficiency / kPhoton_J;
     const double n =
         irradiance * per_sr * kFilter_nm * view_sr * kReceiver_m2 * sensor.pulse_s * electrons_per_J;
-    // A diffuse surface scatters the fraction 1 / pi of the reflected light per
-    // steradian.
+    // Signal in electrons of a diffuse surface with reflectivity 1 at a range of 1 m. The
+    // surface sends 1 / pi of the reflected light per steradian to the receiver.
     const double of_unit_power = kPeak_W * kReceiver_m2 / kPi * sensor.pulse_s * electrons_per_J;
     return std::sqrt(kExcess * n) / of_unit_power;
 }

@@ -20,7 +20,7 @@
 namespace relidar {
 namespace {
 
-/// Returns the numbers of a weather effect, for example the rain rate.
+/// Returns the parameters of a weather effect, for example the rain rate.
 std::vector<double> get_effect_parameters(const WeatherEffectEntry& effect, Weather weather) {
     std::vector<double> values;
     for (const WeatherParameter& number : effect.numbers) values.push_back(number.of(weather));

@@ -78,7 +78,8 @@ GroundPlane fit_ground_plane_to_cell(const GroundGridCell& cell) {
     const glm::dvec2 right = cell.products / cell.n - mean.z * glm::dvec2(mean);
     const glm::dvec2 slope =
         glm::dvec2(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / (xx * yy - xy * xy);
-    // variance of the heights around the plane; `ridge` increases it slightly
+    // variance of the heights around the plane, slightly increased by the ridge
+    // regularisation
     const double squared_m2 = zz - glm::dot(slope, right);
     return {mean.z - glm::dot(slope, glm::dvec2(mean)), slope,
             squared_m2 < kFlat_m * kFlat_m && glm::length(slope) < kSteepest};
@@ -147,8 +148,8 @@ std::vector<glm::dvec3> estimate_level_ground_normals(const RenderedScan& scan) 
     return normals;
 }
 
-/// Returns the fraction of diffuse light that a water film reflects. The midpoint rule
-/// computes the integral of 2 c F(c) dc, where c is the cosine and F the reflectance.
+/// Returns the fraction of diffuse light that a water film reflects: the mean reflectance
+/// over all directions, weighted by the cosine.
 double compute_mean_water_reflectance() {
     constexpr int kParts = 1000;
     double sum = 0.0;
@@ -174,14 +175,14 @@ struct MirroredRays {
     std::vector<std::size_t> of_ray;  // index of the ray in its scan
 };
 
-// Height in metres above the ground at which mirrored rays start, so that they do not hit
-// the rough ground itself.
+// Rays that the wet ground mirrors start at this height in metres, so that they do not
+// hit the rough ground itself.
 constexpr double kLift_m = 0.1;
-// Minimum height in metres of an object that a mirrored ray hits. Lower hits are parts of
-// the ground and are ignored.
+// Minimum height in metres of objects that the wet ground mirrors. Lower hits are parts
+// of the ground.
 constexpr double kLowest_m = 0.3;
 
-// Computes the drop probability of ray `ray_index` from its two logits (method.md, M6).
+// Computes the drop probability of a ray: the softmax of its drop logit and hit logit.
 float compute_drop_probability(const RenderedRayValues& rendering, std::size_t ray_index) {
     return 1.0f / (1.0f + std::exp(rendering.hit_logit[ray_index] - rendering.drop_logit[ray_index]));
 }
@@ -204,8 +205,8 @@ MirroredRays mirror_rays_in_wet_ground(const WeatherInput& input,
             scan.image.intensity[i] / input.response.compute_intensity_factor_at_range(range_m);
         wet_rays[i].through_water = 1.0 - share + share * compute_wet_reflectance_ratio(cosine, albedo);
         wet_rays[i].mirrors = share * std::pow(compute_water_reflectance(cosine), 2);
-        // Skips the mirrored ray if the return of the ground, which is nearer, is
-        // stronger.
+        // If the sensor reports only one return, skips mirrored rays that are weaker than
+        // the return of the ground.
         if (scan.second_returns.empty() && wet_rays[i].mirrors <= wet_rays[i].through_water * albedo)
             continue;
         wet_rays[i].mirrored.range_m = range_m;

@@ -27,7 +27,8 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-// Minimum and maximum number of repetitions, and number of scans to render.
+// Minimum and maximum number of repetitions of each measurement, and number of scans to
+// render.
 constexpr int kLeast = 3, kMost = 10, kScans = 30;
 constexpr double kEnough_ms = 5000.0;
 
@@ -133,7 +134,7 @@ double measure_scans_per_second(ScanRenderer& renderer, const TrainedRun& run,
         for (std::size_t i = 0; i < sensors.size(); ++i) renderer.wait_for_points();
     };
     submit(0);
-    // Renders the first scans without measuring them, because they allocate memory.
+    // The first scans are not measured, because they allocate memory.
     collect();
     const Clock::time_point start = Clock::now();
     submit(0);

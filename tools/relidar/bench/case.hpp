@@ -26,7 +26,8 @@ struct BenchCase {
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
 };
 
-/// Creates a benchmark of the synthetic benchmark street with the settings of the paper.
+/// Creates a benchmark with a synthetic street of `n_surfels` surfels and the settings of
+/// the LiDAR-RT paper.
 /// @param smaller_scales_for_more_surfels if true, the surfels become smaller as their
 /// number grows
 BenchCase make_synthetic_street_benchmark(std::uint32_t n_surfels, bool smaller_scales_for_more_surfels,

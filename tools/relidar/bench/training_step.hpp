@@ -13,9 +13,9 @@ namespace relidar::cli {
 
 struct BenchCase;
 
-/// Creates target values for the losses. Adds uniform noise to a rendered image, because
-/// the gradient of an L1 loss is zero where the image equals the target. A ray with a low
-/// rendered weight becomes a dropped ray (a ray without return).
+/// Creates target values for the losses: a rendered image plus uniform noise. Without
+/// noise, the gradient of an L1 loss would be zero. Rays with a low sum of blending
+/// weights become rays without a return.
 std::vector<DeviceTarget> make_loss_targets_from_noisy_image(const RenderedRayValues& rendering,
                                                              bool is_depth_divided_by_weight);
 

@@ -21,8 +21,8 @@ constexpr std::size_t kRunRays = 512;
 /// Maximum difference of a value between the device and double precision, relative to the
 /// value if it is greater than 1.
 constexpr double kValueTolerance = 1e-3;
-/// Maximum share of rays with a larger difference. Such rays pass the edge of a surfel,
-/// or two surfels at equal distances, so that rounding decides which surfels are blended.
+/// Maximum share of rays that exceed kValueTolerance. At the edge of a surfel, or between
+/// surfels at equal distances, rounding decides which surfels are blended.
 constexpr double kEdgeShare = 0.02;
 
 WorldRays select_evenly_spaced_rays(const WorldRays& rays) {
@@ -47,8 +47,8 @@ bool is_ray_near_surfel(const reference::LocalRay<double>& ray, const reference:
     return glm::length(to_mean - along * ray.direction) <= 4.0 * std::exp(log_scale);
 }
 
-/// Converts the surfels that the rays can hit to double precision, with one range of
-/// surfels per instance.
+/// Converts the surfels near the rays to double precision. The surfels of each instance
+/// are stored consecutively.
 reference::World copy_surfels_near_rays_as_doubles(const BenchCase& bench_case,
                                                    const std::vector<reference::Ray>& rays) {
     reference::World world;
@@ -78,8 +78,8 @@ reference::World copy_surfels_near_rays_as_doubles(const BenchCase& bench_case,
     return world;
 }
 
-/// Largest difference of the values of a ray. The difference is relative for values above
-/// 1, for example ranges.
+/// Returns the largest difference between rendered and expected values of a ray. For
+/// expected values above 1, the difference is relative.
 double compute_max_ray_value_difference(const RenderedRayValues& rendering, std::size_t ray_index,
                                         const reference::Pixel& expected_values) {
     double worst = 0.0;

@@ -11,8 +11,8 @@
 namespace relidar::cli {
 namespace {
 
-/// Returns the result "right" only if a sum is exact. The sums are of small integers,
-/// which are exact in float.
+/// Returns "right" only for an error of exactly 0, because sums of small integers are
+/// exact in float.
 CheckResult make_sum_check_result(double relative_error) {
     if (relative_error == 0.0) return {CheckResult::CheckOutcome::right, "exact"};
     return make_failed_check_result(

@@ -120,8 +120,8 @@ NewActorMotion parse_actor_start_pose_and_speed(const EditArgument& edit_for_err
     return {make_pose_from_numbers(pose), speed_mps};
 }
 
-/// Describes height and tilt of an actor that was placed on the ground, because the
-/// program computed them. Returns an empty text for other actors.
+/// Returns the position and tilt of an actor that the program has placed on the ground.
+/// Returns an empty text for other actors.
 std::string describe_computed_ground_pose(const NewActorMotion& start, const std::string& placement_text) {
     if (placement_text.find(",ground") == std::string::npos) return "";
     const glm::dvec3& p = start.dataset_from_box.translation;
@@ -217,8 +217,8 @@ std::string format_warning_if_actor_misses_frames(const SceneWithLog& driving_sc
 
 BoxTrack copy_box_track_or_empty(const SceneWithLog& driving_scene, const std::string& track_id) {
     const BoxTrack* box = find_box_track_by_id(driving_scene.sequence, track_id);
-    // Returns an empty track if the actor is unknown. The edit itself reports this error
-    // later.
+    // Returns an empty track if the actor is unknown. The function that edits the actor
+    // reports this error.
     return box ? *box : BoxTrack{};
 }
 
@@ -264,7 +264,8 @@ struct ExternalActor {
     SceneWithLog owner;
 };
 
-/// Loads an actor from a folder. The text is "RUN#TRACK" or "ASSET".
+/// Loads an actor. The argument is either RUN#TRACK (run folder and track name) or the
+/// folder of an exported actor (asset).
 ExternalActor load_actor_from_run_or_asset(const EditArgument& edit_for_errors,
                                            const std::string& run_and_track_or_asset_folder) {
     const bool named = run_and_track_or_asset_folder.find('#') != std::string::npos;

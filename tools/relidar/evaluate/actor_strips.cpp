@@ -64,8 +64,8 @@ struct WalkingActorFrames {
     double distance_m = std::numeric_limits<double>::max();
 };
 
-/// Finds the walking actor that comes nearest to the sensor, and its nearest frames. A
-/// near actor has many points.
+/// Finds the walking actor that comes nearest to the sensor, and the frames in which this
+/// actor is nearest.
 WalkingActorFrames find_nearest_walking_actor(const TrainedRun& run) {
     WalkingActorFrames nearest;
     for (const ModelInstance& instance : run.scene.instances) {
@@ -114,8 +114,9 @@ Image draw_dots_in_side_by_side_panels(const std::vector<std::vector<PictureDot>
     return apply_colour_map(values, rows, columns, min_value, max_value, colour_map_name);
 }
 
-/// Returns the dots of points in the frame of a box, seen along a horizontal direction.
-/// The value of a dot is the distance from the box centre along the direction.
+/// Projects the points of an actor to a picture that is seen along a horizontal
+/// direction. The value of each picture dot is the point's depth along this direction,
+/// relative to the box centre.
 std::vector<PictureDot> project_box_points_to_picture_dots(const std::vector<glm::dvec3>& points_m,
                                                            const glm::dvec2& horizontal_view_direction) {
     std::vector<PictureDot> dots;
@@ -125,8 +126,8 @@ std::vector<PictureDot> project_box_points_to_picture_dots(const std::vector<glm
     return dots;
 }
 
-/// Renders the scene with the rays of a frame that may hit an actor. Returns the real and
-/// the simulated points in its box.
+/// Renders the rays of a frame that may hit an actor. Returns the recorded and the
+/// rendered points in the actor's box.
 MovingBoxPoints collect_real_and_rendered_box_points(ScanRenderer& renderer, const TrainedRun& run,
                                                      const Config& config, const LidarFrame& frame,
                                                      const BoxTrack& box) {
@@ -142,8 +143,8 @@ MovingBoxPoints collect_real_and_rendered_box_points(ScanRenderer& renderer, con
                                  get_sweep_timing_of_frame(frame), box);
 }
 
-/// Returns the settings for pictures, in which each ray has no sub-rays and at most one
-/// return.
+/// Returns the settings for pictures of actors: one traced ray and at most one return per
+/// beam.
 Config make_actor_picture_config(const TrainedRun& run) {
     Config config = run.config;
     config.sensor.grid = "native";

@@ -117,7 +117,7 @@ std::string explain_scores_of_edited_run(const TrainedRun& run) {
 }
 
 /// Adds scores of only those pixels that an edit has changed.
-/// @param original_scan exact scan of the street without the edit
+/// @param original_scan exact scan of the synthetic street without the edit
 void add_metrics_of_edited_pixels(ScoredFrame& frame, const Config& config, const Scan& original_scan) {
     frame.metrics.merge(evaluate_regions(
         frame.rendered.image, frame.real,
@@ -133,9 +133,9 @@ void select_frames_of_this_process(std::vector<int>& frame_positions, const MpiP
                        frame_positions.begin() + std::ptrdiff_t(share.end)};
 }
 
-/// Loads the scans of the held-out frames. For an edited synthetic street, computes the
-/// scans exactly.
-/// @return exact scans of the street before the edits; empty for other logs
+/// Sets the scans of the held-out frames. If the run is an edited synthetic street,
+/// computes exact scans of the edited street. Otherwise copies the scans of the log.
+/// @return exact scans without the edits; empty for other runs
 std::vector<Scan> set_held_out_scans_of_run(TrainedRun& run, const LidarSequence& log) {
     if (is_edited_synthetic_street_run(run)) return replace_held_out_by_exact_scans(run);
     copy_scans_into_run(run, run.split.test, log);

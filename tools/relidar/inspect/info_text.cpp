@@ -271,8 +271,8 @@ LogSummary summarise(const LidarSequence& sequence, const SceneInitialisationOpt
 RunSummary summarise(const TrainedRun& run) {
     RunSummary summary;
     summary.log = summarise(run.sequence, run.config.init);
-    // After edits, the list is left out, because it would contain actors that the edits
-    // have removed.
+    // If the run was edited, leaves the list of ignored boxes empty. The list would
+    // contain actors that were removed by the edits.
     summary.log.masked =
         run.edits.empty()
             ? format_box_list(find_boxes_without_model(run.scene, run.sequence, run.config.init))

@@ -60,7 +60,7 @@ struct LogSummary {
     std::size_t n_scans_read = 0;  ///< Number of scans from which returns_share is computed.
     bool is_look = false;          ///< True if the summary is based on only some of the scans.
     std::vector<BoxSummary> boxes;
-    /// Names of moving boxes that do not become actors. Training ignores the points in
+    /// Text that lists the moving boxes without a model. Training ignores the points in
     /// these boxes.
     std::string masked;
 };

@@ -28,7 +28,8 @@ struct PacketDestination {
     /// If true, packets are queued and then sent with the same time intervals as a real
     /// sensor. If false, each packet is sent as soon as it is complete.
     bool is_realtime = false;
-    /// If false, Ctrl-C does not stop the sending, because the caller finishes its work.
+    /// If true, Ctrl-C stops the sending of packets. The server sets false, because it
+    /// still answers pending requests.
     bool is_interruptible = true;
 };
 /// @param udp_help_text  help text for --udp
@@ -41,9 +42,8 @@ void require_valid_packet_destination(const PacketDestination& destination);
 /// @param output_file_formats  formats of the output files
 /// @param is_merging_sensor_scans  true if the scans of all sensors are merged into one
 /// @param n_processes  number of MPI processes
-/// @throws UsageError in the same cases as require_valid_packet_destination(). Also if
-/// the packets would be those of merged scans, or if several processes would send
-/// packets.
+/// @throws UsageError if require_valid_packet_destination() fails, if packets of merged
+/// scans are requested, or if several processes would send packets
 void require_valid_packet_options(const PacketDestination& destination,
                                   const std::vector<std::string>& output_file_formats,
                                   bool is_merging_sensor_scans, int n_processes);

@@ -11,18 +11,18 @@
 
 namespace relidar::cli {
 
-/// Returns true if exact scans of an edited run can be computed. This is possible only if
-/// the log of the run is a synthetic street.
+/// Returns true if a run was edited and its log is a synthetic street. Exact scans of the
+/// edited street can then be computed.
 bool is_edited_synthetic_street_run(const TrainedRun& run);
 
-/// Replaces the scans of the held-out frames by exact, noise-free scans of the edited
-/// street.
-/// @return exact scans of the street before the edits, one per held-out frame
-/// @throws DataError if the model of an actor is not a car of the street
+/// Replaces the scans of the held-out frames by scans that are cast into the edited
+/// synthetic street without noise.
+/// @return the same scans without the edits
+/// @throws DataError if the model of an actor is not a car of the synthetic street
 std::vector<Scan> replace_held_out_by_exact_scans(TrainedRun& run);
 
-/// Returns the pixels that an edit changes, which are the pixels whose exact range
-/// differs. Their metrics are named edited/*.
+/// Returns the pixels whose range is changed by an edit. Both images must be exact scans
+/// of the synthetic street. The metrics of these pixels are named edited/*.
 PixelRegion find_pixels_changed_by_edit(const RangeImage& edited_image, const RangeImage& original_image);
 
 }  // namespace relidar::cli

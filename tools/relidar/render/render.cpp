@@ -393,7 +393,7 @@ void run_render_command(const RenderOptions& command_options) {
     const PoseTrack track =
         drives ? compute_mounted_track(read_trajectory_csv(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
-    // Only the first MPI process locks the folder, which the destructor may remove.
+    // Only the first MPI process locks the folder, and removes it if it stays empty.
     if (ranks.is_first_mpi_process()) folder.emplace(options.out);
     require_settings_with_effect(options.sets, list_rendering_setting_names(), "render");
     TrainedRun run = load_run(options.run);

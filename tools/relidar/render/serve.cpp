@@ -53,8 +53,8 @@ constexpr std::chrono::milliseconds kLook{100};
 // the error.
 constexpr std::chrono::seconds kFarewell{2};
 
-/// Returns whether poses of the sensorsim gRPC interface rotate or translate first.
-/// Returns no value if the interface is disabled.
+/// Returns how the sensorsim gRPC interface interprets poses: rotation first or
+/// translation first. Returns no value if this interface is disabled.
 std::optional<serve::PoseTransformOrder> parse_sensorsim_pose_order(const ServeCommandOptions& options) {
     const bool offered = options.api == "sensorsim";
     if (!offered && !options.api.empty())

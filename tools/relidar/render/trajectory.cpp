@@ -18,8 +18,8 @@ constexpr double kMostScans = 1e6;
 // If a trajectory is farther from the recorded path than this, a note is printed, because
 // the log has hardly observed the scene there.
 constexpr double kFar_m = 50.0;
-// Tolerance for rounding errors, as a fraction of a step, so that the last time of
-// 0:1:0.1 is 1.
+// Tolerance for rounding errors, as a fraction of a step. With this tolerance, the times
+// FIRST:LAST:STEP = 0:1:0.1 include 1.
 constexpr double kSlack = 1e-6;
 
 struct TimeSteps {

@@ -24,7 +24,7 @@ struct TrajectoryOptions {
     /// the sensor keeps the scan rate of the log.
     std::optional<double> rate_hz;
     /// Times of the scans as "first:last:step", in seconds of the log. If the text is
-    /// empty, the scans are spaced evenly at the rate.
+    /// empty, the scans are evenly spaced at `rate_hz`.
     std::string times;
 };
 

@@ -92,8 +92,8 @@ void run_view_command(const ViewOptions& options) {
     if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path folder = get_save_folder(options, run);
     Device device(convert_to_device_options(options.device));
-    // Server that sends the results of the session to the browser. The server also calls
-    // the session and the player, so it must be destroyed before them.
+    // `session` and `foxglove` send their results through this pointer. The server is
+    // created last and destroyed first, because it calls both.
     view::WebServer* out = nullptr;
     view::ViewerSession session(
         std::move(run), load_other_runs(options.inserts), device, folder,

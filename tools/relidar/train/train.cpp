@@ -140,9 +140,8 @@ void require_settings_of_finished_run(const fs::path& run_folder, const Config& 
             run_folder.string(), key));
 }
 
-/// Returns true if the scene of a run is trained with these settings, but later steps are
-/// missing. Later steps are the placement of held-out scans, the intensity noise, the
-/// ray-drop network, the scores and the report.
+/// Returns true if the scene of a run was trained to the end with these settings, but no
+/// report was written.
 bool has_trained_scene_but_no_report(const fs::path& run_folder, const Config& config) {
     if (!is_file(run_folder / "scene.json") || is_file(run_folder / "report.html") ||
         read_last_logged_iteration(run_folder) < config.train.iterations)

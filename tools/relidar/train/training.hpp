@@ -28,12 +28,11 @@ TrainResult train_scene_with_progress(Device& device, const LidarSequence& seque
                                       const std::filesystem::path& run_folder, bool quiet,
                                       TrainSession session = {});
 
-/// Runs the steps after the training of a scene and before the training of its ray-drop
-/// network. The steps align the held-out scans, measure the noise of intensities, and
-/// save the run again.
-/// @param stage_times receives the times of "place", "scatter" and "save"
-/// @return `stopped` if the user interrupted; the folder then holds the scene without
-/// these results
+/// Runs the steps between the training of a scene and of its ray-drop network. Aligns the
+/// held-out scans, learns the noise of intensities, and saves the run.
+/// @param stage_times receives the times of these stages: "place", "scatter" and "save"
+/// @return `stopped` if the user interrupted; the results of these steps are then not
+/// saved
 TrainingEndReason align_held_out_and_learn_noise(Device& device, TrainedRun& run, bool quiet,
                                                  StageTimes& stage_times);
 
