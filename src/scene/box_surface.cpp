@@ -48,7 +48,7 @@ ObservedBoxSurface::ObservedBoxSurface(const glm::dvec3& size_m) : half_m_(0.5 *
     for (std::size_t s = 0; s < kBoxSides; ++s) {
         n_[s] = {compute_even_patch_count(size_m[kSideFrames[s].first]),
                  compute_even_patch_count(size_m[kSideFrames[s].second])};
-        observed_patches_[s].assign(std::size_t(n_[s][0] * n_[s][1]), 0);
+        observed_patches_[s].assign(std::size_t(n_[s][0]) * std::size_t(n_[s][1]), 0);
     }
 }
 
@@ -82,9 +82,12 @@ ObservedBoxSurface::BoxSurfacePatch ObservedBoxSurface::get_mirror_patch(BoxSurf
     return patch;
 }
 
+std::size_t ObservedBoxSurface::get_patch_index(const BoxSurfacePatch& patch) const {
+    return std::size_t(patch.row) * std::size_t(n_[std::size_t(patch.side)][0]) + std::size_t(patch.column);
+}
+
 bool ObservedBoxSurface::has_observed_patch(const BoxSurfacePatch& patch) const {
-    return observed_patches_[std::size_t(patch.side)]
-                            [std::size_t(patch.row * n_[std::size_t(patch.side)][0] + patch.column)] != 0;
+    return observed_patches_[std::size_t(patch.side)][get_patch_index(patch)] != 0;
 }
 
 void ObservedBoxSurface::mark_patch_of_point_as_observed(const glm::dvec3& point_m,
@@ -94,7 +97,7 @@ void ObservedBoxSurface::mark_patch_of_point_as_observed(const glm::dvec3& point
     const auto side = std::size_t(patch->side);
     const BoxSideAxes& frame = kSideFrames[side];
     if (!(-frame.sign * ray_direction[frame.normal] >= get_min_incidence_cosine(patch->side))) return;
-    observed_patches_[side][std::size_t(patch->row * n_[side][0] + patch->column)] = 1;
+    observed_patches_[side][get_patch_index(*patch)] = 1;
 }
 
 bool ObservedBoxSurface::is_patch_of_point_observed(const glm::dvec3& point_m) const {

@@ -131,7 +131,7 @@ std::vector<float> BeamGrid::compute_nearest_ranges_m(const Scan& scan) const {
         const glm::vec3 point = scan.compute_return_point_in_sensor_frame(ray);
         const std::optional<BeamGridCell> at = find_grid_cell(glm::dvec3(point));
         if (!at) continue;
-        float& here = nearest[std::size_t(at->row * columns_ + at->column)];
+        float& here = nearest[get_cell_index(at->row, at->column)];
         const float range = glm::length(point);
         here = here > 0.0f ? std::min(here, range) : range;
     }
@@ -237,7 +237,7 @@ VisibilityChecker::NeighbourRanges VisibilityChecker::find_surrounding_ranges(
     for (int r = std::max(at->row_below - 1, 0); r <= std::min(at->row_below, grid.rows() - 1); ++r)
         for (int c = at->column - 1; c <= at->column + 1; ++c)
             if (const float value =
-                    view.range_m[std::size_t(r * grid.columns() + (c + grid.columns()) % grid.columns())];
+                    view.range_m[grid.get_cell_index(r, (c + grid.columns()) % grid.columns())];
                 value > 0.0f)
                 result.returned_m[result.n++] = value;
     return result;

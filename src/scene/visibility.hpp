@@ -38,6 +38,10 @@ public:
     /// sensor.
     /// @param point_m [3] sensor frame
     std::optional<BeamGridCell> find_grid_cell(const glm::dvec3& point_m) const;
+    /// Returns the index of a cell in an array of all cells.
+    std::size_t get_cell_index(int row, int column) const {
+        return std::size_t(row) * std::size_t(columns_) + std::size_t(column);
+    }
     /// Returns the range of the nearest return in each cell.
     /// @param scan scan in the sensor's frame
     /// @return [rows * columns] metres, 0 if a cell has no return

@@ -175,6 +175,7 @@ std::unique_ptr<LoadedRun> load_run_with_settings(const fs::path& folder, const 
                                                   const SharedDevice& device) {
     TrainedRun run = load_run(folder);
     set_config_values_from_python(run.config, settings);
+    // Clang before 16 cannot call make_unique() for a struct without a constructor.
     return std::unique_ptr<LoadedRun>(new LoadedRun{std::move(run), device});
 }
 

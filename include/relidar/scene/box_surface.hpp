@@ -114,6 +114,8 @@ private:
     /// Returns the surface patch that contains a point. Returns nothing if the point
     /// belongs to no patch.
     std::optional<BoxSurfacePatch> find_patch_of_point(const glm::dvec3& point_m) const;
+    /// Returns the index of a patch in `observed_patches_` of its side.
+    std::size_t get_patch_index(const BoxSurfacePatch& patch) const;
     BoxSurfacePatch get_mirror_patch(BoxSurfacePatch patch) const;  ///< returns the mirror patch
     /// Returns false if the surface patch is near the ground, where patches are ignored.
     bool is_patch_above_ground_margin(const BoxSurfacePatch& patch) const;

@@ -140,6 +140,7 @@ constexpr SurfelParameterGroup make_parameter_group(
     bool has_harmonics = false, bool has_scales = false,
     SurfelParameterGroup::SceneRequirement parameter_set = SurfelParameterGroup::SceneRequirement::all) {
     using Element = typename std::remove_reference_t<decltype(std::declval<Surfels&>().*kHost)>::value_type;
+    // Element is not a pointer. NOLINTNEXTLINE(bugprone-sizeof-expression)
     constexpr std::size_t kFloats = sizeof(Element) / sizeof(float);
     return {name,
             shape_per_surfel,

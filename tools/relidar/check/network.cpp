@@ -55,7 +55,8 @@ double compute_convolution_error_on_gpu(Device& device, int n_kernel_taps) {
     ImageBatch from(2, n_in, 7, 33), d_to(2, n_out, 7, 33);
     from.values = sample_normal_distribution(from.values.size());
     d_to.values = sample_normal_distribution(d_to.values.size());
-    const std::vector<double> weights = sample_normal_distribution(std::size_t(n_in * n_out * n_kernel_taps)),
+    const std::vector<double> weights = sample_normal_distribution(std::size_t(n_in) * std::size_t(n_out) *
+                                                                   std::size_t(n_kernel_taps)),
                               bias = sample_normal_distribution(std::size_t(n_out));
     const refine::Tensor inputs = upload_images_as_tensor(device, from),
                          d_outputs = upload_images_as_tensor(device, d_to),

@@ -91,12 +91,13 @@ void draw_asset_view(Image& canvas, int top_left_row, int top_left_column, const
                      const std::vector<float>& pixel_brightness, const ObservedBoxSurface& surface) {
     for (int r = 0; r < scan.image.rows; ++r) {
         for (int c = 0; c < scan.image.columns; ++c) {
-            const auto i = std::size_t(r * scan.image.columns + c);
+            const auto i = std::size_t(r) * std::size_t(scan.image.columns) + std::size_t(c);
             if (pixel_brightness[i] < 0.0f) continue;
             const glm::vec3 point_m = scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i];
             const bool of_mirror = surface.is_observed_only_in_mirror(glm::dvec3(point_m));
-            std::uint8_t* pixel =
-                &canvas.rgb[std::size_t(3 * ((top_left_row + r) * canvas.columns + top_left_column + c))];
+            const std::size_t i_canvas = std::size_t(top_left_row + r) * std::size_t(canvas.columns) +
+                                         std::size_t(top_left_column + c);
+            std::uint8_t* pixel = &canvas.rgb[3 * i_canvas];
             for (int k = 0; k < 3; ++k)
                 pixel[k] = std::uint8_t(255.0f * pixel_brightness[i] * (of_mirror && k < 2 ? 0.7f : 1.0f));
         }
@@ -127,7 +128,7 @@ Image draw_asset_picture(Device& device, const ActorAsset& asset, const Observed
     const int upper = std::max(rows(kLeft), rows(kAbove));
     Image canvas{
         upper + rows(kBehind) + 3 * kGap, columns(kLeft) + columns(kRight) + columns(kAbove) + 4 * kGap, {}};
-    canvas.rgb.assign(std::size_t(3 * canvas.rows * canvas.columns), kBackdrop);
+    canvas.rgb.assign(3 * std::size_t(canvas.rows) * std::size_t(canvas.columns), kBackdrop);
     const int second = 2 * kGap + columns(kLeft), third = second + kGap + columns(kRight),
               below = upper + 2 * kGap;
     const int view_positions_px[][2] = {

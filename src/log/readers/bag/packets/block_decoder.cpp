@@ -245,7 +245,8 @@ private:
             firing.after_us =
                 layout_.shift_us + layout_.cycle_us * double(layout_.at_end ? slot - (n - 1) : slot);
             if (per_block == 1) continue;
-            const std::size_t next = std::size_t(slot - slot % per_block + per_block);
+            const std::size_t next =
+                std::size_t(slot) - std::size_t(slot % per_block) + std::size_t(per_block);
             if (slot % per_block == 0 && next < packet.firings.size()) {
                 const double to_next =
                     std::remainder(packet.firings[next].azimuth_deg - firing.azimuth_deg, 360.0);
