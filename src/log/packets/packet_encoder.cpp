@@ -221,7 +221,7 @@ struct PacketEncoder::Impl {
 
     /// The pending packet can contain firings that no scan contains. Computes their times
     /// and azimuths from another firing and the nominal rotation rate.
-    void interpolate_missing_firings() {
+    void fill_missing_firings() {
         const auto first =
             std::ranges::find_if(pending, &FiringColumn::has_time_and_azimuth) - pending.begin();
         const std::int64_t begin = packet * get_firings_per_packet();
@@ -242,7 +242,7 @@ struct PacketEncoder::Impl {
     }
 
     void write_pending_packet() {
-        interpolate_missing_firings();
+        fill_missing_firings();
         for (int k = 0; k < format->get_packets_per_firing(); ++k, ++n_written)
             complete.push_back(
                 format->encode_packet(pending, has_fixed_columns() ? std::uint32_t(packet) : n_written));

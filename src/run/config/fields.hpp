@@ -177,8 +177,9 @@ void visit_initialisation_settings(C& config, Visitor&& visitor) {
         mark_expert("ignore points and losses inside moving boxes whose class is not in init.actor_classes; "
                     "false: these boxes are part of the background (as in the paper)"));
     visitor("init.actor_tracks", config.init.actor_tracks, accept_anything(),
-            mark_expert("ids of tracks that become actors in any case, even if they are parked or of another "
-                        "class, separated by commas; empty: only init.actor_classes decides"));
+            mark_expert("ids of tracks that become actors, even if they are parked or of another class, "
+                        "separated by commas; other labelled tracks then become no actors; empty: "
+                        "init.actor_classes decides"));
     visitor("init.deform", config.init.deform, accept_anything(),
             "classes whose actors change their shape while they walk, separated by commas: vehicle, "
             "cyclist, person, other, or a class name of the dataset; empty: all actors are rigid (as in the "
