@@ -19,8 +19,8 @@ RELIDAR_PARAMS(RadixSortParams);
 #include "radix.glsl"
 
 const uint ROUNDS = RELIDAR_TILE_SIZE / RELIDAR_TILE_THREADS;
-// Number of words for the counts of all digit values. Each word contains two 16-bit
-// counts.
+// Number of words for the counts of all digit values. A word contains two 16-bit counts,
+// because a workgroup sorts fewer than 65536 keys.
 const uint WORDS = RELIDAR_SORT_DIGITS / 2u;
 const uint ROWS = 32u;  // Number of rows of counters that fit into 16 KiB of shared memory.
 // Number of keys with each digit value of the radix sort. Subgroups count in separate

@@ -80,7 +80,7 @@ void main() {
     s.intensity = evaluate ? max(values.x, 0.0) : 0.0;
     s.hit_logit = evaluate ? values.y : 0.0;
     s.drop_logit = evaluate ? values.z : 0.0;
-    // Rejects surfels with a scale outside 1e-6 m ... 1e6 m.
+    // A surfel is invisible if a scale is outside 1e-6 m ... 1e6 m.
     vec3 inverse_scale = vec3(length(s.axis_u), length(s.axis_v), length(s.normal));
     bool finite = q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(inverse_scale, vec3(1e-6))) &&
                   all(lessThan(inverse_scale, vec3(1e6))) && is_finite_vector(s.mean) &&

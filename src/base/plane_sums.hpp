@@ -19,7 +19,7 @@ struct PlaneFit {
 
 struct PointMomentSums {
     double n = 0.0;
-    /// Sums of the products y z, x z and x y over all points.
+    /// Sums over all points: coordinates, their squares, and products y z, x z and x y.
     glm::dvec3 sum{0.0}, squares{0.0}, products{0.0};
 
     /// Adds a point to the sums.

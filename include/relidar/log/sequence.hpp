@@ -116,8 +116,8 @@ inline SweepTiming get_sweep_timing_of_frame(const LidarFrame& frame) {
 }
 
 struct Lidar;
-/// The same for any LiDAR. Returns nothing also if the pattern is unknown, or if the time
-/// of a frame is the middle of the scan, which is the default if the LiDAR does not spin.
+/// Same as the function above, for any LiDAR. Also returns nothing if its pattern is
+/// unknown, or if it does not spin and frame times are in the middle of its scans.
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar);
 
 /// Standard deviation of measured ranges, as a table over range and incidence angle.
@@ -230,7 +230,7 @@ struct IntensityResponse {
 
     double compute_intensity_factor_at_range(
         double distance_m) const;  ///< uses the first or last factor outside the knots
-    /// Returns the factor for the cosine between the ray and the surface normal.
+    /// Returns the factor for the cosine of the angle between ray and surface normal.
     double compute_intensity_factor_at_incidence(double incidence_cosine) const {
         return 1.0 - incidence * (1.0 - incidence_cosine);
     }
@@ -273,7 +273,7 @@ struct LidarSequence {
     std::optional<std::uint16_t> find_global_beam_number(int lidar_index, std::uint16_t channel) const;
 };
 
-/// Returns the box with this id, or null. An empty id means the background: null.
+/// Returns the box with this id, or null if there is none or the id is empty.
 const BoxTrack* find_box_track_by_id(const LidarSequence& sequence, const std::string& box_id);
 
 /// Returns a copy of a log without its frames.

@@ -254,7 +254,7 @@ struct SceneInitialisationOptions {
     /// Edge length of voxels, metres. The points of all training frames in a voxel are
     /// averaged.
     double voxel_m = 0.15;
-    /// Growth of the voxel edge per metre from the nearest sensor position. 0: paper.
+    /// Growth of the voxel edge per metre from the nearest sensor position. 0: none.
     double voxel_growth = 0.0;
     /// If true, surfel normals are estimated from the nearest neighbours. If false,
     /// orientations are random (ablation).
@@ -389,7 +389,7 @@ std::vector<InstancePose> compute_instance_poses(const Scene& scene, const Lidar
 using ActorTracksByName = std::map<std::string, PoseTrack>;
 /// Computes poses and motions of all instances during a sweep, from actor tracks of the
 /// caller. The pose and motion of the sensor come from the sequence.
-/// @throws UsageError that suggests the most similar name, for an unknown name
+/// @throws UsageError if a name is unknown; the message suggests the most similar name
 std::vector<InstancePose> compute_instance_poses(const Scene& scene, const LidarSequence& sequence,
                                                  const SweepTiming& sweep,
                                                  const ActorTracksByName& world_from_actor);

@@ -29,7 +29,8 @@ void synchronise() {
 }
 
 /// Returns the bounding box of an instance in the world frame. For a moving instance, the
-/// box contains all poses during the scan. The box includes rounding errors.
+/// box contains all poses during the scan. The box includes rounding errors. A rotation
+/// moves a point by less than the angle times the distance from the model's origin.
 Box make_world_box(InstanceEntry instance, Box model) {
     vec3 x = cross(instance.row1.xyz, instance.row2.xyz), y = cross(instance.row2.xyz, instance.row0.xyz),
          z = cross(instance.row0.xyz, instance.row1.xyz);
@@ -99,7 +100,7 @@ bool is_key_after(uvec2 first, uvec2 second) {
     return first.x != second.x ? first.x > second.x : first.y > second.y;
 }
 
-/// Sorts the instances by Morton code with a bitonic sort.
+/// Sorts the keys (Morton code, instance) with a bitonic sort.
 void sort_keys() {
     SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
     for (uint size = 2u; size <= params.n_padded; size *= 2u)

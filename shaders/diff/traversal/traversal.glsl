@@ -13,9 +13,9 @@
 #include "keys.glsl"
 #include "ray.glsl"
 
-// Size of the arrays that are indexed at run time. Some compilers keep arrays of up to 64
-// elements in registers (Mesa for AMD; Intel's keeps up to 16), but a shader has too few
-// registers for this.
+// Size of the arrays that are indexed at run time, in elements. Arrays of this size stay
+// in memory. Some compilers keep smaller arrays in registers: Mesa's AMD compiler up to
+// 64 elements, Intel's up to 16. A shader has too few registers for this.
 const uint SLOTS = 65u;
 
 #ifdef RELIDAR_APPENDS_HITS

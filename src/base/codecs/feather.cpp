@@ -37,7 +37,7 @@ T read_little_endian(std::string_view bytes, std::size_t byte_offset) {
 }
 
 /// Returns the `n_bytes` bytes that start at an offset. Throws an error if they are not
-/// inside `file_bytes`.
+/// inside `bytes`.
 std::string_view get_byte_range_or_throw(std::string_view bytes, std::int64_t offset, std::int64_t n_bytes,
                                          const char* name_for_errors) {
     if (offset < 0 || n_bytes < 0 || std::uint64_t(offset) > bytes.size() ||

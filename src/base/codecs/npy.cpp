@@ -138,7 +138,7 @@ std::string make_npy_header(const NamedArray& array) {
     std::string shape;
     for (std::size_t extent : array.shape) shape += fmt::format("{}, ", extent);
     if (array.shape.size() > 1) shape.resize(shape.size() - 2);
-    // Keeps the trailing comma if the shape has only one extent. In Python, (n,) is a
+    // Removes the space, but not the comma, after a single extent. In Python, (n,) is a
     // tuple but (n) is a number.
     if (array.shape.size() == 1) shape.pop_back();
     std::string dict = fmt::format("{{'descr': '{}{}', 'fortran_order': False, 'shape': ({}), }}", order,

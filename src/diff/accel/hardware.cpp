@@ -130,8 +130,8 @@ struct RayQueryAccel::Impl {
     const ProxyTriangleMesh& mesh;
     Kernel<shared::ProxyParams> proxies;
     Array<float> geometry;  ///< vertices [n,corners,3] or boxes [n,6]
-    /// [1] maximum distance from a hit on a 2D Gaussian to the far side of the proxy
-    /// shape (icosahedron) that encloses the Gaussian
+    /// [1] maximum distance between a hit on a 3D Gaussian and a corner of the
+    /// icosahedron around it
     Array<std::uint32_t> reach;
     /// Triangle indices for the largest model. Smaller models use the first indices, with
     /// an offset to their first vertex.

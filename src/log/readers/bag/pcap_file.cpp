@@ -281,7 +281,7 @@ private:
         /// smaller if a later datagram has an IP fragment before it.
         std::uint64_t at = 0, first_at = 0;
         std::int64_t log_ns = 0;
-        /// For messages whose `at` and `first_at` differ: first_at by at.
+        /// `first_at` by `at`, for messages in which they differ.
         std::map<std::uint64_t, std::uint64_t> late_runs;
         /// Histogram of datagram sizes in bytes, for streams of unknown products.
         std::map<std::size_t, std::size_t> n_of_bytes;
