@@ -28,8 +28,8 @@ void add_fixed(Uints sums, uint entry, float value) {
 float read_fixed(Uints sums, uint entry) {
     uvec2 sum = uvec2(sums.at[2u * entry], sums.at[2u * entry + 1u]);
     bool negative = (sum.y & 0x80000000u) != 0u;
-    // Converts the absolute value, because this gives a smaller rounding error than the
-    // two words of a negative number.
+    // In two's complement, the words of a small negative number are large. Their
+    // conversion to float would lose digits. Therefore the absolute value is converted.
     if (negative) sum = negate(sum);
     float steps = float(sum.y) * kFixedWord + float(sum.x);
     return (negative ? -steps : steps) / kFixedSteps;

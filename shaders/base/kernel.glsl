@@ -31,15 +31,16 @@ layout(push_constant, scalar) uniform Push {
 } push;
 // clang-format on
 
-/// Returns true if the host passed no array for this pointer. The host then passes the
-/// address of a few zeros, because some drivers load even in branches that no thread
+/// Returns true if the host passed no array for this pointer. The host then passes
+/// `push.nothing`, the address of a small array of zeros. It does not pass a null
+/// address, because some drivers load from the pointer even in branches that no thread
 /// executes.
 #define is_null(pointer) (uvec2(pointer) == push.nothing)
 
-// The host adds `readonly` to this block in the SPIR-V code (src/gpu/spirv.hpp), so that
-// compilers can keep parameters in scalar registers. GLSL would not allow pointers in a
-// `readonly` block as function arguments. A copy of the struct instead would crash the
-// compiler of SwiftShader.
+// The host marks this block as read-only in the SPIR-V code (src/gpu/spirv.hpp), so that
+// compilers can keep the parameters in scalar registers. The GLSL qualifier `readonly` is
+// not used, because pointers in the block could then not be passed to functions. Copying
+// the struct to a local variable would crash the compiler of SwiftShader.
 #define RELIDAR_PARAMS(Type) \
     layout(buffer_reference, scalar, buffer_reference_align = 16) buffer ParamsBlock { Type value; }
 #define params push.block.value

@@ -23,11 +23,12 @@ const uint ROUNDS = RELIDAR_TILE_SIZE / RELIDAR_TILE_THREADS;
 // because a workgroup sorts fewer than 65536 keys.
 const uint WORDS = RELIDAR_SORT_DIGITS / 2u;
 const uint ROWS = 32u;  // Number of rows of counters that fit into 16 KiB of shared memory.
-// Number of keys with each digit value of the radix sort. Subgroups count in separate
-// rows, or share rows if there are more than ROWS subgroups.
+// Histogram of the workgroup's keys: number of keys with each value of the current digit.
+// There is one row of counters per subgroup. If there are more than ROWS subgroups,
+// several subgroups share a row.
 shared uint counters[ROWS * WORDS];
-// Output position of the first key with each digit value, among the keys of this
-// workgroup.
+// For each value of the current digit: index in the output at which this workgroup writes
+// its first key with this value.
 shared uint digit_start[RELIDAR_SORT_DIGITS];
 uint rank[ROUNDS];  // Ranks of this lane's keys. The lane ranks one key per round.
 

@@ -54,7 +54,8 @@ void store_view_gradient(uint surfel, vec3 gradient) {
     for (uint k = 0u; k < 3u; ++k) params.d_view.at[3 * surfel + k] = gradient[k];
 }
 
-/// Loads the gradient of a surfel's record, summed over all instances of its model.
+/// Loads the gradient of the 16 floats of a surfel's record (SurfelRecord), summed over
+/// all instances of its model.
 /// @return true if any component is not zero
 bool load_record_gradient(uint surfel, ModelEntry model, out float row[16]) {
     for (uint k = 0u; k < 16u; ++k) row[k] = params.d_records.at[16u * surfel + k];
@@ -85,6 +86,7 @@ void store_zero(uint surfel) {
 
 /// Writes the gradients of all parameters of a surfel except its spherical-harmonic
 /// coefficients.
+/// @param row gradient of the surfel's record, 16 floats. `d_mean` replaces row[0..2]
 void write_geometry_gradients(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     vec3 d_axis_u = vec3(row[4], row[5], row[6]);
     vec3 d_axis_v = vec3(row[8], row[9], row[10]);

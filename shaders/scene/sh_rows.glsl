@@ -20,8 +20,8 @@ shared float staged_channel[gl_WorkGroupSize.x * kChannelPitch];
 shared bool staged_loads[gl_WorkGroupSize.x], staged_stores[gl_WorkGroupSize.x];
 
 /// Sets whether this thread loads and stores the spherical-harmonic coefficients of its
-/// surfel. Every thread of the workgroup must call this function and load_channel() and
-/// store_channel(), because all threads copy together.
+/// surfel. All threads of the workgroup copy the coefficients together. Therefore every
+/// thread must call this function, load_channel() and store_channel().
 void set_sh_transfers(bool loads, bool stores) {
     if (!STAGED) return;
     staged_loads[gl_LocalInvocationIndex] = loads;

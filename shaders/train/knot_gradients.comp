@@ -27,7 +27,8 @@ uint get_frame_ray(uint index) {
 
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1u], array.at[row + 2u]); }
 
-/// Sums the gradients of every n_threads-th ray, starting with ray number `thread`.
+/// Sums the gradients of sensor pose `knot` over every n_threads-th ray, starting with
+/// ray `thread`. `force` is dL/d(translation) and `torque` is dL/d(rotation).
 void sum_ray_gradients(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 torque) {
     force = torque = vec3(0.0);
     for (uint k = thread; k < params.n_rays; k += n_threads) {

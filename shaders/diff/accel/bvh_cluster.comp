@@ -38,8 +38,9 @@ struct Cluster {
 shared vec3 low_of[ROOM], high_of[ROOM];
 shared uint root_of[ROOM], spare_of[ROOM];
 shared uint nearest[ROOM];
-// Two neighbouring ranges of surfels to join: x to y, and y + 1 to z. If the joined range
-// is a complete model, w is the index of the model. Otherwise w is -1.
+// Two neighbouring ranges of sorted surfels that the subgroup joins: x to y, and y + 1 to
+// z. If both ranges together are a complete model, w is the index of this model.
+// Otherwise w is -1.
 shared ivec4 task;
 
 /// Waits until all lanes of the subgroup see each other's writes to shared memory.
@@ -147,8 +148,9 @@ uint merge_mutual_nearest_clusters(uint count) {
     return n_kept;
 }
 
-/// Builds the subtrees of the two ranges of surfels in `task`. All threads of the
-/// subgroup must call this function.
+/// Joins the two ranges of surfels in `task`: merges their subtrees until at most KEPT
+/// remain, or one if the joined range is a complete model. All threads of the subgroup
+/// must call this function.
 void join_task_ranges() {
     uint n = load_clusters(task.x, task.y, 0u);
     n = load_clusters(task.y + 1, task.z, n);
@@ -164,8 +166,9 @@ void join_task_ranges() {
     if (n < KEPT && gl_SubgroupInvocationID == 0u) roots.at[task.x + n] = RELIDAR_BVH_NO_NODE;
 }
 
-/// Each range of surfels is processed by one thread. Of two threads with neighbouring
-/// ranges, the first one stops and the second one continues with the joined range.
+/// Each thread starts with one range of surfels. Two threads with neighbouring ranges
+/// call this function for the same boundary. The thread that calls it first stops. The
+/// thread that calls it second continues with the joined range.
 /// @return true if this thread continues. `from` and `to` are then the joined range
 bool join_with_neighbour_range(inout int from, inout int to, out int split, int first, int last) {
     bool leftward = count_common_bits(from - 1, first, last) > count_common_bits(to, first, last);

@@ -21,9 +21,9 @@ Box load_box(Floats boxes, uint index) {
                vec3(boxes.at[6 * index + 3], boxes.at[6 * index + 4], boxes.at[6 * index + 5]));
 }
 
-// Buffers through which subgroups of one launch exchange values. They are declared
-// coherent, because each core of a GPU may have a separate cache. The plain pointers in
-// shared/ are not coherent.
+// Pointer types for arrays through which subgroups of one launch exchange values. They
+// are coherent, because each core of a GPU may have a separate cache. Other pointer
+// types, for example Floats, are not coherent.
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedFloats { float at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 8) coherent buffer SharedUvec2s { uvec2 at[]; };

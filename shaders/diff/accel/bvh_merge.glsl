@@ -18,8 +18,9 @@ void load_costs(BvhBinary tree, Subtree subtree, out float costs[RELIDAR_BVH_WID
                                          : SharedFloats(uvec2(tree.costs)).at[7u * subtree.root + k - 1u];
 }
 
-/// Computes the traversal costs of a binary node from the costs of its two children. Also
-/// stores how a parent's child entries are best divided between the two children.
+/// Computes the traversal costs of a binary node from the costs of its two children. The
+/// children will share child entries of a wide node. Also stores how many of k entries
+/// the left child should get, for each possible k.
 void write_node_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float area) {
     float in_left[RELIDAR_BVH_WIDTH], in_right[RELIDAR_BVH_WIDTH];
     load_costs(tree, left, in_left);

@@ -97,7 +97,8 @@ bool count_finished_child(bool arrives, uint node, uint expected) {
 void refit_ancestors(bool has_node, uint node) {
     uint inner_mask = has_node ? params.wide.nodes.at[node].exponents >> 24 : 1u;
     uvec2 link = has_node ? params.wide.links.at[node] : uvec2(RELIDAR_BVH_NO_NODE);
-    // Starts only at nodes without child nodes, in models that the host has selected.
+    // This group of lanes starts only at a node without child nodes. Other nodes wait for
+    // their children. The host selects models by their first surfel (link.y).
     has_node = inner_mask == 0u && link.y >= params.first_surfel && link.y <= params.last_surfel;
     while (subgroupAny(has_node)) {
         refit_node(has_node, node, link.y, inner_mask);

@@ -11,8 +11,9 @@
 #include "../../scene/gaussian/kinds.glsl"
 RELIDAR_PARAMS(ModelRadiiParams);
 
-/// Returns the standard deviation of a surfel along an axis, or 0 if it is not finite.
-/// @param axis unit vector divided by the standard deviation
+/// Returns the standard deviation of a surfel along an axis: 1 / |axis|, or 0 if this is
+/// not finite.
+/// @param axis vector along the axis with the length 1 / standard deviation, 1/m
 float compute_axis_scale(vec3 axis) {
     float s = 1.0 / length(axis);
     return isnan(s) || isinf(s) ? 0.0 : s;

@@ -29,9 +29,9 @@ const float kCircumscribed = 0.66158453824961;
 // unit sphere.
 const float kOuterRadius = 1.25840857236482;
 
-/// Returns a half axis of the shape that encloses a surfel. The length is `factor`
-/// standard deviations plus a margin.
-/// @param axis unit vector divided by the standard deviation
+/// Returns a half axis of the shape that encloses a surfel. Its length is `factor`
+/// standard deviations times margin_scale, plus margin_m.
+/// @param axis vector along the axis with the length 1 / standard deviation, 1/m
 vec3 compute_half_axis(vec3 axis, float factor) {
     float inverse_scale = length(axis);
     float half_size = factor / inverse_scale * params.margin_scale + params.margin_m;

@@ -20,16 +20,17 @@ const uint kRowPitch = 17u;
 shared float shared_rows[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x * kRowPitch : 1u];
 shared uint shared_targets[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x : 1u];
 
-/// Returns true if the threads of a subgroup add their rows together, through shared
-/// memory. All threads must then call add_row(). Returns false if a subgroup is not full.
+/// Returns true if the threads of a subgroup exchange their rows (16 floats per thread)
+/// through shared memory before they add them to the array. All threads of the subgroup
+/// must then call add_row(). Returns false if a subgroup is not full.
 bool are_rows_exchanged() {
     return COALESCED_ATOMICS != 0u && gl_NumSubgroups * gl_SubgroupSize == gl_WorkGroupSize.x;
 }
 
 uint get_shared_row_index() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
-/// Adds `amount` to array[16 row + index]. If are_rows_exchanged(), the addition is
-/// delayed until add_row() is called.
+/// Adds `amount` to array[16 row + index]. If the threads exchange their rows, only
+/// stores `amount` in shared memory, and add_row() adds it later.
 void add_to_row_component(Floats array, uint row, uint index, float amount) {
     if (are_rows_exchanged()) shared_rows[get_shared_row_index() * kRowPitch + index] = amount;
     else atomic_add(array, 16u * row + index, amount);

@@ -27,8 +27,8 @@ bool has_gradient(RayGradient gradient) {
     return any_gradient;
 }
 
-/// Returns the derivative of the loss with respect to the blending weight of a hit. It is
-/// the sum over all blended values of gradient times the hit's value.
+/// Returns the derivative of the loss with respect to the blending weight of a hit. Each
+/// blended value (depth, intensity, ...) contributes its gradient times the hit's value.
 float compute_weight_gradient(TraceScene scene, Ray ray, RayGradient gradient, Hit hit) {
     vec3 channels = evaluate_hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
     float shade = 0.0;

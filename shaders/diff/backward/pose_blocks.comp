@@ -13,8 +13,9 @@ RELIDAR_PARAMS(PoseBlocksParams);
 
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1], array.at[row + 2]); }
 
-/// Returns the gradient of a small rotation of the viewing direction. It is stored in
-/// elements 7, 11 and 15 of a surfel's gradient.
+/// Returns the gradient of the loss with respect to a small rotation of the viewing
+/// direction. It is stored in elements 7, 11 and 15 of the 16 gradient floats of a
+/// surfel.
 vec3 load_direction_rotation_gradient(uint row) {
     return vec3(params.d_records.at[row + 7], params.d_records.at[row + 11], params.d_records.at[row + 15]);
 }
@@ -27,7 +28,8 @@ void add_surfel(PoseBlock block, uint index, inout PoseSum sum) {
     uint surfel = block.first_surfel + index, row = 16u * (block.first_row + index);
     vec3 d_mean = load_vec3(params.d_records, row), d_axis_u = load_vec3(params.d_records, row + 4u);
     vec3 d_axis_v = load_vec3(params.d_records, row + 8u), d_normal = load_vec3(params.d_records, row + 12u);
-    // A rotation of the model turns the viewing direction the opposite way.
+    // If a model rotates, the viewing direction rotates the opposite way in the frame of
+    // the model. Therefore this gradient is subtracted.
     if (params.sh_per_surfel == 0u) sum.torque -= load_direction_rotation_gradient(row);
     else if (block.with_view != 0u) sum.view += load_vec3(params.d_view, 3u * surfel);
     if (is_zero(d_mean) && is_zero(d_axis_u) && is_zero(d_axis_v) && is_zero(d_normal)) return;

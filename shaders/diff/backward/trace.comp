@@ -55,8 +55,8 @@ struct BlendedHit {
     float alpha;          // Opacity at the hit (sigma G) before it is clamped.
     float transmittance;  // transmittance before the hit
     float w;              // alpha times transmittance
-    // Derivative of the loss with respect to `w`, minus the same derivative for the ray's
-    // nearest hit. Such differences are small, which reduces rounding errors.
+    // dL/dw of this hit minus dL/dw of the ray's nearest hit, where L is the loss. The
+    // difference is small, which reduces rounding errors.
     float shade;
     float behind;  // Sum of weight times `shade` over all hits behind this hit, including the background.
 };
@@ -99,9 +99,10 @@ void load_kept_hits(uint first, uint count) {
 }
 
 /// Adds the gradients of the first `count` hits in the buffer, from far to near. If
-/// are_rows_exchanged(), all threads of the subgroup must call this function.
+/// are_rows_exchanged() is true, threads add gradients together. All threads of the
+/// subgroup must then call this function.
 /// @param slot index of the first hit in `hits`
-/// @param behind value of BlendedHit::behind for the farthest hit
+/// @param behind sum of w * shade over everything behind these hits, with the background
 void add_buffered_hit_gradients(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, uint slot,
                                 uint count, float behind) {
     for (uint k = are_rows_exchanged() ? subgroupMax(count) : count; k > 0u; --k) {
@@ -120,8 +121,8 @@ void add_buffered_hit_gradients(TraceScene scene, Ray ray, uint ray_index, RayGr
     }
 }
 
-/// Returns the state before the first hit. `remaining` is then the sum of all blended
-/// values of the ray, each multiplied by its gradient.
+/// Returns the state of the blending at the start of a ray. `remaining` is the sum of all
+/// blended values of the ray, each multiplied by its gradient.
 BlendState start_blending(RenderedRay final, RayGradient gradient) {
 #define RELIDAR_REMAINS(name, built, value, input, slope, meaning) +gradient.name* final.name
     precise float remaining = RELIDAR_CHANNEL_VALUES(RELIDAR_REMAINS);
@@ -145,9 +146,10 @@ void shift_blend_origin(TraceScene scene, Ray ray, RenderedRay final, RayGradien
 }
 
 /// Computes the gradients of a ray.
-/// @param going false if this thread has no ray, or a ray whose gradient is zero. If
-/// are_rows_exchanged(), such threads must call this function too
-/// @return number of hits with a gradient. Below final.n_hits if hits were lost
+/// @param going true if this thread has a ray with a non-zero gradient. If
+/// are_rows_exchanged() is true, the other threads must call this function too
+/// @return number of hits with a gradient. Below final.n_hits if hits were not found
+/// again
 uint backpropagate_ray(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient gradient,
                        bool going) {
     BlendState state = start_blending(final, gradient);

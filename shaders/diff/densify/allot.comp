@@ -26,8 +26,9 @@ uint divide_64_by_32(uint high, uint low, uint divisor) {
     return quotient;
 }
 
-/// Returns how many of the n_new copies belong to the first surfels, up to a surfel where
-/// the weights sum to `weight`. `phase` is a random offset for rounding.
+/// Returns how many of the n_new copies the first surfels get together, if the sum of
+/// their weights is `weight`: weight * n_new / total_weight, rounded to an integer. The
+/// random offset `phase` determines the rounding.
 uint sum_earlier_weights(uint weight) {
     if (params.total_weight == 0u) return 0u;
     uint high, low, carry;

@@ -48,8 +48,9 @@ bool is_outside(uint index, vec4 quaternion, vec3 scale, vec3 half_size) {
     for (uint draw = 0u; draw < 2u; ++draw) {
         vec2 z = scale.xy * draw_normal_pair(params.key, index, draw);
         vec3 p = mean + z.x * r[0] + z.y * r[1];
-        // Uses random numbers 4 and 5 of the surfel. Numbers 0 and 1 are used above, 2
-        // and 3 in kernel densify/spawn.
+        // The last argument selects one of the surfel's random numbers. Numbers 0 and 1
+        // are used above, 2 and 3 in kernel densify/spawn. Therefore this code uses 4 and
+        // 5.
         if (has_third_scale()) p += scale.z * draw_normal_pair(params.key, index, 4u + draw).x * r[2];
         if (!any(greaterThan(abs(p), half_size))) return false;
     }

@@ -28,9 +28,10 @@ Hit load_listed_hit(uint list, uint index, uint count) {
     return params.lists.hits.at[get_list_entry(params.lists.room, list, min(index, count - 1u))];
 }
 
-/// Blends the hits of a list, at least one. Loads hits two iterations ahead and their
-/// intensities and logits one iteration ahead, to hide the latency of the loads.
-/// @return true if the transmittance fell below the limit within the list
+/// Blends the hits of a list with at least one hit. To hide the latency of loads, loads
+/// each hit two iterations before it is blended, and its intensity and logits one
+/// iteration before.
+/// @return true if a hit of the list would reduce the transmittance below the limit
 bool blend_list(uint list, uint count, Ray ray, inout Blended blended) {
     Hit next = load_listed_hit(list, 0u, count), after_next = load_listed_hit(list, 1u, count);
     vec3 next_channels = compute_hit_channels(params.scene, ray, next);

@@ -71,7 +71,8 @@ void keep_hit(uint index, Hit hit) {
 /// Adds the background to the blended values and writes the result of the ray.
 void finish_blending(uint ray_index, inout Blended blended) {
     if (params.n_kept > 0u && blended.ray.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
-    // The background adds only to the logit of a ray drop, with the value 1.
+    // The background has the drop logit 1, and 0 for all other blended values. Its weight
+    // is the remaining transmittance of the ray.
     add_with_compensation(blended.ray.drop_logit, blended.lost.drop_logit, blended.ray.transmittance);
     keep_heavier_surface(blended.surfaces);
     if (NORMAL != 0u || MODE != 0u)

@@ -9,7 +9,8 @@
         if (place[h] < n) t[h] = load_list_hit(list, place[h]).t; \
     }
 
-// True if a step of the bitonic sort orders hit h of this thread in ascending order.
+// A step of the bitonic sort sorts runs of `run` hits, in turn in ascending and
+// descending order. True if hit number h of this lane is in an ascending run.
 #define IS_UPWARD(h) (((lane * HELD + h) & run) == 0u)
 
 #define EXCHANGE_BETWEEN_LANES(h)                                                       \

@@ -17,8 +17,9 @@ Hit load_list_hit(uint list, uint place) {
     return params.lists.hits.at[get_list_entry(params.lists.room, list, place)];
 }
 
-/// Orders two hits at the same distance: by instance, then by surfel, then by position in
-/// the list. Positions beyond the end of the list are last.
+/// Compares two hits at the same distance, given by their positions `first` and `second`
+/// in the list. Returns true if `first` comes before `second`, ordered by instance, then
+/// surfel, then position. Positions beyond the end of the list come last.
 bool is_tie_before(uint list, uint count, uint first, uint second) {
     if (first >= count || second >= count) return first < second;
     Hit hit_a = load_list_hit(list, first), hit_b = load_list_hit(list, second);
@@ -62,8 +63,9 @@ void main() {
     uint list = get_workgroup_index() * RELIDAR_SORTED_TOGETHER + gl_SubgroupID;
     uint length = list < params.lists.n ? params.lists.lengths.at[list] : 0u,
          n = length & ~RELIDAR_LIST_CLOSED;
-    // Lists that are not sorted also execute the barrier of the sort functions. On
-    // lavapipe, a subgroup barrier waits for all subgroups of the workgroup.
+    // On lavapipe, a subgroup barrier waits for all subgroups of the workgroup. The sort
+    // functions contain one barrier. Therefore subgroups that do not sort need a barrier
+    // too.
     if (length == RELIDAR_LIST_UNFIT || n < 2u) subgroupBarrier();
     else if (n <= LANES) sort_1(list, n);
     else if (n <= 2u * LANES) sort_2(list, n);

@@ -34,9 +34,9 @@ const uint kOut = RELIDAR_CONV_OUT, kIn = RELIDAR_CONV_IN, kLines = TAPS == 1u ?
 const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;
 shared float tile[kIn * 9 * kOut];  // weights of a tile, indexed [in, tap, out]
 
-/// Copies the weights between kIn input channels and the output channels of this
-/// workgroup to shared memory. If there are fewer channels, the last channel is copied
-/// several times, and the additional copies are not used.
+/// Copies the weights from kIn input channels to kOut output channels to shared memory,
+/// starting at channels first_in and first_out. Near the last channel there may be fewer
+/// channels. The weights of the last channel then fill the tile and are not used.
 void load_weight_tile(uint first_out, uint first_in) {
     for (uint k = gl_LocalInvocationIndex; k < kIn * TAPS * kOut; k += gl_WorkGroupSize.x) {
         uint o = min(first_out + k % kOut, params.n_out - 1u),

@@ -22,13 +22,14 @@ RELIDAR_PARAMS(ConvWeightsParams);
 const uint kOut = RELIDAR_CONV_OUT, kIn = TAPS == 1u ? RELIDAR_CONV_IN : 1u, kLines = TAPS == 1u ? 1u : 3u;
 
 float sum[kOut * kIn * TAPS];  // partial sums of this lane, indexed [out, in, tap]
-// Input pixels [in, line] of two neighbouring blocks of columns, one column per thread. A
-// 3x3 kernel reads columns of both blocks.
+// Input pixels of two neighbouring blocks of LANES columns, indexed [input channel,
+// kernel row]. Each thread holds one column per block. For a 3x3 kernel, it reads the two
+// columns to the right from other threads.
 float before[kIn * kLines], next[kIn * kLines];
 float d_out[kOut];  // d_to of the lane's column
 
-/// Adds the contribution of one image column per thread to the thread's sums of the
-/// weight gradient.
+/// Each thread processes one column of an image row. Adds the contribution of this column
+/// to `sum`, the thread's partial sums of the weight gradient.
 void add_row_columns() {
     [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
         float seen = kx == 0u ? before[k] : read_from_lane(before[k], next[k], kx);

@@ -4,8 +4,9 @@
 #ifndef RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 #define RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 
-/// The subgroup holds an array of 2 LANES values: `first` of all lanes, then `second` of
-/// all lanes. Returns the value that is `index` positions after this lane's `first`.
+/// Treats the arguments of all lanes as one array of 2 LANES values: `first` of every
+/// lane, then `second` of every lane. Returns array[k + index], where k is the number of
+/// this lane.
 float read_from_lane(float first, float second, uint index) {
     uint lane = gl_SubgroupInvocationID + index;
     float of_a = subgroupShuffle(first, lane % LANES), of_b = subgroupShuffle(second, lane % LANES);

@@ -31,8 +31,9 @@ uint get_first_pixel(uint n_pixels) {
            gl_LocalInvocationIndex;
 }
 
-/// Converts a channel index from a slice to the tensor that contains the slice. Both
-/// indices count the channels of all images.
+/// A plane is one channel of one image. Planes are numbered image by image. Converts the
+/// number of a plane in a slice (some channels of a tensor) to its number in the full
+/// tensor.
 /// @param n_channels number of channels of the slice
 uint get_plane_index(ImageSlice slice, uint plane, uint n_channels) {
     return plane / n_channels * slice.channels + slice.first + plane % n_channels;

@@ -16,9 +16,10 @@
 RELIDAR_CONSTANT(bool, PER_FLOAT, false);
 RELIDAR_PARAMS(AdamParams);
 
-/// Updates one value with an Adam step.
-/// @param block index in the row of the first value of a block (for example, a channel)
-/// @param within index of the value in the block
+/// Updates one value with an Adam step. The values of a row are divided into blocks, for
+/// example one block per channel.
+/// @param block position of the block's first value in the row
+/// @param within position of the value in the block
 void update_element(uint row, uint block, uint within, bool has_gradient, float learning_rate) {
     uint i = row * params.stride + block + within;
     // Loads the gradient even if it is not needed, because on a CPU a load in a branch is

@@ -18,14 +18,15 @@ struct ProxyParams {
     // Output [n,6] in m: lower and upper corners of the boxes around surfels. Written
     // only if the shapes are boxes.
     RELIDAR_OF(Floats, SurfelBoxes) boxes;
-    // Output [1] in m, as float bits: maximum distance between a hit on a 3D Gaussian and
-    // a corner of the icosahedron around it. Written only for icosahedra.
+    // Output [1] in m, as float bits: largest possible distance from a hit on a 3D
+    // Gaussian to a corner of the icosahedron around this Gaussian. Written only for
+    // icosahedra.
     Uints reach;
     float alpha_min;  // Opacity threshold. The proxy encloses all points with sigma G >= alpha_min.
     // Margin in m that is added to the shape around each surfel, so that rounding errors
     // of the traversal cannot lose a hit.
     float margin_m;
-    // Factor on the size of the shape around each surfel, in addition to margin_m.
+    // Factor on the size of the shape around each surfel. margin_m is added afterwards.
     float margin_scale;
     uint first_surfel;  // first surfel of the range
     uint n_surfels;

@@ -36,7 +36,7 @@ struct BackwardParams {
     RELIDAR_OF(Uints, TouchedSurfels) touched;
     // output [n_rays,6] d_origin, d_direction, or address 0
     RELIDAR_OF(Floats, DeviceRayGradients) d_rays;
-    // Input [n_rays]: index in `hits` at which the hits of each ray start. Used only if
+    // Input [n_rays]: index in `hits` of the first hit of each ray. Used only if
     // gradients are summed without atomics (GradientReduction::gather).
     RELIDAR_OF(Uints, FirstHits) first_hit;
     HitRecords hits;                  // output [capacity] (gather)
@@ -51,8 +51,9 @@ struct BackwardParams {
     // atomics.
     uint capacity;
     uint n_rows;
-    // 1: elements 7, 11 and 15 of a row of `d_records` are the gradient of a rotation of
-    // the viewing direction. Used only if spherical harmonics are evaluated per hit.
+    // 1: writes the gradient with respect to a rotation of the viewing direction to
+    // elements 7, 11 and 15 of each row of `d_records`. Pose gradients need it. Used only
+    // if spherical harmonics are evaluated per hit.
     uint with_turn;
 };
 
@@ -66,9 +67,10 @@ struct GatherParams {
     RELIDAR_OF(Uints, HitRows) rows;     // input [capacity] ascending
     RELIDAR_OF(Uints, HitSlots) slots;   // Input [capacity]: indices into `hits`, sorted by row.
     RELIDAR_OF(Uints, HitCount) n_hits;  // input [1], may exceed capacity
-    // Two gradient sums per block of RELIDAR_GATHER_BLOCK hits, [blocks,2,16 or 64]: for
-    // the first surfel of the block if the previous block has hits on it too, and for the
-    // last surfel if the next block has hits on it too.
+    // Partial gradient sums [blocks,2,k] of surfels with hits in several blocks of
+    // RELIDAR_GATHER_BLOCK hits. k = 16, or 64 if SH are evaluated per hit. Sum 0: first
+    // surfel of the block, if it continues from the previous block. Sum 1: last surfel,
+    // if it begins in this block and continues in the next block.
     RELIDAR_OF(Floats, RowParts) parts;
     RELIDAR_OF(Floats, RecordGradients) d_records;  // accumulated [n_rows,16]
     RELIDAR_OF(Floats, Harmonics) d_sh;             // accumulated [n,3,16], if SH are evaluated per hit

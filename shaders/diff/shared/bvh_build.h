@@ -53,14 +53,15 @@ struct BvhKeysParams {
 struct BvhBinary {
     RELIDAR_OF(Uvec2s, BinaryChildren) children;  // [n]
     RELIDAR_OF(Floats, BinaryBoxes) boxes;        // [n,6] m
-    // Traversal cost [n,7] in m^2 of each node's subtree, if it uses at most 1 ... 7 of
-    // the eight child entries of its parent.
+    // Traversal costs [n,7] in m^2 of each node's subtree. Entry k - 1 is the cost if the
+    // subtree may use at most k of the eight child entries of a wide parent node.
     RELIDAR_OF(Floats, BinaryCosts) costs;
-    // For each node [n]: packed number of surfels, and how the child entries of a wide
-    // node are divided between the two children. See bvh_binary.glsl.
+    // Bit fields [n], one word per node: number of surfels below the node, and how many
+    // child entries of a wide node its left child gets. See bvh_binary.glsl.
     RELIDAR_OF(Uints, BinaryDecisions) decisions;
-    // For each node [n]: index of a surfel below the node. No node has this index yet, so
-    // a later parent can get it.
+    // For each node [n]: an unused node index, which a later parent can get. Indices of
+    // nodes are positions of surfels below them, and one of these positions is always
+    // unused.
     RELIDAR_OF(Uints, SpareNodes) spares;
 };
 
@@ -72,12 +73,13 @@ struct BvhClusterParams {
     RELIDAR_OF(Uvec2s, MortonKeys) keys;       // input [n] sorted
     RELIDAR_OF(Uints, SortedSurfels) surfels;  // input [n] surfel at each sorted position
     Models models;                             // input [n_models]
-    // Scratch [n], one entry between each pair of neighbouring surfels. Two threads meet
-    // here: the first one stores the end of its range for the second one. Initially
-    // RELIDAR_BVH_NO_NODE.
+    // Scratch [n]: entry i belongs to the boundary between sorted surfel i and the next
+    // one. Two threads reach a boundary, one from each side. The first one stores the far
+    // end of its range here, and the second one reads it. Initially RELIDAR_BVH_NO_NODE.
     RELIDAR_OF(Uints, OtherEnds) other_ends;
-    // Scratch [n]: list of subtree roots for each range of surfels. A list starts at the
-    // index of the range's first surfel. RELIDAR_BVH_NO_NODE marks its end.
+    // Scratch [n]: for each range of sorted surfels, a list of the roots of its subtrees.
+    // The list starts at the index of the range's first surfel. RELIDAR_BVH_NO_NODE marks
+    // its end.
     RELIDAR_OF(Uints, BinaryClusters) clusters;
     RELIDAR_OF(Uints, BinaryRoots) roots;  // output [n_models] root of each model
     uint n_surfels;
@@ -91,8 +93,8 @@ struct BvhWide {
     RELIDAR_OF(Uints, LeafOrder) order;   // [n]
     RELIDAR_OF(Uvec2s, WideLinks) links;  // [bound] parent or NO_NODE, first surfel of the model
     RELIDAR_OF(Floats, WideBoxes) boxes;  // [bound,6] m: box of the node before quantisation
-    // Counter [bound] for each node: number of child nodes whose boxes are up to date.
-    // Always 0 between launches.
+    // Counter of each node, at most `bound` nodes: number of its child nodes whose boxes
+    // are up to date. Always 0 between launches.
     RELIDAR_OF(Uints, Arrivals) arrivals;
     RELIDAR_OF(Uints, WideCount) count;  // [1] number of nodes in use
 };
@@ -105,17 +107,18 @@ struct BvhWideParams {
     // Binary nodes [bound] that are converted to wide nodes (up to eight children),
     // sorted by tree level. The first entries are the roots.
     RELIDAR_OF(Uints, BinaryRoots) queue;
-    // Up to eight children of each node in `queue` after the conversion, [bound,8].
-    // Unused entries are RELIDAR_BVH_NO_NODE.
+    // Children of the wide nodes, [bound,8], where `bound` is the maximum number of
+    // nodes. Row i holds up to eight children of queue[i]. Unused entries are
+    // RELIDAR_BVH_NO_NODE.
     RELIDAR_OF(Uints, WideSlots) slots;
-    // Number of nodes in `queue` on each level of the tree [levels + 1], not counting the
-    // roots. Initially 0.
+    // Entry k: number of nodes in `queue` on level k of the tree, [levels + 1]. Entry 0
+    // stays 0, because the roots are not counted. All entries are initially 0.
     RELIDAR_OF(Uints, LevelSizes) level_sizes;
-    // Children [n] of each binary node after the conversion: number of child nodes +
-    // 256 * number of surfels in leaves. 0 if the binary node is removed.
+    // For the wide node that replaces each binary node [n]: number of child nodes + 256 *
+    // number of surfels in leaves. 0 if no wide node replaces the binary node.
     RELIDAR_OF(Uints, SlotDemands) demands;
-    // Prefix sums [n] of `demands` within tiles of RELIDAR_BVH_TILE binary nodes: number
-    // of child nodes, and number of surfels in leaves.
+    // Prefix sums [n] of the two numbers in `demands`: child nodes, and surfels in
+    // leaves. The sums start again every RELIDAR_BVH_TILE binary nodes.
     RELIDAR_OF(Uvec2s, TileOffsets) offsets;
     RELIDAR_OF(Uvec2s, SumsOfTiles) tiles;     // [n_tiles] the same sums over all earlier tiles
     RELIDAR_OF(Uints, WidePlaces) places;      // [n] wide node that replaces a binary node

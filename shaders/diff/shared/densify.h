@@ -33,10 +33,11 @@ struct ObserveParams {
     // if the surfel's entry of `touched` is 0.
     RELIDAR_OF(Floats, Means) d_mean;
     RELIDAR_OF(Uints, TouchedSurfels) touched;  // input [n]
-    // Norm [n] of the gradient with respect to the mean position, summed over all
-    // batches. The kernel adds one batch.
+    // Accumulated [n]: norm of each surfel's gradient dL/d(mean), summed over all
+    // batches. One launch of the kernel adds the norms of one batch.
     RELIDAR_OF(Floats, GradientSums) gradient_sum;
-    // Accumulated [n]: number of batches in whose frame the surfel was visible.
+    // Accumulated [n]: number of batches in which the surfel counts as visible, because
+    // it has had a gradient in the same frame.
     RELIDAR_OF(Uints, SeenBatches) n_seen;
     // Accumulated [n,n_words]: one bit per training frame. The bit is 1 if the surfel has
     // had a gradient in that frame.
@@ -99,8 +100,8 @@ struct MoveParams {
     RELIDAR_OF(Uints, RowStarts) starts;       // input [n] first new row of each surfel
     uint n_surfels;
     uint stride;
-    // 1: sets the values of new and changed surfels to zero, as needed for Adam moments.
-    // 0: copies the values of the original surfels.
+    // 1: sets the values of new copies and of split surfels to zero, as needed for Adam
+    // moments. 0: copies the values of the surfel that was cloned or split.
     uint fresh;
 };
 

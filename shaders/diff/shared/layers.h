@@ -73,8 +73,8 @@ struct ChannelSumsParams {
     float dropout;
 };
 #ifdef __cplusplus
-// Selects the mean and the sum of squared deviations of each part of an image, for batch
-// normalisation.
+// Values of ChannelSumsParams::kind, which selects the sums. kSums_moments: mean and sum
+// of squared deviations over each part of an image, for batch normalisation.
 constexpr uint kSums_moments = 0;
 constexpr uint kSums_norm_vjp = 1;  // selects the gradients dL/d(beta), dL/d(gamma)
 constexpr uint kSums_plain = 2;     // selects plain sums, which are the gradient of a bias

@@ -11,8 +11,8 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Defines kTerm_depth, ...: the column of each loss term in the rows of the array
-// `terms`.
+// Defines one constant per loss term, for example kTerm_depth. Its value is the column of
+// the term in the rows of the array `terms`.
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) const uint kTerm_##name = index;
 RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
@@ -36,8 +36,9 @@ struct ImageLossParams {
     uint normalised_depth;
 };
 
-// Number of floats per pixel: derivatives of the loss with respect to mean, variance
-// (times 2) and covariance in a window, and the means of both images.
+// Number of floats per pixel in SsimParams::statistics: dL/d(mean), 2 dL/d(variance),
+// dL/d(covariance), and the means of the two images. All refer to the window around the
+// pixel. L is the loss.
 #define RELIDAR_SSIM_FLOATS 5
 
 /// Parameters of the kernels loss/ssim and loss/ssim_vjp, which compute the structural
@@ -130,8 +131,9 @@ struct ChamferParams {
     // input [n_rays] index, per measured point
     RELIDAR_OF(Uints, NearestSimulated) nearest_simulated;
     RELIDAR_OF(Floats, PointCounts) counts;  // input [2]
-    // Gradients of simulated points that are the nearest to a measured point, [n_rays,2]
-    // in m, fixed point. Kernel chamfer adds to them, and chamfer_vjp reads them.
+    // Gradient of each simulated point's range in m, from all measured points whose
+    // nearest point it is. [n_rays,2], two words per fixed-point number. Kernel chamfer
+    // adds to these numbers, and chamfer_vjp reads them.
     RELIDAR_OF(Uints, FoundGradients) d_found;
     RayGradients upstream;                // accumulated [n_rays] by chamfer_vjp
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated by chamfer

@@ -38,8 +38,8 @@ struct SoftmaxParams {
     // In place [n_rows, n]: input values, replaced by the softmax of each row. The
     // derivative reads the softmax from this array.
     RELIDAR_OF(Floats, SoftmaxValues) values;
-    // In place [n_rows, n]: gradient of the softmax, replaced by the gradient of its
-    // input. If the address is 0, the kernel computes the softmax instead.
+    // In place [n_rows, n]: dL/d(output of the softmax), which the kernel replaces by
+    // dL/d(input of the softmax). If the address is 0, it computes the softmax instead.
     RELIDAR_OF(Floats, SoftmaxGradients) d_values;
     uint n_rows;
     uint n;
@@ -77,8 +77,8 @@ struct DropInputsParams {
     RELIDAR_OF(Floats, DropTargets) target;  // output [n_images, n_pixels]
     uint n_images;
     uint n_channels;
-    // Number of channels, the last ones, that belong to the sensor instead of the scene.
-    // Data augmentation rotates the scene but not these channels.
+    // The last n_fixed channels belong to the sensor instead of the scene. Data
+    // augmentation rotates the scene but not these channels.
     uint n_fixed;
     uint logit_channel;
     uint rows;

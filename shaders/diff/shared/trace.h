@@ -14,8 +14,9 @@ RELIDAR_SHARED_BEGIN
 /// * ray_stride of `rays`.
 struct TraceScene {
     TlasHandle tlas;  // acceleration structure (ray query)
-    // Input [1] in m: maximum distance between a hit on a 3D Gaussian and a corner of the
-    // icosahedron around it. Address 0 if no icosahedra are used.
+    // Input [1] in m: largest possible distance from a hit on a 3D Gaussian to a corner
+    // of the icosahedron around this Gaussian. The address is 0 if no icosahedra are
+    // used.
     RELIDAR_OF(Floats, ProxyReach) proxy_reach;
     MovingInstances moving;  // input [n_moving] (ray query)
     // Input [n_models] in m: radius of each model's bounding sphere, whose centre is the
@@ -26,8 +27,8 @@ struct TraceScene {
     Records records;                   // input
     Instances instances;               // input
     RELIDAR_OF(Floats, Harmonics) sh;  // input [n,3,16], read if SH are evaluated per hit
-    // Accumulated [1]: number of rays that ended too early, because they needed too many
-    // passes or overflowed the traversal stack.
+    // Counter [1]: number of rays whose search for hits ended too early. Such a ray
+    // needed more than RELIDAR_MAX_PASSES searches, or the traversal stack overflowed.
     RELIDAR_OF(Uints, PassCapCount) pass_cap_count;
     // Accumulated [2]: number of visited tree nodes and number of tested surfels. Written
     // only by kernel variants that count visits.
@@ -59,8 +60,8 @@ struct TraceScene {
 // Bit in the length of a ray's hit list. It is set if the ray ends at one of these hits,
 // because the transmittance falls below transmittance_min.
 #define RELIDAR_LIST_CLOSED 0x80000000u
-// Value that replaces the length of an incomplete hit list. Kernel forward/trace then
-// renders the ray without a list.
+// Marks the hit list of a ray as incomplete. Kernels store this value instead of the
+// list's length. Kernel forward/trace then renders the ray without the list.
 #define RELIDAR_LIST_UNFIT 0xffffffffu
 
 /// Hit lists, one for each tracing thread.
@@ -75,14 +76,14 @@ struct HitLists {
 /// forward/trace searches and blends hits without lists.
 struct ForwardParams {
     TraceScene scene;
-    // Hits of each ray. If these lists are used, forward/trace renders only the rays with
-    // an incomplete list.
+    // Hit list of each ray. If lists are used, forward/blend renders all rays with a
+    // complete list. Then forward/trace renders the remaining rays.
     HitLists lists;
     RenderedRays rendered;  // output [n_rays]
     // Output [ceil(n/2),n_kept,2]: nearest n_kept hits of each of n rays, for the
     // backward pass. The hits of two rays alternate in memory.
     Hits kept;
-    // Number of rays [1] with more than n_kept hits. The kernel adds to it unless n_kept
+    // Counter [1]: number of rays with more than n_kept hits. Stays unchanged if n_kept
     // is 0.
     RELIDAR_OF(Uints, OverfullCount) n_overfull;
     // Output [n_rays]: normal and distance of the surface that each ray hits. Written

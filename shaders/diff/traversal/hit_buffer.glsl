@@ -20,14 +20,14 @@ uint placed_instance[SLOTS];
 uint placed_surfel[SLOTS];
 uint n_hits;
 uint n_places;  // number of entries used so far
-// First entry of a linked list of removed hits, whose memory is reused. CHUNK if the list
-// is empty.
+// First free entry of the buffer, whose hit was removed. The free entries form a linked
+// list, and new hits reuse them. CHUNK means that the list is empty.
 uint free_place;
 uint latest;       // index of the hit that was inserted last
 float latest_t;    // Distance of the hit that was inserted last. It is -kFar if that hit was removed.
 float farthest_t;  // distance of the farthest hit, valid if hits_closed is true
-// True if the ray needs no hits behind its farthest stored hit. The buffer is then full,
-// or the ray ends at this hit.
+// True if hits behind the farthest stored hit can be ignored. This is the case if the
+// buffer is full, or if the ray ends at the farthest stored hit.
 bool hits_closed;
 float hits_transmittance;  // product of 1 - alpha over all hits in the buffer
 // Transmittance at which the ray ends, so that hits behind are not needed. 0 = all hits
@@ -89,8 +89,8 @@ float compute_transmittance_before_farthest(float alpha_max) {
 /// Removes far hits that cannot contribute, because nearer hits reduce the transmittance
 /// below the limit.
 void drop_invisible_hits(float alpha_max) {
-    // Common case. A CPU would execute the first iteration of the loop even if no thread
-    // needs it.
+    // Returns early in the common case that no hit must be removed. Otherwise a CPU would
+    // execute the first iteration of the loop below even if no thread needs it.
     if (!(hits_transmittance < least_transmittance)) return;
     while (n_hits > 1u) {
         float left = compute_transmittance_before_farthest(alpha_max);
@@ -131,8 +131,8 @@ void insert(Key key, float alpha, float alpha_max) {
         nearer = next_nearer[nearer];
     }
     uint slot = find_insertion_index(alpha_max);
-    // The new hit may reuse the entry of a removed farthest hit. If that hit was its
-    // farther neighbour, the new hit has no farther neighbour now.
+    // The new hit may get the entry of the farthest hit, which was just removed. If the
+    // removed hit was the next farther hit, the new hit is now the farthest one.
     if (slot == farther) farther = CHUNK;
     write_hit(slot, Hit(key.t, alpha, key.instance, key.surfel));
     latest = slot;
@@ -146,8 +146,8 @@ void insert(Key key, float alpha, float alpha_max) {
     if (hits_closed) farthest_t = placed_t[next_nearer[CHUNK]];
 }
 
-/// Returns the distance of the farthest hit that is stored for the ray. If hits_closed is
-/// true, the search ignores hits behind this distance.
+/// Returns the distance of the farthest stored hit. Valid only if hits_closed is true,
+/// which means that the search ignores hits behind this distance.
 float get_last_hit_t() { return farthest_t; }
 
 /// Returns true if a hit is not needed because it is behind the farthest needed hit.

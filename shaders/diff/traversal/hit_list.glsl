@@ -19,24 +19,25 @@ uint list_index;
 uint n_hits;       // Number of hits of the ray so far, including hits that do not fit into the list.
 bool hits_closed;  // True if hits behind the distance end_t cannot contribute.
 float end_t;
-// Product of 1 - alpha over the hits since the ray was last shortened.
+// Product of 1 - alpha over the hits since end_t (the end of the ray) was last set.
 float set_transmittance;
-// Transmittance below which the ray is shortened to its farthest hit.
+// If set_transmittance falls below this limit, the ray ends at its farthest hit so far.
 float least_transmittance;
-float farthest_t;  // Distance of the farthest hit since the ray was last shortened.
+float farthest_t;  // Distance of the farthest hit since end_t was last set.
 
-/// Returns the distance at which the ray ends. If hits_closed is true, the search ignores
-/// hits behind this distance.
+/// Returns the distance at which the ray ends. Valid only if hits_closed is true, which
+/// means that hits behind this distance cannot contribute.
 float get_last_hit_t() { return end_t; }
 
 /// Returns true if a hit is behind the end of the ray, so that it cannot contribute.
 bool is_behind(Key key) { return hits_closed && key.t > end_t; }
 
-/// Returns the factor on the transmittance for each report of a hit by the driver.
+/// Returns the factor by which set_transmittance is multiplied when a hit is reported. It
+/// is 1 - alpha, unless the driver reports each hit twice.
 float compute_transmittance_factor(float alpha) {
 #ifdef RELIDAR_TRAVERSAL_RAY_QUERY
-    // The driver reports an icosahedron twice: where the ray enters and where it leaves.
-    // The product of both square roots is 1 - alpha.
+    // The driver reports a hit on an icosahedron twice: where the ray enters and where it
+    // leaves. The product of two factors sqrt(1 - alpha) is 1 - alpha.
     if (count_proxy_triangles() == kProxy_icosahedron) return sqrt(1.0 - alpha);
 #endif
     return 1.0 - alpha;

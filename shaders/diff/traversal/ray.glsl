@@ -11,7 +11,8 @@ struct Ray {
 
 Ray make_ray(DeviceRay entry) { return Ray(entry.origin, entry.direction, entry.time_s); }
 
-// Instance in whose model frame the ray is cached (entered_origin, entered_direction).
+// Instance of the cached ray. entered_origin and entered_direction are this thread's ray
+// in the model frame of this instance.
 uint entered_instance = 0xffffffffu;
 uint entered_first_surfel;
 vec3 entered_origin;

@@ -158,8 +158,9 @@ void push_lane_children(uint first, uint inner, uint hit_mask, float t[RELIDAR_B
     }
 }
 
-/// Pushes those child nodes onto the stack whose boxes are hit by any ray of the
-/// subgroup. All rays push in the same order, from far to near for the first ray.
+/// Pushes the child nodes whose boxes are hit by any ray of the subgroup onto the stack.
+/// All rays push the same nodes in the same order: from far to near, as seen from the
+/// first active ray.
 void push_children(uint first, uint inner, uint opened, uint hit_mask, float t[RELIDAR_BVH_WIDTH]) {
     float key[RELIDAR_BVH_WIDTH];
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] =
@@ -207,8 +208,9 @@ bool can_share_loads() {
     return TOGETHER == kSharesLoads && subgroupBallotBitCount(subgroupBallot(true)) == gl_SubgroupSize;
 }
 
-/// Tests surfels in the leaves of a node against the rays of all lanes of the subgroup.
-/// @param entries bit mask of the surfels to test, equal in all lanes
+/// Tests surfels in the leaves of one tree node against the rays of all lanes. Ignores
+/// hits that do not come after `after_key`.
+/// @param entries bit k selects leaf entry first_leaf + k. Equal in all lanes
 void test_entries_in_subgroup(TraceScene scene, Key after_key, uint instance, uint first_surfel,
                               uint first_leaf, uint entries) {
     if (entries == 0u) return;
@@ -317,7 +319,8 @@ void find_hits(TraceScene scene, Ray ray, Key after_key) {
             uint lane_entry = entry;
             entry = subgroupBroadcastFirst(entry);
             tree = subgroupBroadcastFirst(tree);
-            // A ray whose next node is not the node of the first active ray waits.
+            // The subgroup now visits the next node of its first active ray. A ray with a
+            // different next node waits.
             if (lane_entry != entry || instance != tree) continue;
         }
         --stack_size;

@@ -13,9 +13,10 @@
 #include "keys.glsl"
 #include "ray.glsl"
 
-// Size of the arrays that are indexed at run time, in elements. Arrays of this size stay
-// in memory. Some compilers keep smaller arrays in registers: Mesa's AMD compiler up to
-// 64 elements, Intel's up to 16. A shader has too few registers for this.
+// Number of elements of the arrays that are indexed at run time. They must stay in
+// memory, because a shader has too few registers for them. Some compilers keep small
+// arrays in registers: Mesa's AMD compiler up to 64 elements, Intel's up to 16. The value
+// 65 exceeds both limits.
 const uint SLOTS = 65u;
 
 #ifdef RELIDAR_APPENDS_HITS
@@ -48,16 +49,17 @@ void test_instance_surfel(TraceScene scene, Ray ray, Key after_key, uint instanc
     test_surfel(scene, after_key, instance, entered_first_surfel + local_surfel);
 }
 
-/// Returns a sort key before all hits that count. Skips hits at t <= near_m, which are
-/// too close to the sensor.
+/// Returns the key at which the search for hits starts. All hits at t <= near_m come
+/// before this key. They are skipped, because they are too close to the sensor.
 Key get_first_key(TraceScene scene) { return Key(scene.near_m, 0xffffffffu, 0xffffffffu); }
 
 /// Returns the distance at which the search for the hits behind a known hit starts. It is
 /// slightly nearer than the known hit because of rounding errors.
 float compute_search_start(Key after_key) { return max(after_key.t - (1e-4 + 1e-5 * after_key.t), 0.0); }
 
-/// Returns the limit at which a ray ends, as a product of 1 - alpha over its next hits.
-/// The limit is slightly reduced because of rounding errors.
+/// Returns the lower limit for the product of 1 - alpha over the next hits of a ray. The
+/// ray ends where the product falls below this limit. The factor 0.99 allows for rounding
+/// errors.
 /// @param transmittance transmittance of the ray before these hits
 float compute_min_transmittance(TraceScene scene, float transmittance) {
     return 0.99 * scene.transmittance_min / transmittance;

@@ -36,7 +36,8 @@ struct RadixSortParams {
     // means that the number equals the capacity.
     RELIDAR_OF(Uints, SortCount) n_keys;
     RELIDAR_OF(Uints, SortKeys) keys;  // Input: keys, [n,KEY_WORDS], low word first.
-    // Input: original index of each key [n]. Address 0 means that key i has the index i.
+    // Input [n]: original index of each key. If the address is 0, the original index of
+    // key i is i.
     RELIDAR_OF(Uints, SortOrder) order;
     RELIDAR_OF(Uints, SortKeys) sorted_keys;    // Output: sorted keys.
     RELIDAR_OF(Uints, SortOrder) sorted_order;  // Output: original indices of the sorted keys.

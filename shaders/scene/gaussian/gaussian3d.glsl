@@ -47,11 +47,12 @@ bool intersect_gaussian(SurfelRecord record, vec3 origin, vec3 direction, out Su
     return length2 > 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
 
-/// Derivative of intersect_gaussian(). The vector q is perpendicular to b, so |q|^2 does
-/// not depend on t:
+/// Derivative of intersect_gaussian(). The top of this file defines a, b, q and G. alpha
+/// = sigma G, where sigma is the opacity. Because q is perpendicular to b, |q|^2 does not
+/// depend on t:
 ///   dalpha = -alpha q . dq with t held constant,  dt = (b . da - (q + t b) . db) / b.b
 /// @param d_t dL/dt at fixed alpha
-/// @param d_alpha dL/d(sigma G). Must be 0 if alpha was clamped
+/// @param d_alpha dL/d(alpha). Must be 0 if alpha was clamped
 SurfelHitGradient backpropagate_gaussian_intersection(SurfelRecord record, vec3 origin, vec3 direction,
                                                       SurfelHit hit, float d_t, float d_alpha) {
     SurfelHitGradient g;

@@ -52,8 +52,7 @@ struct SurfelHitGradient {
 
 /// Derivative of intersect_surfel(): gradients of the surfel record and of the ray.
 /// @param d_t dL/dt at fixed u, v
-/// @param d_alpha dL/d(sigma G), where sigma G is alpha before clamping. Must be 0 if
-/// alpha was clamped
+/// @param d_alpha dL/d(hit.alpha). Must be 0 if the caller has clamped alpha
 SurfelHitGradient backpropagate_surfel_intersection(SurfelRecord record, vec3 origin, vec3 direction,
                                                     SurfelHit hit, float d_t, float d_alpha) {
     SurfelHitGradient g;

@@ -28,9 +28,9 @@ struct ActivateParams {
     SurfelPointers surfels;  // input
     Records records;         // output [n] records that tracing kernels read
     Models models;           // input [n_models]
-    // Input [n_models]: position of the sensor in the model frame, m. With SH per surfel,
-    // spherical harmonics (SH) are evaluated in the direction from this point to the
-    // surfel.
+    // Input [n_models]: position of the sensor in the model frame, m. If sh_per_surfel is
+    // 1, the spherical harmonics (SH) of a surfel are evaluated in the direction from
+    // this point to the surfel.
     Vec3s view_origins;
     // Input [n_models]: phase of the model's walking motion (gait), 0 to 1. Negative for
     // rigid models.
@@ -44,14 +44,15 @@ struct ActivateParams {
     uint sh_per_surfel;
 };
 
-/// Parameters of scene/activate_vjp.comp, which computes parameter gradients from record
-/// gradients.
+/// Parameters of scene/activate_vjp.comp, which converts gradients of the surfel records
+/// (SurfelRecord) to gradients of the surfel parameters.
 struct ActivateVjpParams {
     SurfelPointers surfels;                         // input
     RELIDAR_OF(Floats, RecordGradients) d_records;  // input [n_rows,16] in the layout of SurfelRecord
     Models models;                                  // input [n_models]
-    // Input: index of the first gradient row of each instance, sorted by model. The first
-    // instance of each model is left out.
+    // Input: first row in `d_records` of every instance except the first instance of each
+    // model, sorted by model. The first instance needs no entry, because its row numbers
+    // are its surfel numbers.
     RELIDAR_OF(Uints, FurtherRows) more_rows;
     Vec3s view_origins;                     // input [n_models] same as for the activation
     RELIDAR_OF(Floats, GaitPhases) phases;  // input [n_models] same as for the activation
@@ -65,8 +66,8 @@ struct ActivateVjpParams {
     // surfels are processed.
     RELIDAR_OF(Uints, TouchedRows) rows;
     RELIDAR_OF(Uints, TouchedCount) n_listed;  // input [1]
-    // Output [n,3]: dL/d(sensor position) from each surfel, or address 0. Used only if
-    // spherical harmonics are evaluated per surfel.
+    // Output [n,3]: contribution of each surfel to dL/d(sensor position). Not written if
+    // the address is 0. Used only if spherical harmonics are evaluated per surfel.
     RELIDAR_OF(Floats, ViewGradients) d_view;
     uint n_surfels;
     uint n_models;

@@ -27,10 +27,10 @@ float interpolate_falloff(float range_m) {
     return before.y;
 }
 
-/// Returns the range of a ray for the range image. The range offset of the beam is added
-/// later.
-/// @param mode_m range of the surface with the largest weight
-/// @param normalised blended depth divided by blended weight, D / W
+/// Returns the range of a ray for the range image, m. range_kind selects how it is
+/// computed. The range offset of the beam is added later.
+/// @param mode_m range of the surface with the largest weight, m
+/// @param normalised blended depth / blended weight (D / W), m
 float select_ray_range(RenderedRay ray, float mode_m, float normalised) {
     if (params.range_kind == RELIDAR_RANGE_EXPECTED) return ray.depth;
     if (ray.weight < params.min_weight) return 0.0;

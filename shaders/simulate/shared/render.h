@@ -51,11 +51,11 @@ RELIDAR_POINTER(SensorBeams, SensorBeam);
 /// Measurement of a ray of a scan.
 struct MeasuredRay {
     float range_m;  // Range of the type that config.render.range selects. 0 if the ray hit nothing.
-    // Median range: distance at which the transmittance of the ray falls to 0.5. range_m
-    // if the transmittance stays above 0.5.
+    // Median range, m: distance at which the transmittance of the ray falls to 0.5. Equal
+    // to the field range_m if the transmittance stays above 0.5.
     float median_range_m;
-    // Mean range along the ray, D / W (blended depth / weight). range_m if the
-    // transmittance stays above 0.5.
+    // Mean range, m: D / W (blended depth / blended weight). Equal to the field range_m
+    // if the transmittance stays above 0.5.
     float mean_range_m;
     float intensity;  // 0..1
     // Probability that the ray has no return. 1 if the ray hit nothing within the
@@ -79,7 +79,8 @@ struct MeasureRaysParams {
     Rays fired;                 // input [n_rays] the same rays in the world frame
     RenderedRays rendered;      // input [n_rays]
     RenderedSurfaces surfaces;  // Input [n_surfaces]: surface that each ray hit, or one entry of zeros.
-    // Input [n_beams]: range offset and gain of each beam. Other beams: offset 0, gain 1.
+    // Input [n_beams]: range offset, intensity gain and intensity offset by beam number.
+    // Beams without an entry have the offsets 0 and the gain 1.
     SensorBeams beams;
     // Input [n_response]: pairs of range in m and intensity factor. The factor is 1 if
     // the array is empty.
@@ -134,8 +135,8 @@ struct MarkReturnsParams {
     RELIDAR_OF(Uints, ReturnMarks) marks;  // output [n_rays] 1 for rays with a return, otherwise 0
     uint n_rays;
     uint refined;
-    // 1: points are placed at the range of the range image. 0: at the median range of the
-    // ray.
+    // Selects at which range of its ray a point is placed. 1: MeasuredRay::range_m, as in
+    // the range image. 0: MeasuredRay::median_range_m.
     uint of_image;
     // A ray has no return if its drop probability reaches this threshold.
     float drop_threshold;

@@ -7,14 +7,14 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Number of neighbouring columns in a group, equal to the width of the tiles of eight
-// rays that a CPU traces.
+// Number of neighbouring columns in a group. A CPU traces eight rays together, in tiles
+// of 4 columns x 2 rows. A group is as wide as such a tile.
 #define RELIDAR_COLUMN_GROUP 4u
 
 /// Parameters of train/gather_columns.comp, which copies columns of a frame into a
-/// smaller image. It copies groups of RELIDAR_COLUMN_GROUP neighbouring columns, starting
-/// at first_column. From one group to the next, the first column increases by
-/// column_stride times the width of a group. Indices wrap around at the end of the frame.
+/// smaller image. It copies groups of RELIDAR_COLUMN_GROUP neighbouring columns. Group k
+/// starts at column first_column + k * column_stride * RELIDAR_COLUMN_GROUP. Columns wrap
+/// around at the end of the frame.
 struct GatherColumnsParams {
     Rays rays;              // input [rows,columns]
     Targets targets;        // input [rows,columns]
@@ -56,9 +56,9 @@ struct MoveRaysParams {
 #define RELIDAR_KNOT_WORKGROUP 256
 
 /// Parameters of train/knot_gradients.comp, which converts gradients of rays to gradients
-/// of pose corrections. Ray k of the batch is entry first_ray + k * ray_stride of `moved`
-/// and of `places`. If the batch consists of copied columns, its entry of `places` is
-/// computed from the column.
+/// of pose corrections. Ray k of the batch is moved[first_ray + k * ray_stride]. Its
+/// entry in `places` has the same index if `columns` is 0. Otherwise the batch was copied
+/// from columns of a frame, and `places` is indexed by the ray's index in the frame.
 struct KnotGradientsParams {
     Rays moved;        // input
     RayPlaces places;  // Input: position of each ray of the frame between two sensor poses.
