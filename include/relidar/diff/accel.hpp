@@ -47,8 +47,9 @@ struct AccelOptions {
 /// queries or with the software tree. The addresses of the unused method are null.
 struct AccelAddresses {
     shared::TlasHandle tlas;  ///< Top-level acceleration structure, for ray queries.
-    /// Largest distance, over all 3D Gaussians, between a hit and the far side of the
-    /// icosahedron around the Gaussian, [1] metres. Used by ray queries over icosahedra.
+    /// Upper limit, in metres, of how far the icosahedron around a 3D Gaussian extends
+    /// behind a hit on this Gaussian. One value for all Gaussians. A ray query must
+    /// search this far behind the last hit that it needs.
     Address<float, shared::ProxyReach> proxy_reach;
     /// Instances that move during the sweep, [n_moving]. Used by ray queries.
     Address<shared::MovingInstance> moving;

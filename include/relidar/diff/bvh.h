@@ -21,13 +21,15 @@ RELIDAR_SHARED_BEGIN
 struct BvhNode {
     vec3 origin;  // Lower corner of the node's box, metres.
     // Exponents e of the quantisation steps 2^(e - 127): x in bits 0-7, y in bits 8-15, z
-    // in bits 16-23. Bits 24-31 contain inner_mask, which has one bit per child slot.
+    // in bits 16-23. Bits 24-31 are inner_mask: bit 24 + k is set if child k is an inner
+    // node.
     uint exponents;
-    // Index of the child node in the first slot that holds an inner node. The child nodes
-    // of the other slots follow in slot order.
+    // Index of the first child that is an inner node, in the array of all tree nodes. The
+    // other inner children follow directly after it, in the order of their slots.
     uint first_child;
-    // Index in the array `order` of the first entry of this node's leaves. The entries of
-    // one leaf start at first_leaf plus the offset that `leaves` stores for its slot.
+    // The surfels in the leaves of this node are listed in the array BvhPointers::order,
+    // starting at index first_leaf. (Top-level tree: instances, in top_order.) For each
+    // leaf, `leaves` stores where its surfels start, relative to first_leaf.
     uint first_leaf;
     // One byte per child slot. For a leaf, bits 0-4 hold the offset of its first entry,
     // and bits 5-7 hold its number of entries. The byte is 0 if the slot holds no leaf.

@@ -88,12 +88,12 @@ public:
     DeviceGradients& gradients();
     BackwardPass& backward_pass();
 
-    /// Calls `change_surfels`, which adds or removes surfels. Frees all memory that
-    /// depends on the number of surfels before the call, and allocates it again after the
-    /// call. Waits until the stream is idle. The caller must call
+    /// Calls `change_surfels`, which adds or removes surfels. Waits until the stream is
+    /// idle, and frees all memory that depends on the number of surfels before the call.
+    /// Allocates this memory again after the call. The caller must call
     /// Renderer::record_view_preparation() next.
-    /// @param change_surfels its argument is the number of bytes per surfel that will be
-    /// allocated again
+    /// @param change_surfels receives the size of the freed memory that will be allocated
+    /// again, in bytes per surfel
     void change_surfels_and_reallocate_memory(
         const std::function<void(double reserved_bytes_per_surfel)>& change_surfels);
 

@@ -130,10 +130,11 @@ public:
     void record_view_preparation(const glm::vec3& view_origin_m) {
         record_view_preparation(scene().get_instance_poses(), view_origin_m);
     }
-    /// Records GPU commands that set the poses of all instances. The trees of rigid
-    /// models are not refitted. Use this function if no parameter has changed since the
-    /// last record_view_preparation() or record_instance_poses_and_view(). The first call
-    /// does the same as record_view_preparation().
+    /// Records GPU commands that set the sensor position and the poses of all instances.
+    /// Faster than record_view_preparation(), because it does not update the ray-tracing
+    /// trees of rigid models. Must not be used if a surfel parameter has changed since
+    /// the last call of one of the two functions. If neither was called before, does the
+    /// same as record_view_preparation().
     void record_instance_poses_and_view(const std::vector<InstancePose>& instance_poses,
                                         const glm::vec3& view_origin_m);
 

@@ -149,11 +149,12 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Computes the negative log-likelihood of the measured ranges (docs/method.md M12), a
-/// mean over returned rays:
+/// Computes the negative log-likelihood of the measured ranges (docs/method.md M12), as a
+/// mean over the rays with a measured return:
 ///   likelihood = -ln(f + (1 - f) S),  S = sum_i w_i k(t_i)
-/// k is the RangeLikelihoodKernel centred at the measured range. f is likelihood_floor.
-/// The batch must be rendered with TraceOptions::likelihood and with the same targets.
+/// w_i and t_i are the weight and the range of hit i on the ray. k is the
+/// RangeLikelihoodKernel around the measured range. f is likelihood_floor. The batch must
+/// be rendered with TraceOptions::likelihood and with the same measured ranges.
 class LikelihoodLoss final : public Loss {
 public:
     LikelihoodLoss(Device& device, const LossWeights& weights);
@@ -166,12 +167,13 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Penalises actor surfels that extend beyond the box of their actor. mu is the mean
-/// position of a surfel in the box frame, h is SurfelModel::half_size_m, and s is a
-/// standard deviation of the surfel:
+/// Penalises actor surfels that extend beyond the box of their actor. The loss is the
+/// mean over all surfels of actors of
 ///
-///   box  mean over actors' surfels of
-///        sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)
+///   sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)
+///
+/// mu is the centre of the surfel in the box frame. h is the half size of the box
+/// (SurfelModel::half_size_m). s is the standard deviation along an axis of the surfel.
 class ActorBoxLoss final : public Loss {
 public:
     ActorBoxLoss(Device& device, const LossWeights& weights);

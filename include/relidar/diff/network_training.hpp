@@ -31,8 +31,8 @@ public:
     /// Records GPU commands that evaluate the network for one image.
     /// @param input_channels [network().inputs, rows, columns] in the layout of
     /// RayDropImage::channels
-    /// @return drop probabilities, [rows, columns]. The result becomes invalid when
-    /// images of two other shapes have been evaluated.
+    /// @return drop probabilities, [rows, columns]. The object keeps one result array for
+    /// each of the last two image sizes. A third image size invalidates the older array.
     /// @throws DataError if the image is smaller than
     /// network().compute_min_image_rows_and_columns()
     const Array<float, shared::DropProbabilities>& record_network_evaluation(

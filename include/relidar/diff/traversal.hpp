@@ -65,12 +65,12 @@ struct TraceOptions {
     /// Traversal method of the software tree. automatic = the faster method for this type
     /// of device.
     BvhTraversalMode traversal_mode = BvhTraversalMode::automatic;
-    /// Method for sorting hits in the forward pass. automatic = lists on a GPU, chunks on
-    /// a CPU.
+    /// Method for sorting the hits of each ray in the forward pass. `automatic` selects
+    /// HitSortMethod::lists on a GPU and HitSortMethod::chunks on a CPU.
     HitSortMethod order = HitSortMethod::automatic;
-    /// Initial number of hits that the list of a ray can store, 1..512. The number is
-    /// doubled as long as any ray has more hits than its list can store. Until then, such
-    /// a ray is traced in chunks.
+    /// Only for HitSortMethod::lists: initial number of hits that the list of each ray
+    /// can store, 1..512. A ray with more hits is rendered with HitSortMethod::chunks
+    /// instead, which is slower. Therefore later passes double the size of the lists.
     int initial_list_capacity = 64;
     /// If true, computes a blended surface normal for each ray. Normals have no gradient.
     bool normals = false;
@@ -106,8 +106,8 @@ struct StoredRayHits {
     StoredRayHits(Device& device, std::size_t n_threads, std::uint32_t hits_per_ray)
         : hits(device, round_up_to_interleaved_threads(n_threads) * hits_per_ray, "kept hits"),
           per_ray(hits_per_ray) {}
-    /// Rounds a number of threads up to a multiple of RELIDAR_SIDE_BY_SIDE, the number of
-    /// threads whose hits alternate in memory.
+    /// Rounds a number of threads up to a multiple of RELIDAR_SIDE_BY_SIDE. The hits of
+    /// that many neighbouring threads are interleaved in memory.
     static std::size_t round_up_to_interleaved_threads(std::size_t n_threads) {
         return (n_threads + RELIDAR_SIDE_BY_SIDE - 1) / RELIDAR_SIDE_BY_SIDE * RELIDAR_SIDE_BY_SIDE;
     }

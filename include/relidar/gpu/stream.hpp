@@ -69,8 +69,8 @@ public:
     /// With any other address, a kernel may access the array only with atomics or with
     /// indices computed at run time.
     Address<T> address(std::size_t first_index = 0) const { return address_as<T>(first_index); }
-    /// Returns the device address of entry `first_index` as an address of type U, for a
-    /// kernel that reads the memory as U. `first_index` counts entries of T.
+    /// Returns the device address of entry `first_index` of this array, which has entries
+    /// of type T. The kernel that gets the address reads the memory as type U instead.
     template <class U, class Meaning = void>
     Address<U, Meaning> address_as(std::size_t first_index = 0) const {
         static_assert(sizeof(T) % sizeof(U) == 0 || sizeof(U) % sizeof(T) == 0);
@@ -111,8 +111,8 @@ template <class T, class Meaning>
 class Array : public Array<T> {
 public:
     using Array<T>::Array;
-    /// Returns the device address of an element. The address type has the same Meaning as
-    /// the array.
+    /// Returns the device address of an element. The type of the address includes
+    /// Meaning, the tag type that names the content of this array.
     Address<T, Meaning> address(std::size_t first_index = 0) const {
         return this->template address_as<T, Meaning>(first_index);
     }
@@ -191,8 +191,8 @@ public:
     ~ConcurrentSequenceScope();
     ConcurrentSequenceScope(const ConcurrentSequenceScope&) = delete;
     ConcurrentSequenceScope& operator=(const ConcurrentSequenceScope&) = delete;
-    /// Selects the lane (sequence of launches) in which the next launches are recorded.
-    /// The scope starts with lane 0.
+    /// Records the next launches in the sequence (lane) with this index. Until the first
+    /// call, launches are recorded in sequence 0.
     void select_sequence_to_record(std::size_t sequence_index);
 
 private:

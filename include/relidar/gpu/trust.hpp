@@ -27,17 +27,18 @@ struct DeviceTestResults {
 
 /// Functions that Device calls when it opens a device.
 struct DeviceOpenCallbacks {
-    /// Tests a device at its first use, and again after an update of its driver. The
-    /// results are stored in the folder of the pipeline cache. If null, no device is
-    /// tested and all methods are used.
+    /// Tests float atomics, subgroups and ray queries of a device at its first use, and
+    /// again after an update of its driver. The results are stored in the folder of the
+    /// pipeline cache. If null, no device is tested and relidar assumes that all of these
+    /// work.
     std::function<DeviceTestResults(const DeviceOptions&)> check;
-    /// Receives a one-line message for each method that gave wrong results and was
-    /// replaced.
+    /// Receives a one-line message for each method that gave wrong results in this test,
+    /// for example float atomics. The message says what relidar does instead.
     std::function<void(const std::string&)> note;
 };
 
-/// Sets the test for all devices that this process opens later. A program calls this
-/// function once, before it opens a device. The standard test is
+/// Sets the callbacks for all devices that this process opens later. A program calls this
+/// function once, before it opens a device. The standard callback `check` is
 /// test_device_capabilities() in relidar/diff/first_use.hpp.
 void set_device_open_callbacks(DeviceOpenCallbacks callbacks);
 

@@ -18,17 +18,17 @@ namespace relidar {
 /// cases: sub-rays sample the same laser beam, or points fall into the same cell of a
 /// range image.
 enum class ChannelMergeRule {
-    /// Sub-rays of a beam: value of the sub-ray nearest to the beam axis, among the
-    /// sub-rays of the strongest return. Points in an image cell: value of the selected
-    /// point's ray.
+    /// Sub-rays of a beam are merged to the value of one of them: the sub-ray nearest to
+    /// the beam axis that belongs to the strongest return. Points in one image cell are
+    /// merged to the value of the returned point nearest to the sensor.
     nearest,
-    /// Sub-rays of a beam: mean over the sub-rays of the strongest return, weighted by
-    /// their light. Points in an image cell: distance from the image origin to the
-    /// selected point.
+    /// Sub-rays of a beam are merged to the mean over the sub-rays that belong to the
+    /// strongest return, weighted by their intensities. Points in one image cell are
+    /// merged to the distance of the nearest returned point from the image origin.
     range,
-    /// Sub-rays of a beam: sum over the sub-rays of the strongest return, divided by the
-    /// number of all sub-rays. Points in an image cell: value of the selected point's
-    /// ray.
+    /// Sub-rays of a beam are merged to the sum over the sub-rays that belong to the
+    /// strongest return, divided by the number of all sub-rays. Points in one image cell
+    /// are merged to the value of the returned point nearest to the sensor.
     intensity,
     drop,  ///< Beam: mean over all sub-rays. Cell: minimum over all rays in the cell.
 };
@@ -38,8 +38,9 @@ struct ChannelInfo {
     std::string name;          ///< name in files: lower case letters, digits and _
     std::string unit = {};     ///< unit; empty for a plain number
     std::string meaning = {};  ///< description for users: a sentence without a full stop
-    /// Rule for combining the values of several rays. It applies to float values.
-    /// Integers and vectors always use `nearest`.
+    /// Rule for combining the values of several rays into one value. Used for channels of
+    /// floats. Channels of integers or vectors ignore it and always copy the value of a
+    /// single ray (ChannelMergeRule::nearest).
     ChannelMergeRule join = ChannelMergeRule::nearest;
     /// True if the values are direction vectors, which must be rotated when the points
     /// are converted to another frame.

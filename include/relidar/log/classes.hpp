@@ -46,7 +46,7 @@ struct SurfaceClassCell {
 };
 /// Edge length of a cell.
 inline constexpr double kClassCell_m = 0.1;
-/// The cells of a log. No two cells have the same position.
+/// All cells of a log that contain labelled points. No two cells have the same position.
 using SurfaceClassMap = std::vector<SurfaceClassCell>;
 
 /// Computes the class map of some scans, in relidar's world frame. Uses the first returns

@@ -27,8 +27,9 @@ struct EncoderTickGrid {
     double compute_azimuth_of_encoder_tick_rad(int tick) const;
 };
 
-/// One sweep of a spinning LiDAR: the azimuths at which the LiDAR can fire, and the ticks
-/// at which it has fired. The azimuth decreases from +pi during the sweep.
+/// One sweep of a spinning LiDAR. `lattice` has the azimuths at which the LiDAR can fire
+/// (encoder ticks). `firings` has the numbers of the ticks at which the LiDAR has fired.
+/// The azimuth decreases from +pi during the sweep.
 struct SweepFirings {
     EncoderTickGrid lattice;
     std::vector<int> firings;
@@ -83,8 +84,8 @@ void assign_points_to_rings(LidarPoints& points, const std::vector<Beam>& beams)
 /// Model of a spinning LiDAR that was fitted to its points.
 struct FittedSensor {
     SpinningSensor sensor;  ///< Fitted sensor. The dataset reader must set its name and its range limits.
-    /// [highest ring + 1] index of the beam that measured the points of each ring of the
-    /// dataset. kNoBeam for a ring without points.
+    /// For each ring number of the dataset: index of the beam that measured the points of
+    /// this ring. kNoBeam for a ring without points. Size: highest ring + 1.
     std::vector<std::uint16_t> beam_of_ring;
 };
 inline constexpr std::uint16_t kNoBeam = 0xFFFF;

@@ -129,8 +129,8 @@ struct SyntheticOptions {
     /// sensors then record the log. If the path is empty, the log is recorded by one
     /// default sensor with `rows` and `columns`.
     std::string rig = {};
-    /// Adds three pedestrians, a cyclist, cars parked behind a fence, cars with
-    /// transparent windows, and bushes.
+    /// Adds people and other objects to the street: three pedestrians, a cyclist, cars
+    /// parked behind a fence, cars with transparent windows, and bushes.
     bool people = false;
     /// True: pedestrians swing their legs and arms while they walk. The phase of the
     /// motion depends on the walked distance.
@@ -168,9 +168,9 @@ struct SyntheticCar {
     BoxTrack track;
 };
 
-/// Casts rays into a street whose original cars are replaced by the given cars. Returns
-/// the exact scan of the edited street.
-/// @throws DataError if the street has no car with the id `shapes_of`
+/// Casts rays into a street in which `cars` replace all original cars. Returns the exact
+/// scan of the edited street.
+/// @throws DataError if SyntheticCar::shapes_of is not the id of an original car
 Scan cast_rays_into_synthetic_street(const SyntheticOptions& options, const std::vector<SyntheticCar>& cars,
                                      const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
 

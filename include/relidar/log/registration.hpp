@@ -14,10 +14,10 @@
 namespace relidar {
 
 struct RegistrationOptions {
-    /// Largest pose error, metres, that registration can correct. If the corrections of a
-    /// scan and of its neighbours differ by more, the registration of this scan has
-    /// failed. Also limits the initial distance between two observations of the same
-    /// surface.
+    /// Largest pose error, metres, that registration can correct. Also limits the initial
+    /// distance between two observations of the same surface. The registration of a scan
+    /// counts as failed if its correction differs from the corrections of neighbouring
+    /// scans by more than this value.
     double largest_m = 1.0;
     /// True: the motion between consecutive scans is computed from the given poses.
     /// False: it is estimated from the scans alone.
@@ -45,7 +45,8 @@ struct RegistrationRound {
 };
 
 struct RegistrationResult {
-    /// Corrected poses. If registration was stopped, these are the poses of the log.
+    /// Corrected poses of the vehicle. Equal to the poses of the log if `done` is false,
+    /// for example because RegistrationOptions::stop has ended the registration.
     PoseTrack world_from_vehicle;
     std::vector<RegistrationRound> rounds;
     /// Scans that could not be registered, as indices into world_from_vehicle. The poses

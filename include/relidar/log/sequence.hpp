@@ -110,14 +110,13 @@ struct SweepTiming {
     int lidar = 0;        ///< index into LidarSequence::lidars
     std::optional<SweepStart> start = {};
 };
-/// Returns the time, the LiDAR and the start of the sweep that a frame recorded.
 inline SweepTiming get_sweep_timing_of_frame(const LidarFrame& frame) {
     return {frame.time_s, frame.lidar, frame.start};
 }
 
 struct Lidar;
-/// Same as the function above, for any LiDAR. Also returns nothing if its pattern is
-/// unknown, or if it does not spin and frame times are in the middle of its scans.
+/// Computes the start of a sweep of any LiDAR. If it does not spin, returns nothing if
+/// its pattern is unknown, or if scans start half a period before time 0 (the default).
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar);
 
 /// Standard deviation of measured ranges, as a table over range and incidence angle.
@@ -153,7 +152,8 @@ struct Lidar {
 
 /// Sets the nominal sensor of a LiDAR.
 void set_nominal_sensor(Lidar& lidar, const SensorModel& sensor);
-/// Returns the nominal sensor of a LiDAR. It has no beams if only the scans are known.
+/// Returns the nominal (ideal) sensor of a LiDAR, from its beams or its scan pattern. The
+/// sensor has no beams if neither is known.
 SensorModel get_nominal_sensor(const Lidar& lidar);
 
 /// Returns the rays that a LiDAR nominally fires at a time. Returns no rays if neither
@@ -230,7 +230,7 @@ struct IntensityResponse {
 
     double compute_intensity_factor_at_range(
         double distance_m) const;  ///< uses the first or last factor outside the knots
-    /// Returns the factor for the cosine of the angle between ray and surface normal.
+    /// Returns the intensity factor for a cosine of the angle between ray and normal.
     double compute_intensity_factor_at_incidence(double incidence_cosine) const {
         return 1.0 - incidence * (1.0 - incidence_cosine);
     }
@@ -366,7 +366,7 @@ struct RangeCalibrationResult {
 /// Result of fit_and_set_intensity_calibration(): errors before and after it.
 struct IntensityCalibrationResult {
     std::size_t returns = 0;  ///< number of returns that were compared
-    /// RMS difference of an intensity from the mean of returns at the same surface point.
+    /// RMS difference of intensities from the mean at their surface point, uncorrected.
     double rms_before = 0.0;
     double rms_after = 0.0;  ///< The same difference with the corrections that were adopted.
     bool shared = false;     ///< True if the log now has an IntensityResponse.

@@ -31,8 +31,8 @@ struct TrajectoryBlock {
 };
 
 /// Divides the vehicle's trajectory into blocks of equal length, at most
-/// options.length_m. Skips sections without a sweep, which are gaps of the log.
-/// @throws DataError if a block has no training frame within its halo
+/// options.length_m. Leaves out blocks without a recorded sweep, where the log has a gap.
+/// @throws DataError if a block has no training frame within options.halo_m metres
 std::vector<TrajectoryBlock> plan_training_blocks(const LidarSequence& sequence, const TrainTestSplit& split,
                                                   const BlockConfig& options);
 
@@ -41,8 +41,8 @@ std::vector<TrajectoryBlock> plan_training_blocks(const LidarSequence& sequence,
 struct BlockTrainingLog {
     LidarSequence sequence;
     TrainTestSplit split;
-    /// Settings for the training of one block. They switch the division into blocks off,
-    /// and list only the tracks of this block.
+    /// Settings for training this block. They do not divide the log into blocks again,
+    /// and they list only the actor tracks of this block.
     Config config;
 };
 /// Copies the frames and boxes that are needed to train one block from a log.

@@ -121,7 +121,7 @@ public:
         surfels.upload(read_surfels(name, surfels.n));
     }
 
-    /// Returns the stored surfels as host arrays. Any number of surfels is accepted.
+    /// Returns the stored surfels as host arrays. Reads their number from the checkpoint.
     Surfels read_all_surfels(const std::string& name) const;
 
 private:

@@ -170,8 +170,9 @@ struct BlockConfig {
 };
 
 struct RenderConfig {
-    /// Kind of range in range images: blended "expected" D (paper), "normalised" D / W,
-    /// "median", or "mode" (surface with the largest weight).
+    /// How range images compute the range of a ray from its hits with weights w and
+    /// ranges t: "expected" = sum w t (as in the paper), "normalised" = sum w t / sum w,
+    /// "median", or "mode" (range of the surface with the largest weight).
     std::string range = "normalised";
     /// If true, a scan at the time of a recorded sweep uses the head azimuths that were
     /// measured during this sweep.

@@ -142,8 +142,8 @@ struct ActorModelResolution {
 ActorModelResolution compare_ray_and_surfel_count_of_actor(const SceneWithLog& scene_and_log,
                                                            const std::string& track, int lidar_index = 0);
 
-/// Compares the resolution of an actor's model with given rays, at one pose of the
-/// sensor.
+/// Compares the number of an actor's surfels with the number of given rays that hit its
+/// box. All rays are fired from one pose of the sensor.
 /// @param ray_origins [n,3] origins of the rays, sensor frame
 /// @param ray_directions [n,3] directions of the rays, sensor frame
 /// @param box_from_sensor pose of the sensor in the frame of the box
@@ -171,7 +171,8 @@ struct ScenarioEntity {
     /// y left, z up.
     glm::dvec3 centre_m{0.0};
     glm::dvec3 size_m{0.0};  ///< Length, width and height of the bounding box, [3] metres.
-    /// XML element names of other actions of the entity. relidar ignores these actions.
+    /// XML element names of the actions that do not make the entity follow a trajectory.
+    /// relidar ignores these actions.
     std::vector<std::string> ignored;
 };
 

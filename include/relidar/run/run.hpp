@@ -55,8 +55,8 @@ struct TrainedRun {
     SurfaceClassMap classes{};
     /// Scatter of measured intensities for each LiDAR, [lidars]. Empty if unknown.
     std::vector<IntensityScatterModel> intensity_scatter{};
-    /// True if the poses of held-out scans have been corrected with the trained scene.
-    /// Resumed training then skips this step.
+    /// True if the poses of held-out (test) scans have been corrected by aligning these
+    /// scans with the trained scene. Resumed training then skips this step.
     bool held_out_placed = false;
     /// Kinds of poses that training has corrected, in the format of train.refine_poses.
     /// Empty if all poses are those of the log.

@@ -18,8 +18,9 @@ TraceOptions make_common_trace_options(const Config& config);
 /// Returns the options for ray tracing during training, which enable values that only
 /// losses need.
 TraceOptions make_training_trace_options(const Config& config);
-/// Returns the options for ray tracing during simulation. They enable surface normals,
-/// and the surface with the largest weight on each ray if render.range is "mode".
+/// Returns the options for ray tracing during simulation. They enable surface normals if
+/// the scene consists of surfels. If render.range is "mode", they also enable the search
+/// for the surface with the largest weight on each ray.
 TraceOptions make_rendering_trace_options(const Config& config);
 /// Returns the options for the summation of gradients in the backward pass.
 BackwardOptions make_backward_options(const Config& config);

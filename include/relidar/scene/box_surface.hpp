@@ -60,8 +60,9 @@ public:
     /// @param point_m [3] box frame
     /// @param ray_direction [3] direction of the ray, box frame
     void mark_patch_of_point_as_observed(const glm::dvec3& point_m, const glm::dvec3& ray_direction);
-    /// Returns true if a ray has observed the patch that contains a point of the box
-    /// surface. Returns false for the lowest part of a side, which is ignored.
+    /// Returns true if a ray has observed the part of the box surface (patch of about 0.3
+    /// m) that contains a point. Always returns false in the lowest fifth of the four
+    /// sides, because it is hidden near the ground.
     bool is_patch_of_point_observed(const glm::dvec3& point_m) const;
     /// Returns true if the patch of a point was not observed, but its mirror patch on the
     /// other half of the box was.
@@ -69,8 +70,8 @@ public:
     /// Returns the observed fraction of a side, 0 to 1.
     double compute_observed_area_fraction(BoxSide side) const;
     /// Returns the observed fraction of the complete box surface, by area, 0 to 1.
-    /// compute_mirrored_area_fraction() returns the fraction that was observed only on
-    /// the other half of the box.
+    /// compute_mirrored_area_fraction() returns the fraction that was not observed, but
+    /// whose mirror image on the other half of the box was observed.
     double compute_observed_area_fraction() const;
     double compute_mirrored_area_fraction() const;
     /// Returns the fraction of a side that was not observed, but whose mirror image on
@@ -80,17 +81,20 @@ public:
     /// If true, unobserved patches of the model were completed: they got mirrored surfels
     /// if their mirror patches were observed.
     bool is_completed = false;
-    /// Returns the fraction of each side that was observed, or completed with the mirror
-    /// image.
+    /// Returns the observed fraction of each side of the box. If `is_completed` is true,
+    /// also counts unobserved patches that were filled with mirrored surfels of the other
+    /// half.
     ObservedSideFractions compute_covered_fraction_of_each_side() const;
-    /// Returns the side of a point whose patch was completed with its mirror image.
-    /// Returns nothing for points on other patches.
+    /// Returns the side of the box that contains a point, if no ray observed the point's
+    /// patch and the patch was filled with mirrored surfels. Returns nothing for other
+    /// points.
     std::optional<BoxSide> find_mirror_completed_side(const glm::dvec3& point_m) const;
-    /// Measures how much the left and right half of an object differ, from patches that
-    /// were observed on both halves.
+    /// Measures how much the left and right half of an object differ. Compares each patch
+    /// with its mirror patch on the other half if both were observed.
     /// @param points_m points of the surface, box frame
-    /// @return median difference of the mean distances from the plane of symmetry,
-    /// metres. 0 with fewer than three pairs of patches
+    /// @return median difference between the two patches of a pair, metres. A patch
+    /// counts with the mean distance of its points from the box centre along the normal
+    /// of its side. 0 with fewer than three pairs
     double compute_left_right_asymmetry_m(const std::vector<glm::vec3>& points_m) const;
 
     const glm::dvec3& half_size_m() const { return half_m_; }
@@ -114,18 +118,19 @@ private:
     /// Returns the surface patch that contains a point. Returns nothing if the point
     /// belongs to no patch.
     std::optional<BoxSurfacePatch> find_patch_of_point(const glm::dvec3& point_m) const;
-    /// Returns the index of a patch in `observed_patches_` of its side.
+    /// Returns the index of a patch in the array observed_patches_[patch.side].
     std::size_t get_patch_index(const BoxSurfacePatch& patch) const;
     BoxSurfacePatch get_mirror_patch(BoxSurfacePatch patch) const;  ///< returns the mirror patch
     /// Returns false if the surface patch is near the ground, where patches are ignored.
     bool is_patch_above_ground_margin(const BoxSurfacePatch& patch) const;
     bool has_observed_patch(const BoxSurfacePatch& patch) const;  ///< returns true if the patch was observed
-    /// Returns two areas of a side in m2. The first is the area of its observed patches,
-    /// or of the patches observed only in the mirror image if `is_mirrored_area` is true.
-    /// The second is the area of all patches.
+    /// Returns two areas of a side in m2: the area of its observed patches and the area
+    /// of all its patches. If `mirrored` is true, the first area is instead that of
+    /// unobserved patches whose mirror patch on the other half of the box was observed.
     std::array<double, 2> compute_patch_areas(BoxSide side, bool mirrored) const;
-    /// Returns the fraction of the complete box surface, by area, that is observed (or
-    /// mirrored).
+    /// Returns the observed fraction of the box surface, by area. If the argument is
+    /// true, returns the fraction that was not observed, but whose mirror image on the
+    /// other half of the box was.
     double compute_observed_or_mirrored_fraction(bool is_mirrored_area) const;
 };
 

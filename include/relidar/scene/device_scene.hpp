@@ -50,8 +50,9 @@ struct SurfelArrays {
     /// Logarithms of the scale along the third axis of 3D Gaussians. Not allocated for
     /// surfels.
     Array<float, shared::ThirdLogScales> log_scale_w;
-    /// Walking motion of each surfel: the phase at which it is visible, and its swing.
-    /// Allocated only for scenes with actors whose shape changes.
+    /// Walking motion of each surfel: the phase of the walking cycle at which it is
+    /// visible, and the amplitude of its motion (GaitPhaseWindow). Allocated only for
+    /// scenes with actors whose shape changes.
     Array<float, shared::Gaits> gait;
     std::uint32_t n = 0;  ///< Number of surfels. The arrays may have memory for more surfels.
     PrimitiveType primitive = PrimitiveType::surfel;
@@ -106,14 +107,14 @@ struct LearningRates {
 /// code.
 struct SurfelParameterGroup {
     const char* name;  ///< Name of the group's array in files.
-    /// Shape of the group's floats for one surfel, {rows, columns}. A vector of 3 floats
-    /// is {3, 1}, and a single float is {1, 1}.
+    /// Shape of the values that one surfel has in this group, {rows, columns}. Examples:
+    /// {3, 1} for a vector of 3 floats, {1, 1} for a single float.
     std::array<std::uint32_t, 2> row;
     double LearningRates::*rate;
     bool harmonics;  ///< True if the last dimension holds spherical harmonics (SH) coefficients.
     bool scales;     ///< True if the group holds standard deviations, which may have upper bounds.
-    /// Scenes whose surfels have these parameters. `all`: every scene. `third_scale`:
-    /// scenes of 3D Gaussians. `bends`: scenes with actors that change their shape.
+    /// Scenes that have this group: every scene (`all`), scenes of 3D Gaussians
+    /// (`third_scale`), or scenes with actors that change their shape (`bends`).
     enum class SceneRequirement { all, third_scale, bends } of;
     const Array<float>& (*device)(const SurfelArrays&);  ///< Returns the device array, [n, count_floats()].
     /// Returns the device array for writing, [n, count_floats()].
@@ -161,10 +162,10 @@ constexpr SurfelParameterGroup make_parameter_group(
             [](Surfels& surfels, std::size_t n_floats) { (surfels.*kHost).resize(n_floats / kFloats); }};
 }
 
-/// Table of all groups of surfel parameters. The two optional groups are the first and
-/// the last, so that the groups of any scene are a contiguous range. A new parameter
-/// needs an entry here, a member of Surfels and of SurfelArrays, and a pointer for the
-/// kernels.
+/// Table of all groups of surfel parameters. A scene may lack the groups `gait` and
+/// `log_scale_w`. They are the first and the last entry, so that the groups of every
+/// scene are consecutive entries. A new parameter needs an entry here, a member of
+/// Surfels and of SurfelArrays, and a pointer for the kernels.
 inline constexpr std::array<SurfelParameterGroup, 7> kParameterGroups{{
     make_parameter_group<&Surfels::gait, &SurfelArrays::gait>(
         "gait", {5, 1}, &LearningRates::gait, false, false, SurfelParameterGroup::SceneRequirement::bends),
@@ -190,7 +191,7 @@ constexpr std::span<const SurfelParameterGroup> list_parameter_groups(SurfelPara
     return std::span(kParameterGroups).subspan(first, last - first);
 }
 
-/// Metadata key of the primitive in model and checkpoint files.
+/// Metadata key in model and checkpoint files that stores the PrimitiveType.
 inline constexpr const char* kPrimitiveKey = "primitive";
 /// Reads from the metadata of a file which parameters the stored surfels have.
 /// @param metadata metadata of the file
@@ -227,8 +228,8 @@ public:
     void record_listing_of_touched_rows(Stream& stream,
                                         Address<std::uint32_t, shared::TouchedSurfels> touched_flags,
                                         std::uint32_t n_rows);
-    /// Indices of the listed rows (those whose flag is 1), [count], in no particular
-    /// order.
+    /// Returns the address of the list that record_listing_of_touched_rows() makes:
+    /// [count] indices of the rows whose flag is 1, in no particular order.
     Address<std::uint32_t, shared::TouchedRows> get_touched_rows_address() const;
     Address<std::uint32_t, shared::TouchedCount> get_touched_count_address()
         const;  ///< Number of marked rows, [1].
@@ -251,8 +252,9 @@ private:
 InstancePose compute_box_pose_in_sweep(const LidarSequence& sequence, const PoseTrack& world_from_box,
                                        const glm::dvec3& half_size_m, const SweepTiming& sweep);
 
-/// Inputs and outputs of record_surfel_record_backpropagation(), which computes gradients
-/// of the parameters from gradients of the surfel records.
+/// Inputs and outputs of record_surfel_record_backpropagation(). Tracing kernels read
+/// each surfel as a SurfelRecord. The function converts gradients with respect to these
+/// records to gradients with respect to the trained parameters.
 struct ActivationGradients {
     /// Input: gradients with respect to the surfel records, [count_gradient_rows,16].
     const Array<float, shared::RecordGradients>* d_records = nullptr;
@@ -264,9 +266,10 @@ struct ActivationGradients {
     Array<float, shared::ViewGradients>* d_view = nullptr;
     bool zero_untouched =
         true;  ///< If true, record_surfel_record_backpropagation() writes zeros for surfels without a gradient.
-    /// If true, `touched` is also an input: 0 marks surfels that cannot have a gradient.
-    /// They are skipped if can_skip_untouched_surfels() is true and zero_untouched is
-    /// false. The entries of d_view for skipped surfels are not written.
+    /// If true, the array `touched` is also an input, in which 0 marks surfels that
+    /// cannot have a gradient. These surfels are skipped if zero_untouched is false and
+    /// can_skip_untouched_surfels() is true. Then their entries of d_view are not
+    /// written.
     bool touched_is_marked = false;
 };
 
@@ -295,14 +298,15 @@ public:
     /// record_top_level_bvh_update()).
     void record_upload_of_instance_poses(Stream& stream, const std::vector<InstancePose>& instance_poses);
     const std::vector<InstancePose>& get_instance_poses() const;
-    /// Returns true if the new poses change the walking phase of an actor. The surfel
-    /// records must then be computed again.
+    /// Returns true if the new poses change the phase of an actor's walking cycle. This
+    /// changes its surfels, so record_surfel_record_computation() must be called again.
     bool would_change_gait_phases(const std::vector<InstancePose>& instance_poses) const;
-    /// Records the kernel that computes surfel records from the parameters
-    /// (docs/method.md M1, M2, M9). With ShDirection::surfel, also evaluates intensity
-    /// and logits.
-    /// @param view_origin_m [3] sensor position, world frame. A model with several
-    /// instances uses it relative to its first instance
+    /// Records the kernel that computes the SurfelRecord of each surfel from its
+    /// parameters (docs/method.md M1, M2, M9). Tracing kernels read only these records.
+    /// With ShDirection::surfel, the kernel also computes intensity, hit logit and drop
+    /// logit.
+    /// @param view_origin_m [3] sensor position, world frame. If a model has several
+    /// instances, it is used relative to the first of them
     /// @throws UsageError if `model` has another primitive than the scene
     void record_surfel_record_computation(Stream& stream, const ImageFormationModel& model,
                                           const glm::vec3& view_origin_m);
@@ -310,10 +314,10 @@ public:
     /// gradient. This works only on CPU devices. On a GPU, all threads copy SH
     /// coefficients through shared memory together.
     bool can_skip_untouched_surfels() const;
-    /// Records the kernel that applies the chain rule: it converts gradients of the
-    /// surfel records to gradients of the parameters. Gradients of SH coefficients are
-    /// written only with ShDirection::surfel. With ShDirection::ray, the backward pass
-    /// has written them.
+    /// Records the kernel that converts gradients with respect to the SurfelRecords to
+    /// gradients with respect to the parameters (chain rule). With ShDirection::surfel,
+    /// it also writes the gradients of the SH coefficients. With ShDirection::ray, the
+    /// backward pass has already written them.
     void record_surfel_record_backpropagation(Stream& stream, const ImageFormationModel& model,
                                               const glm::vec3& view_origin_m,
                                               const ActivationGradients& gradients);
@@ -341,11 +345,11 @@ public:
     const Array<shared::InstanceEntry>& get_instance_table() const;
     std::uint32_t size() const;  ///< Number of surfels.
     PrimitiveType primitive() const;
-    /// Returns the first row of an instance in the array of record gradients, which has a
-    /// row for each surfel of each instance.
+    /// Returns the first row of an instance in the array of gradients with respect to
+    /// SurfelRecords. The array has a row for each surfel of each instance.
     std::uint32_t get_first_gradient_row_of_instance(std::size_t instance_index) const;
-    /// Number of rows in the array of record gradients. Each surfel has a row for each
-    /// instance of its model, and at least one row.
+    /// Number of rows in the array of gradients with respect to SurfelRecords. Each
+    /// surfel has a row for each instance of its model, and at least one row.
     std::uint32_t count_gradient_rows() const;
 
 private:

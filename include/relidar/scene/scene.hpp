@@ -72,10 +72,10 @@ constexpr const PrimitiveProperties& get_primitive_kind(PrimitiveType primitive)
 /// For a large sharpness, the window is a Gaussian with a standard deviation of 1 / (2 pi
 /// sharpness). If all fields are zero, the surfel is always visible and does not move.
 struct GaitPhaseWindow {
-    /// Phase of the actor at which the surfel is most opaque and at its mean position.
+    /// Phase of the walking cycle with maximum opacity and zero displacement, 0..1.
     float phase = 0.0f;
-    /// Sharpness of the window: with a larger value, the surfel fades faster at other
-    /// phases of the motion. 0 = the surfel is always visible.
+    /// How quickly the surfel fades as the walking cycle departs from `phase`. With a
+    /// larger value, the surfel is visible for a shorter time. 0 = always visible.
     float sharpness = 0.0f;
     glm::vec3 swing{0.0f};  ///< Amplitude of the surfel's motion, [3] metres, model frame.
 };
@@ -113,8 +113,8 @@ struct Surfels {
     void resize(std::size_t count) { resize(count, get_parameter_set()); }
     void resize(std::size_t count, SurfelParameterSet parameter_set);
     void add_gait_without_motion();  ///< Adds a gait without motion to all surfels if they have no gait.
-    /// Appends other surfels. If this set is empty, it first adopts their primitive. If
-    /// only one set has walking motions (gait), the other set gets motions of zero.
+    /// Appends other surfels. If this set is empty, it gets the primitive of `other`. If
+    /// only one set has a gait (walking motion), adds gaits without motion to the other.
     /// @throws DataError if the primitives differ
     void append_surfels(const Surfels& other);
     /// Returns a reordered copy: surfel i of the result is surfel order[i] of this set.
@@ -137,8 +137,8 @@ struct SurfelModel {
     /// Half size of the box that contains the model's surfels, metres. The box is centred
     /// at the origin. 0 = the model has no box.
     glm::vec3 half_size_m{0.0f};
-    /// Walked distance after which an actor's shape repeats, metres. It is slightly
-    /// longer than the recorded distance. 0 = rigid model.
+    /// Distance after which a walking actor repeats its motion, metres: the distance that
+    /// it walks in the log plus that of about three frames. 0 = rigid model.
     float stride_m = 0.0f;
     std::optional<ObservedBoxSurface> surface = {};  ///< observed parts of the box; empty: unknown
 };
@@ -172,11 +172,11 @@ struct Scene {
     Surfels surfels;
     std::vector<SurfelModel> models;
     std::vector<ModelInstance> instances;
-    /// Drop probabilities of the log's LiDARs that do not depend on the scene, one row
+    /// Probabilities that the log's LiDARs drop a ray regardless of the scene, one row
     /// per beam (LidarSequence::find_global_beam_number). Empty if not estimated.
     RayDropTable sensor_drop;
-    /// Background blocks in files, in addition to the surfels of model 0. Empty if the
-    /// complete background is in memory.
+    /// Parts of the background that are stored in files. `surfels` does not contain them.
+    /// Empty if `surfels` contains the complete background.
     std::vector<SceneBlock> blocks = {};
 };
 
@@ -223,8 +223,8 @@ struct ImageFormationModel {
     float transmittance_min = 1e-4f;
     int sh_degree = 3;  ///< Active SH degree, 0..3.
     ShDirection sh_direction = ShDirection::ray;
-    /// If true, hit logits are 0 and are not trained. The drop probability
-    /// (docs/method.md M6) is then a sigmoid of the drop logit. For ablation studies.
+    /// If true, hit logits stay 0. The drop probability, a softmax of hit and drop logit
+    /// (docs/method.md M6), is then a sigmoid of the drop logit. For ablation studies.
     bool single_drop_logit = false;
     PrimitiveType primitive = PrimitiveType::surfel;  ///< Primitive of the scene (ablation).
     bool operator==(const ImageFormationModel&) const = default;
@@ -254,7 +254,8 @@ struct SceneInitialisationOptions {
     /// Edge length of voxels, metres. The points of all training frames in a voxel are
     /// averaged.
     double voxel_m = 0.15;
-    /// Growth of the voxel edge per metre from the nearest sensor position. 0: none.
+    /// Minimum edge length of a voxel, divided by its distance from the nearest sensor
+    /// position. Distant voxels are therefore larger. 0 = all have `voxel_m`.
     double voxel_growth = 0.0;
     /// If true, surfel normals are estimated from the nearest neighbours. If false,
     /// orientations are random (ablation).
@@ -270,8 +271,8 @@ struct SceneInitialisationOptions {
     /// Initial hit logit minus initial drop logit of surfels. The mean of the two logits
     /// is 0.5. The initial drop probability of a surface is 1 / (1 + exp(hit_margin)).
     double hit_margin = 1.0;
-    /// If true, hit logits start at 0 and drop logits start at -hit_margin. For use with
-    /// ImageFormationModel::single_drop_logit.
+    /// If true, hit logits start at 0 and drop logits at -hit_margin. For training with
+    /// ImageFormationModel::single_drop_logit, which keeps all hit logits at 0.
     bool one_logit = false;
     /// Upper bound of the initial standard deviations, metres. Surfels that are stretched
     /// over gaps between scan lines (max_gap_m) may be larger.
@@ -292,7 +293,7 @@ struct SceneInitialisationOptions {
     /// (parse_object_kind()). all = every class. Empty = none.
     std::string actor_classes = "all";
     /// If true, moving boxes that do not become actors are excluded from training. If
-    /// false, they belong to the background (paper).
+    /// false, they are trained as a part of the background, as in the paper.
     bool mask_others = true;
     /// Comma-separated track ids that become actors, regardless of class and motion.
     /// Empty = select actors by class.

@@ -29,8 +29,8 @@ enum class PrimitiveType;
 /// Positions are in the frame of the surfel's model, so actors are at the origin.
 /// @throws DataError for the reasons listed at write_file_atomically()
 void write_surfel_ply(const std::filesystem::path& path, const Scene& scene);
-/// Writes surfels that share one frame. The file has no property `model`, so that
-/// read_surfel_ply() does not read it as a complete scene.
+/// Writes surfels that are all in the same coordinate frame. The file has no property
+/// `model`, so that read_surfel_ply() does not read it as a complete scene.
 /// @param header_comments comments in the file header
 void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
                       const FileMetadata& header_comments);

@@ -16,13 +16,14 @@ struct SurfelRecord {
     vec3 mean;      // Centre, metres.
     float opacity;  // Opacity sigma, 0..1.
     vec3 axis_u;    // First axis divided by its standard deviation, a_u / s_u, 1/m.
-    // Intensity of the surfel as seen from the sensor. The intensity and the two logits
-    // are set only with ShDirection::surfel, which evaluates them once per surfel.
+    // Intensity of the surfel as seen from the sensor. With ShDirection::surfel,
+    // intensity, hit_logit and drop_logit are computed once per surfel. Otherwise they
+    // are not set.
     float intensity;
     vec3 axis_v;  // Second axis divided by its standard deviation, a_v / s_v, 1/m.
     float hit_logit;
-    // For a surfel: its unit normal. For a 3D Gaussian: the third axis divided by its
-    // standard deviation, a_w / s_w, 1/m.
+    // For a surfel: its unit normal. For a 3D Gaussian: its third axis (unit vector a_w)
+    // divided by the standard deviation s_w along this axis, in 1/m.
     vec3 normal;
     float drop_logit;
 };
@@ -47,16 +48,16 @@ struct InstanceEntry {
     vec4 row2;
     uint first_surfel;  // Index of the model's first surfel in the surfel arrays of the scene.
     uint n_surfels;
-    // First row of the instance in the array of record gradients. The first instance of a
-    // model uses the rows of the model's surfels. Rows of further instances are stored
-    // after the rows of all surfels.
+    // First row of the instance in the array of gradients with respect to SurfelRecords.
+    // The first instance of a model uses the rows of the model's surfels. Rows of further
+    // instances are stored after the rows of all surfels.
     uint first_row;
     uint moves;  // 1 if the instance moves during the sweep, otherwise 0.
-    // Motion of the model during the sweep, in the axes of the model (docs/method.md
-    // section 4). model_from_world is the pose at the middle of the motion. For a ray
-    // fired at time t, the model has moved for clamp(t - middle_s, -half_span_s,
-    // half_span_s) seconds. The struct has 96 bytes, because kernels load it in 16-byte
-    // pieces.
+    // The next four fields are the motion of the model during the sweep, in the axes of
+    // the model (docs/method.md section 4). model_from_world is the pose at time
+    // middle_s. A ray at time t sees the model as it is after clamp(t - middle_s,
+    // -half_span_s, half_span_s) seconds of this motion. The struct InstanceEntry has 96
+    // bytes, because kernels load it in 16-byte pieces.
     vec3 velocity;   // Velocity, m/s.
     float middle_s;  // Middle of the motion interval, in seconds after the reference time of the sweep.
     vec3 turn_rate;  // Rotation vector per second, rad/s.

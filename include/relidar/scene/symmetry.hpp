@@ -8,8 +8,8 @@
 
 namespace relidar {
 
-/// Returns true for labelled vehicles, and for objects without a label that are at least
-/// 3 m long. All other objects, for example people, are not symmetric.
+/// Returns true for objects that are assumed to be symmetric: labelled vehicles, and
+/// objects without a label that are at least 3 m long.
 bool is_vehicle(const BoxTrack& box);
 
 /// Returns a copy of the surfels, mirrored at the x-z plane: y becomes -y.

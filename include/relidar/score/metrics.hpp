@@ -99,17 +99,17 @@ std::vector<PixelRegion> make_standard_regions(const RangeImage& real,
 /// @return [n] true for rays with such a return
 std::vector<bool> mask_returns_in_labelled_movers(const LidarSequence& sequence, const LidarFrame& frame,
                                                   const Pose& sensor_offset = {});
-/// Returns for each ray whether its return is inside a moving box that relidar
-/// discovered, because the dataset has no label.
+/// Returns for each ray whether its return is inside a moving box that the dataset does
+/// not label. relidar has found these boxes in the scans.
 /// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
 /// sensor
 /// @return [n] true for rays with such a return
 std::vector<bool> mask_returns_in_discovered_movers(const LidarSequence& sequence, const LidarFrame& frame,
                                                     const Pose& sensor_offset = {});
 
-/// Computes the errors of the points that are written to point cloud files, with the
-/// strict protocol: points/{depth_*,cd_*,f_*}. The ranges of these points can differ from
-/// the ranges of the image.
+/// Computes the metrics strict/{depth_*,cd_*,f_*} of evaluate() for the points that are
+/// written to point cloud files, and names them points/*. The ranges of these points can
+/// differ from the ranges of the image.
 /// @throws DataError like evaluate()
 MetricValues evaluate_points(const RangeImage& rendered, const RangeImage& real,
                              const MetricOptions& options = {});

@@ -27,13 +27,15 @@ struct ActorBox {
     double visible_share = 0.0;
 };
 
-/// Returns the boxes of the actors of `format` that at least one ray of a scan would hit.
-/// @param scan with RenderedScan::actor_views, which
-/// ScanRenderer::enable_actor_visibility() switches on
+/// Returns the boxes of all actors in `format.actors` that at least one ray of the scan
+/// would hit if no other object hid them.
+/// @param scan  scan with actor_views. ScanRenderer::enable_actor_visibility() must have
+/// been called before the scan was rendered
 std::vector<ActorBox> find_actor_boxes(const RenderedScan& scan, const ScanOutputOptions& format);
 
-/// Replaces the poses of the boxes in `format` by the poses of a ScanRequest. Removes the
-/// boxes of actors that the request does not contain.
+/// Sets the poses in `format.actors`, the actor boxes that are written to recordings, to
+/// the poses of a ScanRequest. Removes the boxes of actors that the request does not
+/// contain.
 void replace_actor_box_poses(ScanOutputOptions& format, const ActorTracksByName& dataset_from_actor);
 
 }  // namespace relidar

@@ -33,14 +33,14 @@ struct UnobservedActorSide {
     std::string track;
     BoxSide side;
     std::size_t n_rays = 0;
-    /// True if rays hit surfels that were mirrored from the other side. False if the
-    /// model has no surfels on this side, so that rays pass through.
+    /// True if this side was filled with mirrored surfels of the actor's other half, so
+    /// that rays hit it. False if this side has no surfels, so that rays pass through.
     bool is_completed = false;
 };
 
-/// Visibility of an actor: numbers of rays that hit it. A ray counts if surfaces absorb
-/// at least half of its light and the hit and drop logits of the surfels predict a
-/// return.
+/// Visibility of an actor, measured as the number of rays that hit it. A ray counts if
+/// surfaces absorb at least half of its light, and if its drop probability is below 0.5
+/// without the correction by a ray-drop network.
 struct ActorVisibility {
     std::string track;
     std::size_t n_rays = 0;  ///< rays that hit the actor first
@@ -51,12 +51,13 @@ struct ActorVisibility {
 /// A simulated scan: a range image with the ray of each pixel. Rays are in the sensor
 /// frame at their own firing times.
 struct RenderedScan {
-    /// Range image. The setting `render.range` selects the kind of range. `drop_prob` is
-    /// computed from the hit and drop logits and the sensor's own drop probability. It is
-    /// 1 if the ray hit nothing within the sensor's range limits.
+    /// Range image. The setting `render.range` selects how its ranges are computed.
+    /// `drop_prob` combines the surfels' drop probability (from hit and drop logits) with
+    /// the probability that the sensor itself drops the ray. It is 1 if the ray hit
+    /// nothing within the sensor's range limits.
     RangeImage image;
     /// [n] Median range along the ray, in metres: the distance at which the transmittance
-    /// T falls below 0.5. If T never falls below 0.5, the range of the image is used.
+    /// T falls below 0.5. If T never falls below 0.5, the ray's `image.range_m`.
     std::vector<float> median_range_m;
     /// [n] Mean range along the ray, in metres: the blended depth D divided by the
     /// accumulated alpha W. Equal to the median range if the transmittance T never falls
@@ -70,21 +71,21 @@ struct RenderedScan {
     /// the sensor has no rolling shutter.
     std::vector<float> time_offset_s;
     std::vector<std::uint16_t> ring;  ///< [n] beam number of the ray; 0 is the highest beam
-    /// Second returns of the rays, computed with median ranges. Empty if `sensor.returns`
-    /// is not 2.
+    /// Second returns of the rays. Their ranges are median ranges, like `median_range_m`.
+    /// Empty if `sensor.returns` is not 2.
     std::vector<AdditionalReturns> second_returns = {};
-    /// Optional channels with [n] values each: the channels of the setting
-    /// `render.channels`, and `source` if weather is set. A channel that cannot be
-    /// computed is missing, for example "seen" if the run has no coverage. A caller may
-    /// append channels, which are then joined, binned, merged and written like all other
-    /// channels.
+    /// Optional channels, with one value per ray: the channels of the setting
+    /// `render.channels`, and `source` (cause of the return) if weather is set. A channel
+    /// that cannot be computed is missing. For example, "seen" is missing if the run does
+    /// not store which space the log observed. A caller may append channels, which are
+    /// then joined, binned, merged and written like all other channels.
     std::vector<ScanChannel> channels = {};
-    /// Fraction of rays through space that the log did not observe. A ray counts if the
-    /// log observed less than half of its path. Computed from all rays, or from about a
-    /// thousand of them. Empty if the run has no coverage.
+    /// Fraction of rays that pass mostly through space that the log did not observe: the
+    /// log observed less than half of their path. Computed from all rays, or from about a
+    /// thousand of them. Empty if the run does not store which space the log observed.
     std::optional<double> unseen_share = {};
-    /// Unobserved sides of actors that lie on the path of rays of the scan. Set by the
-    /// command `relidar render`, not by ScanRenderer.
+    /// Sides of actors that the log did not observe, although rays of this scan reach
+    /// them. Set by the command `relidar render`, not by ScanRenderer.
     std::vector<UnobservedActorSide> unseen_sides = {};
     /// Visibility of each actor that at least one ray would hit if no other object hid
     /// it. Empty if ScanRenderer::enable_actor_visibility() was not called.
@@ -101,9 +102,10 @@ struct RenderedScan {
     Pose get_firing_pose(std::size_t ray) const;
 };
 
-/// Finds the unobserved sides of actors that lie on the path of at least five rays of the
-/// scan. If the side has no surfels, these rays pass through it. If the side was
-/// completed, the rays hit mirrored surfels. Uses the poses of the actors in the log.
+/// Finds the sides of actors that the log did not observe, although at least five rays of
+/// the scan reach them. If such a side has no surfels, these rays pass through it. The
+/// side may instead have surfels that were mirrored from the actor's other half. Then the
+/// rays hit these surfels. Uses the poses of the actors in the log.
 std::vector<UnobservedActorSide> find_unobserved_actor_sides(const RenderedScan& scan, const Scene& scene,
                                                              const LidarSequence& sequence);
 
@@ -129,8 +131,9 @@ private:
     const RenderedScan& scan_;
     const Pose target_from_dataset_;
     const bool moves_;
-    /// Last computed pose of each column, because rays of a column often share their
-    /// firing time. A single entry if the scan has one row or the sensor does not move.
+    /// Last computed pose of each column, which is reused because rays of a column often
+    /// fire at the same time. Only one entry if the scan has one row or the sensor does
+    /// not move.
     std::vector<CachedFiringPose> made_;
 };
 
@@ -140,7 +143,7 @@ private:
 inline constexpr double kMuchUnseen = 0.2;
 
 /// Returns the [n] ranges, in metres, at which the points of a scan are placed. The
-/// setting `render.points` selects the median range or the range of the image.
+/// setting `render.points` selects scan.median_range_m or scan.image.range_m.
 const std::vector<float>& select_point_ranges(const RenderedScan& scan, const Config& config);
 
 /// Returns |mean range - median range| of each ray, [n] metres. The value is near 0 on a
@@ -179,8 +182,8 @@ void sample_random_returns(RenderedScan& scan, const RangeNoiseTable& noise,
 struct RenderedPoints {
     LidarPoints points;      ///< all returns, in the order of convert_scan_to_points()
     std::size_t n_rays = 0;  ///< number of rays of the scan
-    /// Share of the rays through space that the log did not observe. Empty if the run has
-    /// no coverage.
+    /// Fraction of rays that pass mostly through space that the log did not observe.
+    /// Empty if the run does not store which space the log observed.
     std::optional<double> unseen_share = {};
 };
 
@@ -190,8 +193,8 @@ struct SimulatedSensor {
     /// Range grid of the output image. After rendering, the simulated points are
     /// projected into this grid. Empty = the image has one pixel per ray.
     std::optional<RangeImageGrid> grid = {};
-    /// True for a LiDAR of the log. The trained drop probabilities of the sensor itself
-    /// apply only to the log's LiDARs.
+    /// True for a LiDAR of the log. Only for these LiDARs, training has estimated how
+    /// often the sensor itself drops a ray (Scene::sensor_drop).
     bool is_log_lidar = false;
     /// True if `rays` are the nominal rays of a LiDAR of the log. A scan at the time of a
     /// recorded sweep then uses the azimuths that were measured in this sweep. A scan for
@@ -206,12 +209,13 @@ struct SimulatedSensor {
     RangeLimits limits = {};  ///< limits of measured ranges
     std::string name = "";
     int lidar = 0;  ///< index of the log's LiDAR that this sensor is or replaces
-    /// Number of returns per ray: 1 or 2, or 0 to use the setting `sensor.returns`. With
-    /// 2 returns, a ray needs several sub-rays. If the settings select only 1 sub-ray,
-    /// the ray gets 9.
+    /// Number of returns per ray, 1 or 2. 0 = use the setting `sensor.returns`. Two
+    /// returns are computed from several sub-rays of each ray. If the settings select
+    /// only 1 sub-ray, 9 sub-rays are used.
     int returns = 0;
-    /// False: all rays are fired at the scan's reference time, as if the scan were
-    /// motion-compensated. fires_rays_at_different_times() also considers the settings.
+    /// True: each ray is fired at its own time. False: all rays are fired at the scan's
+    /// reference time, as if the scan were motion-compensated. A setting can also switch
+    /// rolling shutter off, so use fires_rays_at_different_times() to read the result.
     bool rolling_shutter = true;
 };
 
@@ -301,8 +305,9 @@ public:
     /// @throws UsageError for an unknown channel, or for a channel that needs normals in
     /// a scene of 3D Gaussians
     void enable_optional_channels(const std::string& comma_separated_names);
-    /// Switches RenderedScan::actor_views of all following scans on or off. To compute
-    /// them, traces the rays near each actor a second time, without all other surfaces.
+    /// Switches the visibility of actors (RenderedScan::actor_views) on or off for all
+    /// following scans. The renderer then traces the rays near each actor a second time,
+    /// in a scene that contains only this actor.
     void enable_actor_visibility(bool enabled = true);
     /// Sets the space that the log observed. All following scans are compared with this
     /// space to set RenderedScan::unseen_share. An empty coverage switches the
@@ -318,9 +323,9 @@ public:
     /// @param scatter [lidars] if an entry is missing or empty, intensities are as
     /// rendered
     void set_intensity_scatter(const std::vector<IntensityScatterModel>& scatter);
-    /// Sets the weather of all following scans. For a sampled scan, the seed of the
-    /// sample also seeds the weather. Other scans use seed 0. Scans with weather have the
-    /// channel `source`.
+    /// Sets the weather of all following scans. Its random numbers use the seed that is
+    /// passed to render() as `sample`, or the seed 0 if none is passed. Scans with
+    /// weather have the channel `source` (cause of each return).
     /// @throws UsageError if all intensities of the log are 0
     /// @throws errors of require_valid_weather()
     void set_weather(const Weather& weather);
@@ -358,7 +363,7 @@ public:
                        std::optional<std::uint64_t> sample = {},
                        SubmissionTiming mode = SubmissionTiming::now);
     /// Maximum number of scans that were requested and not yet collected with
-    /// wait_for_points(). Two such scans are enough to keep the device busy.
+    /// wait_for_points(). Fewer are enough: two such scans keep the device busy.
     static constexpr std::size_t kScansInFlight = 64;
     /// Returns the maximum number of scans that the device renders in parallel. The
     /// default is 4 on a GPU, because a single scan does not use the GPU fully. The

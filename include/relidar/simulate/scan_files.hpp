@@ -89,10 +89,10 @@ struct ScanOutputOptions {
 /// Returns the default format for scans of a run: npz files with rays in the sensor
 /// frame. The simulated sensor has the same poses as the log's sensor.
 ScanOutputOptions make_default_output_options(const TrainedRun& run, const SimulatedSensor& sensor);
-/// Returns true if all points of a scan are in one frame: the world frame, or the sensor
-/// frame at one time. (In recordings, this is the time stamp of the message.) This is the
-/// case if points are converted to such a frame, or if all rays are fired at the same
-/// time.
+/// Returns true if all points of a written scan are in one coordinate frame: the world
+/// frame, or the sensor frame at a single time (in recordings, the time stamp of the
+/// message). This is the case if `output_options` require a conversion to such a frame,
+/// or if all rays are fired at the same time.
 bool are_points_in_one_frame(const ScanOutputOptions& output_options);
 /// Sets the topic and the frame id of a sensor in recordings to /lidar/NAME/points and
 /// NAME. In the topic, NAME is converted by make_valid_topic_name(). An empty name gives
@@ -165,7 +165,8 @@ struct ScanMessage {
     std::string bytes;
 };
 
-/// Converts scans to the messages of the recording mcap, for live connections.
+/// Converts scans to the messages that ScanRecordingsWriter writes to scans.mcap, so that
+/// a server can send them to connected clients.
 class ScanMessageEncoder {
 public:
     /// @param sensors  formats of the sensors, as in ScanRecordingsWriter
@@ -238,7 +239,7 @@ private:
     std::vector<std::string> entries_;
     std::vector<ChannelInfo> channels_;  ///< channels of the scans, in addition to the basic ones
     /// Recordings of the scans. A shared pointer, so that a ScanFolderWriter can be
-    /// moved. Null in a process that joined an existing folder.
+    /// moved. Null if open_shared_folder() has opened the folder of another process.
     std::shared_ptr<ScanRecordingsWriter> recordings_;
 
     /// returns true if `output_options` is one of ScanOutputOptions::formats
@@ -255,9 +256,10 @@ std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame_num
 /// ScanFolderWriter constructor would remove these files.
 std::vector<std::filesystem::path> list_scan_files(const std::filesystem::path& folder);
 
-/// Returns a picture of the ranges of an image in false colours. The colour scale uses
-/// the square root of the range, so that near objects have more contrast. The pictures of
-/// intensities and drop probabilities are gray. Pixels without a return are dark gray.
+/// Returns a picture of the ranges in false colours. The colours depend on the square
+/// root of the range, so that near objects have more contrast. The next two functions
+/// return gray pictures of intensities and drop probabilities. In all pictures, pixels
+/// without a return are dark gray.
 Image draw_range_picture(const RangeImage& image, double max_range_m);
 Image draw_intensity_picture(const RangeImage& image);
 Image draw_ray_drop_picture(const RangeImage& image);

@@ -35,9 +35,10 @@ struct Weather {
     double snow_mm_h = 0.0;  ///< snow rate in millimetres of melted water per hour
     double wet_mm = 0.0;     ///< depth of the water on level ground
     Sun sun = {};
-    /// Strength of blooming: stray light that a retro-reflector causes in neighbouring
-    /// rays. The value is the apparent reflectivity of rays one degree away from a
-    /// retro-reflector of one square degree (median over the beams).
+    /// Strength of blooming: stray light of a retro-reflector that the receivers of
+    /// neighbouring rays detect. The value is the reflectivity that the sensor reports
+    /// for such a ray, if the retro-reflector covers one square degree and is one degree
+    /// away from the ray (median over the beams).
     double bloom = 0.0;
 
     bool is_clear() const { return *this == Weather{}; }
@@ -70,20 +71,22 @@ struct WeatherSensorProperties {
     /// least 1 m.
     double min_range_m = 0.0;
     double max_range_m = 80.0;
-    /// Half a quantisation step of the intensities. At the maximum range, surfaces with a
-    /// lower reflectivity are not detected.
+    /// Lowest reflectivity that the sensor detects at its maximum range. It is half a
+    /// quantisation step of the intensities, because lower intensities are reported as 0.
     double darkest = 0.5 / 255.0;
-    /// Surfaces with a lower reflectivity are not detected at any range, because
-    /// receivers are less sensitive to near targets (sensitivity-time control). 0 =
-    /// compute_min_detectable_power() is the only threshold.
+    /// Surfaces with a lower reflectivity are not detected, not even at short range,
+    /// where they return more power. The reason is that receivers are less sensitive to
+    /// near targets (sensitivity-time control). 0 = compute_min_detectable_power() is the
+    /// only threshold.
     double weakest_reflectivity = 0.0;
 
     /// Returns the minimum power that is detected: the power of the darkest surface at
     /// the maximum range.
     double compute_min_detectable_power() const { return darkest / (max_range_m * max_range_m); }
-    /// Returns the minimum power that the sensor detects at a range. Applies to surfaces,
-    /// fog, particles and noise. For mirrored and stray light, the minimum power is
-    /// compute_min_detectable_power().
+    /// Returns the minimum power that the sensor detects at a range. Combines the
+    /// thresholds of `darkest` and `weakest_reflectivity`. Applies to surfaces, fog,
+    /// particles and noise. For mirrored and stray light, only
+    /// compute_min_detectable_power() applies.
     double compute_min_detected_power_at_range(double range_m) const;
 };
 
@@ -104,8 +107,8 @@ enum class ReturnCause : std::int32_t {
 /// A possible return of a ray.
 struct LidarEcho {
     double range_m = 0.0;  ///< Range along the ray. It is 0 if the ray has no return.
-    /// Reflectivity of a surface that would return the same power in clear air. 0..1 if
-    /// the return really comes from a surface.
+    /// Reflectivity of a surface that would return the same power from this range in
+    /// clear air. It is limited to 0..1 only if a surface caused the return.
     double reflectivity = 0.0;
     ReturnCause source = ReturnCause::nothing;
 };
@@ -141,10 +144,10 @@ double compute_water_film_fraction(double water_depth_mm);
 /// @param sees_sky  true if nothing is between the sensor and the sky
 double compute_sunlight_noise_power(const Sun& sun, const WeatherSensorProperties& sensor,
                                     double angle_to_sun_rad, double surface_albedo_or_0, bool sees_sky);
-/// Returns how often noise exceeds a threshold, per metre of range. For Gaussian noise
-/// after a matched filter, the rate is exp(-level^2 / 2) / (2 sqrt(3) tau) per second.
-/// `level` is the threshold, and tau is the pulse duration (Rice 1945; RCA Electro-Optics
-/// Handbook 1974).
+/// Returns how often noise exceeds a threshold, per metre of range. Gaussian noise after
+/// a matched filter exceeds it exp(-threshold_sigmas^2 / 2) / (2 sqrt(3) tau) times per
+/// second, where tau is the pulse duration (Rice 1945; RCA Electro-Optics Handbook 1974).
+/// One metre of range corresponds to 2 / c seconds, where c is the speed of light.
 /// @param threshold_sigmas  threshold in standard deviations of the noise
 double compute_false_returns_per_metre(const WeatherSensorProperties& sensor, double threshold_sigmas);
 

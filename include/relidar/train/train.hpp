@@ -239,10 +239,10 @@ struct ScatterFitCallbacks {
 };
 
 /// Fits a statistical model of the measured intensities, given the rendered intensities,
-/// for each LiDAR. Renders some training frames of the run, whose sequence must contain
-/// the scans.
-/// @return [lidars] models, empty for a LiDAR with too few returns. An empty vector if
-/// stopped
+/// for each LiDAR. Renders some training frames for this. TrainedRun::sequence must
+/// contain the measured scans of these frames.
+/// @return [lidars] models. A model is empty if its LiDAR has too few returns. The vector
+/// is empty if ScatterFitCallbacks::stop has stopped the fit
 std::vector<IntensityScatterModel> fit_intensity_scatter_per_lidar(Device& device, const TrainedRun& run,
                                                                    const ScatterFitCallbacks& session = {});
 
