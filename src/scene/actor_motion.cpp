@@ -12,8 +12,9 @@ namespace {
 // Maximum angle in radians between the azimuth of a beam and the azimuth that the LiDAR
 // head faces.
 constexpr double kBeside_rad = 0.17;
-// Margin on each side of the azimuth range that a box covers, as a share of half this
-// range. The margin is needed because the sensor and the box move during the scan.
+// A box covers a range of azimuths in the view of the sensor. The range is widened on
+// each side by this share of its half width, because the sensor and the box move during
+// the scan.
 constexpr double kBesideShare = 0.25;
 // The time span of an actor's motion is lengthened by this share, because real LiDAR
 // heads deviate from the nominal firing times.
@@ -98,8 +99,8 @@ InstancePose compute_box_pose_in_sweep(const LidarSequence& sequence, const Pose
                                        const glm::dvec3& half_size_m, const SweepTiming& sweep) {
     const TimeSpan span = compute_time_span_facing_box(sequence, world_from_box, half_size_m, sweep);
     const double half_s = 0.5 * (span.last_s - span.first_s), middle_s = 0.5 * (span.first_s + span.last_s);
-    // If all rays fire at the same time, the actor has a velocity, but it does not move
-    // during the sweep.
+    // If all rays fire at the same time, the pose of the actor is constant. Its velocity
+    // is then measured between `kVelocityStep_s` before and after this time.
     const bool moves = half_s > 0.0;
     const TimeSpan measured = moves ? span : TimeSpan{middle_s - kVelocityStep_s, middle_s + kVelocityStep_s};
     const Pose first = world_from_box.interpolate_pose(measured.first_s),

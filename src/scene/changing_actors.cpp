@@ -33,12 +33,12 @@ constexpr std::size_t kInFrame = 200;
 // Minimum number of frames with points of an actor. With fewer frames, the actor is
 // modelled as rigid.
 constexpr std::size_t kFewestChanging = 3;
-// Minimum distance that an actor must walk in the log. Otherwise it is modelled as rigid.
-// The second constant is the minimum distance between two frames.
+// An actor that walks less than kFewestWalked_m in the log is modelled as rigid.
+// kSmallestSpacing_m is a lower limit for the distance that it walks per frame.
 constexpr double kFewestWalked_m = 0.5, kSmallestSpacing_m = 0.02;
-// A recorded motion is repeated. This is the gap between its last frame and its repeated
-// first frame, so that both are never visible together. The unit is the distance between
-// two frames.
+// The recorded motion of an actor is repeated. This is the gap between its last frame and
+// the repeated first frame, so that both are never visible together. Its unit is the mean
+// distance that the actor walks per frame.
 constexpr double kFramesBetween = 3.0;
 
 /// Samples of one frame.
@@ -151,9 +151,9 @@ std::vector<char> mark_static_samples(const std::vector<LidarSample>& samples, c
     return is_static;
 }
 
-/// Makes the surfels that represent an actor in one frame. They become more transparent
-/// as the actor walks away from its position in this frame. The opacity is a Gaussian
-/// whose standard deviation is the distance between two frames.
+/// Makes surfels with the shape of an actor in one frame. They fade out while the actor
+/// walks on. Their opacity is a Gaussian of the walked distance. Its standard deviation
+/// is `FrameSamples::spacing_m`, the distance that the actor walks per frame.
 Surfels make_actor_surfels_of_frame(const SamplesByFrame& frames, std::size_t frame_index,
                                     const std::vector<LidarSample>& samples,
                                     const std::vector<LidarSample>& changing_samples, double gait_period_m,

@@ -72,10 +72,11 @@ struct InstanceGradientRows {
     /// [models] index of the first instance of each model, or -1 if the model has no
     /// instance
     std::vector<std::int64_t> first_instance;
-    /// first gradient row of each further instance of a model (every instance except the
-    /// first), sorted by model
+    /// first row in the gradient array of each instance that is not the first instance of
+    /// its model, sorted by model
     std::vector<std::uint32_t> more;
-    /// [models + 1] start of the entries of each model in the array `more`
+    /// [models + 1] model m has the entries first_more[m] to first_more[m + 1] - 1 of the
+    /// array `more`
     std::vector<std::uint32_t> first_more;
     std::uint32_t n_rows;
 

@@ -68,7 +68,8 @@ bool is_plausible_moving_box(const BoxTrack& box) {
     return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m &&
            fastest > kSlowest_mps && fastest < kFastest_mps && travel.net_m > kMinTravelPerSize * longest &&
            travel.net_m > kStraightness * travel.path_m &&
-           // `is_moving()` is false if the only motion is a jump across a gap in time.
+           // `is_moving()` averages positions over time, so that jitter does not count as
+           // motion.
            !turns_on_the_spot && box.is_moving();
 }
 
@@ -90,9 +91,9 @@ std::optional<BoxTrack> fit_box_if_motion_proven(const VisibilityChecker& visibi
     return result;
 }
 
-/// Extends a labelled box to the times before and after its labels. Uses only the parts
-/// of the track in which other frames prove that the object moved. Returns nothing if no
-/// part has such a proof.
+/// Extends the track of a labelled box to the time before its first label and the time
+/// after its last label. Uses each of these two parts only if other frames prove that the
+/// object moved in this part. Returns nothing if no part can be used.
 std::optional<BoxTrack> extend_labelled_box_if_motion_proven(const VisibilityChecker& visibility,
                                                              MoverTrack& track,
                                                              const BoxTrack& labelled_box) {
@@ -201,8 +202,9 @@ bool is_mostly_inside_box(const BoxTrack& inner_box, const BoxTrack& outer_box) 
 
 bool is_extension_of_label(const BoxTrack& box) { return !box.id.empty(); }
 
-/// Removes duplicate boxes of an object. Keeps a box that extends a label, or otherwise
-/// the box with the most observations. Boxes of different labels are never duplicates.
+/// If several boxes belong to the same object, keeps one of them. Prefers a box with the
+/// id of a labelled object, then the box with the most observations. Boxes with the ids
+/// of different labelled objects are never duplicates.
 std::vector<BoxTrack> remove_duplicate_boxes(std::vector<BoxTrack> boxes) {
     std::ranges::stable_sort(boxes, [](const BoxTrack& first, const BoxTrack& second) {
         return std::pair(is_extension_of_label(first), first.world_from_box.time_s.size()) >
@@ -245,9 +247,10 @@ std::vector<BoxTrack> discover_movers_of_lidar(int lidar_index, const LidarSeque
     return remove_duplicate_boxes(fit_boxes_of_proven_movers(visibility, tracks, sequence, progress, group));
 }
 
-/// Adds the boxes that another LiDAR found. If both LiDARs found the same object, keeps
-/// the box that extends a label. If neither or both extend a label, keeps the existing
-/// box. However, a new box with more than 1.5 times as many observations replaces it.
+/// Adds the boxes that another LiDAR found. If both LiDARs found the same object, prefers
+/// the box with the id of a labelled object. If both boxes or neither have such an id,
+/// keeps the box in `boxes`, unless the other has more than 1.5 times as many
+/// observations.
 void merge_boxes_of_lidars(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> boxes_of_other_lidar) {
     for (BoxTrack& other : boxes_of_other_lidar) {
         const auto is_same = [&](const BoxTrack& b) {

@@ -45,9 +45,10 @@ ShBasis evaluate_spherical_harmonics(const glm::dvec3& direction) {
 using ShRotation = std::array<std::array<double, kShCoefficients>, kShCoefficients>;
 
 /// Returns the matrix that rotates SH coefficients from the model frame to the world
-/// frame. An element is the integral of Y_i(R d) Y_j(d) over the sphere. The quadrature
-/// uses four Gauss-Legendre heights and eight azimuths. It is exact, because the
-/// integrands have degree 6.
+/// frame. Element (i, j) is the integral of Y_i(R d) Y_j(d) over all directions d. R is
+/// the rotation, and Y_i are the SH basis functions. Sums over four heights
+/// (Gauss-Legendre) times eight azimuths. This sum is exact, because the integrands have
+/// degree 6.
 ShRotation make_harmonics_rotation_matrix(const glm::dquat& world_from_model) {
     constexpr std::array<std::array<double, 2>, 4> kHeights{{{-0.8611363115940526, 0.3478548451374538},
                                                              {-0.3399810435848563, 0.6521451548625461},

@@ -27,9 +27,9 @@ namespace relidar {
 
 namespace {
 
-// A point is removed if enough frames look through its position. Their number must be at
-// least this share of the number of frames that have a return there. The share is below
-// 1, to also remove objects that stood still for part of the log.
+// A point is removed if enough frames observe empty space at its position. The constant
+// is the minimum ratio (frames with empty space) / (frames with a return there). It is
+// below 1, to also remove objects that stood still for part of the log.
 constexpr double kGoneShare = 0.25;
 
 /// Running sums of the samples in one voxel.
@@ -88,9 +88,9 @@ std::vector<glm::vec3> list_sensor_positions(const LidarSequence& sequence,
     return sensor_positions;
 }
 
-/// Returns the voxel that contains a point. The edge of a voxel is `voxel_m`. If
-/// `voxel_growth` is positive, points far from all sensor positions get larger voxels.
-/// Each level doubles the edge.
+/// Returns the voxel that contains a point. The edge of the voxel is `voxel_m` * 2^level.
+/// The level is 0 if `voxel_growth` is 0. Otherwise it rises with the distance to the
+/// nearest sensor position.
 VoxelCell find_voxel_cell(const glm::vec3& point_m, const NearestPointFinder<float>& sensor_positions,
                           const SceneInitialisationOptions& options) {
     int level = 0;

@@ -13,8 +13,9 @@
 namespace relidar {
 namespace {
 
-// Number of times that the box is fitted. In the first fit, the path is wrong where other
-// sides of the object become visible. The later fits correct the path.
+// Number of times that the path of an object is corrected. The first path follows the
+// centre of the visible points. This centre shifts when other sides of the object become
+// visible.
 constexpr int kRounds = 3;
 // The top of an object is its highest return within this many seconds before and after a
 // frame. The height of the road changes little in this time.
@@ -27,8 +28,8 @@ constexpr double kSpeedOver_s = 0.5;
 // Number of labelled observations from which the offset between a labelled box and the
 // visible points is computed.
 constexpr std::size_t kLabelsPerEnd = 10;
-// If the sensor is at least this far outside the box, it sees only the near end of the
-// object.
+// If the sensor is more than this distance outside a box, measured along one axis of the
+// box, it sees only the near end of the object along this axis.
 constexpr double kBeside_m = 0.5;
 
 /// Position and heading of an object on the ground. They define the frame of the object.
@@ -136,9 +137,9 @@ std::vector<double> compute_top_heights_m(const MoverTrack& track) {
     return result;
 }
 
-/// Returns the position of the object in each observation. Its horizontal position is the
-/// centre, which is computed from the end that faces the sensor. Its height is the top of
-/// the object.
+/// Returns the position of the object in each observation: its centre in x and y, and its
+/// top in z. The sensor sees only the end of the object that faces it. Therefore the
+/// centre is computed as half the size of the object behind this end.
 /// @param size_m length and width; if null, the visible size is used
 std::vector<glm::dvec3> estimate_positions_from_visible_end(const MoverTrack& track,
                                                             const std::vector<GroundPose>& ground_poses,

@@ -24,20 +24,22 @@ constexpr double kCell_m = 0.2;
 // Edge length of a square on the ground. Points above neighbouring squares belong to the
 // same object.
 constexpr double kSquare_m = 0.3;
-// Maximum distance between two neighbouring squares of an object, as a number of squares.
-// Returns in such squares are 0.6 to 0.9 m apart.
+// Returns above two grid squares belong to the same object if the squares are at most
+// this many squares apart along x and along y. The distance of such returns is less than
+// 0.9 m on each axis.
 constexpr int kReach = 2;
 constexpr double kMinPoints = 12;  // minimum number of moved returns in a cluster
 constexpr double kMaxLength_m = 14.0;
-// Minimum ratio of the frames that find a cell empty to the frames that find the cell
-// occupied, for a cell that counts as moved. The ratio is low, because a vehicle hides
-// the space behind it.
+// The returns in a cell belong to a moving object if other frames find the cell empty.
+// Minimum ratio (frames that find it empty) / (frames with a return in it). The ratio is
+// low, because a vehicle hides the space behind it.
 constexpr double kMinEmptyShare = 0.25;
 // A static object is usually visible in more frames than this. If at most this many
 // frames have a return in a cell, the program cannot decide whether the object there
 // moved.
 constexpr int kTooFewFrames = 3;
-// Points more than this below the lowest moved point of a cluster belong to the ground.
+// Points belong to the ground if they are below the lowest moving point of a cluster by
+// more than this height.
 constexpr double kGroundBelow_m = 0.05;
 // Vertical gap without points that separates two objects. At 29 m, beams that are two
 // degrees apart leave a gap of this size.
@@ -88,8 +90,9 @@ std::vector<LabelledBox> find_labelled_boxes_at(const LidarSequence& sequence, d
     return boxes;
 }
 
-/// All LiDAR returns of one frame: points outside all labelled boxes, and clusters of
-/// points inside moving labelled boxes.
+/// LiDAR returns of one frame within 40 m. `others` are the returns outside all labelled
+/// boxes. `of_labels` has one cluster of returns for each moving labelled box. Returns in
+/// static labelled boxes are left out.
 struct FrameMoverReturns {
     std::vector<MoverReturn> others;
     std::vector<MoverCluster> of_labels;
@@ -152,11 +155,12 @@ std::vector<glm::vec3> assign_grid_cells_and_get_mean_points(std::vector<FrameMo
     return means;
 }
 
-/// Returns the lowest and the highest point of an object above the ground. Splits the
-/// heights at large gaps, for example between a car and a tree above it. Uses the part
-/// with the most returns.
-/// @param heights_m heights of the moved returns of a cluster, at least one
-/// @return lowest and highest point, metres
+/// Returns the range of heights that belongs to an object above the ground. Splits the
+/// given heights at large gaps, for example between a car and a tree above it. Uses the
+/// part with the most heights, and adds a margin below and above it.
+/// @param heights_m heights of the returns that other frames prove to have moved, at
+/// least one
+/// @return lower and upper limit, metres
 std::pair<double, double> find_object_height_range(std::vector<double> heights_m) {
     std::sort(heights_m.begin(), heights_m.end());
     std::size_t best = 0, n_best = 0;

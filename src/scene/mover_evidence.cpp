@@ -18,8 +18,8 @@ constexpr double kSamePosition_m = 0.2;
 constexpr double kClear_m = 0.4;
 // At least this share of the returns of a track must be proven to lie on a moving object.
 constexpr double kMinMovedReturnShare = 0.25;
-// Minimum share of returns that are proven to lie on a moving object, among the returns
-// whose position other frames observe.
+// Minimum ratio n_moved_returns / n_decided_returns of a track. Other frames observe the
+// positions of all decided returns, and prove that the moved returns have moved.
 constexpr double kMinConfirmedShare = 0.85;
 constexpr double kMinMovedFrameShare =
     0.5;  // motion must be proven in at least this share of a track's frames

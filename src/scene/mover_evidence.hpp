@@ -13,8 +13,8 @@ namespace relidar {
 /// Number of frames which show that the object at a position has moved, and number of
 /// frames which show that it has not moved.
 struct MotionEvidence {
-    /// Number of frames in which something else is at this position. They have a return
-    /// at the position while the tracked object is elsewhere.
+    /// Number of frames that have a return at the position although the tracked object is
+    /// elsewhere. The return then comes from something else.
     std::size_t n_occupied_frames = 0;
     std::size_t n_empty_frames = 0;  ///< frames that observe an empty space at the position
     void operator+=(const MotionEvidence& other) {
@@ -56,7 +56,7 @@ MotionEvidence count_motion_evidence_at_point(const VisibilityChecker& visibilit
                                               const BoxTrack& box);
 
 /// Removes the returns of a cluster that other frames prove to be static.
-/// @return counts for all returns of the cluster, including the removed returns
+/// @return evidence of motion, summed over all returns of the cluster before the removal
 TrackMotionEvidence remove_static_returns(const VisibilityChecker& visibility, MoverCluster& cluster,
                                           const BoxTrack& box);
 

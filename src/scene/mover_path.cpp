@@ -15,8 +15,9 @@ namespace {
 
 // standard deviation of the observed position of an object's near end
 constexpr double kPositionNoise_m = 0.1;
-// Noise density q of the jerk, m^2/s^5. With one position every 0.1 s, the path follows
-// motions that take longer than 0.4 s and smooths shorter motions.
+// Spectral density q of the white noise that models the jerk of an object, m^2/s^5. It
+// controls the smoothing. With one position every 0.1 s, the path follows motions that
+// take longer than 0.4 s and smooths shorter motions.
 constexpr double kJerk = 0.2;
 // A position at this distance from the path has half the weight of a position on the
 // path.
@@ -26,8 +27,9 @@ constexpr int kPathRounds = 3;
 // this distance before and after a position. If both ends have an error of 3 cm, the
 // chord rotates by less than a degree.
 constexpr double kChord_m = 1.5;
-// If the chord is shorter than this share of its longer half, the path turns back at the
-// position. Then only the half before the position gives the heading.
+// The heading at a position is the direction of a chord from a point before to a point
+// after it. If the chord is shorter than this share of the distance between the position
+// and the farther end, the path turns back. Then the chord ends at the position.
 constexpr double kTurnsBack = 0.3;
 
 /// State of the Kalman filter. Each column is a world axis. The rows are position,

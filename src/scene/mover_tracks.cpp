@@ -19,15 +19,18 @@ namespace {
 constexpr double kMaxGap_s = 0.35;
 constexpr double kLongestGap_s = 1.5;  // maximum gap across which two parts of a track are joined
 constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations before and after a gap
-// Number of observations from which a velocity is estimated: kNext for the prediction to
-// the next frame, kFar for the prediction across a gap.
+// Maximum number of observations from which a velocity is estimated. kNext is used to
+// predict the position in the next frame. kFar is used to predict it across a gap in
+// time.
 constexpr std::size_t kNext = 4, kFar = 10;
 constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that has been observed only once
-// Maximum distance between an object and its predicted position: a constant in metres,
-// plus this many metres for each second since the last observation.
+// Maximum distance between an object and its predicted position: kAcceleration_m plus
+// kAcceleration_mps for each second since its last observation. The object may
+// accelerate, but the prediction assumes a constant velocity.
 constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;
-// Maximum error of a predicted position, per second of a gap between two tracks. One
-// prediction starts before the gap and one after the gap.
+// Two tracks with a gap in time between them can be joined. The first track predicts a
+// position at the end of the gap, the second track one at its start. The maximum error of
+// each prediction is kAcceleration_m plus this many metres per second of the gap.
 constexpr double kOverGap_mps = 0.8;
 // maximum difference between the speeds before and after a gap
 constexpr double kOtherSpeed_mps = 2.0;

@@ -29,9 +29,10 @@ struct MoverTrack {
     std::vector<double> get_observation_times() const;
 };
 
-/// Links the clusters of consecutive frames to tracks. In each frame, links the best
-/// matches first. While an object has a label, the label decides which clusters are
-/// linked. Before and after the labels, the predicted position decides.
+/// Links clusters of points in successive frames to tracks of objects. In each frame,
+/// links the best matches first. While an object has a label, a cluster must have the
+/// same label to match. At other times, it must be near the predicted position of the
+/// object.
 /// @param clusters_per_frame [frames]
 std::vector<MoverTrack> link_clusters_to_tracks(
     const std::vector<std::vector<MoverCluster>>& clusters_per_frame,

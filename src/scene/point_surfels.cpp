@@ -22,8 +22,9 @@ constexpr float kSh0 = 0.28209479177387814f;  ///< SH constant of degree 0
 /// -y, z and -x.
 constexpr double kSh1 = 0.4886025119029199;
 constexpr int kScaleNeighbours = 3;
-/// Minimum width of a gap between scan lines, as a multiple of the distance between
-/// neighbours on a line. Gaps between randomly distributed points are narrower.
+/// A surfel is stretched over the gap between scan lines only if the gap is wider than
+/// this multiple of the mean distance to the nearest points. Gaps between randomly
+/// distributed points are narrower.
 constexpr double kGap = 2.5;
 
 /// Adapter that gives nanoflann access to the samples.
@@ -122,11 +123,12 @@ ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
                                   const glm::dvec3& normal) {
     // number of nearest neighbours that lie on the same scan line as the point
     constexpr std::size_t kOnLine = 4;
-    // Minimum cosine of the angle between `across` and the direction to a neighbour. At a
-    // larger angle, the neighbour is not a point of the next scan line.
+    // `gap.across` is the direction in the surface perpendicular to the scan line. If the
+    // cosine between it and the direction to a neighbour is below this value, the
+    // neighbour is not a point of the next scan line.
     constexpr double kAcross = 0.7071;
-    // maximum distance of a neighbour from the plane: a share of the distance between
-    // neighbour and point, plus a constant
+    // Maximum distance of a neighbour from the surface plane: kSlope times the distance
+    // between the neighbour and the sample, plus kNoise_m.
     constexpr double kSlope = 0.1, kNoise_m = 0.05;
     const glm::dvec3 point(samples[neighbour_indices[0]].position),
         x = make_perpendicular_direction(normal, 0.0), y = glm::cross(normal, x);
@@ -185,8 +187,8 @@ struct NearestSamples {
         : samples(count), distance2(count) {
         samples.resize(tree.knnSearch(&sample.position.x, count, samples.data(), distance2.data()));
     }
-    /// Returns the mean distance to the nearest other samples, or 0 if there are no other
-    /// samples.
+    /// Returns the mean distance from the sample to its three nearest other samples, or 0
+    /// if there are no other samples.
     double compute_mean_spacing_m() const {
         double sum = 0.0;
         std::size_t n = 0;
@@ -203,10 +205,10 @@ struct SurfelPlacement {
     ScanLineGap gap;
 };
 
-/// Finds the plane and the distances to the neighbouring scan lines at a sample. Uses its
-/// nearest neighbours. If all neighbours lie on one scan line or on one side of a gap,
-/// repeats the search with more neighbours. One line does not determine the rotation of
-/// the plane about the line.
+/// Finds the surface plane at a sample, and the distances to the scan lines on both sides
+/// of the sample. Uses the nearest samples. Uses more of them if all lie on one scan
+/// line, because the plane could then rotate about this line. Also uses more if none of
+/// them lies on the next scan line of one side.
 SurfelPlacement estimate_surface_at_sample(const Tree& tree, const std::vector<LidarSample>& samples,
                                            std::size_t sample_index, std::vector<std::size_t> nearest_indices,
                                            const SceneInitialisationOptions& options) {

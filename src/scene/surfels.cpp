@@ -115,8 +115,8 @@ Scene copy_scene_with_new_background(const Scene& scene, const Surfels& backgrou
     other.blocks.clear();
     other.surfels = background.reorder(compute_kd_tree_order(background.mean));
     other.models.front().count = n;
-    // Subtracts modulo 2^32. The sum is therefore correct even if the new background is
-    // smaller than the old background.
+    // If the new background has fewer surfels than the old one, `n - before` wraps around
+    // (modulo 2^32). Adding it still gives the correct index, because the sum wraps back.
     for (std::size_t i = 1; i < other.models.size(); ++i) other.models[i].first += n - before;
     other.surfels.append_surfels(scene.surfels.slice(before, scene.surfels.size() - before));
     return other;

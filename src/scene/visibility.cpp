@@ -17,25 +17,26 @@ namespace relidar {
 namespace {
 
 constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns = 1024;
-// Number of columns of a range image per ray of a row. With this ratio, the six cells
-// around a point contain four or five returns.
+// Number of columns of a range image / number of rays in a row of the scan. A point is
+// tested with 2 x 3 cells of the range image. With this ratio, the six cells contain four
+// or five returns.
 constexpr double kCellsPerRay = 4.0 / 3.0;
 constexpr double kBeyond_rad = 0.002;  // margin at the outermost beams, about the width of a beam
 constexpr int kMinReturns = 3;  // the 2 x 3 cells around a point must contain at least this many returns
 // Number of azimuth sectors of a sweep. One sensor position is used per sector, because
 // the sensor moves only millimetres to centimetres within one sector.
 constexpr int kSectors = 64;
-// A frame observes empty space at a point if the returns around the point are farther
-// away. The difference of the ranges must exceed this multiple of the error margin.
+// A frame shows that the space at a point is empty if all returns in the direction of the
+// point are farther away, by more than this multiple of the error margin.
 constexpr double kBehind = 1.5;
-// Edge length of a square tile of the ground. All points of a tile are looked up in the
-// same frames.
+// Edge length of a square tile of the ground. The program selects frames per tile. All
+// points above a tile are tested with the range images of these frames.
 constexpr double kTile_m = 8.0;
 // Maximum distance between the sensor and a tile of the ground. At a larger distance, a
 // person has only one or two returns.
 constexpr double kMaxTileDistance_m = 40.0;
-// If no sensor was close to a tile of the ground, uses the nearest sensor, and sensors
-// that are at most this factor farther away.
+// Frames beyond kMaxTileDistance_m are used if their sensor is at most this many times as
+// far from the tile as the nearest sensor. Otherwise distant tiles would have no frames.
 constexpr double kHardlyFarther = 1.25;
 constexpr std::size_t kMostViews = 64;
 
@@ -140,7 +141,8 @@ std::vector<float> BeamGrid::compute_nearest_ranges_m(const Scan& scan) const {
 
 VisibilityChecker::VisibilityChecker(const LidarSequence& sequence, const std::vector<int>& positions)
     : sequence_(sequence), positions_(positions) {
-    // A LiDAR without any of these frames keeps an empty grid, which is never read.
+    // A LiDAR may have none of the frames in `positions`. Its grid then stays empty and
+    // is never read.
     grids_.resize(sequence.lidars.size());
     std::vector<char> has_grid(grids_.size());
     for (const int position : positions) {

@@ -52,10 +52,11 @@ private:
     int columns_ = 1;
 };
 
-/// Range images of selected frames. Looks up a point in at most 64 frames, to limit the
-/// time per point. Uses frames whose sensor was within 40 m of the point, or almost as
-/// near as the nearest sensor. The selected frames are evenly spaced in time.
-/// create_range_images_for_points() creates only the images that the given points need.
+/// Tests whether frames of a log observe a return or empty space at a point. Compares the
+/// point with the range images of at most 64 frames, to limit the time per point. Their
+/// sensors are within 40 m of the point, or at most 1.25 times as far away as the nearest
+/// sensor. The frames are evenly spaced in time. create_range_images_for_points() creates
+/// only the images that the given points need.
 class VisibilityChecker {
 public:
     /// Selects the frames that observe each tile of the ground. Creates no range images
@@ -86,9 +87,10 @@ public:
     /// @param point_m [3] world
     VisibilityVotes count_visibility_votes(const glm::vec3& point_m) const;
 
-    /// Returns the frames in which a point is looked up, ascending.
+    /// Returns the frames whose range images are used to test a point, in ascending
+    /// order.
     /// @param point_m [3] world
-    /// @return indices into the positions given to the constructor
+    /// @return indices into the `positions` that were given to the constructor
     const std::vector<std::uint32_t>& find_views_near(const glm::dvec3& point_m) const;
     /// Returns what one frame observes at a point: a return, empty space, or nothing.
     /// Allows an error of several decimetres.
@@ -112,7 +114,8 @@ private:
         std::vector<float> range_m;
     };
     /// Range of a point, and the ranges of the returns around it in the range image of a
-    /// frame. Uses six cells of the image: three cells in each of the two nearest rows.
+    /// frame. They are read from six cells: the rows directly above and below the point,
+    /// and three columns.
     struct NeighbourRanges {
         double range_m = 0.0;
         float returned_m[6];

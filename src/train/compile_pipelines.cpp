@@ -102,8 +102,8 @@ void compile_all_pipelines(Device& device, const std::function<void(const std::s
         compile_network_pipelines(device, options);
     }
     report("kernels that add gradients of hits in a fixed order");
-    // Compiles the sort kernels directly, because BackwardPass creates them only for its
-    // first batch.
+    // Compiles the kernels that sort hits. The training loops above did not compile them,
+    // because BackwardPass creates its RadixSort only when it gets its first batch.
     const RadixSort by_row(device, 1, 1);
 }
 

@@ -55,7 +55,8 @@ public:
     bool is_loss_table_full() const { return iterations_.size() == kRows; }
     /// Starts to copy all losses and counters since the last report to the host. Does not
     /// wait. Call this function after add_iteration(), at most once per iteration.
-    /// @param log_line  log line that ends with these iterations, if any
+    /// @param log_line  line that is added to the training log when the report is read,
+    /// if any
     void record_report_readback(Stream& stream, const DeviceHitCounters& counts,
                                 const std::optional<TrainLogLine>& log_line);
 

@@ -278,8 +278,8 @@ std::string describe_box_size_and_speed(const BoxTrack& box) {
         glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds);
 }
 
-/// Describes a labelled object that was also observed without a label. The text has its
-/// id, and the numbers of frames before and after the labels.
+/// Describes a labelled object whose track was extended. The text has its id and class,
+/// and the numbers of frames that were added before the first and after the last label.
 std::string describe_label_extension(const BoxTrack& box) {
     std::vector<std::string> sides;
     if (box.n_before > 0) sides.push_back(fmt::format("{} frames before the first label", box.n_before));

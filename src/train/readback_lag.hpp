@@ -7,10 +7,10 @@
 
 namespace relidar {
 
-/// Number of iterations after which the host reads the report of an iteration. At this
-/// time, the stream waits for that iteration anyway, because it reuses the command
-/// buffer. Reading the report then needs no additional wait. The number is constant, so
-/// that training is repeatable.
+/// The host reads the report (losses and counters) of iteration i in iteration i +
+/// kReadbackLag. At this time, the stream waits for iteration i anyway, because it reuses
+/// the command buffer of this iteration. Reading the report then needs no additional
+/// wait. The number is constant, so that training is repeatable.
 inline constexpr int kReadbackLag = static_cast<int>(Stream::Impl::kSlots);
 
 }  // namespace relidar

@@ -29,8 +29,9 @@ Scene make_initial_scene(const LidarSequence& sequence, const TrainTestSplit& sp
                          const TrainSession& session) {
     SceneInitialisationOptions options = config.init;
     options.seed = config.train.seed;
-    // A single drop logit starts with the difference of the usual two logits, so that the
-    // ray-drop probability is the same (M6).
+    // Usually, the ray-drop probability (docs/method.md M6) depends on a hit logit and a
+    // drop logit. A single drop logit starts with their difference, drop logit - hit
+    // logit, so that the initial probability is the same.
     options.one_logit = config.image.single_drop_logit;
     std::vector<std::string> notes;
     Scene scene = initialise_scene(sequence, split.train, options, session.progress, &notes);
@@ -64,8 +65,8 @@ void report_frames_not_kept_on_device(const TrainingFrames& frames, const Config
 }
 
 /// Turns the refinement of sensor poses off if all training frames belong to one sweep.
-/// Nothing constrains the pose of a single sweep, so this pose would drift away from the
-/// poses of the other sweeps.
+/// No other training frame constrains the pose of this sweep, so the pose would drift
+/// away from the poses of the sweeps that are not used for training.
 Config disable_useless_pose_refinement(Config config, const LidarSequence& sequence,
                                        const TrainTestSplit& split, const Scene& initial,
                                        const TrainSession& session) {

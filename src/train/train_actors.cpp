@@ -25,8 +25,8 @@ constexpr double kAlong_m = 2.0;  // maximum distance that a sensor moves during
 // Radius of a surfel in standard deviations. At a larger distance, the surfel is nearly
 // transparent.
 constexpr double kReach_sigmas = 3.5;
-// Maximum number of surfels in the scene blocks that are loaded for one training. The
-// training uses only the surfels near actors.
+// Maximum number of surfels in the blocks (parts of the background) that are loaded to
+// train the actors in one section of the log. Only the surfels near actors are then used.
 constexpr std::size_t kTogether = 1'500'000;
 // Maximum probability that the sensor itself drops a ray. Rays with a higher probability
 // are skipped, because they carry no information about actors.
@@ -83,8 +83,8 @@ struct ActorTrainingSection {
     std::set<std::size_t> blocks;
 };
 
-/// Returns the track of each LiDAR. Callers should keep the result, because each track
-/// has as many poses as the log has sweeps.
+/// Returns the track of each LiDAR. Each call creates tracks with one pose for each sweep
+/// of the log, so callers should keep the result.
 std::vector<PoseTrack> list_sensor_tracks(const LidarSequence& sequence) {
     std::vector<PoseTrack> tracks;
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
@@ -114,8 +114,9 @@ FrameWithSightings find_actors_in_sensor_range(const TrainedRun& run, int frame_
     return result;
 }
 
-/// Divides the training frames into sections. Starts a new section if the blocks of the
-/// current section would exceed kTogether surfels. Each section has at least one frame.
+/// Divides the training frames into sections, which are trained separately. Starts a new
+/// section if the scene blocks that its rays can reach would have more than kTogether
+/// surfels in total. Each section has at least one frame.
 std::vector<ActorTrainingSection> divide_log_into_sections(const TrainedRun& run,
                                                            const std::vector<PoseTrack>& sensor_tracks) {
     std::vector<ActorTrainingSection> stretches(1);
@@ -180,7 +181,8 @@ LidarSequence make_log_of_section(const TrainedRun& run, const ActorTrainingSect
     return log;
 }
 
-/// Returns the surfels that a ray can hit if it passes near an actor.
+/// Returns the surfels that can affect rays to actors. Such a surfel is hit by a ray that
+/// passes near an actor, and can be in front of the actor or behind it.
 Surfels select_surfels_on_rays_to_actors(const Surfels& surfels,
                                          const std::vector<const FrameWithSightings*>& frames) {
     std::vector<std::uint8_t> is_selected(surfels.size(), 0);
@@ -201,8 +203,9 @@ Surfels select_surfels_on_rays_to_actors(const Surfels& surfels,
     return surfels.reorder(order);
 }
 
-/// Scene in which the actors of one section of the log are trained. `extent_m` is the
-/// mean extent of the section's background blocks.
+/// Scene in which the actors of one section of the log are trained. `extent_m` is
+/// compute_robust_background_extent_m() of a scene block, averaged over the blocks of the
+/// section.
 struct SectionScene {
     Scene scene;
     double extent_m = 1.0;

@@ -114,8 +114,9 @@ TreeRefitSchedule choose_tree_refit_options(const Config& config, std::uint32_t 
 /// refitted in every step while the learning rate is so high that surfels could outgrow
 /// the margin.
 bool should_refit_tree(const TreeRefitSchedule& refit_options, const TrainConfig& config, int step) {
-    // Share of the tree's margin that surfels may use by growing before a refit. The
-    // other part of the margin is needed because rising opacity also enlarges surfels.
+    // The box of a surfel in the tree has a margin. Until the next refit, the surfel's
+    // scale may grow by this share of the margin. The rest is needed because a surfel
+    // with a higher opacity also needs a larger box.
     constexpr double kShare = 0.9;
     const double growth = (refit_options.every - 1) * compute_learning_rates(config, 1.0, step).log_scale;
     return growth > kShare * std::log(refit_options.accel.margin_scale) ||
@@ -336,8 +337,8 @@ void TrainLoop::increase_hit_capacity_if_needed(const IterationReports::Iteratio
             "{} hits, expected at most {}; use fewer rays per iteration (train.rays_per_iteration)",
             report.first_step, report.last_step, report.most_hits, report.hit_capacity));
     if (report.most_hits <= differentiable_.backward_pass().get_hit_capacity() / 2) return;
-    // Requests the report of the steps so far before the capacity changes, because they
-    // used the old capacity.
+    // Each report has only one value of `hit_capacity`. Therefore requests a report of
+    // the steps so far, which used the old capacity.
     request_report(last_step_, false);
     // Reserves memory for twice the reported number of hits, so that later steps can have
     // more hits.
@@ -345,12 +346,13 @@ void TrainLoop::increase_hit_capacity_if_needed(const IterationReports::Iteratio
 }
 
 void TrainLoop::increase_stored_hits_per_ray_if_needed(const IterationReports::IterationGroupReport& report) {
-    // Ignores reports of steps before the last increase of the hits per ray.
+    // Ignores the report if its iterations ran before the last increase of
+    // `stored_hits_per_ray`.
     if (report.stored_hits_per_ray != renderer_.get_stored_hits_per_ray() || hit_memory_exhausted_) return;
     const std::uint32_t n_hits = recommend_stored_hits_per_ray(report.stored_hits_per_ray, report.overfull);
     if (n_hits == report.stored_hits_per_ray) return;
-    // Requests a report of the steps so far before the number of hits per ray changes.
-    // These steps used the old number.
+    // Each report has only one value of `stored_hits_per_ray`. Therefore requests a
+    // report of the steps so far, which used the old value.
     request_report(last_step_, false);
     try {
         renderer_.set_stored_hits_per_ray(n_hits);
@@ -393,11 +395,11 @@ void TrainLoop::restore_training_state_from_checkpoint(const Checkpoint& checkpo
 }
 
 RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSequence& sequence) {
-    // Number of rays in a batch of one frame. Each bin of the drop table then gets
-    // hundreds of rays in a full log.
+    // Number of rays in a batch. With one batch per frame, a full log gives hundreds of
+    // rays to each bin of the drop table (drop rates by beam and azimuth).
     constexpr std::uint32_t kRays = 20000;
-    // Minimum number of rays per bin of the drop table. To get so many rays, a short log
-    // may use all of them.
+    // Minimum number of rays per bin of the drop table. A short log needs several batches
+    // per frame to reach it, at most all rays of a frame.
     constexpr std::size_t kRaysPerBin = 20;
     Config some_rays = config_;
     some_rays.train.rays_per_iteration = kRays;
@@ -411,8 +413,8 @@ RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSe
     const std::size_t rays_of_frame =
         kRaysPerBin * counts.get_bin_count() / std::max<std::size_t>(1, frames_.get_all_frames().size());
     for (std::size_t k = 0; k < frames_.get_all_frames().size(); ++k) {
-        // Refits the tree before the first frame, because the last iteration moved the
-        // surfels.
+        // The last training iteration moved the surfels. Therefore refits the tree before
+        // the first frame (k == 0).
         const TrainingFrameData& frame = upload_frame_and_move_instances(k, k == 0);
         if (k + 1 < frames_.get_all_frames().size()) frames_.prefetch_frame(k + 1);
         const std::uint32_t first =
@@ -430,9 +432,9 @@ RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSe
 
 void TrainLoop::add_batch_to_drop_counts(RayDropCounts& counts, const LidarSequence& sequence,
                                          const TrainingFrameData& frame, const SampledBatch& batch) {
-    // Minimum blending weight of a ray that hits a solid surface. Only such rays are
-    // counted. In blind directions all rays are counted, because no surface was trained
-    // there.
+    // A ray is counted in the drop statistics if its blending weight is above this value,
+    // because it then hits a solid surface. This limit does not apply to directions in
+    // which nearly all measured rays drop, because no surface was trained there.
     constexpr float kSolid = 0.9f;
     const LidarFrame& sweep = sequence.frames[std::size_t(frame.position)];
     const RayDropTable& observed = frames_.get_mask_rules().observed_drops;

@@ -101,7 +101,8 @@ public:
     const KernelTimes& get_training_kernel_times() { return renderer_.stream().times(); }
     std::uint32_t get_surfel_count() const { return renderer_.scene().size(); }
     std::uint32_t count_rays_of_last_batch() const { return renderer_.get_last_rendered_batch().rays.n_rays; }
-    /// Returns the number of hits that are currently stored for each ray.
+    /// Returns the current maximum number of hits per ray that are stored for the
+    /// backward pass. Training increases it if rays have more hits.
     std::uint32_t get_max_stored_hits_per_ray() const { return renderer_.get_stored_hits_per_ray(); }
     const TrainingFrames& get_training_frames() const { return frames_; }
 

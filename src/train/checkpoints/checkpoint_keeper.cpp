@@ -79,8 +79,9 @@ bool CheckpointKeeper::should_save_checkpoint(int step) const {
 
 void CheckpointKeeper::save_training_state(TrainLoop& loop, const TrainResult& result,
                                            double training_time_s) {
-    // Sets the time before writing. If the disk is full, the next attempt then waits for
-    // the time of the next checkpoint.
+    // Sets the time of the last checkpoint before writing. If writing fails because the
+    // disk is full, the next attempt then happens after one interval, not in the next
+    // step.
     last_ = Clock::now();
     if (!folder_.is_enabled()) return;
     folder_.save_checkpoint_or_report_failure(

@@ -22,8 +22,8 @@ struct ResumeFingerprint {
     std::string key, what, value;
 };
 
-/// Returns hashes of a log and of the scans of its training frames. If two logs differ,
-/// the first hash that differs explains the difference best.
+/// Returns hashes of a log and of the scans of its training frames. If several hashes of
+/// two logs differ, the first of them describes the difference best.
 std::vector<ResumeFingerprint> compute_log_fingerprints(const LidarSequence& sequence,
                                                         const TrainTestSplit& split);
 /// Returns a hash of all surfels of a scene, including its blocks.

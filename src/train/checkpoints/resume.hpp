@@ -20,11 +20,12 @@ std::map<std::string, std::string> list_settings_and_hashes_for_resume(const Lid
                                                                        const TrainTestSplit& split,
                                                                        const Config& config);
 
-/// Writes the training log and the times of the result to a checkpoint.
+/// Writes to a checkpoint: the training log, the time that the initialisation took
+/// (`result.initialise_s`), and the training time.
 /// @param training_time_s  seconds since training started
 void write_training_log_and_times(CheckpointWriter& writer, const TrainResult& result,
                                   double training_time_s);
-/// Reads the log and the times from a checkpoint.
+/// Reads the same log and times from a checkpoint into `result`.
 void read_training_log_and_times(const Checkpoint& checkpoint, const Config& config, TrainResult& result);
 
 /// Returns the scene in a checkpoint.

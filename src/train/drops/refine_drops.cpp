@@ -56,8 +56,9 @@ RayTable rotate_rays_by_column_fraction(RayTable rays, float column_fraction) {
     return rays;
 }
 
-/// Converts the measured drops of rays to drops of the grid cells: 0 returned, 1 dropped,
-/// -1 unknown. If one of the returns of a cell is unknown, the cell is unknown.
+/// Returns the state of each cell of the range image: 0 returned, 1 dropped, -1 unknown.
+/// A cell is unknown if the ray of one of its returns is unknown (negative) in
+/// `ray_drops`.
 std::vector<float> convert_ray_drops_to_grid(const Config& config, const LidarFrame& frame,
                                              const std::vector<float>& ray_drops) {
     std::vector<float> cells = make_measured_image(config, frame.scan).drop_prob;
@@ -71,8 +72,9 @@ std::vector<float> convert_ray_drops_to_grid(const Config& config, const LidarFr
     return cells;
 }
 
-/// Returns the training frames whose rays form an image with rows and columns. If the
-/// images have different sizes, returns only the frames with the most frequent size.
+/// Returns the training frames that the network can read as images. With a range grid,
+/// these are all frames. Otherwise the rays must be ordered in rows and columns, and only
+/// the frames with the most frequent numbers of rows and columns are returned.
 std::vector<int> select_frames_with_image_rays(const Config& config, const LidarSequence& sequence,
                                                const std::vector<int>& train_frame_indices) {
     if (should_use_range_grid(config)) return train_frame_indices;

@@ -53,8 +53,9 @@ void RayDropCheckpointKeeper::save_checkpoint_if_due(const RayDropTrainProgress&
     const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_time = minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
     if (!folder_.is_enabled() || !(ends_epoch || by_time || is_stopping)) return;
-    // Sets the time before writing. If the disk is full, the next attempt then waits for
-    // the time of the next checkpoint.
+    // Sets the time of the last checkpoint before writing. If writing fails because the
+    // disk is full, the next attempt does not happen before the time of the next
+    // checkpoint.
     last_ = Clock::now();
     folder_.save_checkpoint_or_report_failure({progress.step, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
         get_state().visit_state(CheckpointWriter(checkpoint));

@@ -18,10 +18,9 @@ constexpr int kNeighbours = 2;
 // Minimum number of rays from which a drop rate is computed. With fewer rays, a hole in
 // the scene would look like a blind spot of the sensor.
 constexpr std::uint32_t kCertainRays = 60;
-// Weight of the prior in a drop rate, as a number of rays. The drop rate of the
-// neighbouring bins is computed with this many additional returned rays. The drop rate of
-// a bin is computed with this many additional rays, which drop at the rate of the
-// neighbours.
+// Number of virtual rays that stabilise a drop rate if a bin has few real rays:
+//   rate of a bin = (drops + kPriorRays * local rate) / (rays + kPriorRays)
+//   local rate    = drops / (rays + kPriorRays), summed over the bin and its neighbours
 constexpr double kPriorRays = 8.0;
 // minimum width of a sector without returns, as a share of the full circle
 constexpr double kLeastSector = 10.0 / 360.0;
@@ -160,8 +159,9 @@ void mark_unobserved_sectors_as_dropped(RayDropTable& drop_table, const RayDropT
             },
             [&](int first, int count) {
                 for (const std::size_t row : rows) {
-                    // Adds the neighbouring bins in which a beam has hardly any returns,
-                    // because beams have different azimuth offsets.
+                    // All beams are blind in these `count` bins. A single beam can be
+                    // blind in a few more bins on each side, because the beams have
+                    // different azimuth offsets. Adds these bins.
                     int begin = first, end = first + count;
                     while (first - begin < spread && is_blind_at(row, begin - 1)) --begin;
                     while (end - first - count < spread && is_blind_at(row, end)) ++end;

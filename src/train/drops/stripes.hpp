@@ -12,8 +12,9 @@
 
 namespace relidar {
 
-/// Returns a number n. Every n-th stripe of the image together has about 32,768 pixels. A
-/// number below 2 means the full image.
+/// Returns the number n for which every n-th stripe of the image is used. The used
+/// stripes then have about 32,768 pixels in total. If n is below 2, the full image is
+/// used.
 inline int choose_stripe_interval(const RayTable& rays) { return int(rays.size()) / 32768; }
 
 /// Some vertical stripes of an image. The image covers a full turn, so its last column is
@@ -35,7 +36,7 @@ public:
             first_.push_back((frame_number + std::size_t(k * stripe_interval)) * kColumns % columns_);
     }
 
-    /// Returns the rays of the stripes, as an image with rows and columns.
+    /// Returns the rays in the selected vertical stripes, as an image with fewer columns.
     /// @param image_rays  rays of the full image
     RayTable select_stripe_rays(const RayTable& image_rays) const {
         if (first_.empty()) return image_rays;
@@ -44,7 +45,7 @@ public:
         some.columns = int(first_.size()) * kColumns;
         return some;
     }
-    /// Returns the values of the pixels in the stripes.
+    /// Returns the values of the pixels in the selected vertical stripes.
     /// @param image_values [rows,columns] values of the full image
     std::vector<float> select_stripe_values(const std::vector<float>& image_values) const {
         if (first_.empty()) return image_values;

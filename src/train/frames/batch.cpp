@@ -64,7 +64,8 @@ StridedColumns choose_batch_columns(const TrainingFrameData& frame, const TrainC
     return use_windows ? choose_column_window(frame, config) : choose_every_nth_column_group(frame, config);
 }
 
-/// Returns the number of rays in the largest batch that is copied column by column.
+/// Returns the number of rays in the largest batch that consists of selected columns of a
+/// frame. The rays of such a batch are copied to separate arrays.
 std::size_t compute_max_rays_in_column_batch(const std::vector<TrainingFrameData>& frames,
                                              const Config& config) {
     std::size_t largest = 0;
@@ -151,9 +152,9 @@ SampledBatch BatchSampler::gather_nth_batch(Stream& stream, const TrainingFrameD
              .first_column = first_column,
              .column_stride = columns.stride,
              .n_columns = columns.n});
-        // The loss is divided by a number of rays. Uses the number of the full frame
-        // times the share of the batch, so that the loss is unbiased. With the number of
-        // the batch, a sector with few returns would get a higher weight.
+        // The loss is divided by a number of rays, for example the returned rays. Uses
+        // the number in the full frame times `share`, so that the loss is unbiased. With
+        // the number in the batch, a sector with few returns would get a higher weight.
         const double share = double(n) / frame.n_rays;
         return {{&b.rays, 0, 1, n, columns.n, &b.targets},
                 {&b.targets,

@@ -17,8 +17,8 @@ struct TrainingFrameData;
 
 /// Columns of a frame that are copied into a batch (shared::GatherColumnsParams).
 struct ColumnWindow {
-    /// number of columns of the full frame; 0 if the batch reads the arrays of the frame
-    /// directly
+    /// number of columns of the full frame; 0 if no columns are copied, because the batch
+    /// uses the arrays of the frame directly
     std::uint32_t columns = 0;
     std::uint32_t first = 0;
     std::uint32_t stride = 1;
@@ -31,7 +31,8 @@ struct SampledBatch {
     TargetBatch targets;
     ColumnWindow window{};
 
-    /// Returns the index in the frame of a ray of the batch.
+    /// Converts the index of a ray in the batch to the index of the same ray in its
+    /// frame.
     std::size_t convert_batch_to_frame_ray_index(std::uint32_t batch_ray_index) const;
 };
 
@@ -52,17 +53,18 @@ public:
     /// Records GPU commands that copy a random batch to the batch arrays. The batch is
     /// valid until the next call.
     SampledBatch sample_random_batch(Stream& stream, const TrainingFrameData& frame, Random& random);
-    /// Records GPU commands that copy one of several batches. The batches together
-    /// contain all rays of a frame. At the end of a full turn, a few columns can be
-    /// missing or repeated. Batches that are windows of columns do not contain all rays.
+    /// Records GPU commands that copy one batch of a series. The batches of a series
+    /// together contain all rays of a frame. At the end of a full turn, a few columns can
+    /// be missing or repeated. If a batch is a window of neighbouring columns, the series
+    /// has only one batch, which does not contain all rays.
     /// @param first_column  start of the first batch, from sample_random_first_column()
-    /// @param batch_index  index of the batch
+    /// @param batch_index  index below count_batches_covering_frame()
     SampledBatch gather_nth_batch(Stream& stream, const TrainingFrameData& frame, std::uint32_t first_column,
                                   std::uint32_t batch_index);
     /// Draws a random column (or ray) at which the first batch starts.
     std::uint32_t sample_random_first_column(const TrainingFrameData& frame, Random& random) const;
-    /// Returns the number of batches that together contain all rays of the frame, or 1 if
-    /// the batches are windows of columns.
+    /// Returns the number of batches that together contain all rays of the frame. Returns
+    /// 1 if a batch is a window of neighbouring columns, which does not contain all rays.
     std::uint32_t count_batches_covering_frame(const TrainingFrameData& frame) const;
 
 private:

@@ -23,9 +23,9 @@ namespace relidar {
 struct FrameArrays {
     Array<DeviceRay> rays;        ///< [n] rays, computed from the poses at the start of training
     Array<DeviceTarget> targets;  ///< [n] measurements
-    /// [n] position of each ray's firing time on the vehicle's track. Consists of the
-    /// index of the previous pose, relative to TrainingFrameData::first_knot, and the
-    /// fraction of the way to the next pose. Empty if poses are not corrected.
+    /// [n] The firing time of each ray, as a position between two vehicle poses: the
+    /// index of the earlier pose, relative to TrainingFrameData::first_knot, and the
+    /// fraction of the time to the next pose. Empty if poses are not corrected.
     Array<shared::RayPlace> track_positions;
 };
 
@@ -36,7 +36,8 @@ struct TrainingFrameData {
     std::uint32_t n_rays = 0;
     /// rows and columns of the rays; empty if the rays are not ordered as an image
     ImageShape image;
-    /// index of the first vehicle pose that the rays of this frame need
+    /// index of the first vehicle pose ("knot" of the track) that the rays of this frame
+    /// need
     std::size_t first_knot = 0;
     std::uint32_t n_knots = 0;                  ///< number of vehicle poses that the rays need
     std::shared_ptr<const FrameArrays> arrays;  ///< arrays with the rays while the frame is on the device
@@ -67,8 +68,9 @@ struct IgnoredMeasurements {
     /// tracks of the actors that have a model in the scene; training uses the returns on
     /// these actors
     std::vector<std::string> actors;
-    /// Measured drop rates of beams by azimuth. Directions in which at least 95 % of the
-    /// rays drop are ignored. If the table is empty, no direction is ignored.
+    /// Measured drop rate of each beam by azimuth. Training ignores the rays of a beam at
+    /// azimuths at which at least 95 % of them drop. If the table is empty, no ray is
+    /// ignored for this reason.
     RayDropTable observed_drops;
 };
 

@@ -26,7 +26,8 @@ double compute_absolute_firing_time(const LidarSequence& sequence, const LidarFr
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
 
-/// A frame of the log, or its image on a range grid.
+/// A frame that is used for training. `frame` is a frame of the log. If a grid is given,
+/// `frame` is instead its copy `binned` with one ray for each cell of the grid.
 struct GriddedFrame {
     std::optional<LidarFrame> binned;
     const LidarFrame& frame;

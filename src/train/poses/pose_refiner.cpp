@@ -158,11 +158,12 @@ void PoseRefiner::apply_oldest_pose_update(Stream& stream) {
         Twist twist;
         std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6,
                     twist.begin());
-        // Gives half of the gradient to each end of the time interval in which the actor
-        // is visible.
+        // The pose of the actor is the mean of its poses at the first and the last time
+        // at which a sweep observes it. Each of these two poses gets half of the
+        // gradient.
         for (double& g : twist) g *= 0.5;
-        // add_pose_gradient() ignores the gradient of an absent actor, because it is
-        // zero.
+        // This loop needs no check for an absent actor. Its gradient is zero, and
+        // add_pose_gradient() ignores zero gradients.
         for (std::size_t end = 0; end < 2; ++end)
             actors_[k].correction.add_pose_gradient(pending_iterations_.actor_time_s[2 * k + end], twist);
         actors_[k].correction.run_adam_step(

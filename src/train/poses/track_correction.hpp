@@ -54,7 +54,8 @@ public:
         visit(name + "/moment2", moment2_);
         visit(name + "/steps", n_steps_);
     }
-    /// Returns true if a state that was read from a checkpoint is valid.
+    /// Returns true if the arrays that visit_state() read from a checkpoint fit this
+    /// track.
     bool is_restored_correction_valid() const;
 
 private:
