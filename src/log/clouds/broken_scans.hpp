@@ -36,8 +36,9 @@ public:
     }
 
     bool is_scan_broken(std::size_t scan_index) const;
-    /// Marks a scan as broken, even if the user does not allow broken scans. Used for
-    /// truncated scans, whose missing points would look like rays without a return.
+    /// Marks a scan as broken, so that it is skipped even without dataset.skip_broken.
+    /// Used for truncated scans, because their missing points would look like rays
+    /// without a return.
     void record_broken_scan(std::size_t scan_index, const std::string& reason);
     std::size_t size() const { return reasons_.size(); }
 
@@ -45,9 +46,9 @@ public:
     /// @param n_scans  total number of scans
     /// @throws DataError if all scans are broken
     void add_broken_scan_notes_or_throw(LidarSequence& sequence, std::size_t n_scans) const;
-    /// Removes the frames of broken scans and the poses that no other frame uses. Adds a
-    /// note for the user about each broken scan. Each `scan_index` must be the index of a
-    /// frame.
+    /// Removes the frames of broken scans, and the vehicle poses that only these frames
+    /// use. Adds a note for the user about each broken scan. Requires that each recorded
+    /// scan index is an index in `sequence.frames`.
     /// @throws DataError if all scans are broken
     void remove_broken_frames(LidarSequence& sequence) const;
 

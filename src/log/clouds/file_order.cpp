@@ -24,8 +24,9 @@ constexpr std::size_t kFewestRings = 4, kMostOrderedRings = 256;
 // If the rings are sorted by elevation, at least this share of the steps from ring to
 // ring has the same sign.
 constexpr double kSorted = 0.9;
-// The median distance of points from the elevation of their ring must be below this share
-// of the distance between rings.
+// If the rings are correct, a / b is below this value. a: median difference between the
+// elevation of a point and the elevation of its ring. b: median elevation step from ring
+// to ring.
 constexpr double kInRing = 0.5;
 
 double compute_point_azimuth_rad(const glm::vec3& point) {
@@ -69,8 +70,9 @@ std::vector<double> unwrap_point_azimuths(const LidarPoints& points, double rota
     return turned;
 }
 
-/// Returns the ring of each point. A ring is one full turn of the azimuth, and ring 0
-/// starts at the azimuth `start_azimuth_rad`.
+/// Returns for each point the number of the revolution in which the file stores it. If
+/// the file stores ring after ring, each ring is one revolution of the azimuth.
+/// Revolutions start at the azimuth `start_azimuth_rad`.
 std::vector<std::uint16_t> compute_revolution_numbers(const std::vector<double>& unwrapped_azimuths_rad,
                                                       double start_azimuth_rad) {
     std::vector<std::uint16_t> revolution_numbers;
@@ -114,7 +116,7 @@ std::vector<double> compute_median_ring_elevations(const LidarPoints& points,
     return elevations;
 }
 
-/// Returns the median difference between the elevation of a point and of its ring.
+/// Returns the median of |elevation of a point - elevation of its ring| over all points.
 double compute_median_ring_elevation_error(const LidarPoints& points,
                                            const std::vector<std::uint16_t>& ring_of_point,
                                            const std::vector<double>& ring_elevations_rad) {
@@ -126,8 +128,8 @@ double compute_median_ring_elevation_error(const LidarPoints& points,
     return compute_median(off);
 }
 
-/// Returns the mean difference between the elevation of a point and of its ring. Unlike
-/// the median, the mean increases if only a few points are in a wrong ring.
+/// Returns the mean of |elevation of a point - elevation of its ring| over all points.
+/// Unlike the median, the mean increases even if only a few points are in a wrong ring.
 double compute_mean_ring_elevation_error(const LidarPoints& points,
                                          const std::vector<std::uint16_t>& ring_of_point,
                                          const std::vector<double>& ring_elevations_rad) {

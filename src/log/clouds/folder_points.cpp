@@ -65,8 +65,8 @@ std::vector<char> flag_no_return_points(const PointTable& table, const std::vect
     return marked;
 }
 
-/// Returns the indices and positions of the points that are returns. Leaves out dropped
-/// rays.
+/// Returns the indices and positions of the points at which a laser pulse was reflected.
+/// Leaves out points that only mark rays without a return.
 std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> select_return_points(
     const PointTable& table, const std::array<const PointFieldView*, 3>& xyz_fields,
     const PointFileUnits& units) {

@@ -10,8 +10,9 @@
 namespace relidar {
 namespace {
 
-// Maximum spread of the elevations in a ring, if the LiDAR rotates. The spread is the
-// difference between the 90th and 10th percentile of the farther half of the points.
+// If the LiDAR rotates, all points of a ring have similar elevations. This is the maximum
+// difference between the 90th and the 10th percentile of these elevations. Only the half
+// of the points that is farther from the sensor is used.
 constexpr double kMostSpread_rad = 1.5 * kPi / 180.0;
 // A wider azimuth range without points means a limited field of view. In a narrower
 // range, the vehicle may block the view.

@@ -41,8 +41,8 @@ struct RequestedDriveFrames {
     /// Requested drive (a recording of the dataset): its name, or a unique part of its
     /// name.
     std::string drive;
-    /// Requested frames. If the user requested a sequence of the LiDAR-RT paper, contains
-    /// only frames of this sequence.
+    /// Requested frames. The user can request a sequence of the LiDAR-RT paper, which is
+    /// a part of a drive. Then this range contains only frames of that part.
     FrameRange frames;
     bool is_benchmark = false;
     /// Requested frames that the LiDAR-RT paper uses for testing. Empty if the user did

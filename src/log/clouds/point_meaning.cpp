@@ -74,8 +74,8 @@ void add_note_on_unread_fields(const std::vector<PointTable>& clouds, PointField
             : "'" + shorten_for_error_message(semantics.intensity_field) + "'"));
 }
 
-/// Returns the position at which so many points are stored that it must mark dropped
-/// rays. Returns nothing if there is no such position.
+/// Some files store all rays without a return as points at one position. Returns this
+/// position if many points share it. Otherwise, returns nothing.
 std::optional<glm::vec3> find_position_that_marks_dropped_rays(const PointTable& cloud) {
     const std::array<const PointFieldView*, 3> xyz = {cloud.find_field(PointAttribute::x),
                                                       cloud.find_field(PointAttribute::y),

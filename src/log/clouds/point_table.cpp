@@ -74,7 +74,7 @@ std::size_t find_exact_field_index(std::string_view field_name) {
 }
 
 /// Returns the index of a field in kFieldNames, or kNotRead if the field is unknown.
-/// Ignores upper case and prefixes of its name.
+/// Accepts names in upper or lower case, and names with a prefix from kPrefixes.
 std::size_t find_field_index_ignoring_case(std::string_view field_name) {
     std::string name(trim_blanks_at_both_ends(field_name));
     std::ranges::transform(name, name.begin(),

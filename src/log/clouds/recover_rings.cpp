@@ -26,8 +26,9 @@ constexpr double kWidest = 0.5;
 // A bin of the elevation histogram counts as empty if it has fewer points than this share
 // of a well-filled bin (90th percentile).
 constexpr double kStray = 0.005;
-// Each point is compared with this many beams above and below its elevation. Near points
-// can have the elevation of another beam, because beams start beside the sensor origin.
+// Beams do not start exactly at the sensor origin. So a near point, seen from this
+// origin, can have the elevation of another beam. Therefore each point is compared with
+// this many beams above and below its elevation.
 constexpr std::ptrdiff_t kReach = 6;
 
 double compute_elevation(const glm::dvec3& vector) {

@@ -81,8 +81,9 @@ std::vector<int> find_nearest_firing_per_tick(const std::vector<int>& firing_tic
     return filled;
 }
 
-/// Returns the firing (all lasers at one azimuth) for each column of a scan. If the sweep
-/// has fewer firings than columns, some firings fill several columns.
+/// Returns for each column of a scan the index of its firing (one shot of all lasers at
+/// one azimuth). If the sweep has fewer firings than columns, several columns get the
+/// same firing.
 std::vector<int> assign_firings_to_columns(const SweepFirings& sweep, int n_columns) {
     const std::size_t n = sweep.firings.size();
     std::vector<int> repeat(n, 1);
@@ -160,8 +161,9 @@ private:
         RayPointIndices& cells = get_or_add_image_of_return_number(number);
         int point = static_cast<int>(point_index);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
-            // If the ray of a first return already has a point, tries the neighbouring
-            // firings. Later returns must stay on the ray of their first return.
+            // A ray stores only one point. If a first return finds its ray occupied, the
+            // code tries the same ring in the two neighbouring firings. Later returns
+            // (number > 0) must stay on the ray of their first return.
             if (cells.get_point_index(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
             std::swap(cells.get_point_index(ring, f), point);
             break;

@@ -241,9 +241,9 @@ DrivingDirection estimate_driving_direction(const PoseTrack& world_from_sensor) 
         const glm::dvec3 step = poses[to].translation - poses[from].translation;
         const bool is_late = world_from_sensor.time_s[to] - world_from_sensor.time_s[from] > kLongestStep_s;
         if (!is_late && glm::length(step) < kStep_m) continue;
-        // Adds the direction of motion in the sensor frame, unless the poses are far
-        // apart in time. In a curve, the frames of both poses differ, so this uses the
-        // mean direction.
+        // If the two poses are close in time, adds the direction of motion in the sensor
+        // frame. In a curve, the sensor rotates between the poses. So this uses the mean
+        // of the directions in both sensor frames.
         if (!is_late) {
             const glm::dvec3 d = glm::normalize(step);
             const glm::dvec3 direction_in_sensor =

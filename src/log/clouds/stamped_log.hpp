@@ -94,9 +94,9 @@ struct PointFileFormat {
     double sweep_duration_s = 0.1;  ///< duration of a sweep in seconds; used if the points have no times
     double turned_rad = 0.0;        ///< rotation about z from the axes in the files to relidar's axes
     /// Beams from the data sheet of the LiDAR, for files without ring numbers. Each point
-    /// belongs to the beam with the nearest elevation. The beam angles are fitted to the
-    /// points. If the points come from another LiDAR, its beams are estimated from their
-    /// elevations.
+    /// gets the ring of the beam with the nearest elevation. The beam angles are first
+    /// fitted to the points. If the points do not match the data sheet, it is ignored,
+    /// and the beams are estimated only from the elevations of the points.
     std::vector<Beam> beams = {};
     /// Function that adds values which the files do not contain, such as rings and times.
     /// Several threads can call it at the same time. May be empty.
@@ -108,13 +108,14 @@ struct PointFileFormat {
 void read_scans_of_frames(LidarSequence& sequence, const std::vector<std::filesystem::path>& scan_files,
                           PointFileFormat format, const DatasetOptions& options);
 
-/// Intensity in the files of a dataset that becomes 1. `most` is 1 or 255 if no intensity
-/// exceeds it. Otherwise, only few intensities exceed it.
+/// Scale of the intensities in the files of a dataset. The value `most` in a file is
+/// converted to intensity 1. `most` is 1 or 255 if no value is larger. Otherwise, only a
+/// few values are larger than `most`.
 struct DatasetIntensityScale {
     double most = 1.0;
     std::string about;  ///< text for a note, used if larger intensities are clamped to 1
 };
-/// Estimates the intensity in the files that becomes 1.
+/// Estimates which intensity value in the files must be converted to intensity 1.
 /// @param scan_files  scan files; only some are read, and unreadable files are skipped
 DatasetIntensityScale estimate_full_scale_file_intensity(const std::vector<std::filesystem::path>& scan_files,
                                                          const std::vector<std::string>& column_names);

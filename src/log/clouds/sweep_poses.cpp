@@ -27,9 +27,9 @@ double compute_max_displacement_m(const Pose& pose_correction) {
     return glm::length(pose_correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
 }
 
-/// Returns transforms at several times during a sweep. They convert from the true sensor
-/// frame to the sensor frame that the log interpolates between frames. Times are relative
-/// to the time of the frame.
+/// The log interpolates between the poses of its frames, so its sensor frame differs from
+/// the true sensor frame. Returns transforms from the true to the interpolated sensor
+/// frame at several times during a sweep. Times are relative to the time of `frame`.
 PoseTrack compute_pose_corrections(const LidarSequence& sequence, const LidarFrame& frame,
                                    const PoseLookup& find_vehicle_pose) {
     const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;

@@ -12,11 +12,13 @@ namespace {
 constexpr double kFewFilled = 0.3;    // minimum share of rays with a return, if no points were removed
 constexpr double kFewRegular = 0.78;  // minimum share of regular azimuth steps, if no points were removed
 constexpr double kRegular = 1.5;      // A step is regular if it is at most this multiple of the median step.
-// Azimuth steps between neighbouring points are used only within this interval.
+// Azimuth steps from point to point are ignored if they are smaller than kShortest_rad or
+// larger than kLongest_rad.
 constexpr double kShortest_rad = 1e-5, kLongest_rad = 0.2;
 
-/// Returns the share of azimuth steps within a ring that are close to the median step or
-/// smaller.
+/// Returns the number of regular steps / the number of all steps. A step is the azimuth
+/// difference between neighbouring points of a ring. It is regular if it is at most
+/// kRegular times the median step.
 double compute_regular_step_fraction(const LidarPoints& scan) {
     std::vector<std::pair<std::uint16_t, double>> rings_and_azimuths;  // ring and azimuth
     for (std::size_t i = 0; i < scan.size(); ++i)

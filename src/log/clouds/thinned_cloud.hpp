@@ -10,9 +10,9 @@
 
 namespace relidar {
 
-/// Tests whether a program has removed points from the scans. Returns the reason, or an
-/// empty string for complete scans. In a complete ring, most azimuth steps between
-/// neighbouring points are equal.
+/// Tests whether points were removed from the scans, for example by a filter. This is
+/// likely if few rays have a return, or if the azimuth steps between the points of a ring
+/// are uneven. Returns the reason, or an empty string if the scans seem complete.
 /// @param scans  some scans with rings; the rings may have been estimated
 /// @param fitted_sensor  sensor that was fitted to these scans
 std::string explain_removed_points(const std::vector<LidarPoints>& scans,

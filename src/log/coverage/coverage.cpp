@@ -46,8 +46,9 @@ void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, 
     const glm::ivec3 end(glm::floor(a + displacement));
     const double length_m = glm::distance(start_m, end_m);
     glm::ivec3 step;
-    // Fractions of the length of the line segment, for each axis. `next`: position of the
-    // next cell border. `pace`: distance between two cell borders.
+    // Positions on the line segment are fractions of its length, from 0 to 1. For each
+    // axis, `next` is the position at which the segment crosses the next cell border.
+    // `pace` is the distance from one border to the next, as a fraction of the length.
     glm::dvec3 next, pace;
     int n_borders = 0;
     for (int axis = 0; axis < 3; ++axis) {

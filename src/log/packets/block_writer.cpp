@@ -73,8 +73,9 @@ BlockWriter::BlockWriter(const PacketLayout& layout, const SpinningSensor& senso
       start_ns_(options.start_ns),
       sequence_deg_(360e-6 * layout.cycle_us / sensor.period_s),
       beams_(list_beams_of_packet_layout(layout)) {
-    // Beams (rows) that the scan must have. If a scan column contains only one of two
-    // firing sequences, a laser that fires in both sequences has only one row.
+    // Beams (rows) that the scan must have. If the scan stores the two firing sequences
+    // of the sensor in separate columns, a laser that fires in both needs only one row.
+    // Then std::unique() removes its second row.
     std::vector<PacketBeam> fired = beams_;
     const auto is_repeat = [](const PacketBeam& one, const PacketBeam& other) {
         return one.line == other.line;
@@ -122,8 +123,9 @@ std::vector<FiringColumn> BlockWriter::join_scan_columns_to_firings(
     std::vector<FiringColumn> firings;
     for (std::size_t c = 0; c < scan_columns.size(); ++c) {
         FiringColumn& firing = firings.emplace_back(std::move(scan_columns[c]));
-        // The scan stores a firing's two firing sequences in two neighbouring columns. If
-        // the second column is missing, the second sequence has no returns.
+        // In each firing, the lasers fire in two sequences. The scan stores these in two
+        // neighbouring columns. If the second column is missing, the second sequence has
+        // no returns.
         const bool has_next = c + 1 < scan_columns.size() &&
                               scan_columns[c + 1].time_s - firing.time_s < 1.5e-6 * layout_.cycle_us;
         const std::vector<std::array<LaserReturn, 2>> none(firing.returns.size());

@@ -44,9 +44,9 @@ private:
     std::vector<int> shift_;
 };
 
-/// Subtracts the delay of each laser from the firing times of its rays. Returns the
-/// remaining time spread of the lasers that fire together, summed over the scan. 0 is a
-/// perfect fit.
+/// After subtracting `beam_delays_us`, all rays of a firing should have the same time.
+/// Returns the difference between the latest and the earliest time in each firing, summed
+/// over all firings. 0 means that the delays fit perfectly.
 double compute_firing_time_spread_us(const Scan& scan, const FiringRayTable& firing_rays,
                                      const std::vector<double>& beam_delays_us) {
     double sum_us = 0.0;

@@ -95,8 +95,9 @@ public:
         std::vector<std::string> lines(blocks_.layout().count_lasers_per_firing());
         for (std::size_t ring = 0; ring < sensor_.beams.size(); ++ring) {
             const Beam& beam = sensor_.beams[ring];
-            // Mounting azimuth of the laser. The azimuth offset of the beam also includes
-            // the rotation of the head until the laser fires, which is removed here.
+            // Azimuth at which the laser is mounted in the rotating head. The azimuth
+            // offset of the beam also includes the rotation of the head during the firing
+            // delay of the laser, so this rotation is subtracted.
             const double azimuth_rad =
                 -beam.azimuth_offset_rad - 2e-6 * kPi / sensor_.period_s * blocks_.get_beam_delays_us()[ring];
             const std::size_t laser = blocks_.get_laser_of_ring(ring);
@@ -116,8 +117,8 @@ public:
             blocks_.compute_packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
         std::string& bytes = packet.bytes;
         bytes.append(product_.header.begin(), product_.header.begin() + std::ptrdiff_t(product_.n_header));
-        // Header byte 8: position of the last return (1: first block). Byte 10: number of
-        // returns.
+        // Only for packets with two returns per ray. Header byte 8: block that contains
+        // the last return (1: first block). Byte 10: number of returns.
         if (product_.n_header == 12 && blocks_.has_dual_returns()) bytes[8] = 1, bytes[10] = 2;
         blocks_.append_blocks(bytes, columns, packet_number, 1e-3 * kUnit_mm);
         if (product_.has_checksums)
@@ -175,8 +176,9 @@ private:
     }
 };
 
-/// Measures how badly a packet layout fits a sensor: the relative difference between the
-/// times per column, plus 1 if the number of beams differs. 0 is a perfect fit.
+/// Returns how badly a packet layout fits a sensor; 0 is a perfect fit. The result is
+/// |time per column of the sensor / time per column of the layout - 1|. If the numbers of
+/// beams differ, adds 1.
 double compute_time_and_beam_count_misfit(const PacketLayout& layout, const SpinningSensor& sensor) {
     const double step_us = 1e6 * sensor.period_s / sensor.columns;
     const double expected_us = layout.cycle_us * double(layout.count_firing_sequences()) /

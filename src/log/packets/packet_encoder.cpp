@@ -23,8 +23,8 @@ using packets::PacketFormat;
 // Maximum relative difference between the time per column of a simulated sensor and of
 // the real product.
 constexpr double kMostStepError = 0.02;
-// Only for sensors that fire at fixed azimuths: how far a firing may be from its azimuth,
-// in columns.
+// Only for sensors that fire at fixed azimuths: maximum difference between the azimuth of
+// a firing and the nearest fixed azimuth / azimuth step between two columns.
 constexpr double kMostColumnError = 0.1;
 constexpr double kJump_us = 1.0;
 constexpr double kBehindSensor_deg = 180.0;
@@ -110,8 +110,9 @@ struct PacketEncoder::Impl {
         return std::round((turned_deg + 360.0 * turns) / get_firing_step_deg());
     }
 
-    /// Returns the number of firing periods since the last firing, or 0 to skip `firing`.
-    /// A firing without returns is skipped if it is not later than the last firing.
+    /// Returns the number of firing periods from the last firing to `firing`. The result
+    /// 0 means that the caller must skip `firing`, because it has no returns and is not
+    /// later than the last firing.
     /// @throws UsageError if a firing with returns is not later than the last firing
     std::int64_t count_firing_steps_from_last(const FiringColumn& firing) const {
         const double steps = count_firing_steps_between(*last, firing);
@@ -125,8 +126,8 @@ struct PacketEncoder::Impl {
     }
 
     /// Returns the position of the first firing within its packet. In a recorded log,
-    /// times jump between packets. The new packets start at the same firings as the
-    /// recorded packets.
+    /// firing times jump at the border between two packets. This function searches for
+    /// the jumps, so that new packets begin at the same firings as the recorded packets.
     std::int64_t find_packet_slot_of_first_firing(const std::vector<FiringColumn>& firings_of_scan) const {
         if (has_fixed_columns()) return compute_firing_column(firings_of_scan.front());
         if (!options.times_jitter) return 1;
@@ -144,9 +145,10 @@ struct PacketEncoder::Impl {
         return get_firings_per_packet() - start;
     }
 
-    /// Returns the maximum number of consecutive firings that may be missing in a log.
-    /// The encoder fills such gaps. They occur because logs leave out firings without
-    /// returns at the end of a turn, and because frames can be more than a turn apart.
+    /// Returns the maximum number of consecutive missing firings that the encoder
+    /// replaces with firings without returns. Firings are missing if a log leaves out
+    /// firings without returns at the end of a revolution. They are also missing if two
+    /// scans are more than a revolution apart.
     std::int64_t compute_max_missing_firings_to_fill() const {
         return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / get_firing_period_s());
     }
@@ -167,8 +169,8 @@ struct PacketEncoder::Impl {
 
     /// Stores a firing in its packet. First writes all earlier packets.
     void store_firing_in_packet(FiringColumn firing, std::int64_t firing_index) {
-        // Sensor drivers need one firing before the first turn. If a packet holds only
-        // one firing, an extra packet without returns is written first.
+        // Sensor drivers need a firing before the first revolution of the head. If a
+        // packet holds only one firing, an extra packet without returns is written first.
         const bool needs_packet = get_firings_per_packet() == 1 && !has_fixed_columns();
         if (pending.empty())
             start_packet(needs_packet ? firing_index - 1 : firing_index / get_firings_per_packet());
@@ -248,8 +250,9 @@ struct PacketEncoder::Impl {
                 format->encode_packet(pending, has_fixed_columns() ? std::uint32_t(packet) : n_written));
     }
 
-    /// Writes the packet that is being filled. If the sensor fires at any azimuth, also
-    /// writes one more packet without returns.
+    /// Writes the pending packet, at the end of the log or before a long gap. Then writes
+    /// an extra packet without returns, from which drivers detect the end of the scan.
+    /// Sensors that fire only at fixed azimuths get no extra packet.
     void encode_final_packets() {
         if (pending.empty()) return;
         write_pending_packet();

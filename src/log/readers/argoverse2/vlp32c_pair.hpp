@@ -26,9 +26,9 @@ struct RawSweep {
 /// @param clockwise  true if the head rotates clockwise in the sensor frame, seen from +z
 SpinningSensor make_vlp32c_sensor(bool clockwise);
 
-/// Returns the laser numbers of each LiDAR: 0 means the numbers 0 to 31, and 1 means 32
-/// to 63. Chooses the assignment for which the elevations of points and lasers agree
-/// best.
+/// Finds out which lasers belong to each of the two LiDARs. Returns one value per LiDAR:
+/// 0 for the lasers 0 to 31, and 1 for the lasers 32 to 63. Chooses the assignment for
+/// which the elevations of points and lasers agree best.
 std::array<int, 2> find_laser_group_of_each_lidar(const RawSweep& sweep,
                                                   const std::array<Pose, 2>& vehicle_from_lidar);
 

@@ -7,8 +7,8 @@
 namespace relidar::bag {
 namespace {
 
-// Poses are extrapolated at most this far before the first and after the last sample.
-// This is about one sweep.
+// Poses are extrapolated by at most this time before the first sample and after the last
+// sample. It is about the duration of one sweep.
 constexpr double kBeside_s = 0.1;
 constexpr std::size_t kDeepest = 64;  // maximum depth of the tree
 

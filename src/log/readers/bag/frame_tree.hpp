@@ -36,8 +36,8 @@ struct StampedPose {
 class TransformChain {
 public:
     void append_constant_child_transform(Pose transform) { links_.push_back({{0.0}, {transform}}); }
-    /// Appends a transform that changes over time. Its samples can be in any order.
-    /// @param time_origin_ns  time in nanoseconds that becomes 0 s
+    /// Appends a transform that changes over time. The samples can be in any order.
+    /// @param time_origin_ns  time in nanoseconds at which the time of the log is 0 s
     void append_sampled_child_transform(const std::vector<StampedPose>& pose_samples, LogClock clock,
                                         std::int64_t time_origin_ns);
     Pose compute_pose_at(double t_s) const;
@@ -53,8 +53,9 @@ private:
     std::vector<PoseTrack> links_;
 };
 
-/// Pose of a source frame in a target frame as a function of time. Stores the pose of
-/// each frame in their nearest common ancestor.
+/// Pose of a source frame in a target frame as a function of time. Stores the poses of
+/// both frames in their nearest common ancestor `above`: `above_from_to` for the target
+/// frame, `above_from_from` for the source frame.
 struct RelativeFramePose {
     TransformChain above_from_to, above_from_from;
 

@@ -33,8 +33,8 @@ namespace {
 
 constexpr std::size_t kRun = 64, kMostStreams = 256, kMostPending = 64, kMostDatagram = 65535;
 constexpr unsigned kIpv4 = 0x0800, kIpv6 = 0x86dd, kUdp = 17;
-// All fragments of a datagram arrive within this time. Later, other datagrams have the
-// same identification number.
+// All fragments of a datagram must arrive within this time. A fragment that arrives later
+// belongs to another datagram, even if the identification number is the same.
 constexpr std::int64_t kTogether_ns = 1000000000;
 
 unsigned read_big_endian_uint16(std::string_view bytes, std::size_t offset) {
@@ -276,14 +276,16 @@ private:
         const packets::LidarProduct* product = nullptr;
         std::string run;
         std::size_t n = 0;
-        /// `at`: byte offset from which the file must be read to get all datagrams of the
-        /// current message. `first_at`: byte offset of its first datagram. `at` is
-        /// smaller if a later datagram has an IP fragment before it.
+        /// `first_at`: byte offset of the first datagram of the current message. `at`:
+        /// byte offset from which the file must be read to get all datagrams of the
+        /// message. `at` < `first_at` if the first IP fragment of a later datagram is
+        /// stored before the first datagram.
         std::uint64_t at = 0, first_at = 0;
         std::int64_t log_ns = 0;
         /// `first_at` by `at`, for messages in which they differ.
         std::map<std::uint64_t, std::uint64_t> late_runs;
-        /// Histogram of datagram sizes in bytes, for streams of unknown products.
+        /// Number of datagrams of each size in bytes. Used only for streams that contain
+        /// no packets of a known LiDAR product.
         std::map<std::size_t, std::size_t> n_of_bytes;
         std::shared_ptr<const packets::OusterMetadata> ouster;  ///< metadata of the sensor
         std::string livox_frame;  ///< frame name of the clouds of a Livox; empty for other products

@@ -53,9 +53,9 @@ public:
     SqliteFile(const std::filesystem::path& path, bool packed)
         : name_(path.string()), packed_(packed), bytes_(RandomAccessFile(path).size()) {
         std::error_code failed;
-        // A -wal file (write-ahead log) can contain the last messages. SQLite ignores
-        // this file in immutable mode, so immutable mode is used only if the file does
-        // not exist.
+        // The last messages can be in a second file, the write-ahead log "...-wal".
+        // SQLite ignores this log in immutable mode. So immutable mode is used only if
+        // the log does not exist.
         const bool is_open = std::filesystem::exists(path.string() + "-wal", failed);
         sqlite3* database = nullptr;
         const int code =
@@ -164,8 +164,8 @@ private:
         return step_to_next_row(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
     }
 
-    /// Checks that a name belongs to a real table. A view with this name could contain an
-    /// endless query.
+    /// Checks that a name belongs to a real table. An untrusted file could instead define
+    /// a view with this name, whose query never ends.
     void require_real_table(const char* table_name) const {
         const Statement row = prepare_statement(fmt::format(
             "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = '{}' AND sql NOT LIKE '%generated%' "

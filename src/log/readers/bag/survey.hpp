@@ -44,8 +44,8 @@ struct CloudIndexEntry {
 struct CloudTopic {
     std::size_t topic = 0;
     std::string frame;  ///< frame of the first cloud
-    /// Names of the coordinate frames of clouds that Ouster's driver computes from these
-    /// packets. Empty if the topic does not contain Ouster packets.
+    /// For Ouster packets: the frame names (`frame_id`) that Ouster's driver uses for the
+    /// clouds that it computes from these packets. Empty for other topics.
     std::vector<std::string> driver_frames;
     std::vector<CloudMessage::CloudField> fields;  ///< fields of the first cloud
     /// Clouds with points, in the order of the recording. Clouds that were parts of a

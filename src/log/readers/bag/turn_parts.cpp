@@ -18,12 +18,12 @@ constexpr std::size_t kSamples = 256, kBins = 60;
 // Maximum azimuth range of a part of a revolution. A cloud with a wider range is a full
 // revolution in which the vehicle blocks some directions.
 constexpr double kMostOfPart = 300.0 * kPi / 180.0;
-// If all clouds together leave a wider azimuth range empty, the LiDAR scans a window and
-// does not rotate.
+// If the clouds together leave an azimuth gap that is wider than this, the LiDAR does not
+// rotate. It scans only a limited sector.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// Clouds are joined to revolutions if they advance by similar azimuth steps. kTogether:
-// minimum coherence of the steps; 1 if all are equal. kAbut: maximum relative difference
-// between a step and the azimuth range of a cloud.
+// Clouds are parts of a revolution if their azimuths advance by similar steps. kTogether:
+// minimum length of the mean of the unit vectors (cos step, sin step); 1 if all steps are
+// equal. kAbut: maximum of |mean step - median azimuth width of a cloud| / mean step.
 constexpr double kTogether = 0.8, kAbut = 0.4;
 // If a time step is longer than this multiple of the usual step, a part of a revolution
 // is missing.
@@ -79,13 +79,13 @@ double compute_widest_azimuth_gap_rad(const std::vector<RevolutionPart>& partial
 
 /// How a revolution of the LiDAR is split into several clouds (parts).
 struct RevolutionPartition {
-    /// Median azimuth range of a part, and mean azimuth step to the next part. The step
-    /// is negative for clockwise rotation, and for half revolutions, whose direction is
-    /// unknown.
+    /// Median azimuth width of a part, and mean azimuth step to the next part. The step
+    /// is negative if the LiDAR rotates clockwise. If parts are half revolutions, the
+    /// direction is unknown, and the step is also negative.
     double extent_rad, step_rad;
     double step_s;
-    /// Azimuth at which a revolution begins: the boundary between parts that is nearest
-    /// to the rear.
+    /// Azimuth at which a revolution begins. It is the border between two parts (clouds)
+    /// that is nearest to the rear of the LiDAR.
     double cut_rad;
 };
 

@@ -44,8 +44,8 @@ constexpr int kNoRing = -1;
 constexpr double kDegree = kPi / 180.0;
 constexpr double kLargestStep_deg = 5.0;  // maximum rotation between two blocks
 
-/// Stores a return of a ray. A ray keeps at most two returns. A third return with a new
-/// range replaces the darker of the two, if it is brighter.
+/// Stores a return of a ray. A ray keeps at most two returns. A third return replaces the
+/// darker of the two, if it is brighter and differs in range from both.
 /// @param return_index  number of the return in the packet, from 0
 void keep_two_brightest_returns_of_ray(std::array<DecodedReturn, 2>& ray_returns, std::size_t return_index,
                                        const DecodedReturn& new_return) {
@@ -142,7 +142,7 @@ private:
     const PacketLayout& layout_;
     FiringTiming timing_;
     std::vector<BeamFiring> table_;
-    /// [lasers] angles of the lasers that the manufacturer measured; empty if unknown
+    /// [lasers] angles that the manufacturer measured for each laser; empty if unknown
     std::vector<LaserAngles> angles_;
     /// text for the user that names the source of the angles
     std::string angles_about_ = "beam angles from the data sheet";

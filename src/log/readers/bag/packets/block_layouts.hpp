@@ -119,9 +119,10 @@ struct PacketLayout {
     bool has_correction_file = true;  ///< true if each unit has a file with its beam angles
     /// Range values up to this one mean "no return".
     std::uint16_t last_marker = 0;
-    /// Firing times of the lasers in each set, for sensors that alternate between sets of
-    /// lasers. The decoder subtracts the earliest time. Empty for all other sensors,
-    /// whose firing times are in the table of built-in sensors.
+    /// Firing times of the lasers, with one table for each firing sequence. Some sensors
+    /// alternate between two sequences. list_beams_of_packet_layout() makes the times
+    /// relative to the earliest firing. Empty if the table of built-in sensors contains
+    /// the firing times.
     std::span<const LaserFiringTimes> loops = {};
     FiringSequenceRule part_rule = FiringSequenceRule::none;
     std::size_t part_at = 0;  ///< byte offset of the field that contains the firing sequence
@@ -130,7 +131,8 @@ struct PacketLayout {
     std::size_t count_firing_sequences() const { return loops.empty() ? 1 : loops.size(); }
 };
 
-/// One row of a scan. A laser that fires twice per column has two rows.
+/// One laser in one firing sequence of the sensor. It measures one row of a scan. A laser
+/// that fires in two sequences has two rows.
 struct PacketBeam {
     std::size_t laser = 0;  ///< index of the laser in a firing, from 0
     std::size_t part = 0;   ///< index of the firing sequence
@@ -141,8 +143,8 @@ struct PacketBeam {
     double offset_us = 0.0;
 };
 
-/// Returns the beams of a product in the order of its beam table. A laser has one beam
-/// for each firing sequence in which it fires.
+/// Returns the beams (rows of a scan) of a sensor, in the order of its built-in beam
+/// table. A laser that fires in two firing sequences has two beams.
 std::vector<PacketBeam> list_beams_of_packet_layout(const PacketLayout& layout);
 
 // One row per product. Hesai's manuals state the time of each laser relative to the start

@@ -54,8 +54,9 @@ struct DecodedPacket {
 /// Firing times of the lasers of a sensor.
 struct FiringTiming {
     double cycle_us = 0.0;  ///< time between firings
-    /// Number of firing sequences, for sensors that alternate between sequences with
-    /// different lasers. Each column of a scan contains one firing of each sequence.
+    /// Number of firing sequences. It is above 1 if the sensor alternates between
+    /// sequences in which different lasers fire. A column of a scan contains one firing
+    /// of each sequence.
     int parts = 1;
     /// time after which the sensor's clock restarts at 0; 0 if it never restarts
     double wrap_us = 0.0;
@@ -69,8 +70,9 @@ struct FiringTiming {
     /// fixed firing azimuths. Column 0 is at 180 degrees. For all other sensors, this is
     /// empty, and times are from the packets' time stamps instead of the sensor's clock.
     std::vector<bool> fires = {};
-    /// True if intensities can exceed 1. They are then divided by a scale that is
-    /// estimated from all returns of the topic.
+    /// True if the packets of this sensor can contain intensities above 1. If they do,
+    /// all intensities are divided by the 99.5th percentile of the intensities of the
+    /// topic.
     bool is_wide = false;
 };
 

@@ -17,7 +17,7 @@ namespace relidar::packets {
 struct FiringInstant {
     double azimuth_deg, time_s;
     int number;  ///< number of the firing; for a sensor that fires at fixed azimuths, the column
-    /// rotation rate of the head minus its mean, in degrees per microsecond
+    /// current minus mean rotation rate of the LiDAR's head, in degrees per microsecond
     double ahead_deg_us;
     double brightness;  ///< intensity value that becomes 1
 };

@@ -60,9 +60,9 @@ bool is_ouster_metadata(std::string_view json_text);
 /// @throws DataError if the metadata is invalid
 std::shared_ptr<const OusterMetadata> parse_ouster_metadata(const std::string& json_text,
                                                             const std::string& error_location);
-/// Reads the Ouster metadata files in the folder of a recording X.pcap. If X.json is such
-/// a file, reads only files X*.json. Otherwise reads all files, except a file Y.json that
-/// belongs to another recording Y.pcap.
+/// Reads the Ouster metadata (JSON files) in the folder of a recording, for example
+/// "a.pcap". If "a.json" contains metadata, reads only JSON files whose names begin with
+/// "a". Never reads "b.json" if the folder contains another recording, "b.pcap".
 /// @param error_messages  output: error messages about files that cannot be read
 OusterMetadataList read_ouster_metadata_in_folder_of(const std::filesystem::path& recording_path,
                                                      std::vector<std::string>& error_messages);

@@ -28,8 +28,8 @@ constexpr double kBehind_deg = 180.0;
 constexpr double kMostBright = 65535.0;
 // A larger azimuth step between two firings means that the sensor skips a sector.
 constexpr double kJump_deg = 5.0;
-// Minimum share of an incomplete revolution, at the start or the end of the recording,
-// about which the user gets a note.
+// If the recording begins or ends during a revolution, this revolution is skipped. The
+// user gets a note if its recorded part / a full revolution is above this value.
 constexpr double kCutOff = 0.02;
 
 // Returns true if the sensor fires at a column. A column beyond one end of the range
@@ -220,15 +220,17 @@ void PacketIndex::count_and_store_lost_packets(PacketRevolution& revolution) con
     revolution.has_gaps = n_missing > 0.0;
 }
 
-/// Returns the head azimuths at the start and the end of the recording. Includes adjacent
-/// azimuths at which the sensor never fires, because no packets are missing there.
+/// Returns the head azimuths at the start and the end of the recording. If the sensor
+/// never fires at the adjacent azimuths, includes them, because the recording misses no
+/// packets there.
 std::pair<double, double> PacketIndex::find_recorded_azimuth_range_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
     if (fires.empty()) {
         if (!(skipped_.width_deg > 0.0)) return {first.azimuth_deg, last.azimuth_deg};
-        // If the recording begins or ends next to the sector in which the sensor never
-        // fires, the range includes this sector.
+        // The recording can begin or end at the edge of the sector in which the sensor
+        // never fires. Then the returned range includes this sector. `slack_deg`:
+        // tolerance for finding this edge, which is the rotation during one firing cycle.
         const double slack_deg = deg_us_ * decoder_->get_laser_timing().cycle_us;
         const double last_deg = last.azimuth_deg + double(last.turned_deg);
         const double before_deg = skipped_.compute_sector_overlap_deg(first.azimuth_deg - slack_deg,
@@ -308,9 +310,9 @@ std::string PacketIndex::describe_problems() const {
     return fmt::format("{}", fmt::join(texts, "; "));
 }
 
-/// Computes the time at which the head faces forward. For sensors with fixed firing
-/// azimuths, also computes the difference between packet time stamps and the sensor's
-/// clock.
+/// Sets `forward_ns`, the time at which the LiDAR's head faces forward, and `log_ns`. If
+/// the sensor fires at fixed azimuths, its clock defines the times. Then this also sets
+/// `stamp_less_clock_ns` (packet time stamp minus sensor clock).
 void PacketIndex::set_revolution_times(PacketRevolution& revolution) const {
     const double forward = revolution.begin_deg + 180.0;
     const auto behind =
@@ -339,8 +341,9 @@ bool PacketIndex::has_steady_sensor_clock(const PacketRevolution& revolution) co
     return packets_[revolution.last].clock_ns - packets_[revolution.first].clock_ns <= kMaxRevolution_ns;
 }
 
-/// Returns the index of the first message with packets of a revolution. Tests all
-/// packets, because they are sorted by time, but messages may have another order.
+/// Returns the index of the earliest message that contains packets of a revolution.
+/// Packets are sorted by time, and their messages can be in another order. Therefore this
+/// searches all packets of the revolution.
 std::uint32_t PacketIndex::find_first_message_index(const PacketRevolution& revolution) const {
     std::uint32_t first = packets_[revolution.first].message;
     for (std::size_t i = revolution.first; i <= revolution.last; ++i)
@@ -521,9 +524,9 @@ Scan PacketIndex::make_scan_of_revolution(const PacketRevolution& revolution,
                                                  find_lost_columns(revolution), sensor);
     const SweepFirings sweep = make_sweep_of_firings_by_azimuth(
         revolution_points.points, revolution_points.numbers, revolution_points.head_rad);
-    // Sets the number of columns of this scan. A complete revolution has all columns at
-    // which the sensor can fire. If packets were lost, the scan has only the received
-    // columns.
+    // The copy `scan_sensor` gets the number of columns of this scan. A complete
+    // revolution has no columns in the sector `skipped_`, in which the sensor never
+    // fires. If packets were lost, the scan has only the received columns.
     SpinningSensor scan_sensor = sensor;
     scan_sensor.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
     if (revolution.has_gaps) scan_sensor.columns = int(sweep.firings.size());

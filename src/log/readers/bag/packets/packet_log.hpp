@@ -21,8 +21,8 @@ struct RevolutionPoints;
 
 /// One revolution of the LiDAR's head. It begins and ends when the head faces backward.
 struct PacketRevolution {
-    /// Time at which the head faces forward, and time at which the recorder received the
-    /// packet with this firing.
+    /// `forward_ns`: time at which the head faces forward. `log_ns`: time at which the
+    /// recorder received the packet that was sent then.
     std::int64_t forward_ns = 0, log_ns = 0;
     std::size_t first = 0, last = 0;  ///< packets of the revolution
     /// Head angle at the start of the revolution. It is continuous over the full

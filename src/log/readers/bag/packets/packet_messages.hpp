@@ -17,8 +17,9 @@ namespace relidar::packets {
 /// and its bytes. Messages of type kOtherDatagrams contain other UDP data.
 inline constexpr const char *kDatagrams = "LiDAR packets", *kOtherDatagrams = "other UDP";
 
-/// Returns true if the messages of a topic contain LiDAR packets. The message type does
-/// not always name the product, so it is recognised by the packets.
+/// Returns true if the messages of a topic contain LiDAR packets. Checks only the message
+/// type. The type does not always name the LiDAR product, which is recognised later by
+/// the size and header of the packets.
 bool has_lidar_packets(const bag::BagTopic& topic);
 /// Returns true for a packet topic of Ouster's ROS drivers. Each message is one packet
 /// and nothing else.

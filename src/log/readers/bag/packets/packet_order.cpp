@@ -73,9 +73,10 @@ PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& pa
         faults.n_repeated += is_repeated && counts;
         if (is_repeated) continue;
         if (at < n) {
-            // This packet was received late, so its receive time stamp is wrong. Computes
-            // the stamp from the sensor's clock, with the clock offset of a neighbouring
-            // packet. Packets after it get at least this offset.
+            // This packet was received late, so its receive time stamp is wrong. Replaces
+            // it with the sensor time plus the clock offset (receiver - sensor) of a
+            // neighbouring packet. Uses at least this offset for later packets, so that
+            // their stamps are not earlier.
             const PacketIndexEntry& beside = packets[at > 0 ? at - 1 : at];
             const std::int64_t stamp_less_clock_ns = beside.stamp_ns - beside.clock_ns;
             entry.stamp_ns = entry.clock_ns + stamp_less_clock_ns;
@@ -110,8 +111,9 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
         PacketIndexEntry& entry = packets[p];
         if (entry.skipped_deg == 0.0f) continue;
-        // Neighbouring packet on the same side of the sector in which the sensor never
-        // fires.
+        // The time of `entry` does not include the rotation through the sector without
+        // firings. It is corrected with the next packet if the sector precedes `entry`,
+        // otherwise with the previous packet.
         const std::size_t beside = entry.skipped_deg > 0.0f ? p + 1 : p - 1;
         std::int64_t skipped_ns = std::llround(1e3 * skipped_us(entry));
         if (beside < packets.size())
@@ -124,8 +126,9 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
 }
 
 double SkippedSector::compute_sector_overlap_deg(double from_deg, double to_deg) const {
-    // Returns how many degrees from begin_deg to an azimuth are in the sector without
-    // firings, summed over all revolutions.
+    // Returns how much of the rotation from begin_deg to an azimuth is in the sector
+    // without firings, in degrees. A rotation of several revolutions crosses the sector
+    // several times.
     const auto until = [&](double azimuth_deg) {
         const double turns = std::floor((azimuth_deg - begin_deg) / 360.0);
         return turns * width_deg + std::min(azimuth_deg - begin_deg - 360.0 * turns, width_deg);

@@ -14,14 +14,16 @@ namespace relidar::packets {
 /// A packet in the index of a recording. If the sensor skips a sector within a packet,
 /// the packet has two entries, one for each side of the sector.
 struct PacketIndexEntry {
-    /// Time of the first firing, by the receiver's clock and by the sensor's clock. The
-    /// sensor time is continuous, although the sensor's clock restarts at 0.
+    /// Time of the first firing: `stamp_ns` by the receiver's clock, `clock_ns` by the
+    /// sensor's clock. If the sensor's clock restarts at 0, `clock_ns` continues without
+    /// a jump.
     std::int64_t stamp_ns, clock_ns;
     double azimuth_deg;  ///< azimuth of the first firing in degrees, without jumps at 360 degrees
     float turned_deg;    ///< rotation of the head from the first to the last firing
-    /// Width of the azimuth sector without firings, if it is between these firings and
-    /// the firing to which the packet time refers. Negative if it follows these firings.
-    /// Otherwise 0.
+    /// The time stamp of a packet refers to its first or last firing. If a sector without
+    /// firings is between that firing and this entry, this is the sector's width,
+    /// otherwise 0. It is positive if the sector precedes this entry, and negative if it
+    /// follows.
     float skipped_deg;
     std::uint32_t message;
     std::uint16_t in_message;  ///< index in the message
@@ -46,8 +48,9 @@ struct PacketFaultCounts {
 /// packet whose time is much earlier, because its clock was set back.
 PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& packets);
 
-/// Makes the azimuths continuous, without jumps at 360 degrees. Corrects the times of
-/// packets with firings on both sides of a sector in which the sensor does not fire.
+/// Makes the azimuths continuous, without jumps at 360 degrees. If the sensor skips a
+/// sector within a packet, the firing times do not include the rotation through this
+/// sector. Corrects these times.
 /// @return mean rotation rate in degrees per microsecond
 double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing);
 
