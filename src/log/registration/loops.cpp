@@ -24,8 +24,9 @@ constexpr double kApart_m = 80.0;
 // grows by kLoopDistanceGrowth per metre of path between the poses, because odometry
 // drifts.
 constexpr double kLoopDistance_m = 4.0, kLoopDistanceGrowth = 0.01, kMaxLoopDistance_m = 15.0;
-// A loop closure aligns a scan with a map of an earlier pass over the road. The map
-// contains the scans up to this path length before and after the nearest earlier pose.
+// A loop closure aligns a scan with a map of an earlier pass over the same road. The map
+// consists of scans around the earlier pose that is nearest to the scan: up to this
+// driven distance before and after that pose.
 constexpr double kMap_m = 14.0;
 // Registration tries a grid of start positions around the predicted pose. The values are
 // the spacing of the grid, and its largest horizontal and vertical distance.
@@ -139,8 +140,9 @@ private:
         maps_.add_points_to_maps(points_m, 0.0);
     }
 
-    /// Returns the points of a scan in the vehicle frame of its pose. Also returns the
-    /// vehicle position from which each point was measured.
+    /// Returns the points of the scan at key pose `key_index` (a selected pose of the
+    /// track), in the vehicle frame of this pose. Also returns the vehicle position from
+    /// which each point was measured.
     std::vector<WorldPointWithOrigin> transform_scan_to_key_pose_frame(std::size_t key_index) const {
         const Pose pose_from_world = inverse(get_key_pose(key_index));
         std::vector<WorldPointWithOrigin> points;
@@ -164,8 +166,9 @@ private:
         return double(on_planes) / double(std::max<std::size_t>(n, 1));
     }
 
-    /// Returns the best start position in a grid around a pose: most points on planes of
-    /// the map, after a penalty for the distance from the pose.
+    /// Returns the best start pose for an alignment. Searches a grid of positions around
+    /// `initial_pose`. Score: share of points on planes of the map, minus a penalty for
+    /// the distance from `initial_pose`.
     Pose find_best_start_pose(const std::vector<WorldPointWithOrigin>& points, const Pose& initial_pose,
                               double search_radius_m) const {
         std::vector<glm::dvec3> offsets;
@@ -312,7 +315,8 @@ private:
         return Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(h).solve(equations.g);
     }
 
-    /// Returns the correction of a pose that moves rigidly with a corrected pose.
+    /// A key pose (a selected pose of the track) has a known correction. Returns the
+    /// correction of pose `pose_index` if both poses move like one rigid body.
     Vector6 transfer_key_correction(std::size_t pose_index, std::size_t key_index,
                                     const Eigen::VectorXd& key_corrections) const {
         return make_twist_transfer_matrix(track_.pose[pose_index].translation -

@@ -31,8 +31,9 @@ constexpr double kPrior = 3e-4;
 // The alignment of a scan failed if less than this share of its points lies on planes of
 // the map.
 constexpr double kFewestShare = 0.1;
-// Map cells without new points on this length of path are removed, so that odometry does
-// not match an earlier pass over the same road. close_loops() aligns such passes later.
+// Map cells that got no new points while the vehicle drove this distance are removed.
+// Otherwise odometry could match an earlier pass over the same road. close_loops() aligns
+// such passes later.
 constexpr double kMemory_m = 80.0;
 // Path length between two removals of old map cells. Removals are rare, because checking
 // all cells takes as long as adding a scan.
@@ -150,8 +151,8 @@ private:
         return inverse(initial_track_.pose[pose_index - 1]) * initial_track_.pose[pose_index];
     }
 
-    /// Returns the predictions of a pose from which the alignment starts, the most likely
-    /// one first.
+    /// Returns predictions of pose `pose_index`, the most likely one first. The alignment
+    /// of the scan starts from each of them.
     std::vector<Pose> list_predicted_poses(std::size_t pose_index) const {
         const Pose constant_motion_pose = track_.pose[pose_index - 1] * predict_constant_motion(pose_index);
         if (!options_.use_pose_motion) return {constant_motion_pose};

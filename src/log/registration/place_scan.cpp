@@ -13,8 +13,8 @@ namespace {
 // Edge length in metres of grid cells; one point of the scan per cell is used. The cells
 // are small, because only one pose is estimated and speed does not matter.
 constexpr double kThin_m = 0.1;
-// Scale of the robust kernel: points farther than this from the scene have little weight.
-// The points of a registered scan are closer.
+// Scale of the robust kernel: a point that is farther than this from the rendered surface
+// has a weight below 1/4. If a scan is aligned correctly, its points are closer.
 constexpr double kScale_m = 0.05;
 // Weight of the prior that pulls the pose to its start value, relative to the mean weight
 // of the points.

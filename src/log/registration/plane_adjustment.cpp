@@ -155,8 +155,9 @@ void PlanePoseAdjustment::add_correction_prior(PoseEquations& equations) const {
 
 void PlanePoseAdjustment::remove_mean_correction() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
-    // Each pass removes most of the mean correction. Three passes are needed, because the
-    // mean of rotation vectors is only approximate.
+    // Moves all poses so that the mean of their corrections becomes zero. Three passes
+    // are needed, because the mean of rotation vectors is only approximate. Each pass
+    // removes most of the remaining mean.
     for (int i = 0; i < 3; ++i) {
         glm::dvec3 centre(0.0), v(0.0), w(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
@@ -231,8 +232,9 @@ double PlanePoseAdjustment::compute_deviation_from_neighbours_m(std::size_t pose
     };
     const glm::dvec3 between =
         glm::mix(correction(before), correction(after), compute_time_fraction(before, pose_index, after));
-    // If the given poses jump between this pose and one neighbour, the other neighbour
-    // still has a similar correction. So the smallest distance is used.
+    // If the initial poses jump between this pose and one neighbour, their corrections
+    // differ although both are right. But the correction of the other neighbour is
+    // similar. So the smallest distance is used.
     double least = glm::distance(correction(pose_index), between);
     for (const std::size_t neighbour : {before, after})
         least = std::min(least, glm::distance(correction(pose_index), correction(neighbour)));

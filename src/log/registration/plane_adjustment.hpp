@@ -73,10 +73,11 @@ public:
     /// Returns the share of a scan's points that lie on planes of a map.
     double compute_fraction_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
                                       double kernel_scale_m) const;
-    /// Returns how far the correction of a pose is from the corrections of its
-    /// neighbours, in metres: the smallest distance to the earlier one, the later one, or
-    /// their interpolation. Returns 0 at an end of the track.
-    /// @param is_neighbour  [poses] true for the poses that can be neighbours
+    /// Returns how much the correction of a pose differs from the corrections of its two
+    /// neighbours, in metres. Uses the smallest of three differences: from the earlier
+    /// one, from the later one, and from the interpolation between both. Returns 0 if one
+    /// neighbour is missing.
+    /// @param is_neighbour  [poses] true for the poses that are used as neighbours
     double compute_deviation_from_neighbours_m(std::size_t pose_index,
                                                const std::vector<bool>& is_neighbour) const;
     void set_pose(std::size_t pose_index, const Pose& new_pose) { track_.pose[pose_index] = new_pose; }

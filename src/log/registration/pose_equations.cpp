@@ -124,8 +124,9 @@ void PoseEquations::add_plane_residuals_of_cell(const std::vector<SubsampledPoin
         return couplings_.emplace_back(
             PlanePoseCoupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
-    // Normal matrix for the plane's offset and two tilts. It must use the point weights
-    // of the pose equations; otherwise the joint matrix is not positive definite.
+    // Normal matrix for the unknowns of the plane: its offset and two tilts. It must use
+    // the same point weights as the equations of the poses. Otherwise the matrix that
+    // remains after eliminating the plane is not positive definite.
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : point_indices) {
@@ -216,8 +217,9 @@ Vector6 PoseEquations::make_prior_diagonal(double prior_weight) const {
     return prior_weight * mean;
 }
 
-/// Coarse equations for the solver's preconditioner. Eight consecutive poses move like
-/// one rigid body, so there is only one translation and rotation for each group of poses.
+/// Equations for groups of poses, a part of the solver's preconditioner. Eight
+/// consecutive poses form a group and move like one rigid body. So a group has only one
+/// translation and one rotation as unknowns.
 class PoseGroupEquations {
 public:
     PoseGroupEquations(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
@@ -239,7 +241,8 @@ public:
         factorise_matrix();
     }
 
-    /// Solves the coarse equations for a residual, and adds the solution to `pose_steps`.
+    /// Solves the group equations for `residual` (of the equations for all poses). Adds
+    /// the rigid motion of each group to its poses in `pose_steps`.
     void add_group_motions_for_residual(const Eigen::VectorXd& residual, Eigen::VectorXd& pose_steps) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));

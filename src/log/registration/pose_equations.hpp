@@ -38,8 +38,8 @@ PlaneResidual compute_plane_residual(const WorldPointWithOrigin& point, const Lo
 class SinglePoseEquations {
 public:
     /// Adds the distance of a point from its plane as a residual.
-    /// @param pose_motion_fraction  fraction of the pose's motion by which the point
-    /// moves; below 1 if the point is interpolated between two poses
+    /// @param pose_motion_fraction  motion of the point / motion of the pose; below 1 if
+    /// the point's position is interpolated between this pose and another pose
     void add_plane_residual(const PlaneResidual& plane_residual, double pose_motion_fraction = 1.0);
     SinglePoseEquations& operator+=(const SinglePoseEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
@@ -74,8 +74,9 @@ public:
     explicit PoseEquations(std::size_t n_poses);
 
     void add_plane_residual_of_point(const SubsampledPoint& point, const PlaneResidual& plane_residual);
-    /// Adds the distances of a cell's points from the plane of the cell. The parameters
-    /// of the plane are unknowns too; they are eliminated by a Schur complement.
+    /// Adds one residual for each point of a cell: its distance from `plane`. The offset
+    /// and the tilts of the plane are unknowns too. A Schur complement eliminates them,
+    /// so that only the poses remain as unknowns.
     void add_plane_residuals_of_cell(const std::vector<SubsampledPoint>& points,
                                      const std::vector<WorldPointWithOrigin>& world_points,
                                      std::span<const std::uint32_t> point_indices, const LocalPlane& plane,
@@ -106,8 +107,9 @@ public:
     double compute_rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
-    /// Couples the six unknowns of a pose with the three unknowns of a plane: C L^-T. C
-    /// is a block of the normal matrix, L the Cholesky factor of the block of the plane.
+    /// Coupling of a pose with a plane: c = C L^-T. C is the 6x3 block of the normal
+    /// matrix for the six unknowns of the pose and the three of the plane. L is the
+    /// Cholesky factor of the 3x3 block for the plane.
     struct PlanePoseCoupling {
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;

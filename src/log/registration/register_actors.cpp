@@ -15,7 +15,8 @@
 namespace relidar {
 namespace {
 
-// Tracks of shorter boxes are not corrected. Most are pedestrians, who change shape.
+// Tracks of boxes whose longer horizontal side is below this length are not corrected.
+// Most are pedestrians, whose shape changes.
 constexpr double kSmallest_m = 1.2;
 // Points less than this height above the bottom of a box are ignored, because they can
 // belong to the ground.
@@ -91,9 +92,9 @@ std::vector<BoxFramePoints> collect_points_in_boxes(const LidarSequence& sequenc
     return actors;
 }
 
-/// Fits a parabola to up to three poses with points on each side of `pose_index`. Returns
-/// the pose on the parabola at the time of `pose_index`. Returns nothing if one side has
-/// no such pose within a second.
+/// Fits a parabola over time to poses near `pose_index`: up to three before it and three
+/// after it. Uses only poses with points, at most one second away. Returns the pose on
+/// the parabola at the time of `pose_index`, or nothing if one side has no such pose.
 std::optional<Pose> fit_pose_to_neighbours_with_points(const PoseTrack& track,
                                                        const std::vector<bool>& pose_has_points,
                                                        std::size_t pose_index) {

@@ -10,8 +10,9 @@
 
 namespace relidar {
 
-/// Frames of all LiDARs, grouped by vehicle pose. The group of a pose is registered if it
-/// contains a frame of the LiDAR with the most returns. All other poses are interpolated.
+/// A sweep contains the frames of all LiDARs at one vehicle pose. Only sweeps with a
+/// frame of the LiDAR that has the most returns in the log are stored here and
+/// registered. For all other poses, the corrections are interpolated.
 struct SweepsToRegister {
     PoseTrack track;                       ///< [sweeps] poses of the vehicle before registration
     std::vector<std::size_t> pose;         ///< [sweeps] index in LidarSequence::world_from_vehicle, ascending
@@ -41,7 +42,8 @@ struct WorldPointWithOrigin {
     glm::dvec3 point_m, vehicle_m;
 };
 WorldPointWithOrigin transform_point_to_world(const PoseTrack& track, const SubsampledPoint& point);
-/// A point is interpolated between two poses. Returns the weight of pose `pose_index`.
+/// The vehicle pose at the firing time of a point is interpolated between two poses of
+/// the track. Returns the weight of pose `pose_index` in this interpolation.
 double get_interpolation_weight_of_pose(const SubsampledPoint& point, std::size_t pose_index);
 
 /// Selects returns of a frame, at most one in each cell of size `cell_size_m` in the

@@ -16,9 +16,10 @@ namespace relidar {
 namespace {
 
 constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has one row.
-/// A tile of the image needs the tile on its left and, in the row above, at most one tile
-/// further right. Tiles with equal 2 * row + tile are therefore independent and run in
-/// parallel.
+/// A ray needs intensities of rays on its left and, in the rows above, of rays at most
+/// kAhead columns further right. So a tile needs the tile on its left and tiles above, at
+/// most one tile further right. Tiles with the same 2 * row + tile do not need each other
+/// and run in parallel.
 static_assert(scatter_detail::kAhead <= kTileColumns);
 
 const IntensityScatterModel::DecisionTreeNode& find_tree_leaf(

@@ -29,14 +29,15 @@ using scatter_detail::RayFeatures;
 
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
-// A node of the decision tree is split only if the log-likelihood increases by at least
-// this value. If features and intensities are unrelated, about 1 in 100 best splits
-// reaches this value.
+// A node of the decision tree is split only if the best split increases the
+// log-likelihood by at least this value. If intensities do not depend on the features,
+// the best split of about 1 in 100 nodes reaches it by chance.
 constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
 
-/// One return: features (as bin numbers), and intensity (as class and value).
+/// One training return: the bin of each feature, the intensity class (one of kClasses
+/// intervals of intensity), and the intensity.
 struct ScatterSample {
     std::array<std::uint8_t, kFeatures> bins;
     std::uint8_t of_class;
@@ -258,8 +259,9 @@ std::vector<TreeNodeSplit> find_best_layer_splits(
     return cuts;
 }
 
-/// Splits the nodes of the decision tree from index `first_node` on. A node stays a leaf
-/// if no split predicts better. Keeps the returns of each node contiguous.
+/// Splits the nodes of the decision tree with index `first_node` or higher. A node stays
+/// a leaf if no split predicts better. Reorders `returns` so that those of each node stay
+/// contiguous.
 void split_tree_layer(ScatterSampleSet& returns, const EntropyTermTable& k_log_k_table,
                       std::vector<IntensityScatterModel::DecisionTreeNode>& nodes, std::size_t first_node) {
     const std::vector<TreeNodeSplit> cuts =
@@ -324,8 +326,8 @@ double find_quantisation_step(std::vector<float> values) {
     for (const float value : values) {
         step = step > 0.0 ? find_approximate_gcd(double(value), step, kError * largest) : double(value);
         if (value > 0.0f && step < kFinest * largest) return 0.0;
-        // `value` is an integer multiple of the step. Computes the step again from
-        // `value`, because a larger multiple gives a more accurate step.
+        // `value` is an integer multiple of the step, n * step. Recomputes the step as
+        // value / n, because a larger n gives a more accurate step.
         if (step > 0.0) step = double(value) / std::round(double(value) / step);
     }
     const auto is_multiple = [&](float v) {

@@ -28,9 +28,9 @@ struct RayWindow {
 
 constexpr std::array<RayOffset, 4> kBeside{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
 constexpr std::array<RayWindow, 2> kSmoothed{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
-/// Rays whose residuals (measured minus rendered intensity) are inputs of the decision
-/// tree. Lasers in adjacent rows fire alternately, so the second row above is more
-/// similar than the first.
+/// Neighbouring rays whose residuals (known minus rendered intensity) are inputs of the
+/// decision tree. Lasers in adjacent rows fire alternately. So the ray two rows above is
+/// more similar to this ray than the ray one row above.
 constexpr std::array<RayOffset, 7> kResiduals{
     {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, 0}, {-2, 0}, {-4, 0}}};
 constexpr std::array<RayOffset, 10> kLevels{
@@ -39,7 +39,8 @@ constexpr std::array<RayWindow, 5> kMeans{
     {{{0, -2}, {0, -1}}, {{0, -4}, {0, -1}}, {{0, -8}, {0, -1}}, {{-1, -2}, {-1, 2}}, {{-3, -3}, {-1, 3}}}};
 constexpr std::array<RayWindow, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
 
-/// Features of a ray use rays in the rows above, at most this many columns further right.
+/// A ray's features use known intensities in the rows above, at most this many columns to
+/// the right of the ray. In the row of the ray, they use only intensities on its left.
 constexpr int kAhead = 3;
 static_assert(std::ranges::all_of(kMeans, [](const RayWindow& w) {
     return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
@@ -81,8 +82,9 @@ public:
         const auto at = [&](RayOffset s) {
             return get_pixel_index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
         };
-        // Returns the intensity of a neighbouring ray. A neighbour left of column 0 would
-        // wrap to the right edge, which is drawn later, so it counts as unknown.
+        // Returns the known intensity of a neighbouring ray. Intensities are sampled from
+        // left to right. A neighbour left of column 0 wraps to the right edge, which is
+        // sampled later, so it counts as unknown.
         const auto level = [&](RayOffset s) {
             return row + s.rows < 0 || column + s.columns < 0 ? kNoIntensity : known_intensities_[at(s)];
         };
@@ -95,8 +97,9 @@ public:
             const float r = residual(s);
             return r == kNoIntensity ? r : std::abs(r);
         };
-        /// Features are numbered group by group. Returns true if the feature is in this
-        /// group, which has `count` features. Otherwise skips the group.
+        /// Features are numbered group by group. Returns true if `feature_index` is in
+        /// the current group of `count` features. Otherwise subtracts `count` from it, so
+        /// that it counts from the next group.
         const auto is_of = [&](std::size_t count) {
             return feature_index < count || (feature_index -= count, false);
         };

@@ -25,8 +25,8 @@ struct PatternKind {
     /// @param name  name of the sensor if the object contains none
     /// @throws DataError naming the member that is wrong
     SensorModel (*parse)(const JsonField& field, const std::string& name);
-    /// Returns the JSON object without name and range limits. Reading the object back
-    /// gives exactly the same values.
+    /// Returns the pattern as a JSON object, to which the caller adds the sensor's name
+    /// and range limits. Reading the object back gives exactly the same pattern.
     nlohmann::ordered_json (*write)(const SensorPattern& pattern);
     RayTable (*make_rays)(const SensorPattern& pattern, double time_s);
     ScanPatternSummary (*describe)(const SensorPattern& pattern);

@@ -99,7 +99,8 @@ public:
     void free_block_of_file(void* array, std::size_t bytes) noexcept {
         const std::size_t size = round_up_to_page_size(bytes),
                           offset = std::size_t(static_cast<std::byte*>(array) - begin_);
-        // Returns the disk space of the pages to the file system, if it supports this.
+        // Frees the disk space of these pages, if the file system can make holes in
+        // files.
         ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));
         const std::lock_guard lock(mutex_);
         used_ -= size;

@@ -21,8 +21,9 @@ struct RayFileArrays {
     /// [n] beam divergences, or one value for all rays; empty: 0
     std::vector<double> divergence_rad = {};
     RangeLimits limits = {};
-    /// If true, directions of unit length are not normalised again. Rays that relidar
-    /// wrote are then read back without any rounding.
+    /// If true, directions that already have unit length are not normalised again,
+    /// because that could change their last digits. So rays that relidar wrote are read
+    /// back exactly.
     bool keeps_floats = false;
 };
 

@@ -13,8 +13,8 @@
 namespace relidar {
 namespace {
 
-// Minimum number of returns from which the azimuth of a firing (all lasers at one
-// azimuth) is estimated.
+// In a firing, all lasers fire at one azimuth. This azimuth is estimated only if the
+// firing has at least this number of returns.
 constexpr std::size_t kFewest = 3;
 constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding errors
 // Lasers that fire together must have the same azimuth error, up to this difference in

@@ -25,8 +25,9 @@ namespace {
 
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
 constexpr std::size_t kReference = 3;  // index of the range at which the intensity factor is fixed to 1
-// A prior pulls beams with few returns to the mean beam, and smooths the intensity factor
-// over range. This is the number of returns that have the same weight as the prior.
+// A prior keeps beams with few returns similar to the mean beam. It also smooths the
+// intensity factor, which is a function of range. The weight of the prior equals the
+// weight of this number of returns.
 constexpr double kResponsePrior = 200.0;
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
 // A part of the intensity model is used only if it reduces the error to less than this
@@ -133,8 +134,8 @@ struct UnknownIndices {
 struct IntensityJacobianRow {
     std::array<std::pair<Eigen::Index, double>, 5> by;
     std::size_t n = 0;
-    /// `by_albedo`: derivative by the albedo of the surface. `error`: measured minus
-    /// expected intensity.
+    /// `by_albedo`: derivative of the expected intensity with respect to the albedo of
+    /// the surface. `error`: measured minus expected intensity.
     double by_albedo, error;
     void append_derivative_by_unknown(Eigen::Index unknown_index, double derivative) {
         by[n++] = {unknown_index, derivative};
@@ -181,8 +182,9 @@ struct NormalEquations {
 /// threads write to neighbouring elements.
 struct alignas(64) Sums {
     NormalEquations system;
-    // [unknowns] entries of the normal matrix that couple each unknown with the albedo of
-    // the current grid cell; zero before each cell
+    // [unknowns] entry of the normal matrix in the row of the unknown and in the column
+    // of the albedo of the current grid cell. All entries are reset to zero after each
+    // cell.
     std::vector<double> coupling;
     std::vector<Eigen::Index> touched;  // unknowns with a nonzero entry in `coupling`
     double sum = 0.0, squares = 0.0;    // sum and sum of squares of the expected intensities
@@ -242,8 +244,9 @@ void add_intensity_priors_to_equations(NormalEquations& equations, const Intensi
     };
     const double prior =
         kResponsePrior * (equations.mean * equations.mean + equations.spread * equations.spread);
-    // Smooths the intensity factor over range. If few returns are near a sampled range,
-    // its factor is pulled to the line through the two neighbouring factors.
+    // Smooths the intensity factor over range. If few returns are near range kKnots_m[k],
+    // its factor moves towards the straight line between the factors at the previous and
+    // the next range.
     for (std::size_t k = 1; unknown_indices.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),

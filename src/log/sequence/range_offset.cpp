@@ -113,8 +113,9 @@ std::optional<CellPlane> fit_plane_to_returns(std::span<const UncorrectedReturn>
     return CellPlane{about + fit.mean, fit.axes[0]};
 }
 
-/// Least-squares sums of one beam, whose range offset is sum / weight: `weight` adds c^2
-/// and `sum` adds c d. c: cosine of incidence, d: uncorrected distance from a plane.
+/// Least-squares sums of one beam, whose range offset is sum / weight. `weight` is the
+/// sum of c * c and `sum` is the sum of c * d over its returns. c: cosine of incidence.
+/// d: distance of the uncorrected return from a plane.
 struct BeamOffsetSums {
     double weight = 0.0;
     double sum = 0.0;
@@ -136,8 +137,9 @@ struct BeamResiduals {
         ++n;
         squares += residual * residual;
         fits[uncorrected_return.beam].weight += facing * facing;
-        // Uses the distance of the uncorrected point, so that the prior pulls the full
-        // range offset to zero, and not only its change.
+        // A prior pulls the range offset of a beam to zero. If `sum` contained the
+        // corrected distance `residual`, the prior would pull only the change of the
+        // offset to zero. So the correction is removed here.
         fits[uncorrected_return.beam].sum +=
             facing * (residual + beam_offsets_m[uncorrected_return.beam] * facing);
     }
@@ -152,8 +154,8 @@ struct BeamResiduals {
     }
 };
 
-/// Fits a plane in each cell with the current range offsets of the beams. Sums the
-/// distances of the returns from the planes by beam, in a fixed order.
+/// Fits a plane in each cell, to points that are corrected by the current range offsets.
+/// For each beam, sums the distances of its returns from the planes, in a fixed order.
 BeamResiduals sum_plane_residuals_by_beam(const ReturnsByCell& cells,
                                           const std::vector<double>& beam_offsets_m) {
     constexpr std::size_t kBlock = 2048;
@@ -174,7 +176,8 @@ BeamResiduals sum_plane_residuals_by_beam(const ReturnsByCell& cells,
 }
 
 /// Improves the range offsets of all beams by one iteration.
-/// @return before the iteration: number of returns on planes, mean squared distance
+/// @return number of returns on planes and their mean squared distance from the planes,
+/// both before the iteration
 std::pair<std::size_t, double> refine_beam_range_offsets_once(const ReturnsByCell& cells,
                                                               std::vector<double>& beam_offsets_m) {
     const BeamResiduals r = sum_plane_residuals_by_beam(cells, beam_offsets_m);

@@ -293,8 +293,9 @@ struct HeadRotation {
 }  // namespace
 
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningSensor& sensor) {
-    // Each ray predicts the azimuth of the head at time 0. The rays come from one
-    // rotating head if the mean of these unit vectors is at least this long.
+    // Each ray gives an estimate of the head's azimuth at time 0, as a unit vector. If
+    // the mean of these vectors is shorter than this, the rays do not come from one
+    // rotating head.
     constexpr double kTogether = 0.9;
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
@@ -325,7 +326,8 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& li
     const double period_s = lidar.get_sweep_period_s();
     if (!(period_s > 0.0) || rays.size() == 0) return {};
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
-    // In a motion-compensated scan, all rays have the same time, so the start is unknown.
+    // In a motion-compensated scan, all rays have the same time. So the time at which the
+    // sweep starts is unknown.
     if (first == last) return {};
     const double first_s = double(first);
     if (std::abs(first_s + 0.5 * period_s) < kUsual * period_s) return {};

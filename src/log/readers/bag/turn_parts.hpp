@@ -29,8 +29,8 @@ struct RevolutionPart {
 };
 
 struct JoinedRevolutions {
-    /// Clouds that were joined to each revolution, sorted by time. Empty if no clouds
-    /// need to be joined.
+    /// One list for each full revolution: the partial clouds that form it, sorted by
+    /// time. Empty if no clouds need to be joined.
     std::vector<std::vector<RevolutionPart>> revolutions;
     std::size_t n_left_out = 0;  ///< parts of incomplete revolutions
     std::string about;

@@ -27,14 +27,16 @@ constexpr std::size_t kPoseNumbers = 12;
 constexpr std::size_t kFirstAngle = 6;
 constexpr double kMicrosecond = 1e-6;
 constexpr double kMostGap_s = 0.5;  // maximum time between two poses; the dataset has one pose per scan
-// Another convention for roll, pitch and yaw is used if it increases the mean forward
-// component of the motion by more than this.
+// Another convention for roll, pitch and yaw is preferred if it increases the score of
+// forward motion by more than this. The score is 1 if the vehicle always drives exactly
+// forward.
 constexpr double kClearlyForward = 0.05;
-// Another convention for roll, pitch and yaw is also used if it reduces the standard
-// deviation of the vertical motion below this ratio.
+// Another convention for roll, pitch and yaw with a similar score is preferred if the
+// vehicle then moves less up and down. Upper limit for the ratio of the standard
+// deviations of this vertical motion, new / old.
 constexpr double kClearlyLevel = 0.7;
-// Minimum number of motions between poses for comparing their vertical components. Each
-// motion is at least one metre long.
+// Minimum number of steps (position changes of at least one metre) in a pose file. With
+// fewer steps, the vertical motions under two angle conventions are not compared.
 constexpr std::size_t kFewestSteps = 50;
 constexpr double kBrightest = 255.0;
 

@@ -62,9 +62,10 @@ std::complex<double> compute_mean_tick_phasor(const BeamPolarPoints& polar, doub
     return n > 0 ? sum / static_cast<double>(n) : sum;
 }
 
-/// How the azimuths of one beam fit the ticks of the encoder that measures the head
-/// angle. left_m: distance of the beam from the spin axis. phase_rad: azimuth offset of
-/// the beam. concentration: 1 is a perfect fit.
+/// Fit of the point azimuths of one beam to a regular grid of head azimuths (ticks):
+/// azimuth = tick + phase_rad + left_m / distance of the point. left_m: distance of the
+/// beam from the spin axis, positive to the left. concentration: quality of the fit; 1 is
+/// perfect.
 struct TickGridPhase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
@@ -171,10 +172,10 @@ EncoderTicksByBeam compute_encoder_ticks_per_beam(const ScanWithRings& scan,
     return ticks;
 }
 
-/// Returns for each scan and tick of the head's encoder: true if at least `min_beams`
-/// beams have a return there.
-/// @param tick_shift_of_each_beam  [beams] azimuth offset of each beam in ticks, which is
-/// subtracted
+/// Returns a flag for each scan and each tick (step) of the head's encoder. The flag is
+/// true if at least `min_beams` beams have a return at the tick.
+/// @param tick_shift_of_each_beam  [beams] azimuth offset of each beam in ticks; it is
+/// subtracted from the ticks of the beam's returns
 std::vector<std::vector<char>> flag_ticks_with_returns_of_min_beams(
     const std::vector<EncoderTicksByBeam>& ticks_of_scans, const std::vector<int>& tick_shift_of_each_beam,
     int n_ticks, int min_beams) {
@@ -235,8 +236,9 @@ std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBe
     }
     std::vector<int> shift(kRings, 0);
     auto pattern = flag_ticks_with_returns_of_min_beams(reference, shift, n_ticks, 1);
-    // Compares each beam first with the beam that has the most points, then with all
-    // beams, shifted by the result of the first pass.
+    // The first pass aligns each beam in azimuth with the beam that has the most points.
+    // The second pass aligns it with all beams, which are shifted by the result of the
+    // first pass.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] =
@@ -268,8 +270,9 @@ std::vector<Beam> BeamFiringGrid::make_beams_with_elevations_of_cones(const Beam
 }
 
 BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& scans) {
-    // Minimum quality of the fit of the azimuths to the encoder ticks. 1 is a perfect
-    // fit, and 0 means that the azimuths are not on ticks.
+    // Minimum quality (concentration) of the fit of the point azimuths to the steps
+    // (ticks) of the head's encoder. It is 1 if all azimuths are exactly on ticks, and 0
+    // if they are unrelated to the ticks.
     constexpr double kMinConcentration = 0.8;
     const std::array<BeamPolarPoints, kRings> polar = collect_far_points_as_polar_by_ring(scans);
     BeamFiringGrid lattice;

@@ -21,16 +21,17 @@ namespace relidar::kitti {
 /// of each beam from the head.
 struct BeamFiringGrid {
     EncoderTickGrid head;
-    /// True if the azimuths do not show the steps of the head's encoder. The sensor is
-    /// then assumed to fire at every step of `head`.
+    /// True if the point azimuths do not fit the steps (ticks) of the head's encoder.
+    /// `head` then has equal steps, and the sensor is assumed to fire at each of them.
     bool every_tick = false;
     /// azimuth of each beam relative to the head; the mean of all beams is 0
     std::array<double, kRings> offset_rad{};
     /// distance of each beam from the spin axis, positive to the left
     std::array<double, kRings> left_m{};
 
-    /// Returns the beams of the sensor. Elevations and heights are from the cones on
-    /// which the points of each beam are. Azimuth and lateral offsets are from this grid.
+    /// Returns the beams of the sensor. A rotating beam sweeps a cone; `cones` were
+    /// fitted to the points and give the elevations and heights. Azimuth and lateral
+    /// offsets are from this grid.
     std::vector<Beam> make_beams_with_elevations_of_cones(const BeamCones& cones) const;
 };
 

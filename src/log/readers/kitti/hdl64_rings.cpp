@@ -37,8 +37,9 @@ BeamCone fit_line_to_inliers(const std::vector<RhoHeightSample>& samples, const 
         n += 1, sr += s.rho_m, sz += s.z_m, srr += s.rho_m * s.rho_m, srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
-    // Points at similar distances do not determine the slope of the line. Coordinates are
-    // rounded to 0.3 mm. This limit keeps the error of the slope below 5e-5.
+    // The slope is inaccurate if all points have similar distances rho. Rounding causes
+    // coordinate errors of 0.3 mm. The slope error stays below 5e-5 if spread / n, the
+    // sum of squared deviations of rho from its mean, is at least 36 m^2.
     if (n < 16 || spread < 36.0 * n) return {};
     const double slope = (n * srz - sr * sz) / spread;
     return {(sz - slope * sr) / n, slope, static_cast<std::size_t>(n)};
@@ -58,8 +59,9 @@ BeamCone fit_beam_cone_robustly(const std::vector<RhoHeightSample>& samples) {
     return cone;
 }
 
-/// Heights of 32 lasers that are mounted together, as a linear function of
-/// tan(elevation): z0 = mean_z0 + slope * (tan_elevation - mean_tan).
+/// Heights at which the 32 beams of one laser block cross the spin axis, in metres:
+/// z0 = mean_z0 + slope * (tan_elevation - mean_tan). The means are over those beams of
+/// the block that could be fitted.
 struct LaserHeightFit {
     double mean_tan = 0.0, mean_z0 = 0.0, slope = 0.0;
     double compute_height_m(double tan_elevation) const {
@@ -83,9 +85,9 @@ LaserHeightFit fit_height_to_slope_of_laser_block(const BeamCones& cones,
     return line;
 }
 
-/// Returns the median of tan(elevation) over the points of a beam. Used if the points
-/// have too similar distances for a line fit. `height_of_block` gives the height of the
-/// laser.
+/// Returns the median of tan(elevation) over the points of one beam. Used if all points
+/// have similar distances, so that no line can be fitted to them. `height_of_block` gives
+/// the beam's height; it was fitted to other beams of the same block of 32 lasers.
 double estimate_tan_elevation_at_known_height(const std::vector<RhoHeightSample>& samples,
                                               const LaserHeightFit& height_of_block,
                                               double initial_tan_elevation) {

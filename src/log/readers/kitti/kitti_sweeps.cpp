@@ -59,8 +59,8 @@ LidarPoints convert_raw_scan_to_points(const ScanWithRings& raw_scan) {
 /// azimuths increase from 0. So a complete scan ends near 360.
 double get_last_point_azimuth_deg(const ScanWithRings& scan) {
     if (scan.points.empty()) return 0.0;
-    // If a scan has more than 64 rings, a stray point after the last ring counts as a
-    // ring. So the scan is complete.
+    // A complete scan has 64 rings. If there are more, a stray point after the last ring
+    // was counted as the start of another ring. So the scan is complete.
     if (scan.n_rings > kRings) return 360.0;
     const double azimuth =
         std::atan2(double(scan.points.back().y), double(scan.points.back().x)) * 180.0 / kPi;
@@ -137,8 +137,8 @@ private:
 std::string scale_byte_intensities_and_get_note(std::vector<ScanWithRings>& raw_scans,
                                                 const std::string& folder_name) {
     constexpr float kBytes = 255.0f;
-    // Fractional intensities up to this value are rejected, because they could be
-    // percentages.
+    // Intensities that are not whole numbers are rejected if the largest is above 1 and
+    // at most this value, because they could be percentages.
     constexpr float kPercent = 100.0f;
     float lowest = 0.0f, highest = 0.0f;
     bool are_integers = true;

@@ -29,11 +29,12 @@ constexpr double kMostGap_s = 0.5;
 // Nearer points are not used to identify beams by elevation. A beam starts about a
 // centimetre from the spin axis, which changes the elevation of near points.
 constexpr double kLeastRange_m = 2.0;
-// Maximum standard deviation of the elevations of one beam. It is larger if the points
-// are not sorted as expected.
+// Maximum standard deviation of the elevations of one beam. If the measured deviation is
+// larger, the points are not sorted by column or by beam.
 constexpr double kMostSpread_rad = kPi / 180.0;
-// Minimum forward component of the vehicle's mean unit motion vector. A smaller value
-// means that the poses are wrong.
+// Minimum x component (forward) of the vehicle's mean driving direction, which is a mean
+// of unit vectors. If the x component is smaller, the poses are wrong, and the user gets
+// a note.
 constexpr double kForward = 0.9;
 
 /// Published pose of the LiDAR on the vehicle: position in metres; roll, pitch and yaw in

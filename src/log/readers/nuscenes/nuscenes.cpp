@@ -38,14 +38,15 @@ constexpr double kLyftRevolution_s = 0.1;
 // by more than this, a note is added for the user.
 constexpr double kStampsApart_s = 1e-3;
 
-/// Format of a dataset with the tables of nuScenes. The extension of the LiDAR files
-/// shows the format.
+/// One dataset format that uses the JSON tables of nuScenes. `ending` is the extension of
+/// its LiDAR files. Except for T4, the reader detects the format by this extension.
 struct NuscenesVariant {
     const char* ending;
     const char* dataset;
     const char* conventions;  ///< conventions of the dataset, except units and vehicle axes
-    /// True if all points of a file were moved to the end of the revolution (motion
-    /// compensation). Such a file has the columns of one HDL-32E revolution.
+    /// True if the dataset has moved all points of a file to the end of the revolution
+    /// (motion compensation). Such a file contains one revolution of an HDL-32E, column
+    /// by column.
     bool is_compensated;
     bool has_times;  ///< true: points have times
 };
@@ -333,7 +334,8 @@ private:
         return files;
     }
 
-    /// Reads the scans of all formats except nuScenes itself (T4, TruckScenes, Lyft).
+    /// Reads the scans of T4, TruckScenes and Lyft datasets. For nuScenes itself,
+    /// read_hdl32e_sweeps() reads the scans.
     void read_scans_of_point_files() {
         std::vector<fs::path> files;
         for (const FrameSweepRecord& frame : frames_) files.push_back(get_file_of_sweep(*frame.record));

@@ -52,9 +52,10 @@ struct MovingStreetActor {
     PoseTrack track;
 
     Pose compute_world_from_box(double time_s) const;
-    /// Returns the distance in metres that a person has walked at a time, for swinging
-    /// arms and legs. Without a track, it is 0 at time 0. With a track, it starts at the
-    /// distance from start_m to the first pose.
+    /// Returns the distance in metres that a person has walked until `time_s`. It
+    /// controls the swing of arms and legs. Without a track, the distance is 0 at time 0.
+    /// With a track, its value at the first pose is how far this pose is ahead of
+    /// start_m.
     double compute_walked_distance_m(double time_s) const;
 };
 

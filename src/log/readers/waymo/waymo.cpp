@@ -262,7 +262,8 @@ private:
     /// [columns] transform from the world of the log to the sensor when the column fires
     std::vector<Pose> sensor_from_world_;
 
-    /// Reads the class of each pixel. A label consists of an instance and a class.
+    /// Sets the class of each ray that has a return. The label image has one pixel per
+    /// ray, with two values: object instance and class.
     void read_point_classes(std::string_view compressed_labels) {
         const DecompressedImage labels = inflate_image_of_scan_size(compressed_labels, 2, PixelType::integer);
         scan.classes.assign(scan.rays.size(), SurfaceClass::unknown);
@@ -303,9 +304,9 @@ private:
         }
     }
 
-    /// Transforms a ray from the true sensor frame to the sensor frame that the log
-    /// interpolates between frames. `world_from_vehicle` is the true pose, which the
-    /// dataset stores.
+    /// Changes a ray in the sensor frame, so that the log's interpolated pose gives the
+    /// correct ray in the world. `world_from_vehicle` is the true vehicle pose for this
+    /// ray, which the dataset stores.
     void correct_ray_for_given_vehicle_pose(std::size_t ray_index, const Pose& world_from_vehicle) {
         const Pose moved = sensor_from_world_[ray_index % std::size_t(scan.rays.columns)] *
                            (world_from_vehicle * lidar_.vehicle_from_sensor);

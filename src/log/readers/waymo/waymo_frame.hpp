@@ -33,8 +33,8 @@ struct CompressedLidarImages {
     /// Compressed image with a vehicle pose for each pixel of `first`, the image of first
     /// returns. Empty if all pixels have the same pose.
     std::string_view pixel_pose;
-    /// Compressed image with the object instance and class of each pixel of `first`.
-    /// Empty if the frame has no point labels.
+    /// Compressed image with the object instance and the class of each pixel of `first`,
+    /// the image of first returns. Empty if the frame has no point labels.
     std::string_view labels;
 };
 
@@ -43,8 +43,8 @@ struct WaymoFrameRecord {
     Pose world_from_vehicle;                    ///< vehicle pose at about the middle of the sweep
     std::vector<WaymoLidarCalibration> lasers;  ///< sorted by LaserName
     std::vector<CompressedLidarImages> images;  ///< sorted by LaserName
-    /// Box labels of vehicles, pedestrians and cyclists in the vehicle frame, without
-    /// times.
+    /// Labelled boxes of vehicles, pedestrians and cyclists. `world_from_box` contains
+    /// the pose in the vehicle frame, and `time_s` is not set.
     std::vector<BoxLabel> labels;
 };
 /// Parses one record of a .tfrecord file.
