@@ -39,8 +39,9 @@ std::vector<ItemIndicesByPart> partition_item_indices_by_key_hash(
 ItemCellIndices number_cells_and_assign_items(std::span<const std::uint64_t> cell_key_per_item) {
     const std::vector<ItemIndicesByPart> blocks = partition_item_indices_by_key_hash(cell_key_per_item);
     ItemCellIndices numbers{std::vector<std::uint32_t>(cell_key_per_item.size()), 0};
-    // At first, this array holds, for each item, the index of the first item in the same
-    // cell. At the end, these indices are replaced by the numbers of the cells.
+    // `first` refers to the result array `numbers.of`. The first loop stores, for each
+    // item, the index of the first item in the same cell. The last loop replaces these
+    // indices by cell numbers.
     std::vector<std::uint32_t>& first = numbers.of;
     parallel_for(kParts, [&](int part) {
         std::unordered_map<std::uint64_t, std::uint32_t> table;

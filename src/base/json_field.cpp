@@ -150,7 +150,8 @@ nlohmann::json parse_json(const std::string& text, const std::string& file_name)
         std::string why = error.what();
         if (const std::size_t bracket = why.find("] "); bracket != std::string::npos)
             why.erase(0, bracket + 2);
-        // Removes the end of the message. It quotes the file and can be very long.
+        // Removes the text from "; last read" to the end, because this text quotes the
+        // file and can be very long.
         why = why.substr(0, why.find("; last read"));
         for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
         throw DataError(

@@ -44,8 +44,8 @@ bool contains_ignoring_case(std::string_view text, std::string_view substring) {
                                                 is_same_letter_ignoring_case) != text.end();
 }
 
-/// Returns true if two names are similar: at most two of five letters differ, or one name
-/// contains the other.
+/// Returns true if one name contains the other, or if few letters differ. The edit
+/// distance may be at most 2/5 of the length of the longer name.
 bool is_similar_name(std::string_view query, std::string_view name) {
     const std::size_t most = std::max<std::size_t>(1, 2 * std::max(query.size(), name.size()) / 5);
     return compute_edit_distance(query, name) <= most || contains_ignoring_case(query, name) ||

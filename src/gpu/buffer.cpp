@@ -164,9 +164,10 @@ VkResult Device::Impl::bind_memory_to_sparse_buffer(
 
 Buffer::Impl::~Impl() {
     if (!handle) return;
-    // Usually the owner of a buffer has waited for the commands that use the buffer. An
-    // exception skips this wait, so the destructor waits for submitted commands here. A
-    // stream may also have recorded commands and submit them later. Then the buffer is
+    // Usually, the owner waits for the commands that use a buffer before it destroys the
+    // buffer. An exception skips this wait, so the destructor waits for submitted
+    // commands here. Commands that a stream has only recorded may be submitted later.
+    // While a stream is recording, the buffer is therefore put into `orphans`, which is
     // freed later.
     if (std::uncaught_exceptions() > 0) {
         const std::lock_guard lock(device->orphans_mutex);

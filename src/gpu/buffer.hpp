@@ -29,8 +29,8 @@ struct Buffer::Impl {
     Impl& operator=(const Impl&) = delete;
 
 private:
-    /// Allocates the memory of the buffer. The first function allocates one piece, the
-    /// second function pieces of at most `max_piece_bytes`.
+    /// These two functions allocate the memory of the buffer: the first as one piece, the
+    /// second (sparse binding) as pieces of at most `max_piece_bytes`.
     VkResult allocate_and_bind_memory(const VkMemoryRequirements& requirements);
     VkResult allocate_and_bind_sparse_memory(const VkMemoryRequirements& requirements,
                                              std::uint64_t max_piece_bytes);

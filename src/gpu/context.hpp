@@ -168,7 +168,8 @@ struct Device::Impl {
     gpu::LaunchTimeLimit launch_limit;
     std::mutex queue_mutex;
     /// Layout of all compute pipelines. The push constants are two device addresses: the
-    /// address of the parameter struct and the address of `nothing`.
+    /// address of the parameter struct, and the address of the buffer `nothing` (see
+    /// below).
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;
     /// Buffer of zeros. If a kernel launch leaves out an array, the kernel gets the
     /// address of this buffer instead.

@@ -25,8 +25,8 @@ struct ForcedBehaviour {
     std::optional<int> side_by_side = std::nullopt;
 };
 
-/// While an object of this class exists, all objects that are created on the device have
-/// the given behaviour. Used by tests.
+/// Used by tests. While an object of this class exists, new objects on the device use
+/// `forced_behaviour` instead of the device's defaults.
 class ForcedBehaviourScope {
 public:
     ForcedBehaviourScope(Device& device, const ForcedBehaviour& forced_behaviour);

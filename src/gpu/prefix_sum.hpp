@@ -31,8 +31,9 @@ public:
 
 private:
     Kernel<shared::ScanParams> sums_, write_;
-    /// Sums of tiles, one array per level. On level 0, a tile consists of counts. On each
-    /// higher level, it consists of tiles of the level below.
+    /// Sums of tiles, one array per level. A tile is a group of consecutive numbers. On
+    /// level 0, these are the input numbers. On each higher level, they are the sums of
+    /// the level below.
     std::vector<Array<std::uint32_t, shared::ScanTileSums>> levels_;
 
     void record_scan_of_one_level(Stream& stream, shared::ScanParams level_0_params, std::size_t level) const;

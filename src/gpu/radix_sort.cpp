@@ -14,8 +14,9 @@
 namespace relidar {
 namespace {
 
-// Number of threads of the kernel that sums the counts of each digit. They form 128 to
-// 2048 subgroups for 256 digits.
+// Number of threads of kernel gpu/radix_scan, in which one subgroup processes one of 256
+// digit values at a time. With 4 to 64 lanes per subgroup, there are 2048 to 128
+// subgroups.
 constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;
 
 }  // namespace

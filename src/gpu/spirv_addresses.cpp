@@ -22,13 +22,14 @@ public:
 
     std::uint32_t get_parameter_block_type_id() const { return block_; }
 
-    /// Finds all device addresses in a value of a type. Appends their byte offsets.
-    /// @param value_offset_bytes byte offset of the value
+    /// Finds all device addresses inside a value of type `type_id`. Appends their byte
+    /// offsets to `address_offsets`.
+    /// @param value_offset_bytes byte offset of the value, which is added to each offset
     void append_device_address_offsets(std::uint32_t type_id, std::uint32_t value_offset_bytes,
                                        std::vector<std::uint32_t>& address_offsets) const {
         const auto type_entry = types_.find(type_id);
-        // Numbers and vectors contain no address, so the map has no entry for their
-        // types.
+        // `types_` contains only pointers, arrays and structs. Other types (numbers and
+        // vectors) cannot contain a device address.
         if (type_entry == types_.end()) return;
         const SpirvInstruction t = type_entry->second;
         switch (t[0] & 0xffffu) {

@@ -145,10 +145,11 @@ public:
         });
     }
 
-    /// Returns true if the branch from block `source_block` to block `successor_block`
-    /// can be removed. Blocks that can be reached only through this branch become
-    /// unreachable. They must not be predecessors in a phi instruction, and must not end
-    /// or continue an enclosing loop.
+    /// Returns true if the branch from `source_block` to `successor_block` can be
+    /// removed. If it leads directly to the merge block, the merge block must not have a
+    /// phi instruction. Otherwise, the blocks behind the branch become unreachable. They
+    /// must not lead back to `source_block`, and must not end or continue a loop that
+    /// starts before them.
     /// @param merge_block block in which both paths of the branch join
     bool can_remove_branch_to_successor(std::uint32_t source_block, std::uint32_t successor_block,
                                         std::uint32_t merge_block) const {

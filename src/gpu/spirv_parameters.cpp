@@ -60,7 +60,8 @@ struct SpirvModule {
     std::map<std::uint32_t, SpirvWords> types;         ///< Types by id.
     std::map<std::uint32_t, std::uint32_t> constants;  ///< 32-bit integer constants by id.
     std::set<std::uint32_t> addresses;  ///< Ids that contain the address of the parameter block.
-    /// Map from the id of a pointer to the parameter to which it points.
+    /// Member indices of parameters. The key is the id of an OpAccessChain instruction,
+    /// whose result is a pointer to this parameter.
     std::map<std::uint32_t, MemberPath> parameter_paths;
 
     explicit SpirvModule(std::span<const std::uint32_t> words) : bound(words[3]) {
@@ -110,8 +111,8 @@ class ParameterLoadHoister {
 public:
     explicit ParameterLoadHoister(const SpirvModule& module) : module_(module), next_(module.bound) {}
 
-    /// Returns true if the edit supports parameters of this type: numbers, vectors,
-    /// addresses and structs of these.
+    /// Returns true if a private variable can replace parameters of this type. This is
+    /// possible for numbers, vectors, addresses and structs of these.
     bool can_store_in_private_variable(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
         if ((t[0] & 0xffffu) != kTypeStruct) return get_nonstruct_alignment_bytes(type_id).has_value();

@@ -25,8 +25,9 @@ std::string& get_injected_fault_names() {
     return faults;
 }
 
-/// Test results of devices that could not be stored in a file. The key consists of the
-/// device, the driver and the faults that a test has injected.
+/// Test results of devices, kept in memory because they could not be written to a file.
+/// The map key consists of the device, the driver and the faults that a test of relidar
+/// has injected.
 struct UnsavedTestResults {
     std::mutex mutex;
     std::map<std::string, DeviceTestResults> by_device;

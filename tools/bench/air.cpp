@@ -107,9 +107,9 @@ struct AirPointCounts {
     std::size_t points = 0, in_air = 0, far_out = 0, at_another_range = 0;
 
     /// Counts the points of a scan, and how many of them float in empty space.
-    /// @param simulated_ranges  simulated and true ranges of the rays
-    /// @param rendered_scan  the same scan; its drop probabilities select the rays with a
-    /// return
+    /// @param simulated_ranges  simulated and true ranges of the rays of `rendered_scan`
+    /// @param rendered_scan  its drop probabilities decide which rays have a return; only
+    /// these rays are counted
     void add_counts_of_points_in_air(const StreetScanSetup& street_scan,
                                      const SimulatedRayRanges& simulated_ranges,
                                      const RenderedScan& rendered_scan) {

@@ -106,8 +106,8 @@ py::dict run_forward_pass(PythonDifferentiableRenderer& renderer, const py::obje
     return dict;
 }
 
-// RELIDAR_NAME lists the names of the rendered values for error messages and help.
-// RELIDAR_MEANING also lists their meanings.
+// RELIDAR_IMAGE_VALUES() calls these macros once for each rendered value, and joins the
+// texts for error messages and help: names only, or names with meanings.
 #define RELIDAR_NAME(name, built, value, input, slope, meaning) #name ", "
 #define RELIDAR_MEANING(name, built, value, input, slope, meaning) #name " (" meaning "), "
 

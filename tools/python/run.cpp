@@ -56,8 +56,8 @@ PoseTrack get_recorded_track_in_dataset_frame(const LidarSequence& sequence, int
 /// @throws UsageError if the time is more than `tolerance_s` before or after the track
 void require_time_within_track(const PoseTrack& track, double time_s, double tolerance_s,
                                const std::string& name_for_errors) {
-    // A single pose is valid at all times. If the time is not finite, the renderer
-    // reports the error.
+    // Accepts all times if the track has only one pose, because this pose is valid at all
+    // times. Also accepts times that are not finite, because the renderer reports them.
     if (track.pose.size() < 2 || !std::isfinite(time_s)) return;
     const double begin_s = track.time_s.front() - tolerance_s, end_s = track.time_s.back() + tolerance_s;
     if (time_s < begin_s || time_s > end_s)

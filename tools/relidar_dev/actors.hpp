@@ -11,8 +11,8 @@
 
 namespace relidar::cli {
 
-/// Times of a scene with `n_actors` copies of an actor, each with kActorSurfels surfels.
-/// The sensor has 64 x 1024 rays.
+/// Results of a benchmark: times and memory for a scene with `n_actors` copies of an
+/// actor. Each copy has kActorSurfels surfels. The sensor has 64 x 1024 rays.
 struct ActorBenchTimes {
     int n_actors = 0;
     /// If true, each actor has its own model. If false, all actors share one model.

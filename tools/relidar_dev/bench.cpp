@@ -147,8 +147,8 @@ void add_training_benchmark_options(CLI::App& command, BenchCaseOptions& bench_c
                      "add gradients in a fixed order instead of with atomic operations");
 }
 
-/// Adds options that select measurements of complete scans: scans with many actors, scans
-/// of a run, or scans of a service.
+/// Adds options that select another benchmark: a scene with many actors, complete scans
+/// of a run, training steps of a run, or calls of a running server.
 void add_scan_benchmark_options(CLI::App& command, BenchOptions& options) {
     command
         .add_option("--actors", options.actors,

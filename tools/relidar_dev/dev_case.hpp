@@ -34,8 +34,8 @@ struct DevCase : BenchCase {
     ProxyShape proxy = ProxyShape::automatic;
     BvhTraversalMode traversal_mode = BvhTraversalMode::automatic;
     HitSortMethod order = HitSortMethod::automatic;
-    /// If true, more hits per ray are stored than config.trace.keep_hits if many rays
-    /// need it, as in training.
+    /// If true and many rays have more than config.trace.keep_hits hits, the forward pass
+    /// stores more hits per ray. Training does the same.
     bool keeps_more_hits = true;
 };
 

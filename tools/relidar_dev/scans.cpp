@@ -24,8 +24,8 @@ constexpr int kMostInOneGo = 1'000'000;
 // device can render the next group while a finished group is read.
 constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;
 
-/// Returns requests for scans along the path of the log. With several sensors, uses one
-/// sensor after the other.
+/// Makes scan requests at evenly spaced times along the recorded path of the log's LiDAR.
+/// If a rig has several sensors, consecutive requests use one sensor after the other.
 class LogPathRequests {
 public:
     LogPathRequests(const TrainedRun& run, const ScanBenchOptions& bench) {

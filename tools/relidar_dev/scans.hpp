@@ -17,8 +17,8 @@ struct ScanBenchOptions {
     /// Run folder and sensor. The sensor is a name of `relidar list sensors` or the path
     /// of a rig file. If the sensor is empty, the sensor of the log is used.
     std::string run, sensor;
-    /// Number of scans that are submitted together. 0 means one scan, or one scan of each
-    /// sensor of a rig.
+    /// Number of scans that are submitted to the device together. 0 selects the default:
+    /// one scan, or for a rig, one scan of each of its sensors.
     int together = 0;
     /// If true, ray drops and noise are random. If false, the most likely scan is
     /// computed.

@@ -9,8 +9,9 @@
 namespace relidar::serve {
 namespace {
 
-/// Interval at which a waiting call checks whether its client has cancelled it. The
-/// render thread checks this again before it submits the request.
+/// While a call waits in the queue, it checks at this interval whether its client has
+/// cancelled it. The render thread checks again before it submits the request to the
+/// device.
 constexpr std::chrono::milliseconds kPoll{10};
 
 class FunctionRequest final : public QueuedRequest {
@@ -103,11 +104,11 @@ QueuedRequest* RenderQueue::take_next_request(const std::optional<std::size_t>& 
     return nullptr;
 }
 
-/// Submits a request to the device, or waits for the device and stores the response. A
-/// request with a scene is done after the second step, other requests after the first. A
-/// failed request is done immediately.
-/// @param is_last_of_batch argument of submit_to_device(); without a value, waits for the
-/// device
+/// Executes one step of a request: submits it to the device, or waits for the device and
+/// stores the response. A request with a scene needs both steps, other requests only the
+/// first. A failed request is done immediately.
+/// @param is_last_of_batch with a value, the request is submitted with this argument of
+/// submit_to_device(); without a value, waits for the device
 void RenderQueue::submit_request_or_store_response(QueuedRequest& request,
                                                    std::optional<bool> is_last_of_batch,
                                                    std::unique_lock<std::mutex>& lock) {

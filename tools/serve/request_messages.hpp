@@ -47,7 +47,7 @@ struct RenderRequest {
     std::size_t scene = 0;  ///< Index of the scene in the list of runs.
     std::shared_ptr<const SimulatedSensor> sensor;
     ScanRequest request;
-    /// Actors that are visible in the scan, in the order of the request.
+    /// Actors that are visible in the scan, in the order in which the client listed them.
     std::vector<VisibleActor> placed;
     std::optional<std::uint64_t> sample;
     /// Weather to simulate. Without a value, the renderer uses the weather with which the
@@ -68,7 +68,7 @@ public:
     /// @param scenes only its thread-safe members are called
     explicit RequestReader(SceneSet& scenes);
     /// Creates a reader that needs no device.
-    /// @param outlines runs without surfels, one per scene
+    /// @param outlines the run of each scene, without its surfels
     RequestReader(const std::vector<TrainedRun>& outlines, const std::vector<SceneSource>& sources,
                   const AssetCatalogue& assets, const SpawnedActorRegistry& spawned);
 
@@ -121,8 +121,8 @@ private:
                                                                 std::size_t scene_index, int lidar_index);
     std::vector<VisibleActor> list_actors_of_scene(std::size_t scene_index) const;
     /// Reads a scan request for one sensor.
-    /// @param rig_from_sensor pose of the sensor on its rig; without a value, the path
-    /// in the request is the path of the sensor itself
+    /// @param rig_from_sensor pose of the sensor on its rig; `message` then has the path
+    /// of the rig. Without a value, `message` has the path of the sensor
     RenderRequest read_request_of_one_sensor(const v1::RenderLidarRequest& message,
                                              const SensorRequest& sensor_request,
                                              const std::optional<Pose>& rig_from_sensor);

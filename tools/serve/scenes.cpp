@@ -71,8 +71,8 @@ SceneSet::SceneLoadNumber SceneSet::load_scene_and_call_with_renderer(
         renderer.set_weather(weather_or_default.value_or(sources_[scene_index].weather));
         use_renderer(renderer);
     });
-    // Unloads other scenes if memory is exceeded, because rendering may have allocated
-    // larger arrays for a sensor with more rays.
+    // Rendering may have allocated larger arrays, for a sensor with more rays. Unloads
+    // other scenes if all scenes together now need more than `memory_bytes_`.
     unload_scenes_until_memory_suffices(scene_index, 0);
     return loaded_[scene_index].load;
 }

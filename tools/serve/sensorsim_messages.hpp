@@ -23,8 +23,8 @@ namespace sensorsim = nre::grpc::protos::sensorsim;
 /// Reads requests of sensorsim.proto. Several threads may use it at the same time.
 class SensorsimReader {
 public:
-    /// @param outlines runs without surfels, one per scene of `reader`; `outlines` and
-    /// `reader` must outlive this object
+    /// @param outlines the run of each scene of `reader`, without its surfels; `outlines`
+    /// and `reader` must outlive this object
     /// @param order says whether the rotation or the translation of a pose is applied
     /// first
     SensorsimReader(const std::vector<TrainedRun>& outlines, const RequestReader& reader,

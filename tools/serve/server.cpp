@@ -28,8 +28,8 @@ namespace {
 // Maximum size of a request in bytes. The largest request describes a sensor with the
 // maximum number of rays (30 bytes per ray) and needs less.
 constexpr int kLargestRequest = 40 << 20;
-// Number of threads for calls that do not render. Each call that waits in the queue needs
-// one more thread.
+// Number of threads for calls that do not render. In addition, the server has one thread
+// for each call that fits into the render queue.
 constexpr std::size_t kOtherThreads = 32;
 // Interval between keepalive pings. A client that does not answer a ping has vanished.
 constexpr int kKeepalive_ms = 20'000;

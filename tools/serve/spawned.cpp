@@ -14,9 +14,9 @@
 namespace relidar::serve {
 namespace {
 
-// Maximum number of slots (instances for future actors) that are added at the same time.
-// With image.sh_direction=surfel, each unused slot needs memory for a copy of the
-// surfels.
+// Each actor that a client adds needs a slot (an instance of its model). This is the
+// maximum number of slots that are added at the same time. It is small, because with
+// image.sh_direction=surfel even an unused slot needs memory for a copy of the surfels.
 constexpr std::size_t kMaxAddedSlots = 8;
 
 using SpawnedActorSlots = std::vector<ActorToSpawn>;

@@ -81,8 +81,9 @@ void HttpSession::handle_read_result(Error error) {
     if (const std::optional<Status> status = find_status_of_parse_error(error)) send_error_response(*status);
 }
 
-/// Returns the first of Foxglove's subprotocols that a WebSocket handshake requests.
-/// Returns an empty text for other requests, and if the server does not offer them.
+/// Returns the first Foxglove subprotocol that a WebSocket handshake requests. Returns an
+/// empty text if the request is no such handshake, or if this server does not offer
+/// Foxglove.
 std::string_view HttpSession::find_offered_foxglove_protocol(const Request& request) const {
     if (!hub_.events.foxglove_opened || !boost::beast::websocket::is_upgrade(request)) return {};
     for (const auto& requested : http::token_list{request[http::field::sec_websocket_protocol]})
@@ -108,8 +109,9 @@ std::optional<HttpSession::Status> HttpSession::find_error_status_if_not_allowed
     const bool may_be_foreign =
         is_foxglove_client && (is_origin_allowed_for_foxglove(credentials.origin) || knows_token);
     if (request.count(http::field::origin) > 1 || (is_foreign && !may_be_foreign)) return Status::forbidden;
-    // The token must be in the address or in a cookie. Browsers send cookies also for
-    // pages of other local servers, so a foreign page needs the token in the address.
+    // The token must be in the address or in a cookie. A page of another origin
+    // (`is_foreign`) must send it in the address. A cookie is not enough, because
+    // browsers also send it with requests of pages from other local servers.
     if (!token.empty() && !knows_token &&
         (is_foreign || !is_token_in_cookie_header(credentials, token, hub_.cookie_name)))
         return Status::unauthorized;

@@ -31,8 +31,8 @@ namespace relidar::view {
 struct ActorEdits {
     struct ActorCopy {
         std::string of;
-        /// Name of the run with the actor that is copied. Empty if the viewer shows this
-        /// run.
+        /// Name of the run that contains the actor to copy. Empty if the actor is in the
+        /// run that the viewer shows.
         std::string from;
         /// Position x, y, z in relidar's world frame (metres); yaw, pitch and roll
         /// (degrees); forward speed (m/s).

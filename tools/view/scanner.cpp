@@ -34,8 +34,9 @@ std::vector<std::string> list_native_and_built_in_sensor_names() {
     return names;
 }
 
-/// Lists the edits that change the surfels of the scene: run and track of each copied
-/// actor, and track of each moved actor. Edits with the same list can share a renderer.
+/// Lists the edits that change which surfels the scene has: (run, track) of each copied
+/// actor, and (track, "") of each moved actor. Edits with the same list can share a
+/// renderer.
 std::vector<std::pair<std::string, std::string>> list_copied_and_moved_actors(const ActorEdits& edits) {
     std::vector<std::pair<std::string, std::string>> models;
     for (const ActorEdits::ActorCopy& copy : edits.copies) models.emplace_back(copy.from, copy.of);
@@ -278,8 +279,8 @@ RenderedScan BrowserScanRenderer::render_simulated_scan(const EditedTraffic& edi
 }
 
 /// Returns the time in milliseconds of the last launch of each kernel that has run since
-/// the previous call. Also includes kernels whose list of times is full, because this
-/// list cannot grow.
+/// the previous call. The list of launch times grows with each launch, up to kFull
+/// entries. Kernels with a full list are always included.
 Json BrowserScanRenderer::make_kernel_times_json() {
     constexpr std::size_t kFull = 4096;
     Json times = Json::array();

@@ -67,8 +67,8 @@ private:
     /// Copied and moved actors in the scene of the current renderer, as listed by
     /// list_copied_and_moved_actors().
     std::vector<std::pair<std::string, std::string>> rendered_;
-    /// Number of recorded times of each kernel at the previous call of
-    /// make_kernel_times_json().
+    /// Length of each kernel's list of launch times at the previous call of
+    /// make_kernel_times_json(), by name of the kernel.
     std::map<std::string, std::size_t> launches_;
 };
 

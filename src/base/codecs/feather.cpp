@@ -24,8 +24,8 @@ using arrow::ArrowValueKind;
 using Batch = Feather::Batch;
 
 constexpr std::string_view kMagic = "ARROW1";
-// Maximum numbers of rows and of text bytes in a table, both divided by the file size in
-// bytes. The limits prevent huge allocations for a damaged file.
+// Limits per byte of the file: the maximum number of rows of a table, and of text bytes
+// of a column. They prevent huge allocations if the file is damaged.
 constexpr std::size_t kMostRows = 64, kMostText = 1024;
 constexpr std::size_t kPadding = 64;  // Maximum number of padding bytes at the end of a buffer.
 

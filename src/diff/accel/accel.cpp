@@ -91,8 +91,9 @@ void AccelerationStructure::record_bvh_refit_or_build(Stream& stream, const Devi
 void AccelerationStructure::record_refit_of_animated_actor_bvhs(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
     if (!a.built) return record_bvh_refit_or_build(stream, scene);
-    // Does not increase `refits`, which triggers rebuilds: walking repeats the same
-    // shapes, so refits do not degrade the trees of walking actors.
+    // `refits` is not increased here. This counter triggers rebuilds, because refits
+    // usually degrade a tree. A walking actor repeats the same shapes, so its refits do
+    // not degrade the tree.
     a.refit_tree(stream, scene, list_animated_surfel_ranges(scene.get_scene_layout().models));
     ++a.n_updates;
 }

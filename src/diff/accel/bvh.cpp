@@ -69,8 +69,8 @@ std::uint32_t count_top_level_nodes(std::uint32_t n_instances) {
 
 }  // namespace
 
-/// Upper bound of surfel indices. As the last surfel of compute_node_boxes_of_models(),
-/// it selects all models.
+/// Value above all surfel indices. If `last_surfel` has this value,
+/// compute_node_boxes_of_models() processes all models.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
 /// Offsets of the arrays in the scratch memory of a build, in words per surfel. Arrays
@@ -101,7 +101,8 @@ struct Bvh::Impl {
     Array<glm::uvec2, shared::SumsOfTiles> tiles;
     Array<shared::BvhNode> nodes;                   ///< [bound] wide nodes of all models
     Array<std::uint32_t, shared::LeafOrder> order;  ///< [n] surfels in the order of the leaves
-    /// [bound] Two values per tree node: its parent, and the first surfel of its model.
+    /// [bound] (maximum number of tree nodes) two values per node: its parent, and the
+    /// first surfel of its model
     Array<glm::uvec2, shared::WideLinks> links;
     Array<float, shared::WideBoxes> node_boxes;  ///< [bound,6] boxes of the nodes before quantisation
     /// [bound] number of children whose boxes are finished
@@ -246,8 +247,9 @@ SortBuffers Bvh::Impl::sort_surfels_by_morton_code(Stream& stream, const DeviceS
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
-    // Each pass of the radix sort moves the keys to the other buffer. Starts with the
-    // buffer for which the last pass writes buffer 0.
+    // Each pass of the radix sort moves the keys from one of two buffers to the other.
+    // The number of passes decides which buffer is first, so that the sorted keys end in
+    // buffer 0.
     const int first_set = static_cast<int>(RadixSort::count_radix_passes(count_sort_key_bits()) % 2);
     run(stream, keys_kernel, n,
         {.records = scene.get_surfel_records().address(),

@@ -130,8 +130,9 @@ struct RayQueryAccel::Impl {
     const ProxyTriangleMesh& mesh;
     Kernel<shared::ProxyParams> proxies;
     Array<float> geometry;  ///< vertices [n,corners,3] or boxes [n,6]
-    /// [1] maximum distance between a hit on a 3D Gaussian and a corner of the
-    /// icosahedron around it
+    /// [1] in metres, as float bits: maximum distance between a hit on a 3D Gaussian and
+    /// a corner of the icosahedron around it. Ray queries search this much farther than
+    /// the farthest hit.
     Array<std::uint32_t> reach;
     /// Triangle indices for the largest model. Smaller models use the first indices, with
     /// an offset to their first vertex.

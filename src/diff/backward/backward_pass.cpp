@@ -63,8 +63,9 @@ struct BackwardPass::Impl {
         all.push_back({SpecialisationConstantId::GATHER, gathered ? 1u : 0u});
         const bool exchanged = should_exchange_rows_in_shared_memory(device, backward_options, gathered);
         all.push_back({SpecialisationConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
-        // Uses one subgroup per workgroup, because lavapipe (a CPU driver) treats a
-        // subgroup barrier as a barrier of the full workgroup.
+        // If the lanes of a subgroup exchange gradients (`exchanged`), the kernel needs
+        // subgroup barriers. lavapipe (a CPU driver) executes them as barriers of the
+        // full workgroup. Therefore each workgroup has only one subgroup.
         if (exchanged)
             all.push_back({SpecialisationConstantId::WORKGROUP_SIZE,
                            static_cast<std::uint32_t>(device.info().subgroup_size)});

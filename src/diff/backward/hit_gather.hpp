@@ -29,8 +29,8 @@ public:
     /// Sums the gradients of all hits by surfel and adds the sums to the arrays of
     /// `params`.
     void sum_hit_gradients(Stream& stream, const shared::BackwardParams& params);
-    /// Returns [1] on the device: the number of hits of the batch that had the most hits
-    /// so far. The host can reset the number to 0.
+    /// Returns an array with one number on the device: the maximum number of hits in any
+    /// batch so far. The host can reset this number to 0.
     const Array<std::uint32_t>& get_max_hit_count_array() const { return most_hits_; }
     std::uint64_t get_hit_capacity() const { return sort_ ? sort_->capacity() : 0; }
     /// Allocates memory for at least `n_hits` hits. The device must be idle, because the

@@ -43,8 +43,9 @@ public:
     // [n] action of each surfel, in the old order
     Array<std::uint32_t, shared::DensifyActions> action;
     Array<std::uint32_t, shared::GrowthWeights> weight;
-    /// New array index of each surfel. Before these indices are computed, the array holds
-    /// prefix sums of `weight`.
+    /// [n] new array index of each surfel; copies of the surfel get the next indices.
+    /// compute_new_row_indices() also stores prefix sums of `weight` here, before it
+    /// computes the indices.
     Array<std::uint32_t, shared::RowStarts> starts;
     Array<std::uint32_t, shared::RowCounts> n_rows;
 

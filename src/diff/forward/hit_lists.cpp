@@ -94,7 +94,8 @@ shared::HitLists HitListTracer::reserve_hit_lists(Stream& stream, std::size_t n_
     if (n > kMostLists) return {};
     if (has_hit_list_overflowed(stream)) {
         hits_per_list_ = std::min(2 * hits_per_list_, max_hits_per_list_);
-        // Restarts the count of full lists, because the lists now have a larger capacity.
+        // Resets the number of rays that had more hits than their lists can hold, because
+        // the lists now have a larger capacity.
         stream.fill(n_overflows_);
         overflows_before_ = 0;
     }

@@ -47,8 +47,9 @@ struct Renderer::Impl {
     }
 
     void allocate_ray_arrays(std::size_t n_rays) {
-        // `rendered` stays empty if an allocation fails, so that the next call tries
-        // again. Allocates the hit storage last, because it can be made smaller to fit.
+        // Clears the old arrays before it allocates new ones. If an allocation fails,
+        // `rendered` stays empty, so that the next call tries again. The hit storage is
+        // allocated last, because it can be made smaller to fit.
         batch.surfaces = nullptr;
         rendered = {};
         if (options.trace.writes_normals_or_surface_ranges())
@@ -87,8 +88,8 @@ Renderer::Renderer(Device& device, const Scene& scene, const ImageFormationModel
 Renderer::~Renderer() { wait_for_device(); }
 
 void Renderer::wait_for_device() noexcept {
-    // If the caller provided the stream, its recorded commands may use the renderer's
-    // arrays, so they must finish too.
+    // A stream that the caller has provided may contain recorded commands that use the
+    // renderer's arrays. Submits these commands and waits for them.
     try {
         if (!impl_->local_stream) impl_->stream.submit_and_wait();
     } catch (const Error&) {  // nothing to do, because a lost device no longer uses memory

@@ -14,8 +14,8 @@ namespace relidar {
 
 namespace {
 
-/// Numbers of rows and columns of an image: in points, in tiles of points, and in groups
-/// of tiles.
+/// Size of an image (rows, columns), counted in three units: points (one per pixel),
+/// tiles of points, and groups of tiles.
 struct ImageTileLevels {
     glm::uvec2 tile{4, 8};  ///< number of points per tile, and of tiles per group
     glm::uvec2 points, tiles, groups;
@@ -37,8 +37,9 @@ struct TiledPointCloud {
     Array<glm::vec3, shared::GroupLows> group_low;
     Array<glm::vec3, shared::GroupHighs> group_high;
 
-    /// The worst case is an image with one column: a tile then has only 4 points, and a
-    /// group has 4 tiles.
+    /// Allocates enough tiles and groups for any image with `count` points. An image with
+    /// one column needs the most: a tile then has only 4 points, and a group only 4
+    /// tiles.
     TiledPointCloud(Device& device, std::size_t count, const std::string& description)
         : points(device, count, description + " points"),
           tile_low(device, count / 4 + 1, description + " tiles"),

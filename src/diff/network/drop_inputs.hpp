@@ -40,8 +40,9 @@ public:
     void make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                           Address<float, shared::DropSamples> samples, const Tensor& output_images);
 
-    /// Returns the logits of the rendered ray-drop probabilities of the last batch, [n,
-    /// rows, columns]. The network predicts a correction of these logits.
+    /// Returns the rendered ray-drop probabilities of the last batch as logits, [n, rows,
+    /// columns]. A network with `residual` predicts a correction that is added to these
+    /// logits.
     const Array<float, shared::StartLogits>& get_rendered_logits() const { return start_; }
     /// Returns which rays of the last batch were dropped (had no return) in the log, [n,
     /// rows, columns]. Same values as RayDropImage::dropped.

@@ -46,8 +46,8 @@ struct UnetParameterLayout {
     explicit UnetParameterLayout(const RayDropNetwork& network);
 };
 
-/// Channels of a decoder level: of the output, of the upsampled input, and of this input
-/// together with the skip connection.
+/// These functions count the channels of a decoder level: of its output, of its upsampled
+/// input, and of this input together with the skip connection.
 std::uint32_t count_decoder_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t count_upsampled_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t count_concatenated_channels(const std::vector<std::uint32_t>& widths, std::size_t level);

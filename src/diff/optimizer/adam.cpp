@@ -58,8 +58,8 @@ Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options,
     Stream stream(device);
     impl_->moment1.record_zero_fill(stream);
     impl_->moment2.record_zero_fill(stream);
-    // Waits for the zero fill, because a resumed run then uploads the moments of a
-    // checkpoint.
+    // A resumed run uploads the moments of its checkpoint after this constructor. Waits
+    // here, so that the zero fill cannot overwrite the uploaded moments.
     stream.submit_and_wait();
 }
 Adam::~Adam() = default;

@@ -53,9 +53,9 @@ bool is_box_near_vehicle_in_any_frame(const BoxTrack& box, const LidarSequence& 
     });
 }
 
-/// Removes actors without a box in this part of the log from the user's list of actors.
-/// If no actor remains, also clears the actor classes, because an empty list means that
-/// the classes select the actors.
+/// Removes actors without a box in this part of the log from options.actor_tracks, the
+/// user's list of actors. If no actor remains, also clears options.actor_classes, because
+/// with an empty list the classes would select actors.
 void remove_actor_tracks_without_boxes(SceneInitialisationOptions& options,
                                        const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;

@@ -65,8 +65,9 @@ private:
     std::size_t n_frames_ = 0;
 };
 
-/// The model of an actor that was trained in one block of the log. If several blocks have
-/// trained the same actor, the model with the most sightings is used.
+/// Model of an actor from one block, a part of the log that is trained separately. If
+/// several blocks have trained the same actor, the model with the most sightings is used.
+/// A sighting is a training frame in which the actor is near the sensor.
 struct ActorModelCandidate {
     std::size_t sightings = 0;
     SurfelModel model;
@@ -132,8 +133,8 @@ void join_trained_blocks(TrainedRun& run, const std::vector<TrajectoryBlock>& bl
     }
     scene.sensor_drop = drop.compute_mean_table();
     run.sequence.world_from_vehicle = std::move(poses);
-    // Adds the actors in the order of the log's boxes, as in a scene that is not divided
-    // into blocks.
+    // Adds the actors in the order of the log's boxes. A scene that is trained without
+    // blocks has the same order.
     for (BoxTrack& box : run.sequence.boxes) {
         const auto entry = actors.find(box.id);
         if (entry == actors.end()) continue;

@@ -258,8 +258,8 @@ void visit_training_settings(C& config, Visitor&& visitor) {
             "error");
 }
 
-/// Calls `visitor` for the settings of frame memory, log lines, checkpoints and random
-/// seed.
+/// Calls `visitor` for four settings: device memory for frames, interval of log lines,
+/// interval of checkpoints, and random seed.
 template <class C, class Visitor>
 void visit_logging_settings(C& config, Visitor&& visitor) {
     visitor("train.frame_memory_mib", config.train.frame_memory_mib, accept_between(0, kMaxCount),

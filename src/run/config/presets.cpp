@@ -68,7 +68,8 @@ Config make_default_preset_config() {
     // KITTI labels only objects that its front camera sees.
     config.init.unlabelled_movers = UnlabelledMoverPolicy::actors;
     config.init.opacity = 0.8;
-    // Initial ray-drop probability: 12 %, which is typical for sensors.
+    // The initial ray-drop probability, 1 / (1 + exp(hit_margin)), is 12 %. This is
+    // typical for sensors.
     config.init.hit_margin = 2.0;
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;

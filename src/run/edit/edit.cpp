@@ -218,8 +218,8 @@ SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, d
 std::string describe_frames_without_actor(const BoxTrack& original_box,
                                           const LidarSequence& edited_sequence) {
     const BoxTrack* box = find_box_track_by_id(edited_sequence, original_box.id);
-    // Numbers of the frames in which the actor is now missing. LiDARs that sweep at the
-    // same time share a frame number.
+    // Numbers of the frames in which the actor is missing after the edit. It is a set,
+    // because LiDARs that sweep at the same time share a frame number.
     std::set<int> lost;
     for (const LidarFrame& frame : edited_sequence.frames)
         if (box && original_box.is_observed_at_time(frame.time_s) && !box->is_observed_at_time(frame.time_s))

@@ -50,8 +50,9 @@ constexpr std::array kMargins_m{0.25, 0.5, 1.0};
 // measured in the small area below a pedestrian.
 constexpr double kSmallestBelow_m = 0.75;
 constexpr std::size_t kFewestOnPlane = 8;  // Minimum number of surfels on a ground plane.
-// Minimum standard deviation of the ground surfels in their narrow direction. Surfels of
-// a single LiDAR ring are narrower, and such a strip does not determine the slope.
+// A plane is rejected if the standard deviation of its surfels, in the narrower direction
+// of the plane, is below this value. For example, surfels of a single LiDAR ring form a
+// narrow strip, which does not determine the slope.
 constexpr double kNarrowest_m = 0.15;
 constexpr int kDraws = 200;
 // Approximate number of positions along a track at which the height of an actor above the
@@ -356,8 +357,8 @@ NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& scene_and_l
         return Pose{make_rotation_on_plane(ground, yaw_rad), centre_m + offset_m};
     };
     NewActorMotion start{pose_on(*plane, xy), ground_place.speed_mps};
-    // Where the ground was not observed, uses the mean normal along the path, because a
-    // single normal is noisy.
+    // Sum of the ground normals along the path of the actor. Where the ground was not
+    // observed, their mean direction is used, because a single normal is noisy.
     glm::dvec3 normal_sum = plane->normal;
     for (std::size_t i = 0; i < times_s.size(); ++i) {
         const glm::dvec2& position_m = positions[i + 1];

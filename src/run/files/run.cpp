@@ -78,9 +78,9 @@ std::vector<SceneBlock> link_or_copy_block_files(const TrainedRun& run, const fs
     return blocks;
 }
 
-/// Writes the settings of a run to config.toml. Some options of the configuration are not
-/// settings, so the file cannot store them. Throws an error if such an option differs
-/// from the preset.
+/// Writes the settings of a run to config.toml. Some fields of Config are not settings,
+/// so the file cannot store them. Throws an error if such a field differs from the
+/// preset.
 void save_run_config(const TrainedRun& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text_file(path, to_toml(run.config));
@@ -93,7 +93,8 @@ void save_run_config(const TrainedRun& run, const fs::path& folder) {
 
 void save_scene(const TrainedRun& run, const fs::path& folder, bool keep_block_files) {
     if (run.scene.blocks.empty()) return save_scene_to_model_file(folder / kModelFile, run.scene);
-    // This scene contains only the actors, because the background is stored in blocks.
+    // run.scene contains only the actors, because the background surfels are in block
+    // files.
     Scene scene = run.scene;
     scene.blocks = link_or_copy_block_files(run, folder, keep_block_files);
     save_scene_to_model_file(folder / kModelFile, scene);
@@ -154,9 +155,9 @@ bool is_file_content_equal_to(const fs::path& file, const std::string& expected_
     return does_path_exist(file) && read_file(file) == expected_bytes;
 }
 
-/// Moves the files of `staging_folder` to the run's folder. Unless old files are removed,
-/// an unchanged config.toml stays in place. Training can then be resumed even if the
-/// process is killed during the move.
+/// Moves the files of `staging_folder` to the run's folder. If config.toml is unchanged
+/// and `remove_old_files` is empty, the old config.toml stays in place. Training can then
+/// be resumed even if the process is killed during the move.
 void move_staged_files(const fs::path& staging_folder, const fs::path& run_folder,
                        const std::function<void()>& remove_old_files) {
     const bool same_config =

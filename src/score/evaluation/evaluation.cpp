@@ -137,8 +137,8 @@ void compute_and_store_actor_scores(std::vector<ScoredFrame>& frames, const Lida
     for (ScoredFrame& frame : frames) {
         const SweepTiming sweep{frame.time_s, frame.lidar, frame.start};
         const RangeImage& rendered = frame.rendered.image;
-        // If the frame has no separate point ranges (a baseline without a renderer), uses
-        // the ranges of the image.
+        // `points_m` is empty for a baseline, which projects real scans instead of
+        // rendering them. In this case, uses the ranges of the image.
         const std::vector<float>& points_m = select_point_ranges(frame.rendered, config);
         FrameActorScores scores = compute_actor_scores(
             rendered, points_m.empty() ? rendered.range_m : points_m, frame.real, sequence, sweep);

@@ -51,8 +51,9 @@ bool is_point_in_swept_volume(const SweptBoxVolume& swept_volume, const glm::dve
                        });
 }
 
-/// Numbers of points: all points, and points in a tail. The tail of a moving box is the
-/// space that the box occupies only at other times of the log.
+/// Numbers of points: all points, and points in comet tails (motion trails). The comet
+/// tail of a moving box is the space that the box occupies only at other times of the
+/// log.
 struct CometTailPointCounts {
     std::size_t n_points = 0, n_tail_points = 0;
     std::vector<std::size_t> n_of_box;  ///< [swept] points in the tail of each box

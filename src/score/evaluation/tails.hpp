@@ -13,7 +13,8 @@
 
 namespace relidar {
 
-/// Points of a scan in the tails (motion trails) of moving boxes.
+/// Counts of the points of a scan that are in comet tails. A comet tail (motion trail) is
+/// the space that a moving box occupies at other times of the log.
 struct CometTailStatistics {
     double share = 0.0;  ///< Fraction of all returned points that are in a tail.
     /// Number of points in the tail (motion trail) of each moving box, by box id. Tails

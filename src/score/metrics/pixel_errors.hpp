@@ -14,8 +14,9 @@ namespace relidar::metrics_detail {
 using PixelMask = std::vector<bool>;
 using PixelValues = std::vector<double>;
 
-// A pixel of a real image counts as dropped above this drop probability. Any value
-// between 0 and 1 works, because real drop probabilities are 0 or 1.
+// If the drop probability of a pixel in a real image is above this value, the pixel is
+// dropped (has no return). Any value between 0 and 1 works, because real drop
+// probabilities are 0 or 1.
 inline constexpr double kRealDropThreshold = 0.5;
 inline constexpr double kMaxIntensity = 1.0;
 

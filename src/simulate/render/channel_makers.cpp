@@ -149,7 +149,7 @@ std::vector<std::int32_t> compute_instance_classes(const Scene& scene, const Lid
     std::vector<std::int32_t> classes;
     for (const ModelInstance& instance : scene.instances) {
         // A copied actor has no box in the log. Uses the box of the original actor
-        // instead, which has the name of the model.
+        // instead. The id of this box is the name of the actor's model.
         const BoxTrack* box = find_box_track_by_id(sequence, instance.track);
         if (!box) box = find_box_track_by_id(sequence, scene.models[instance.model].name);
         const ObjectKind kind = box ? parse_object_kind(box->category) : ObjectKind::other;

@@ -10,8 +10,8 @@
 namespace relidar {
 namespace {
 
-/// Image name of a ray-drop network that processes one pixel per ray of the sensor, not
-/// the pixels of another grid.
+/// Value of RayDropNetwork::image if the network processes one pixel per ray of the
+/// sensor. Other values are names of grids, whose pixels are processed instead.
 constexpr const char* kNative = "native";
 
 SensorConfig make_beam_config(const SimulatedSensor& sensor, const Config& config) {

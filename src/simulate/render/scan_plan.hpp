@@ -24,8 +24,9 @@ struct ScanRenderPlan {
     /// number of rays that are traced for each beam (sub-rays), and number of returns per
     /// beam
     SensorConfig beams;
-    /// Input of the ray-drop network: rays on the device, beams (after the host has
-    /// combined their sub-rays), or pixels of a grid.
+    /// Input of the ray-drop network. `device`: rays in device memory. `beams`: beams,
+    /// after the host has combined their sub-rays. `cells`: pixels of the sensor's range
+    /// image grid. `none`: no network is used.
     enum class RayDropStage { none, device, beams, cells } network = RayDropStage::none;
     /// True if the device computes the points. The scan must not have sub-rays, grid,
     /// channels, weather or random sampling. Otherwise place_points() computes the same

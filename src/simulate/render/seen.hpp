@@ -31,8 +31,8 @@ double compute_unobserved_ray_fraction(std::size_t n_rays,
                                        const std::function<RayWithSurfaceRange(std::size_t)>& get_ray,
                                        const LogObservedSpace& observed_space);
 
-/// Returns the observed share of the path of each selected ray. The path ends at the
-/// surface that the ray hits, or at the maximum range.
+/// Returns, for each selected ray, which fraction of its path is in space that the log
+/// has observed. The path ends at the surface that the ray hits, or at the maximum range.
 /// @return [rays] 0..1
 std::vector<float> compute_observed_path_fractions(const RenderedScan& scan,
                                                    const std::vector<std::size_t>& ray_indices,

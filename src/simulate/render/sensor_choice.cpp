@@ -28,8 +28,8 @@ RangeLimits get_configured_range_limits(const Config& config, const LidarSequenc
     return {config.dataset.min_range_m, replace_automatic_max_range(config, sequence).dataset.max_range_m};
 }
 
-/// Calls `make_table` and returns the rays of a sensor. Returns no rays if the rays
-/// differ from scan to scan.
+/// Returns the rays of a sensor, computed by `make_table`. If the scan pattern has
+/// different rays in each scan, returns no rays.
 template <class Make>
 RayTable make_rays_if_time_invariant(const std::optional<SensorPattern>& pattern, const Make& make_table) {
     return pattern && summarise_scan_pattern(*pattern).has_rays_by_time ? RayTable{} : make_table();

@@ -104,8 +104,9 @@ SimulatedSweep SimulatedSweepBuilder::make_sweep_along_track(const SimulatedSens
         compute_mounted_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
     log_.rolling_shutter = fires_rays_at_different_times(sensor, config_);
     lidar.pattern = sensor.pattern;
-    // The azimuth at which the sweep starts depends on the sensor's scan pattern. Without
-    // a pattern, it depends on the LiDAR of the log.
+    // The sweep starts at an azimuth that depends on the simulated sensor's scan pattern.
+    // If the sensor has no pattern, find_sweep_start() uses the log's spinning LiDAR
+    // instead.
     const SweepTiming now{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
     SimulatedSweep sweep{sensor, time_s, make_sweep_rays_if_different(sensor, time_s, log_.rolling_shutter),
                          log_.get_world_from_sensor(sensor.lidar)};

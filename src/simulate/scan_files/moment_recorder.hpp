@@ -13,8 +13,9 @@
 
 namespace relidar::scan_files {
 
-/// Converts scans to the data of a recording, in order of time. A RecordedSweep has the
-/// poses, points and boxes of one scan per sensor.
+/// Converts scans, in order of time, to RecordedSweep objects, which are written to
+/// recordings (MCAP files). Each object has the poses, points and boxes of one scan per
+/// sensor.
 class SweepRecorder {
 public:
     explicit SweepRecorder(std::vector<ScanOutputOptions> sensors) : sensors_(std::move(sensors)) {}

@@ -59,16 +59,18 @@ void for_each_file_channel(const ScanInOutputFrame& placed_scan, Visit&& visit) 
 }
 
 /// Transforms the rays of a scan to the coordinate frame of the output format.
-/// @param world_from_deskewed sensor pose to which points are motion-compensated
+/// @param world_from_deskewed pose of the sensor frame in which deskewed
+/// (motion-compensated) points are expressed
 /// @param file_notes metadata of the files
 /// @throws DataError if require_valid_channel_names_and_sizes() finds an invalid channel
 ScanInOutputFrame transform_scan_to_output_frame(const RenderedScan& scan, const ScanOutputOptions& format,
                                                  const Pose& world_from_deskewed, int frame_number,
                                                  FileMetadata file_notes = {});
 
-/// Returns the pose of the coordinate frame in which points are written. Returns no value
-/// if each point is written in the sensor frame at its firing time.
-/// @param world_from_deskewed sensor pose to which points are motion-compensated
+/// Returns the pose of the frame in which all points are written. Returns no value if
+/// each point is written in the sensor frame at its own firing time.
+/// @param world_from_deskewed pose of the sensor frame in which deskewed
+/// (motion-compensated) points are expressed
 std::optional<Pose> compute_output_frame_pose(const ScanOutputOptions& format,
                                               const Pose& world_from_deskewed);
 /// Returns one point for each return of the scan.

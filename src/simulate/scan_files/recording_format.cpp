@@ -6,8 +6,9 @@
 namespace relidar::scan_files {
 
 std::span<const RecordingFormat> list_recording_formats() {
-    // rosbag2 reads quality-of-service policies as numbers if the metadata key
-    // `serialized_metadata` is empty.
+    // The format "rosbag" has an empty metadata value `serialized_metadata`. It makes
+    // rosbag2 read quality-of-service policies as numbers, which is how the topics store
+    // them.
     static const RecordingFormat formats[] = {
         {"mcap", "scans.mcap", "", "protobuf", "protobuf", {}, list_foxglove_topics},
         {"rosbag",

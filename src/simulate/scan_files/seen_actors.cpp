@@ -16,8 +16,8 @@ class SampledScanRays {
 public:
     explicit SampledScanRays(const RenderedScan& scan) : scan_(scan) {
         constexpr std::size_t kMost = 4096;
-        // The step is odd. With an even step, every row could contribute the same
-        // columns.
+        // Uses every `step`-th ray. The step is odd, because an even step may divide the
+        // number of columns. Every row would then contribute the same columns.
         const std::size_t n = scan.image.direction.size(), step = (n / kMost) | 1;
         for (std::size_t i = 0; i < n; i += step)
             rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
@@ -27,8 +27,9 @@ public:
     /// world frame of the dataset
     template <class PositionFunction>
     double find_time_facing_point(const PositionFunction& get_position_m) const {
-        // Number of iterations. Each iteration uses the positions of point and sensor at
-        // the firing time of the previous result.
+        // Number of iterations. Each iteration moves the point and the sensor to the time
+        // of the previous result. It then finds the firing time of the ray that faces the
+        // point.
         constexpr int kRounds = 3;
         double time_s = scan_.time_s;
         for (int round = 0; round < kRounds && !rays_.empty(); ++round) {

@@ -27,7 +27,8 @@ struct ActorInScan {
 };
 
 /// Returns the actors of the log that are present during a scan.
-/// @param format output options, which include the log; must outlive the result
+/// @param format output options, with the actors in `format.actors`; the result refers to
+/// `format`, so `format` must live longer
 std::vector<ActorInScan> find_actors_present_in_scan(const RenderedScan& scan,
                                                      const ScanOutputOptions& format);
 

@@ -16,8 +16,8 @@ constexpr const char* kSource = "source";
 
 using ReturnCauses = std::vector<std::int32_t>;
 
-/// Returns the channel `source` with all values reset. Adds the channel if the scan does
-/// not have it.
+/// Returns the channel named "source", which stores the cause of each return. Sets all
+/// causes to `nothing`. Adds the channel if the scan does not have it.
 ScanChannel& reset_or_add_return_cause_channel(RenderedScan& scan) {
     const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSource; };
     const auto source_channel = std::ranges::find_if(scan.channels, has_name);

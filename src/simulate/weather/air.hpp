@@ -23,7 +23,8 @@ namespace relidar {
 inline constexpr double kOverlap_m = 1.0;
 inline constexpr double kLight_m_s = 299792458.0;
 
-/// Returns the minimum range in metres at which the air can cause a return.
+/// Returns the minimum range in metres of returns that are caused by the air, for example
+/// by fog or rain.
 inline double compute_min_air_return_range_m(const WeatherSensorProperties& sensor) {
     return std::max(kOverlap_m, sensor.min_range_m);
 }

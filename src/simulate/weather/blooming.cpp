@@ -22,8 +22,9 @@ namespace {
 constexpr std::uint64_t kOfBeams = 0x626C6F6F6D696E67ull;
 constexpr float kSaturated = 0.95f;
 constexpr double kSpread = 3.0;  // standard deviation of ln X, where X is the random factor of a beam
-// Lower limit of the angle, in degrees, between a ray and a retro-reflector. At smaller
-// angles, the laser beam would hit the reflector itself.
+// Smaller angles between a ray and a retro-reflector, in degrees, are set to this value
+// before the stray light is computed. At smaller angles, the beam would hit the reflector
+// itself.
 constexpr double kNearest_deg = 0.5;
 constexpr double kSameRange_m = 0.5;
 constexpr double kPerRad = 180.0 / kPi;

@@ -88,13 +88,13 @@ private:
     const WeatherSensorProperties sensor_;
     const double alpha_;
     const ParticleDistribution falling_;
-    // [k] expected number of detectable particles between the minimum range and the
-    // minimum range plus k range steps
+    // Element k: expected number of raindrops or snowflakes that the sensor can detect
+    // along a ray, at most k * kParticleStep_m behind the minimum range.
     std::vector<double> expected_;
 
-    /// Returns the diameter of the smallest particle that the sensor detects at a range,
-    /// in millimetres of liquid water. Returns infinity if the sensor detects not even a
-    /// particle as wide as the beam.
+    /// Returns the diameter in millimetres of the smallest particle that the sensor
+    /// detects at a range. For snowflakes, this is the diameter of the melted flake.
+    /// Returns infinity if even a particle as wide as the beam is not detected.
     double compute_min_detectable_diameter_mm(double range_m) const {
         const double share = sensor_.compute_min_detected_power_at_range(range_m) * range_m * range_m *
                              std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;

@@ -117,8 +117,9 @@ double compute_sunlight_noise_power(const Sun& sun, const WeatherSensorPropertie
     const double view_sr = kPi * half_rad * half_rad, electrons_per_J = kEfficiency / kPhoton_J;
     const double n =
         irradiance * per_sr * kFilter_nm * view_sr * kReceiver_m2 * sensor.pulse_s * electrons_per_J;
-    // Signal in electrons of a diffuse surface with reflectivity 1 at a range of 1 m. The
-    // surface sends 1 / pi of the reflected light per steradian to the receiver.
+    // Signal, in electrons, of the laser pulse after reflection by a diffuse surface with
+    // reflectivity 1 at a range of 1 m. Such a surface reflects 1 / pi of the light per
+    // steradian towards the receiver.
     const double of_unit_power = kPeak_W * kReceiver_m2 / kPi * sensor.pulse_s * electrons_per_J;
     return std::sqrt(kExcess * n) / of_unit_power;
 }

@@ -109,8 +109,8 @@ std::vector<DeviceCheck> list_device_checks_and_run_checks(const std::string& ru
 }
 
 void run_device_checks(const CheckOptions& options) {
-    // Assumes that the driver has no errors. Otherwise, relidar would avoid methods that
-    // fail on this device, and would not check them.
+    // Usually, relidar avoids methods that have failed its test of this device. The
+    // checks below must use all methods, so they assume that the driver has no errors.
     const ScopedDeviceTestResults trusting(DeviceTestResults{});
     CheckedDevice checked(convert_to_device_options(options.device));
     const DeviceInfo& info = checked.get_default_device().info();

@@ -11,8 +11,8 @@
 namespace relidar::cli {
 namespace {
 
-/// Returns "right" only for an error of exactly 0, because sums of small integers are
-/// exact in float.
+/// Returns the result of a check that adds small integers on the device. Only an error of
+/// exactly 0 is right, because float represents these sums exactly.
 CheckResult make_sum_check_result(double relative_error) {
     if (relative_error == 0.0) return {CheckResult::CheckOutcome::right, "exact"};
     return make_failed_check_result(

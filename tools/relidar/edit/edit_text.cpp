@@ -67,8 +67,8 @@ Pose make_pose_from_numbers(const std::vector<double>& xyz_yaw_pitch_roll) {
             {xyz_yaw_pitch_roll[0], xyz_yaw_pitch_roll[1], xyz_yaw_pitch_roll[2]}};
 }
 
-/// Parses a place on the ground, "x,y,ground[,yaw_deg]". Returns no value if the third
-/// field is a number, so that the text is a full pose.
+/// Parses a position on the ground: "x,y,ground[,yaw_deg]". Returns no value if the third
+/// field is a number instead of "ground". The text is then a full pose.
 std::optional<GroundPlacement> parse_ground_placement_if_present(const EditArgument& edit_for_errors,
                                                                  const std::string& text) {
     constexpr std::string_view kWord = ",ground";

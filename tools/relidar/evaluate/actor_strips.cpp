@@ -152,7 +152,8 @@ Config make_actor_picture_config(const TrainedRun& run) {
     return config;
 }
 
-/// Sets the value of each simulated dot to the distance from the nearest real point.
+/// Each dot shows a simulated point of an actor. Sets its value (shown as colour) to the
+/// distance in metres from this point to the nearest real point.
 void set_dot_values_to_distance_errors(std::vector<PictureDot>& dots, const MovingBoxPoints& box_points) {
     for (std::size_t i = 0; i < dots.size(); ++i) {
         double nearest_m = std::numeric_limits<double>::max();

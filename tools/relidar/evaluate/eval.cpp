@@ -133,9 +133,10 @@ void select_frames_of_this_process(std::vector<int>& frame_positions, const MpiP
                        frame_positions.begin() + std::ptrdiff_t(share.end)};
 }
 
-/// Sets the scans of the held-out frames. If the run is an edited synthetic street,
-/// computes exact scans of the edited street. Otherwise copies the scans of the log.
-/// @return exact scans without the edits; empty for other runs
+/// Sets the scans of the held-out frames in `run`. Usually copies them from the log. If
+/// the log is a synthetic street and the run was edited, computes exact scans of the
+/// edited street instead.
+/// @return exact scans of the street before the edits; empty if the scans were copied
 std::vector<Scan> set_held_out_scans_of_run(TrainedRun& run, const LidarSequence& log) {
     if (is_edited_synthetic_street_run(run)) return replace_held_out_by_exact_scans(run);
     copy_scans_into_run(run, run.split.test, log);

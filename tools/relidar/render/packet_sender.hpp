@@ -28,8 +28,8 @@ struct PacketDestination {
     /// If true, packets are queued and then sent with the same time intervals as a real
     /// sensor. If false, each packet is sent as soon as it is complete.
     bool is_realtime = false;
-    /// If true, Ctrl-C stops the sending of packets. The server sets false, because it
-    /// still answers pending requests.
+    /// If true, Ctrl-C stops the sending of packets. `relidar serve` sets this to false,
+    /// because it still answers pending calls after Ctrl-C.
     bool is_interruptible = true;
 };
 /// @param udp_help_text  help text for --udp

@@ -15,9 +15,9 @@ namespace relidar::cli {
 /// edited street can then be computed.
 bool is_edited_synthetic_street_run(const TrainedRun& run);
 
-/// Replaces the scans of the held-out frames by scans that are cast into the edited
-/// synthetic street without noise.
-/// @return the same scans without the edits
+/// Replaces the scans of the held-out frames by exact scans of the edited synthetic
+/// street, which are computed by ray casting without noise.
+/// @return exact scans of the same frames in the street before the edits
 /// @throws DataError if the model of an actor is not a car of the synthetic street
 std::vector<Scan> replace_held_out_by_exact_scans(TrainedRun& run);
 

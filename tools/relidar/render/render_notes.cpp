@@ -49,10 +49,10 @@ void print_sensor_assumptions_of_weather(const Weather& weather) {
 
 namespace {
 
-/// Prints which sides of actors appear in the scans although the log has never observed
-/// them. Also prints for each side how many scans and rays are affected.
-/// @param sides_json_key list of sides in an entry of scans.json
-/// @param effect_text text that says what such rays do
+/// Prints a note if rays of the scans reach sides of actors that the log has never
+/// observed. Lists these sides, each with its numbers of scans and rays.
+/// @param sides_json_key key of the list of these sides in an entry of scans.json
+/// @param effect_text what happens to these rays, for example "pass through them"
 void print_unobserved_sides_note(const std::vector<nlohmann::json>& scans, const std::string& folder,
                                  const char* sides_json_key, const char* effect_text) {
     struct ScanRayCounts {

@@ -56,7 +56,8 @@ std::filesystem::path get_save_folder(const ViewOptions& options, const TrainedR
     return std::filesystem::absolute(folder).lexically_normal();
 }
 
-/// Loads the other runs. The web page shows them under the names that the user typed.
+/// Loads the runs of --insert, whose actors the user can insert into the viewed run. The
+/// web page shows these runs under the folder names that the user typed.
 view::OtherRunsByName load_other_runs(const std::vector<std::string>& folders) {
     view::OtherRunsByName runs;
     for (const std::string& folder : folders) runs.emplace(folder, load_run(folder));
@@ -92,8 +93,8 @@ void run_view_command(const ViewOptions& options) {
     if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path folder = get_save_folder(options, run);
     Device device(convert_to_device_options(options.device));
-    // `session` and `foxglove` send their results through this pointer. The server is
-    // created last and destroyed first, because it calls both.
+    // `session` and `foxglove` send their results to the server through this pointer. The
+    // server calls both objects, so it is created after them and destroyed before them.
     view::WebServer* out = nullptr;
     view::ViewerSession session(
         std::move(run), load_other_runs(options.inserts), device, folder,

@@ -378,7 +378,8 @@ void run_steps_missing_after_scene_training(const TrainOptions& options, const C
     score_and_write_training_report(device, run, result, options, command_line, stages);
 }
 
-/// Removes old files from the folder of a run before its training starts or resumes.
+/// Prepares the folder of a run before its training starts or resumes: removes the
+/// results of an earlier training, and saves the settings.
 void remove_old_results_and_save_config(const fs::path& run_folder, const Config& config, bool keep_blocks,
                                         bool keep_checkpoints) {
     remove_run_result_files(run_folder);

@@ -27,8 +27,8 @@ using Clock = std::chrono::steady_clock;
 /// Returns true if a setting may differ between the blocks of a scene, which are trained
 /// separately.
 bool may_setting_differ_between_blocks(const std::string& setting_key) {
-    // Keys of the settings that may differ. Actor settings may differ, because each block
-    // lists only the actors in its part of the log.
+    // Keys of the settings that may differ between blocks. Actor settings are included,
+    // because each block lists only the actors in its part of the log.
     constexpr std::array kFree{"dataset.path",           "dataset.memory_mib", "train.log_every",
                                "train.frame_memory_mib", "init.actor_classes", "init.actor_tracks"};
     constexpr std::array kFreeGroups{"train.checkpoint_minutes", "render.", "refine.", "trace.", "blocks."};
