@@ -31,7 +31,10 @@ void parallel_for(int n_tasks, const std::function<void(int)>& task) {
                 task(i);
             } catch (...) {
                 const std::scoped_lock lock(mutex);
-                if (i < failed) failure = std::current_exception(), failed = i;
+                if (i < failed) {
+                    failure = std::current_exception();
+                    failed = i;
+                }
                 next = n_tasks;
             }
         }

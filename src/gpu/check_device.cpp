@@ -78,7 +78,10 @@ std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> compute_expected_subgroup_resul
         sum += x;
         if (i < lane_index) earlier += x;
         largest = std::max(largest, x);
-        if (x & 1u) ++n_odd, odd_sum += x;
+        if (x & 1u) {
+            ++n_odd;
+            odd_sum += x;
+        }
     }
     const auto size = static_cast<std::uint32_t>(lane_values.size());
     return {size,

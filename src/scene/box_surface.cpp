@@ -123,7 +123,8 @@ std::array<double, 2> ObservedBoxSurface::compute_patch_areas(BoxSide side, bool
             const bool held = mirrored
                                   ? !has_observed_patch(patch) && has_observed_patch(get_mirror_patch(patch))
                                   : has_observed_patch(patch);
-            sum[0] += held ? patch_m2 : 0.0, sum[1] += patch_m2;
+            sum[0] += held ? patch_m2 : 0.0;
+            sum[1] += patch_m2;
         }
     }
     return sum;
@@ -133,7 +134,8 @@ double ObservedBoxSurface::compute_observed_or_mirrored_fraction(bool is_mirrore
     double held_m2 = 0.0, all_m2 = 0.0;
     for (std::size_t s = 0; s < kBoxSides; ++s) {
         const std::array<double, 2> area = compute_patch_areas(BoxSide(s), is_mirrored_area);
-        held_m2 += area[0], all_m2 += area[1];
+        held_m2 += area[0];
+        all_m2 += area[1];
     }
     return held_m2 / all_m2;
 }
@@ -180,7 +182,8 @@ double ObservedBoxSurface::compute_left_right_asymmetry_m(const std::vector<glm:
         const std::optional<BoxSurfacePatch> patch = find_patch_of_point(glm::dvec3(point_m));
         if (!patch || !has_observed_patch(*patch)) continue;
         Mean& mean = outward[{int(patch->side), patch->column, patch->row}];
-        mean.sum_m += std::abs(double(point_m[kSideFrames[std::size_t(patch->side)].normal])), ++mean.n;
+        mean.sum_m += std::abs(double(point_m[kSideFrames[std::size_t(patch->side)].normal]));
+        ++mean.n;
     }
     std::vector<double> differences_m;
     for (const auto& [key, here] : outward) {

@@ -100,7 +100,10 @@ glm::vec3 estimate_surface_shift_per_frame(const SamplesByFrame& frames, std::si
                     sum += frames[f]->index.compute_nearest_distance_m(samples[i].position + n_frames * shift,
                                                                        kFar_m);
             }
-            if (sum < least) least = sum, best = shift;
+            if (sum < least) {
+                least = sum;
+                best = shift;
+            }
         }
     return best;
 }

@@ -145,8 +145,10 @@ std::vector<glm::dvec3> estimate_positions_from_visible_end(const MoverTrack& tr
                                                             const std::vector<GroundPose>& ground_poses,
                                                             const glm::dvec3* size_m) {
     std::vector<glm::dvec3> along, across, positions_m;
-    for (const GroundPose& p : ground_poses)
-        along.push_back(p.get_forward_axis()), across.push_back(p.get_lateral_axis());
+    for (const GroundPose& p : ground_poses) {
+        along.push_back(p.get_forward_axis());
+        across.push_back(p.get_lateral_axis());
+    }
     const std::vector<double> x = compute_object_centres_along_axes(
         track, along, size_m ? 0.5 * size_m->x : estimate_visible_half_length_m(track, along));
     const std::vector<double> y = compute_object_centres_along_axes(
@@ -317,7 +319,7 @@ BoxTrack extend_labelled_box(const MoverTrack& track, const BoxTrack& labelled_b
         const std::vector<GroundPose> ground_poses = compute_ground_poses_along(list_positions(path));
         positions_m = estimate_positions_from_visible_end(track, ground_poses, &labelled_box.size_m);
         before = estimate_median_label_box_offset(track, end_labels.first, ground_poses, positions_m,
-                                                  labelled_box),
+                                                  labelled_box);
         after =
             estimate_median_label_box_offset(track, end_labels.last, ground_poses, positions_m, labelled_box);
         for (std::size_t k = 0; k < positions_m.size(); ++k)
@@ -338,7 +340,8 @@ BoxTrack extend_labelled_box(const MoverTrack& track, const BoxTrack& labelled_b
             {GroundPose{{}, at_frames[k].yaw + (is_before(k) ? before : after).yaw}.get_rotation(),
              at_frames[k].position_m});
     }
-    box.n_before = poses[0].pose.size(), box.n_after = poses[1].pose.size();
+    box.n_before = poses[0].pose.size();
+    box.n_after = poses[1].pose.size();
     PoseTrack& all = box.world_from_box;
     all.time_s.insert(all.time_s.begin(), poses[0].time_s.begin(), poses[0].time_s.end());
     all.pose.insert(all.pose.begin(), poses[0].pose.begin(), poses[0].pose.end());

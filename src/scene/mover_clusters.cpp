@@ -167,7 +167,10 @@ std::pair<double, double> find_object_height_range(std::vector<double> heights_m
     for (std::size_t first = 0, end; first < heights_m.size(); first = end) {
         for (end = first + 1; end < heights_m.size() && heights_m[end] - heights_m[end - 1] < kGapAbove_m;)
             ++end;
-        if (end - first > n_best) best = first, n_best = end - first;
+        if (end - first > n_best) {
+            best = first;
+            n_best = end - first;
+        }
     }
     return {heights_m[best] - kGroundBelow_m, heights_m[best + n_best - 1] + kGapAbove_m};
 }
@@ -217,7 +220,8 @@ std::vector<MoverCluster> cluster_moved_returns(const std::vector<MoverReturn>& 
             cluster.time_s += returns[member].time_s;
             cluster.points_m.push_back(p);
             cluster.centre_m += p;
-            low = glm::min(low, p), high = glm::max(high, p);
+            low = glm::min(low, p);
+            high = glm::max(high, p);
         }
         if (n_moved >= kMinPoints && n_moved >= kMovedShare * double(cluster.points_m.size()) &&
             glm::length(glm::dvec2(high - low)) < kMaxLength_m)

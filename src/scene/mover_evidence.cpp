@@ -43,9 +43,11 @@ MotionEvidence count_motion_evidence_at_point(const VisibilityChecker& visibilit
 
 void TrackMotionEvidence::operator+=(const TrackMotionEvidence& other) {
     frame_evidence += other.frame_evidence;
-    n_returns += other.n_returns, n_decided_returns += other.n_decided_returns,
-        n_moved_returns += other.n_moved_returns;
-    n_frames += other.n_frames, n_moved_frames += other.n_moved_frames;
+    n_returns += other.n_returns;
+    n_decided_returns += other.n_decided_returns;
+    n_moved_returns += other.n_moved_returns;
+    n_frames += other.n_frames;
+    n_moved_frames += other.n_moved_frames;
 }
 
 bool TrackMotionEvidence::is_proven_moving() const {
@@ -67,7 +69,8 @@ TrackMotionEvidence remove_static_returns(const VisibilityChecker& visibility, M
         if (!evidence.is_proven_static()) remaining_points_m.push_back(p);
     }
     sum.n_returns = cluster.points_m.size();
-    sum.n_frames = 1, sum.n_moved_frames = sum.frame_evidence.is_proven_moving();
+    sum.n_frames = 1;
+    sum.n_moved_frames = sum.frame_evidence.is_proven_moving();
     cluster.points_m = std::move(remaining_points_m);
     cluster.centre_m = glm::dvec3(0.0);
     for (const glm::dvec3& p : cluster.points_m) cluster.centre_m += p / double(cluster.points_m.size());

@@ -18,7 +18,8 @@ struct MotionEvidence {
     std::size_t n_occupied_frames = 0;
     std::size_t n_empty_frames = 0;  ///< frames that observe an empty space at the position
     void operator+=(const MotionEvidence& other) {
-        n_occupied_frames += other.n_occupied_frames, n_empty_frames += other.n_empty_frames;
+        n_occupied_frames += other.n_occupied_frames;
+        n_empty_frames += other.n_empty_frames;
     }
     bool has_observations() const { return n_occupied_frames + n_empty_frames > 0; }
     bool is_proven_static() const { return n_occupied_frames > 0 && n_occupied_frames >= n_empty_frames; }

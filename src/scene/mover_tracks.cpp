@@ -160,8 +160,10 @@ private:
 /// Returns the longer side of the rectangle around a cluster, in the view from above.
 double compute_visible_width_m(const MoverCluster& cluster) {
     glm::dvec2 low(1e30), high(-1e30);
-    for (const glm::dvec3& p : cluster.points_m)
-        low = glm::min(low, glm::dvec2(p)), high = glm::max(high, glm::dvec2(p));
+    for (const glm::dvec3& p : cluster.points_m) {
+        low = glm::min(low, glm::dvec2(p));
+        high = glm::max(high, glm::dvec2(p));
+    }
     return std::max(high.x - low.x, high.y - low.y);
 }
 
@@ -202,7 +204,8 @@ bool are_tracks_of_same_vehicle(const MoverTrack& track, const MoverTrack& other
     for (const auto& [a, b] : common) {
         const glm::dvec3 apart =
             other_track.observations[b].cluster.centre_m - track.observations[a].cluster.centre_m;
-        sum += apart, squares += apart * apart;
+        sum += apart;
+        squares += apart * apart;
     }
     const double n = double(common.size());
     const glm::dvec3 variance = squares / n - sum / n * (sum / n);
@@ -262,8 +265,10 @@ std::vector<MoverTrack> join_tracks_across_gaps(std::vector<MoverTrack> tracks) 
     std::vector<std::size_t> next(tracks.size(), tracks.size());
     std::vector<char> follows(tracks.size(), 0);
     for (const TrackPairMatch& fit : find_track_pairs_over_gaps(tracks))
-        if (next[fit.before] == tracks.size() && !follows[fit.after])
-            next[fit.before] = fit.after, follows[fit.after] = 1;
+        if (next[fit.before] == tracks.size() && !follows[fit.after]) {
+            next[fit.before] = fit.after;
+            follows[fit.after] = 1;
+        }
     std::vector<MoverTrack> joined;
     for (std::size_t first = 0; first < tracks.size(); ++first) {
         if (follows[first]) continue;

@@ -138,7 +138,8 @@ ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
     for (std::size_t j = 1; j < std::min(neighbour_indices.size(), kOnLine + 1); ++j) {
         const glm::dvec3 d = glm::dvec3(samples[neighbour_indices[j]].position) - point;
         const double u = glm::dot(d, x), v = glm::dot(d, y), length2 = std::max(u * u + v * v, 1e-12);
-        even += (u * u - v * v) / length2, odd += 2.0 * u * v / length2;
+        even += (u * u - v * v) / length2;
+        odd += 2.0 * u * v / length2;
     }
     ScanLineGap gap{make_perpendicular_direction(normal, 0.5 * std::atan2(odd, even) + 0.5 * kPi)};
     for (std::size_t j = 1; j < neighbour_indices.size() && gap.is_one_side_missing(); ++j) {

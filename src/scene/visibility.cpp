@@ -55,8 +55,10 @@ std::vector<double> compute_row_elevations_rad(const RayTable& rays) {
                 compute_elevation_rad(rays.direction[ray]) / rays.columns;
     } else {
         double low = 1e9, high = -1e9;
-        for (const glm::vec3& d : rays.direction)
-            low = std::min(low, compute_elevation_rad(d)), high = std::max(high, compute_elevation_rad(d));
+        for (const glm::vec3& d : rays.direction) {
+            low = std::min(low, compute_elevation_rad(d));
+            high = std::max(high, compute_elevation_rad(d));
+        }
         for (int k = 0; k < kEvenRows; ++k) rows.push_back(high + (low - high) * k / (kEvenRows - 1));
     }
     std::sort(rows.begin(), rows.end(), std::greater<>());

@@ -69,8 +69,10 @@ struct PoseCorrectionStatistics {
         }
         std::ranges::sort(metres);
         std::ranges::sort(degrees);
-        median_m = metres[metres.size() / 2], most_m = metres.back();
-        median_deg = degrees[degrees.size() / 2], most_deg = degrees.back();
+        median_m = metres[metres.size() / 2];
+        most_m = metres.back();
+        median_deg = degrees[degrees.size() / 2];
+        most_deg = degrees.back();
     }
     std::string describe_corrections() const {
         return fmt::format(

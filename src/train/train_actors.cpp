@@ -129,7 +129,10 @@ std::vector<ActorTrainingSection> divide_log_into_sections(const TrainedRun& run
         together.insert(reached.begin(), reached.end());
         std::size_t n = 0;
         for (const std::size_t i : together) n += run.scene.blocks[i].count;
-        if (n > kTogether && !stretches.back().frames.empty()) stretches.emplace_back(), together = reached;
+        if (n > kTogether && !stretches.back().frames.empty()) {
+            stretches.emplace_back();
+            together = reached;
+        }
         stretches.back().frames.push_back(std::move(frame));
         stretches.back().blocks = std::move(together);
     }

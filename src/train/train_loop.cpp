@@ -278,9 +278,10 @@ void TrainLoop::run_iteration(int step, bool ends_log_line) {
         stream_, scene,
         {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), is_full_frame});
     LearningRates rates = compute_learning_rates(config_.train, extent_m_, step);
-    if (config_.densify.strategy == DensifyStrategy::adaptive)
-        rates.models = &scene.get_model_table(),
+    if (config_.densify.strategy == DensifyStrategy::adaptive) {
+        rates.models = &scene.get_model_table();
         rates.mean_factors = compute_position_rate_factor_per_model(scene.get_scene_layout(), extent_m_);
+    }
     const Array<std::uint32_t, shared::TouchedSurfels>* touched =
         does_every_surfel_get_gradient(config_) ? nullptr : &gradients.touched;
     adam_.record_adam_step(stream_, scene.get_surfel_parameters(), gradients.surfels, touched, rates, step,

@@ -80,8 +80,9 @@ std::string cloud(bool is_ros1, std::uint64_t stamp_ns) {
             const float azimuth = 3.14f - 0.2618f * float(column);
             for (const float v : {9.0f * std::cos(azimuth), 9.0f * std::sin(azimuth), 0.5f * float(ring)})
                 append_binary_value(points, v);
-            append_binary_value(points, std::uint16_t(7)), append_binary_value(points, std::uint16_t(ring)),
-                append_binary_value(points, 0.004f * float(column));
+            append_binary_value(points, std::uint16_t(7));
+            append_binary_value(points, std::uint16_t(ring));
+            append_binary_value(points, 0.004f * float(column));
         }
     Draft draft(is_ros1);
     draft.add_header(stamp_ns, "lidar")
@@ -109,13 +110,15 @@ std::string transform(bool is_ros1, std::uint64_t stamp_ns, double value) {
 std::string make_packet(int number) {
     std::string bytes;
     for (int b = 0; b < 12; ++b) {
-        append_binary_value(bytes, std::uint16_t(0xEEFF)),
-            append_binary_value(bytes, std::uint16_t((b * 1500 + number * 18000) % 36000));
-        for (int l = 0; l < 32; ++l)
-            append_binary_value(bytes, std::uint16_t(2000)), append_binary_value(bytes, std::uint8_t(9));
+        append_binary_value(bytes, std::uint16_t(0xEEFF));
+        append_binary_value(bytes, std::uint16_t((b * 1500 + number * 18000) % 36000));
+        for (int l = 0; l < 32; ++l) {
+            append_binary_value(bytes, std::uint16_t(2000));
+            append_binary_value(bytes, std::uint8_t(9));
+        }
     }
-    append_binary_value(bytes, std::uint32_t(number * 50000)),
-        append_binary_value(bytes, std::uint16_t(0x2239));
+    append_binary_value(bytes, std::uint32_t(number * 50000));
+    append_binary_value(bytes, std::uint16_t(0x2239));
     return bytes;
 }
 
@@ -165,9 +168,10 @@ std::string make_mcap(const std::string& compression) {
     }
     for (const SeedMessage& message : make_seed_messages(false)) {
         std::string body;
-        append_binary_value(body, std::uint16_t(message.topic + 1)),
-            append_binary_value(body, std::uint32_t(0));
-        append_binary_value(body, message.time_ns), append_binary_value(body, message.time_ns);
+        append_binary_value(body, std::uint16_t(message.topic + 1));
+        append_binary_value(body, std::uint32_t(0));
+        append_binary_value(body, message.time_ns);
+        append_binary_value(body, message.time_ns);
         records += make_mcap_record(5, body + message.bytes);
     }
     const std::string magic("\x89MCAP0\r\n", 8);
@@ -182,7 +186,8 @@ std::string make_mcap(const std::string& compression) {
         packed.resize(ZSTD_compress(packed.data(), packed.size(), records.data(), records.size(), 3));
     }
     std::string chunk(16, '\0');
-    append_binary_value(chunk, std::uint64_t(records.size())), append_binary_value(chunk, std::uint32_t(0));
+    append_binary_value(chunk, std::uint64_t(records.size()));
+    append_binary_value(chunk, std::uint32_t(0));
     chunk += sized(compression);
     append_binary_value(chunk, std::uint64_t(packed.size()));
     return magic + make_mcap_record(6, chunk + packed);
@@ -391,14 +396,17 @@ std::vector<std::string> make_ouster_seeds(const fs::path&) {
                                     R"(, "config_params": {"lidar_mode": "4x10", "udp_port_lidar": 7502}})"
                               : "{" + beams + ", \"data_format\": " + layout + R"(, "lidar_mode": "4x10"})");
         for (int column = 0; column < 24; ++column) {
-            if (!is_legacy && column % 2 == 0)
-                append_binary_value(seed, std::uint32_t(1)), seed.append(28, '\0');
-            append_binary_value(seed, std::uint64_t(column) * 25000000),
-                append_binary_value(seed, std::uint16_t(column % 4));
+            if (!is_legacy && column % 2 == 0) {
+                append_binary_value(seed, std::uint32_t(1));
+                seed.append(28, '\0');
+            }
+            append_binary_value(seed, std::uint64_t(column) * 25000000);
+            append_binary_value(seed, std::uint16_t(column % 4));
             seed.append(is_legacy ? 6 : 2, '\1');
-            for (int pixel = 0; pixel < 2; ++pixel)
-                append_binary_value(seed, std::uint32_t(0x05000400)),
-                    seed.append(profile.pixel_bytes - 4, '\2');
+            for (int pixel = 0; pixel < 2; ++pixel) {
+                append_binary_value(seed, std::uint32_t(0x05000400));
+                seed.append(profile.pixel_bytes - 4, '\2');
+            }
             if (is_legacy) append_binary_value(seed, std::uint32_t(0xFFFFFFFF));
             if (!is_legacy && column % 2 == 1) seed.append(32, '\0');
         }
@@ -460,10 +468,10 @@ std::vector<std::string> pcap_seeds(const fs::path&) {
     constexpr std::size_t kPacket = 1206, kHeads = 14 + 20 + 8;  // Ethernet, IPv4 and UDP
     std::string capture("\xd4\xc3\xb2\xa1\2\0\4\0\0\0\0\0\0\0\0\0\xff\xff\0\0\1\0\0\0", 24);
     for (int k = 0; k < 8; ++k) {
-        append_binary_value(capture, std::uint32_t(0)),
-            append_binary_value(capture, std::uint32_t(50000 * k));
-        append_binary_value(capture, std::uint32_t(kHeads + kPacket)),
-            append_binary_value(capture, std::uint32_t(kHeads + kPacket));
+        append_binary_value(capture, std::uint32_t(0));
+        append_binary_value(capture, std::uint32_t(50000 * k));
+        append_binary_value(capture, std::uint32_t(kHeads + kPacket));
+        append_binary_value(capture, std::uint32_t(kHeads + kPacket));
         capture.append(12, '\1').append("\x08\0\x45\0\x04\xd2\0\0\0\0\x40\x11\0\0", 14);
         capture.append("\xc0\xa8\1\xc9\xff\xff\xff\xff\x09\x40\x09\x40\x04\xbe\0\0", 16);
         for (int block = 0; block < 12; ++block) {

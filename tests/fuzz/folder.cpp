@@ -44,10 +44,13 @@ std::vector<std::string> make_point_seeds(const fs::path&) {
     some.resize(12);
     std::vector<std::string> seeds;
     const auto add = [&](char format, const std::string& bytes) { seeds.push_back(format + bytes); };
-    add(0, test::make_pcd_text(some)), add(0, test::make_pcd_binary(some)),
-        add(0, test::make_pcd_compressed(some));
-    add(1, test::make_ply_text(some)), add(1, test::make_ply_binary(some));
-    add(2, test::bin(some)), add(3, test::npy(some));
+    add(0, test::make_pcd_text(some));
+    add(0, test::make_pcd_binary(some));
+    add(0, test::make_pcd_compressed(some));
+    add(1, test::make_ply_text(some));
+    add(1, test::make_ply_binary(some));
+    add(2, test::bin(some));
+    add(3, test::npy(some));
     std::string fields =
         "{'descr': [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('', '|V2'), ('ring', '<u2'), ('n', '<f4', "
         "(3,))], "

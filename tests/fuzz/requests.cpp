@@ -166,9 +166,11 @@ std::vector<std::string> make_frame_seeds(const fs::path&) {
     serve::sensorsim::LidarRenderRequest request;
     request.set_scene_id("town");
     request.mutable_lidar()->set_lidar_type(serve::sensorsim::AT128);
-    request.set_frame_start_us(1'000'000), request.set_frame_end_us(1'100'000);
+    request.set_frame_start_us(1'000'000);
+    request.set_frame_end_us(1'100'000);
     serve::sensorsim::Pose& pose = *request.mutable_sensor_pose()->mutable_start();
-    pose.mutable_translation()->set_x(2.0f), pose.mutable_rotation()->set_w(1.0f);
+    pose.mutable_translation()->set_x(2.0f);
+    pose.mutable_rotation()->set_w(1.0f);
     *request.mutable_sensor_pose()->mutable_end() = pose;
     serve::sensorsim::DynamicObject& object = *request.add_dynamic_objects();
     object.set_track_id("7");
@@ -204,12 +206,19 @@ std::vector<v1::SensorSpec> make_sensor_specs() {
     spinning.set_columns(16);
     spinning.set_period_s(0.1);
     auto& window = *specs[1].mutable_window();
-    window.set_rows(4), window.set_columns(4), window.set_left_rad(0.5), window.set_right_rad(-0.5),
-        window.set_top_rad(0.2);
-    window.set_bottom_rad(-0.2), window.set_period_s(0.1);
+    window.set_rows(4);
+    window.set_columns(4);
+    window.set_left_rad(0.5);
+    window.set_right_rad(-0.5);
+    window.set_top_rad(0.2);
+    window.set_bottom_rad(-0.2);
+    window.set_period_s(0.1);
     auto& rosette = *specs[2].mutable_rosette();
-    rosette.set_rays(16), rosette.set_deflection_rad(0.2), rosette.set_first_hz(100),
-        rosette.set_second_hz(-60), rosette.set_period_s(0.1);
+    rosette.set_rays(16);
+    rosette.set_deflection_rad(0.2);
+    rosette.set_first_hz(100);
+    rosette.set_second_hz(-60);
+    rosette.set_period_s(0.1);
     const float directions[6] = {1.0f, 0.0f, 0.0f, 0.0f, 1.0f, 0.0f};
     specs[3].mutable_rays()->set_direction(directions, sizeof directions);
     return specs;

@@ -117,8 +117,10 @@ VKAPI_ATTR void VKAPI_CALL small_budget(VkPhysicalDevice physical,
     real_memory_properties(physical, memory);
     auto* budgets = static_cast<VkPhysicalDeviceMemoryBudgetPropertiesEXT*>(memory->pNext);
     for (std::uint32_t i = 0; i < memory->memoryProperties.memoryHeapCount; ++i)
-        if (budgets) budgets->heapBudget[i] = 100 << 20, budgets->heapUsage[i] = 40 << 20;
-        else memory->memoryProperties.memoryHeaps[i].size = 60 << 20;
+        if (budgets) {
+            budgets->heapBudget[i] = 100 << 20;
+            budgets->heapUsage[i] = 40 << 20;
+        } else memory->memoryProperties.memoryHeaps[i].size = 60 << 20;
 }
 
 /// An array that exceeds the memory budget must be rejected before the driver is called.

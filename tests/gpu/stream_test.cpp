@@ -282,7 +282,8 @@ protected:
     }
     void TearDown() override {
         if (copy) limit().piece_s = piece_s_before;
-        from.reset(), copy.reset();
+        from.reset();
+        copy.reset();
         StreamTest::TearDown();
     }
     gpu::LaunchTimeLimit& limit() { return device().impl().launch_limit; }

@@ -16,7 +16,10 @@ TEST(RandomNumbers, AreStandardNormal) {
     double sum[2]{}, square[2]{}, product = 0.0;
     for (std::uint32_t i = 0; i < kN; ++i) {
         const glm::dvec2 z = draw_normal_pair(77, i, i % 3);
-        for (int k = 0; k < 2; ++k) sum[k] += z[k], square[k] += z[k] * z[k];
+        for (int k = 0; k < 2; ++k) {
+            sum[k] += z[k];
+            square[k] += z[k] * z[k];
+        }
         product += z.x * z.y;
     }
     const double sigma = 1.0 / std::sqrt(double(kN));

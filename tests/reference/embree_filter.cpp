@@ -221,8 +221,11 @@ namespace {
 /// Traces a ray through a scene. Embree passes the candidate triangles to the query.
 void search(RTCScene scene, const LocalRay<float>& ray, float near_m, Query& query) {
     RTCRayHit target{};
-    target.ray.org_x = ray.origin.x, target.ray.org_y = ray.origin.y, target.ray.org_z = ray.origin.z;
-    target.ray.dir_x = ray.direction.x, target.ray.dir_y = ray.direction.y,
+    target.ray.org_x = ray.origin.x;
+    target.ray.org_y = ray.origin.y;
+    target.ray.org_z = ray.origin.z;
+    target.ray.dir_x = ray.direction.x;
+    target.ray.dir_y = ray.direction.y;
     target.ray.dir_z = ray.direction.z;
     target.ray.tnear = near_m;
     target.ray.tfar = std::numeric_limits<float>::infinity();

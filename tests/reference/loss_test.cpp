@@ -13,7 +13,11 @@ namespace {
 
 Pixel pixel(double depth, double weight, double intensity, double hit, double drop) {
     Pixel p;
-    p.depth = depth, p.weight = weight, p.intensity = intensity, p.hit_logit = hit, p.drop_logit = drop;
+    p.depth = depth;
+    p.weight = weight;
+    p.intensity = intensity;
+    p.hit_logit = hit;
+    p.drop_logit = drop;
     return p;
 }
 
@@ -76,7 +80,9 @@ TEST(ReferenceLoss, HuberIsSquaredUpToDelta) {
 
 TEST(ReferenceLoss, Likelihood) {
     std::vector<Pixel> pixels(4);
-    pixels[0].likelihood = 1.0, pixels[1].likelihood = 0.25, pixels[2].likelihood = 0.0,
+    pixels[0].likelihood = 1.0;
+    pixels[1].likelihood = 0.25;
+    pixels[2].likelihood = 0.0;
     pixels[3].likelihood = 0.5;
     const std::vector<Target> targets{{17, 0}, {2.5, 0}, {3, 0}, {0, 0}};
     EXPECT_NEAR(compute_likelihood_loss(pixels, targets, 0.01),

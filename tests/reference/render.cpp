@@ -92,7 +92,10 @@ ShadedHit shade_hit(const World& world, const Settings& settings, const Ray& ray
     ShadedHit s{};
     s.hit = hit;
     const PlaneHit<double> met = meet(make_record(surfel), local);  // M1, M2 or M9
-    s.t = met.t, s.u = met.u, s.v = met.v, s.w = met.w;
+    s.t = met.t;
+    s.u = met.u;
+    s.v = met.v;
+    s.w = met.w;
     s.gauss = std::exp(-0.5 * (s.u * s.u + s.v * s.v + s.w * s.w));
     const glm::dvec3 normal = a.rotation[2];
     s.side = glm::dot(normal, local.direction) > 0.0 ? -1.0 : 1.0;

@@ -41,7 +41,11 @@ double similarity(const Image& image, const std::vector<Neighbour>& neighbours, 
     double ex = 0, ey = 0, exx = 0, eyy = 0, exy = 0;
     for (const auto& [q, w] : neighbours) {
         const double x = image.x[q], y = image.y[q];
-        ex += w * x, ey += w * y, exx += w * x * x, eyy += w * y * y, exy += w * x * y;
+        ex += w * x;
+        ey += w * y;
+        exx += w * x * x;
+        eyy += w * y * y;
+        exy += w * x * y;
     }
     const double c1 = 0.01 * 0.01, c2 = 0.03 * 0.03;
     const double a1 = 2 * ex * ey + c1, a2 = 2 * (exy - ex * ey) + c2, b1 = ex * ex + ey * ey + c1,

@@ -37,7 +37,8 @@ TEST(ReferenceSsim, KnownCases) {
     image.is_known.assign(image.is_known.size(), false);
     EXPECT_EQ(compute_ssim_loss(image), 0.0) << "nothing known";
     image.is_known[20] = true;
-    image.x[20] = 0.2, image.y[20] = 0.6;
+    image.x[20] = 0.2;
+    image.y[20] = 0.6;
     EXPECT_NEAR(compute_ssim_loss(image), 1.0 - (2 * 0.12 + 1e-4) / (0.04 + 0.36 + 1e-4), 1e-12)
         << "one pixel: its luminance alone";
 }

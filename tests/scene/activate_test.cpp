@@ -52,7 +52,8 @@ protected:
         std::uniform_real_distribution<float> u(-1.0f, 1.0f);
         for (reference::Surfel& s : surfels) {
             if (!bends()) break;
-            s.gait_phase = u(random), s.gait_sharpness = 0.8f * u(random);
+            s.gait_phase = u(random);
+            s.gait_sharpness = 0.8f * u(random);
             s.gait_swing = {0.5f * u(random), 0.5f * u(random), 0.5f * u(random)};
         }
         return surfels;

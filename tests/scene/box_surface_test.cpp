@@ -21,7 +21,8 @@ void add_plane(ObservedBoxSurface& surface, int axis, double at_m) {
         for (double b = -0.99; b < 1.0; b += 0.01) {
             const int first = (axis + 1) % 3, second = (axis + 2) % 3;
             glm::dvec3 point(0.0);
-            point[axis] = at_m, point[first] = 0.5 * a * kSize_m[first],
+            point[axis] = at_m;
+            point[first] = 0.5 * a * kSize_m[first];
             point[second] = 0.5 * b * kSize_m[second];
             surface.mark_patch_of_point_as_observed(point, -point);
         }
@@ -40,7 +41,8 @@ TEST(BoxSurface, OfOneSideItsShareOfTheAreaIsSeen) {
     add_plane(surface, 1, -1.2);
     EXPECT_NEAR(surface.compute_observed_area_fraction(), 2.0 * kSide_m2 / kAll_m2, 1e-12);
     EXPECT_EQ(surface.compute_mirrored_area_fraction(), 0.0) << "nothing is left to complete";
-    add_plane(surface, 0, -2.1), add_plane(surface, 2, 1.5);
+    add_plane(surface, 0, -2.1);
+    add_plane(surface, 2, 1.5);
     EXPECT_DOUBLE_EQ(surface.compute_observed_area_fraction(BoxSide::rear), 1.0);
     EXPECT_DOUBLE_EQ(surface.compute_observed_area_fraction(BoxSide::top), 1.0);
     EXPECT_NEAR(surface.compute_observed_area_fraction(), 1.0 - kEnd_m2 / kAll_m2, 1e-12);

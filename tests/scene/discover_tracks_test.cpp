@@ -189,7 +189,8 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
                         frames.back().scan.range_m[i] = frames.back().scan.intensity[i] = 0.0f;
             }
         street.log.lidars.push_back(street.log.lidars[0]);
-        street.log.lidars[0].name = "first", street.log.lidars[1].name = "second";
+        street.log.lidars[0].name = "first";
+        street.log.lidars[1].name = "second";
         street.log.frames = std::move(frames);
         require_valid_sequence(street.log);
         const std::vector<BoxTrack> discovered_tracks =

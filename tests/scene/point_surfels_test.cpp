@@ -145,7 +145,10 @@ TEST(PointSurfels, DoNotReachBeyondTheLastLine) {
 TEST(PointSurfels, DoNotReachFartherThanTheyMay) {
     std::vector<double> x;
     // a gap of six spacings
-    for (int k = 0; k < 8; ++k) x.push_back(-kSpacing * k), x.push_back(0.6 + kSpacing * k);
+    for (int k = 0; k < 8; ++k) {
+        x.push_back(-kSpacing * k);
+        x.push_back(0.6 + kSpacing * k);
+    }
     const auto ground = [](double) { return 0.0; };
     EXPECT_NEAR(
         make_disc_at(make_surfels_from_points(make_lines_at(x, ground), make_standard_options(), 0.0), {})

@@ -58,12 +58,16 @@ protected:
     static void SetUpTestSuite() {
         log = make_synthetic_street(options());
         split = split_frames_into_train_and_test(log, 10);
-        start.opacity = 0.99, start.scale_factor = 0.5;  // opaque and small, as after training
+        start.opacity = 0.99;
+        start.scale_factor = 0.5;  // opaque and small, as after training
         walking = initialise_scene(log, split.train, start, {}, &notes);
         start.deform = "";
         rigid = initialise_scene(log, split.train, start);
     }
-    static void TearDownTestSuite() { log = {}, walking = rigid = {}; }
+    static void TearDownTestSuite() {
+        log = {};
+        walking = rigid = {};
+    }
 
     static const SurfelModel& model_of(const Scene& scene, const std::string& track) {
         return *std::ranges::find(scene.models, track, &SurfelModel::name);
@@ -83,7 +87,8 @@ protected:
             const glm::dvec3 local = inverse(box.world_from_box.interpolate_pose(frame.time_s)) * point;
             if (!box.contains_point(point, frame.time_s, 0.05) || local.z < -0.5 * box.size_m.z + 0.2)
                 continue;
-            rays.origin.emplace_back(ray.origin_m), rays.direction.emplace_back(ray.direction);
+            rays.origin.emplace_back(ray.origin_m);
+            rays.direction.emplace_back(ray.direction);
             truth.push_back(double(exact.range_m[i]));
         }
         Renderer renderer(device(), scene, {}, {.n_rays = static_cast<std::uint32_t>(rays.size())});

@@ -32,6 +32,26 @@ v1::ActorTrack& actor(v1::RenderLidarRequest& request, const std::string& name) 
     return added;
 }
 
+/// Adds a second pose 0.1 s after the first pose.
+v1::RenderLidarRequest& extend_path(v1::RenderLidarRequest& request) {
+    add_pose(*request.mutable_path(), 0.6, make_pose_at_x(0));
+    return request;
+}
+
+/// Makes a sensor of one ray, and returns it.
+v1::SensorSpec& set_one_ray(v1::RenderLidarRequest& request) {
+    spec(request) = make_rays_ahead(1);
+    return spec(request);
+}
+
+/// Makes a spinning sensor without beams, and returns it.
+v1::SpinningSensor& set_spinning(v1::RenderLidarRequest& request) {
+    v1::SpinningSensor& spinning = *spec(request).mutable_spinning();
+    spinning.set_columns(8);
+    spinning.set_period_s(0.1);
+    return spinning;
+}
+
 const std::vector<Case>& cases_of_poses() {
     static const std::vector<Case> all = {
         {"no path", [](auto& r) { r.clear_path(); }, Code::INVALID_ARGUMENT, "path ... 0 poses"},
@@ -50,15 +70,12 @@ const std::vector<Case>& cases_of_poses() {
         {"times that fall", [](auto& r) { add_pose(*r.mutable_path(), 0.4, make_pose_at_x(0)); },
          Code::INVALID_ARGUMENT, "path[1].time_s ... 0.4 ... 0.5"},
         {"NaN time", [](auto& r) { r.set_time_s(kNan); }, Code::INVALID_ARGUMENT, "time_s ... nan"},
-        {"microseconds",
-         [](auto& r) { add_pose(*r.mutable_path(), 0.6, make_pose_at_x(0)), r.set_time_s(500000.0); },
-         Code::INVALID_ARGUMENT, "time_s ... 500000 s ... 0.5 to 0.6 s"},
-        {"two seconds behind the path",
-         [](auto& r) { add_pose(*r.mutable_path(), 0.6, make_pose_at_x(0)), r.set_time_s(2.7); },
+        {"microseconds", [](auto& r) { extend_path(r).set_time_s(500000.0); }, Code::INVALID_ARGUMENT,
+         "time_s ... 500000 s ... 0.5 to 0.6 s"},
+        {"two seconds behind the path", [](auto& r) { extend_path(r).set_time_s(2.7); },
          Code::INVALID_ARGUMENT, "time_s ... 2.7 s ... 0.5 to 0.6 s"},
-        {"points elsewhen",
-         [](auto& r) { add_pose(*r.mutable_path(), 0.6, make_pose_at_x(0)), r.set_points_at_s(-500.0); },
-         Code::INVALID_ARGUMENT, "points_at_s"},
+        {"points elsewhen", [](auto& r) { extend_path(r).set_points_at_s(-500.0); }, Code::INVALID_ARGUMENT,
+         "points_at_s"},
         {"unknown scene", [](auto& r) { r.set_scene("smal"); }, Code::NOT_FOUND,
          "scene ... \"smal\" ... \"small\""},
         {"no weather", [](auto& r) { r.set_weather("fog=0"); }, Code::INVALID_ARGUMENT,
@@ -72,8 +89,8 @@ const std::vector<Case>& cases_of_poses() {
          [](auto& r) {
              r.set_time_s(0.5);
              v1::ActorTrack& car = actor(r, "car");
-             add_pose(*car.mutable_poses(), 3.0, make_pose_at_x(4)),
-                 add_pose(*car.mutable_poses(), 4.0, make_pose_at_x(5));
+             add_pose(*car.mutable_poses(), 3.0, make_pose_at_x(4));
+             add_pose(*car.mutable_poses(), 4.0, make_pose_at_x(5));
          },
          Code::INVALID_ARGUMENT, "actors.actors[0].poses ... 3 to 4 s ... 0.5 s"},
         {"actor twice",
@@ -101,8 +118,7 @@ const std::vector<Case>& cases_of_sensors() {
          Code::INVALID_ARGUMENT, "of 100000 bytes"},
         {"a name of two lines", [](auto& r) { r.mutable_sensor()->set_name("a\nb"); }, Code::INVALID_ARGUMENT,
          "\"a b\""},
-        {"a long name of a spec",
-         [](auto& r) { spec(r) = make_rays_ahead(1), spec(r).set_name(std::string(201, 'x')); },
+        {"a long name of a spec", [](auto& r) { set_one_ray(r).set_name(std::string(201, 'x')); },
          Code::INVALID_ARGUMENT, "sensor.spec.name"},
         {"forgotten handle", [](auto& r) { r.mutable_sensor()->set_handle("sensor-9"); }, Code::NOT_FOUND,
          "upload"},
@@ -114,12 +130,14 @@ const std::vector<Case>& cases_of_sensors() {
         {"wrong rows",
          [](auto& r) {
              spec(r) = make_rays_ahead(3);
-             spec(r).mutable_rays()->set_rows(2), spec(r).mutable_rays()->set_columns(2);
+             spec(r).mutable_rays()->set_rows(2);
+             spec(r).mutable_rays()->set_columns(2);
          },
          Code::INVALID_ARGUMENT, "found 2 rows, 2 columns and 3 directions"},
         {"times for some rays",
          [](auto& r) {
-             spec(r) = make_rays_ahead(3), spec(r).mutable_rays()->set_time_s(std::string(8, '\0'));
+             spec(r) = make_rays_ahead(3);
+             spec(r).mutable_rays()->set_time_s(std::string(8, '\0'));
          },
          Code::INVALID_ARGUMENT, "rays.time_s: found 8 bytes, expected 12 bytes"},
         {"directions of no length",
@@ -127,15 +145,10 @@ const std::vector<Case>& cases_of_sensors() {
          Code::INVALID_ARGUMENT, "ray 0 ... 0 ... 1"},
         {"NaN direction", [](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\xff')); },
          Code::INVALID_ARGUMENT, "nan"},
-        {"NaN origin",
-         [](auto& r) {
-             spec(r) = make_rays_ahead(1), spec(r).mutable_rays()->set_origin_m(std::string(12, '\xff'));
-         },
+        {"NaN origin", [](auto& r) { set_one_ray(r).mutable_rays()->set_origin_m(std::string(12, '\xff')); },
          Code::INVALID_ARGUMENT, "origin_m of ray 0"},
         {"NaN divergence",
-         [](auto& r) {
-             spec(r) = make_rays_ahead(1), spec(r).mutable_rays()->set_divergence_rad(std::string(4, '\xff'));
-         },
+         [](auto& r) { set_one_ray(r).mutable_rays()->set_divergence_rad(std::string(4, '\xff')); },
          Code::INVALID_ARGUMENT, "rays.divergence_rad of ray 0"},
     };
     return all;
@@ -145,51 +158,56 @@ const std::vector<Case>& cases_of_patterns() {
     static const std::vector<Case> all = {
         {"beams without columns", [](auto& r) { spec(r).mutable_spinning()->add_beams(); },
          Code::INVALID_ARGUMENT, "0 rays"},
-        {"NaN beam",
-         [](auto& r) {
-             v1::SpinningSensor& s = *spec(r).mutable_spinning();
-             s.add_beams()->set_elevation_rad(kNan), s.set_columns(8), s.set_period_s(0.1);
-         },
+        {"NaN beam", [](auto& r) { set_spinning(r).add_beams()->set_elevation_rad(kNan); },
          Code::INVALID_ARGUMENT, "beams[0].elevation_rad: found nan"},
-        {"degrees as radians",
-         [](auto& r) {
-             v1::SpinningSensor& s = *spec(r).mutable_spinning();
-             s.add_beams()->set_elevation_rad(-15.0), s.set_columns(8), s.set_period_s(0.1);
-         },
+        {"degrees as radians", [](auto& r) { set_spinning(r).add_beams()->set_elevation_rad(-15.0); },
          Code::INVALID_ARGUMENT, "beams[0].elevation_rad ... -15 ... -1.57"},
         {"beams from the lowest",
          [](auto& r) {
-             v1::SpinningSensor& s = *spec(r).mutable_spinning();
-             s.add_beams()->set_elevation_rad(-0.1), s.add_beams()->set_elevation_rad(0.1), s.set_columns(8),
-                 s.set_period_s(0.1);
+             v1::SpinningSensor& s = set_spinning(r);
+             s.add_beams()->set_elevation_rad(-0.1);
+             s.add_beams()->set_elevation_rad(0.1);
          },
          Code::INVALID_ARGUMENT, "-0.1 rad ... 0.1 rad"},
         {"a window upside down",
          [](auto& r) {
              v1::ScanningWindow& w = *spec(r).mutable_window();
-             w.set_rows(2), w.set_columns(2), w.set_top_rad(-0.1), w.set_bottom_rad(0.1), w.set_period_s(0.1);
+             w.set_rows(2);
+             w.set_columns(2);
+             w.set_top_rad(-0.1);
+             w.set_bottom_rad(0.1);
+             w.set_period_s(0.1);
          },
          Code::INVALID_ARGUMENT, "window.bottom_rad: found 0.1"},
         {"a turn of no time",
-         [](auto& r) { spec(r).mutable_spinning()->add_beams(), spec(r).mutable_spinning()->set_columns(8); },
+         [](auto& r) {
+             spec(r).mutable_spinning()->add_beams();
+             spec(r).mutable_spinning()->set_columns(8);
+         },
          Code::INVALID_ARGUMENT, "spinning.period_s: found 0"},
         {"a window of 2^64 rays",
          [](auto& r) {
-             spec(r).mutable_window()->set_rows(4294967295u),
-                 spec(r).mutable_window()->set_columns(4294967295u);
+             spec(r).mutable_window()->set_rows(4294967295u);
+             spec(r).mutable_window()->set_columns(4294967295u);
          },
          Code::INVALID_ARGUMENT, "rays ... 1 to"},
         {"NaN rosette",
          [](auto& r) {
              v1::Rosette& s = *spec(r).mutable_rosette();
-             s.set_rays(10), s.set_period_s(0.1), s.set_first_hz(kNan);
+             s.set_rays(10);
+             s.set_period_s(0.1);
+             s.set_first_hz(kNan);
          },
          Code::INVALID_ARGUMENT, "rosette.first_hz: found nan"},
-        {"negative range", [](auto& r) { spec(r) = make_rays_ahead(1), spec(r).set_max_range_m(-1.0); },
-         Code::INVALID_ARGUMENT, "max_range_m"},
+        {"negative range", [](auto& r) { set_one_ray(r).set_max_range_m(-1.0); }, Code::INVALID_ARGUMENT,
+         "max_range_m"},
         {"three returns", [](auto& r) { r.set_returns(3); }, Code::INVALID_ARGUMENT,
          "found 3, expected 0, 1 or 2"},
-        {"two returns of an ideal ray", [](auto& r) { spec(r) = make_rays_ahead(1), r.set_returns(2); },
+        {"two returns of an ideal ray",
+         [](auto& r) {
+             spec(r) = make_rays_ahead(1);
+             r.set_returns(2);
+         },
          Code::INVALID_ARGUMENT, "divergence"},
     };
     return all;

@@ -77,8 +77,10 @@ TEST(RenderQueue, RunsAllRequestsOnOneThread) {
     std::vector<std::jthread> clients;
     for (int i = 0; i < 8; ++i)
         clients.emplace_back([&] {
-            queue.reserve_slot()->run_on_render_thread(
-                [&] { elsewhere += std::this_thread::get_id() != worker, ++done; });
+            queue.reserve_slot()->run_on_render_thread([&] {
+                elsewhere += std::this_thread::get_id() != worker;
+                ++done;
+            });
         });
     clients.clear();
     EXPECT_EQ(done, 8);
@@ -110,7 +112,8 @@ std::string list_parts(const std::vector<std::pair<char, std::size_t>>& line, st
             };
             request.on_finish = [&parts, name] { parts += char(std::toupper(name)); };
             request.cancelled = [&n_in_line, counted = false]() mutable {
-                return n_in_line += !std::exchange(counted, true), false;
+                n_in_line += !std::exchange(counted, true);
+                return false;
             };
             if (scene > 0) request.scene = scene;
             try {

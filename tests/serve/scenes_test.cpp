@@ -56,7 +56,8 @@ TEST_F(Scenes, ThoseUsedLongestAgoMakeRoomAndComeBackTheSame) {
     SceneSet scenes(device(), sources, budget, no_assets);
     const std::vector<float> truth = ranges(scenes, 0);
     ASSERT_FALSE(truth.empty());
-    ranges(scenes, 1), ranges(scenes, 2);  // afterwards, each has allocated the memory for a scan
+    ranges(scenes, 1);
+    ranges(scenes, 2);  // afterwards, each has allocated the memory for a scan
     std::size_t last = 2;
     for (const std::size_t scene : {1u, 0u, 2u, 0u, 1u, 2u}) {
         EXPECT_EQ(ranges(scenes, scene), truth) << scene;

@@ -43,7 +43,8 @@ const Pose kEnd{make_rotation(0.25, 0.0, 0.0), {0.0, 0.5, 0.0}};
 wire::LidarRenderRequest moving() {
     wire::LidarRenderRequest request;
     request.set_scene_id("small");
-    request.set_frame_start_us(400'000), request.set_frame_end_us(500'000);
+    request.set_frame_start_us(400'000);
+    request.set_frame_end_us(500'000);
     set_pair(*request.mutable_sensor_pose(), kStart, kEnd);
     return request;
 }
@@ -172,7 +173,8 @@ TEST_F(Sensorsim, TranslationFirstIsASwitch) {
 TEST_F(Sensorsim, AggregatesLidarScansAlone) {
     start_sensorsim();
     wire::AggregatedRenderRequest request;
-    *request.add_lidar() = moving(), *request.add_lidar() = moving();
+    *request.add_lidar() = moving();
+    *request.add_lidar() = moving();
     request.mutable_lidar(1)->mutable_lidar()->set_lidar_type(wire::AT128);
     wire::AggregatedRenderReturn answer;
     {
@@ -235,12 +237,22 @@ TEST_F(Sensorsim, SaysWhatMakesNoSense) {
         {"unknown LiDAR", [](auto& r) { r.mutable_lidar()->set_logical_id("roof"); }, Code::NOT_FOUND,
          "lidar.logical_id ... \"roof\""},
         {"unknown object",
-         [&](auto& r) { add_car(r, here, here), r.mutable_dynamic_objects(0)->set_track_id("cat"); },
+         [&](auto& r) {
+             add_car(r, here, here);
+             r.mutable_dynamic_objects(0)->set_track_id("cat");
+         },
          Code::NOT_FOUND, "dynamic_objects[0].track_id ... \"cat\" ... \"car\""},
         {"object without a pose",
-         [&](auto& r) { add_car(r, here, here), r.mutable_dynamic_objects(0)->clear_pose(); },
+         [&](auto& r) {
+             add_car(r, here, here);
+             r.mutable_dynamic_objects(0)->clear_pose();
+         },
          Code::INVALID_ARGUMENT, "dynamic_objects[0].pose ... start"},
-        {"object twice", [&](auto& r) { add_car(r, here, here), add_car(r, here, here); },
+        {"object twice",
+         [&](auto& r) {
+             add_car(r, here, here);
+             add_car(r, here, here);
+         },
          Code::INVALID_ARGUMENT, "dynamic_objects[1].track_id ... \"car\""},
     };
     for (const SensorsimCase& wrong : cases) {
@@ -295,7 +307,8 @@ TEST_F(Sensorsim, AnswersUnderTheNameOfNuRec2610) {
 TEST_F(Sensorsim, LogicalIdTellsTheLidarsOfTheLogApart) {
     relidar::TrainedRun run = make_small_run(folder / "small");
     run.sequence.lidars.push_back(run.sequence.lidars[0]);
-    run.sequence.lidars[0].name = "front", run.sequence.lidars[1].name = "rear";
+    run.sequence.lidars[0].name = "front";
+    run.sequence.lidars[1].name = "rear";
     run.sequence.lidars[1].sensor.beams = {{0.05}, {-0.05}};
     save_run(run);
     start_sensorsim();

@@ -110,17 +110,20 @@ TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
     request.clear_path();
     for (std::size_t i = 0; i < 3; ++i)
         add_pose(*request.mutable_path(), sensor_path.time_s[i], sensor_path.pose[i]);
-    request.set_time_s(0.45), request.set_points_at_s(0.45);
+    request.set_time_s(0.45);
+    request.set_points_at_s(0.45);
     const std::vector<float> beside_image = values<float>(scan_of(request).points().xyz_m());
     ASSERT_GT(beside_image.size(), 60u);
-    request.mutable_wanted()->clear_range_image(), request.mutable_wanted()->clear_drop_probability();
+    request.mutable_wanted()->clear_range_image();
+    request.mutable_wanted()->clear_drop_probability();
     EXPECT_EQ(values<float>(scan_of(request).points().xyz_m()), beside_image) << "without an image";
 
     const relidar::TrainedRun run = load_run(folder / "small");
     const RenderedScan scan = rendered({0.45, sensor_path}, "", {});
     ScanOutputOptions format =
         make_default_output_options(run, make_sensor_from_config(run.config, run.sequence));
-    format.formats = {"ply"}, format.deskew = true;
+    format.formats = {"ply"};
+    format.deskew = true;
     ScanFolderWriter(folder / "files", format).write_scan(0, scan);
     EXPECT_EQ(read_ply_positions(folder / "files" / "frame_000000.ply"), beside_image)
         << "render --format ply";
@@ -143,11 +146,13 @@ TEST_F(Service, WeatherIsThatOfTheRequest) {
     weather = parse_weather("snow=4");
     start();
     v1::RenderLidarRequest request = make_standing_request();
-    request.mutable_actors(), request.set_time_s(0.5);
+    request.mutable_actors();
+    request.set_time_s(0.5);
     const PoseTrack sensor_path{{0.5}, {make_pose_at_x(0.0)}};
     for (const char* requested_weather : {"fog=20", "", "clear", "rain=80,fog=300", "clear"}) {
         for (const std::uint64_t seed : {1, 2}) {
-            request.set_weather(requested_weather), request.set_sample_seed(seed);
+            request.set_weather(requested_weather);
+            request.set_sample_seed(seed);
             const std::string expected = requested_weather[0] == 0 ? "snow=4" : requested_weather;
             const v1::LidarScan scan = scan_of(request);
             const RenderedScan truth = rendered({0.5, sensor_path, ActorTracksByName{}}, "", seed, expected);
@@ -173,19 +178,16 @@ TEST_F(Service, SaysHowMuchOfAScanTheLogHasSeen) {
     const double here = scan_of(request).unseen();
     EXPECT_GT(here, 0.5) << "three quarters of a turn";
     EXPECT_LT(here, 0.95);
-    request.clear_path();
-    add_pose(*request.mutable_path(), 0.45, make_pose_at_x(500.0)),
-        add_pose(*request.mutable_path(), 0.55, make_pose_at_x(500.0));
+    set_sweep_path(request, make_pose_at_x(500.0), make_pose_at_x(500.0));
     EXPECT_EQ(scan_of(request).unseen(), 1.0);
 }
 
 TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
     start();
     v1::RenderLidarRequest request = make_standing_request();
-    request.clear_path();
     const Pose begin = make_pose_at_x(-1.0),
                end{make_rotation(0.2, 0.0, 0.0), make_pose_at_x(0.0).translation + glm::dvec3(0.0, 0.5, 0.0)};
-    add_pose(*request.mutable_path(), 0.45, begin), add_pose(*request.mutable_path(), 0.55, end);
+    set_sweep_path(request, begin, end);
     request.mutable_actors();  // removes all actors, so that only the wall is visible
     const v1::LidarScan scan = scan_of(request);
     EXPECT_EQ(scan.points_at_s(), 0.55);
@@ -215,14 +217,16 @@ TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
     add_pose(*request.mutable_path(), 0.3, make_pose_at_x(-2.0));
     add_pose(*request.mutable_path(), 0.6,
              {glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), make_pose_at_x(0.0).translation});
-    request.set_time_s(0.45), request.set_points_at_s(0.5);
+    request.set_time_s(0.45);
+    request.set_points_at_s(0.5);
     request.mutable_sensor()->set_name("VLP-16:90x10");
     for (const bool sampled : {false, true}) {
         if (sampled) request.set_sample_seed(3);
-        request.mutable_wanted()->set_points(true), request.mutable_wanted()->set_range_image(true);
+        request.mutable_wanted()->set_points(true);
+        request.mutable_wanted()->set_range_image(true);
         const v1::LidarScan both = scan_of(request);
-        request.mutable_wanted()->set_range_image(false),
-            request.mutable_wanted()->set_drop_probability(false);
+        request.mutable_wanted()->set_range_image(false);
+        request.mutable_wanted()->set_drop_probability(false);
         const v1::LidarScan alone = scan_of(request);
         EXPECT_FALSE(alone.has_image());
         EXPECT_EQ(alone.unseen(), both.unseen());
@@ -260,8 +264,8 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
         request.mutable_sensor()->set_name(is_native ? "native" : "VLP-16:360x10");
         // points without an image are computed on the device
         for (const bool beside_image : {true, false}) {
-            request.mutable_wanted()->set_range_image(beside_image),
-                request.mutable_wanted()->set_drop_probability(beside_image);
+            request.mutable_wanted()->set_range_image(beside_image);
+            request.mutable_wanted()->set_drop_probability(beside_image);
             const v1::LidarScan scan = scan_of(request);
             const std::vector<glm::vec3> points = values<glm::vec3>(scan.points().xyz_m());
             const std::vector<float> times_s = values<float>(scan.points().time_s());
@@ -310,7 +314,8 @@ TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
         EXPECT_EQ(scan.points().count(), n);
         EXPECT_EQ(scan.returned(), n);
         v1::RenderLidarRequest alone = request;
-        alone.mutable_wanted()->set_range_image(false), alone.mutable_wanted()->set_drop_probability(false);
+        alone.mutable_wanted()->set_range_image(false);
+        alone.mutable_wanted()->set_drop_probability(false);
         EXPECT_EQ(scan_of(alone).points().count(), n);
     }
 }
@@ -320,7 +325,8 @@ TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
 TEST_F(Service, BoxesAreThoseOfTheRequestAndCountItsPoints) {
     start();
     v1::SpawnActorsRequest spawn;
-    spawn.add_actors()->set_name("hidden"), spawn.mutable_actors(0)->set_actor("car");
+    spawn.add_actors()->set_name("hidden");
+    spawn.mutable_actors(0)->set_actor("car");
     v1::SpawnActorsResponse spawned;
     grpc::ClientContext context;
     ASSERT_TRUE(stub()->SpawnActors(&context, spawn, &spawned).ok());
@@ -335,7 +341,8 @@ TEST_F(Service, BoxesAreThoseOfTheRequestAndCountItsPoints) {
     }
     EXPECT_EQ(scan_of(request).boxes_size(), 0) << "not requested";
     request.mutable_wanted()->Clear();
-    request.mutable_wanted()->set_points(true), request.mutable_wanted()->set_boxes(true);
+    request.mutable_wanted()->set_points(true);
+    request.mutable_wanted()->set_boxes(true);
     const v1::LidarScan scan = scan_of(request);
     ASSERT_EQ(scan.boxes_size(), 2);
     const v1::ActorBox &car = scan.boxes(0), &hidden = scan.boxes(1);
@@ -359,10 +366,9 @@ TEST_F(Service, ChannelsComeWithPointsAndImage) {
     channels = "normal,spread";
     start();
     v1::RenderLidarRequest request = make_standing_request();
-    request.clear_path();
     const Pose begin = make_pose_at_x(-1.0),
                end{make_rotation(0.4, 0.0, 0.0), make_pose_at_x(0.0).translation};
-    add_pose(*request.mutable_path(), 0.45, begin), add_pose(*request.mutable_path(), 0.55, end);
+    set_sweep_path(request, begin, end);
     request.mutable_actors();
     request.mutable_wanted()->set_range_image(true);
     const v1::LidarScan scan = scan_of(request);
@@ -392,8 +398,8 @@ TEST_F(Service, FirstRayIsFiredAtTheBeginningOfThePathUnlessToldOtherwise) {
     *request.mutable_sensor()->mutable_spec() = spec;
     request.clear_path();
     // a speed of 2 m/s
-    add_pose(*request.mutable_path(), 0.0, make_pose_at_x(-4.0)),
-        add_pose(*request.mutable_path(), 0.5, make_pose_at_x(-3.0));
+    add_pose(*request.mutable_path(), 0.0, make_pose_at_x(-4.0));
+    add_pose(*request.mutable_path(), 0.5, make_pose_at_x(-3.0));
     request.mutable_actors();
     const v1::LidarScan scan = scan_of(request);
     EXPECT_EQ(scan.time_s(), -0.25);
@@ -418,8 +424,8 @@ TEST_F(Service, ActorsAreTheLogsOrTheClients) {
     EXPECT_NEAR(range_m(), 6.0, 0.05) << "where the client has it";
     car.clear_poses();
     // the track of the car ends 0.5 s before the scan
-    add_pose(*car.mutable_poses(), -0.5, make_pose_at_x(4.0)),
-        add_pose(*car.mutable_poses(), 0.0, make_pose_at_x(5.0));
+    add_pose(*car.mutable_poses(), -0.5, make_pose_at_x(4.0));
+    add_pose(*car.mutable_poses(), 0.0, make_pose_at_x(5.0));
     EXPECT_NEAR(range_m(), 6.0, 0.05) << "it goes on at the same speed";
     request.mutable_actors()->clear_actors();
     EXPECT_NEAR(range_m(), 10.0, 0.05) << "nobody is there";
@@ -435,7 +441,8 @@ TEST_F(Service, SensorIsUploadedOnce) {
     v1::SpinningSensor& spinning = *upload.mutable_sensor()->mutable_spinning();
     spinning.add_beams()->set_elevation_rad(0.05);
     spinning.add_beams()->set_elevation_rad(-0.05);
-    spinning.set_columns(180), spinning.set_period_s(0.05);
+    spinning.set_columns(180);
+    spinning.set_period_s(0.05);
     ASSERT_TRUE(calls->UploadSensor(&context, upload, &upload_response).ok());
     EXPECT_EQ(upload_response.rays(), 360u);
     EXPECT_NEAR(upload_response.last_ray_s() - upload_response.first_ray_s(), 0.05, 0.001);
@@ -459,7 +466,8 @@ TEST_F(Service, RigIsAScanForEachOfItsSensors) {
         *sensor.mutable_sensor()->mutable_spec() = make_rays_ahead(1);
         sensor.mutable_rig_from_sensor()->mutable_translation()->set_x(x_m);
     };
-    mount("front", 2.0), mount("rear", -3.0);
+    mount("front", 2.0);
+    mount("rear", -3.0);
     const auto calls = stub();
     grpc::ClientContext context;
     const auto reader = calls->RenderRig(&context, request);

@@ -107,14 +107,27 @@ protected:
     }
 };
 
+/// Adds a pose to the path of a sensor or an actor.
 inline void add_pose(google::protobuf::RepeatedPtrField<v1::TimedPose>& poses, double time_s,
                      const Pose& pose) {
     v1::TimedPose& added = *poses.Add();
     added.set_time_s(time_s);
     v1::Vector& t = *added.mutable_pose()->mutable_translation();
-    t.set_x(pose.translation.x), t.set_y(pose.translation.y), t.set_z(pose.translation.z);
+    t.set_x(pose.translation.x);
+    t.set_y(pose.translation.y);
+    t.set_z(pose.translation.z);
     v1::Quaternion& q = *added.mutable_pose()->mutable_rotation();
-    q.set_w(pose.rotation.w), q.set_x(pose.rotation.x), q.set_y(pose.rotation.y), q.set_z(pose.rotation.z);
+    q.set_w(pose.rotation.w);
+    q.set_x(pose.rotation.x);
+    q.set_y(pose.rotation.y);
+    q.set_z(pose.rotation.z);
+}
+
+/// Replaces the sensor path of a request with two poses, at 0.45 s and 0.55 s.
+inline void set_sweep_path(v1::RenderLidarRequest& request, const Pose& begin, const Pose& end) {
+    request.clear_path();
+    add_pose(*request.mutable_path(), 0.45, begin);
+    add_pose(*request.mutable_path(), 0.55, end);
 }
 
 /// Returns a request for all outputs of a scan by the log's sensor, which does not move.

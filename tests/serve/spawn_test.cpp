@@ -42,8 +42,14 @@ ActorAsset make_plate_asset(const std::string& name, std::size_t n_surfels = 1,
     run.sequence.boxes[0].id = name;
     run.config.image.primitive = primitive;
     AssetDescription facts;
-    facts.name = name, facts.category = "Van", facts.kind = ObjectKind::vehicle, facts.size_m = {5, 2, 2.5};
-    facts.seen = 0.5, facts.completed = 0.25, facts.nearest_m = 6.0, facts.surfels = n_surfels,
+    facts.name = name;
+    facts.category = "Van";
+    facts.kind = ObjectKind::vehicle;
+    facts.size_m = {5, 2, 2.5};
+    facts.seen = 0.5;
+    facts.completed = 0.25;
+    facts.nearest_m = 6.0;
+    facts.surfels = n_surfels;
     facts.sensor = "HDL-64E";
     return {facts, run};
 }

@@ -49,6 +49,9 @@ Violations check_file_names(const SourceTree& tree);
 
 /// Checks that names of Vulkan occur only in src/gpu and src/diff/accel.
 Violations check_vulkan_names(const SourceTree& tree);
+/// Checks that no statement of C++ or GLSL joins an assignment, a call or a `return` with
+/// more work by a comma. Declarations may use commas, and so may the head of a loop.
+Violations check_comma_statements(const SourceTree& tree);
 /// Checks that functions declared in include/relidar have comments.
 Violations check_face_comments(const SourceTree& tree);
 /// Checks that installed headers mention only documents and headers that are installed

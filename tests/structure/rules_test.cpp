@@ -195,6 +195,22 @@ TEST(Rules, VulkanNameIsFound) {
     EXPECT_THAT(check_vulkan_names(tree), ElementsAre(HasSubstr("a.cpp:2: VkBuffer")));
 }
 
+TEST(Rules, CommaStatementIsFound) {
+    const SourceTree tree = make_tree({{"src/a.cpp",
+                                        "void f() {\n"
+                                        "    int a = 1, b = 2;\n"
+                                        "    for (a = 0, b = 1; a < b; ++a, --b) g(a, b);\n"
+                                        "    const auto c = h<int, float>(a, {b, a});\n"
+                                        "    c = h<int, float>(a, b);\n"
+                                        "    a = 1, b = 2;\n"
+                                        "    if (a < b) a = b, ++b;\n"
+                                        "    g(a), b = 3;\n"
+                                        "    return g(b), a;\n"
+                                        "}\n"}});
+    EXPECT_THAT(check_comma_statements(tree), ElementsAre(HasSubstr("a.cpp:6:"), HasSubstr("a.cpp:7:"),
+                                                          HasSubstr("a.cpp:8:"), HasSubstr("a.cpp:9:")));
+}
+
 TEST(Rules, UncommentedFunctionIsFound) {
     const SourceTree tree =
         make_tree({{"include/relidar/a.hpp",

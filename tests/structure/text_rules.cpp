@@ -5,6 +5,7 @@
 #include <regex>
 #include <set>
 #include <sstream>
+#include <string_view>
 
 namespace relidar::structure {
 namespace {
@@ -58,6 +59,44 @@ void check_face(const SourceFile& file, Violations& violations) {
     }
 }
 
+/// Removes `else`, and the heads of `if`, loops and `switch`, from the start of a
+/// statement.
+std::string_view remove_control_heads(std::string_view statement) {
+    static const std::regex kHead(R"(^\s*(else\b|(if constexpr|if|for|while|switch)\s*(?=\()))");
+    std::match_results<std::string_view::const_iterator> match;
+    while (std::regex_search(statement.begin(), statement.end(), match, kHead)) {
+        statement.remove_prefix(static_cast<std::size_t>(match.length()));
+        if (match[2].length() == 0) continue;
+        std::size_t end = 0;
+        int depth = 0;
+        do {
+            depth += statement[end] == '(' ? 1 : statement[end] == ')' ? -1 : 0;
+            ++end;
+        } while (depth > 0 && end < statement.size());
+        statement.remove_prefix(end);
+    }
+    return statement;
+}
+
+/// Returns true if a statement of blanked code consists of several expressions that are
+/// joined by commas. A declaration begins with a type and a name, so that it does not
+/// match.
+bool has_comma_operator(std::string_view statement) {
+    static const std::regex kExpression(
+        R"(\s*(return\b|\+\+|--|[\w:.>*\[\]()-]+\s*([-+*/%|&^]|<<|>>)?=[^=]|[\w:.>-]+\([^]*\)\s*$)[^]*)");
+    static const std::regex kInTemplateArguments(R"(\w<[^;(){}<>]*$)");
+    statement = remove_control_heads(statement);
+    int depth = 0;
+    for (std::size_t i = 0; i < statement.size(); ++i) {
+        const char c = statement[i];
+        depth += c == '(' || c == '[' || c == '{' ? 1 : c == ')' || c == ']' || c == '}' ? -1 : 0;
+        if (c != ',' || depth > 0) continue;
+        const std::string first(statement.substr(0, i));
+        if (!std::regex_search(first, kInTemplateArguments)) return std::regex_match(first, kExpression);
+    }
+    return false;
+}
+
 /// Returns the first word of a command line. For `bash word`, returns the second word.
 std::string get_called_script(const std::string& command) {
     std::istringstream in(command);
@@ -84,6 +123,35 @@ Violations check_vulkan_names(const SourceTree& tree) {
             if (std::regex_search(lines[i], match, kName))
                 violations.push_back(at(path, i + 1) + match[1].str() +
                                      " outside src/gpu and src/diff/accel");
+        }
+    }
+    return violations;
+}
+
+Violations check_comma_statements(const SourceTree& tree) {
+    struct Scope {
+        std::size_t statement_begin = 0;
+        int depth = 0;  // of parentheses
+    };
+    Violations violations;
+    for (const auto& [path, file] : tree) {
+        if (!has_extension(path, {".cpp", ".hpp", ".h", ".comp", ".glsl"})) continue;
+        const std::string_view code = file.code;
+        std::vector<Scope> scopes(1);
+        for (std::size_t i = 0; i < code.size(); ++i) {
+            const char c = code[i];
+            scopes.back().depth += c == '(' || c == '[' ? 1 : c == ')' || c == ']' ? -1 : 0;
+            if (c == '{') scopes.push_back({i + 1, 0});
+            if (c == '}' && scopes.size() > 1) scopes.pop_back();
+            Scope& scope = scopes.back();
+            if (scope.depth > 0 || (c != '}' && c != ';')) continue;
+            if (c == ';' &&
+                has_comma_operator(code.substr(scope.statement_begin, i - scope.statement_begin))) {
+                const auto n_lines_before = std::count(code.begin(), code.begin() + std::ptrdiff_t(i), '\n');
+                violations.push_back(at(path, std::size_t(n_lines_before) + 1) +
+                                     "a comma joins two statements");
+            }
+            scope.statement_begin = i + 1;
         }
     }
     return violations;

@@ -15,7 +15,10 @@ namespace {
 struct Box {
     glm::vec3 low{std::numeric_limits<float>::infinity()};
     glm::vec3 high{-std::numeric_limits<float>::infinity()};
-    void grow(const Box& b) { low = glm::min(low, b.low), high = glm::max(high, b.high); }
+    void grow(const Box& b) {
+        low = glm::min(low, b.low);
+        high = glm::max(high, b.high);
+    }
     bool finite() const { return std::isfinite(glm::dot(low, low)) && std::isfinite(glm::dot(high, high)); }
 };
 
@@ -186,7 +189,10 @@ HostBvh::HostBvh(Device& device, const DeviceScene& scene) {
         Indices usable;
         Box bounding_box;
         for (std::uint32_t i = 0; i < model.count; ++i)
-            if (model_surfel_boxes[i].finite()) usable.push_back(i), bounding_box.grow(model_surfel_boxes[i]);
+            if (model_surfel_boxes[i].finite()) {
+                usable.push_back(i);
+                bounding_box.grow(model_surfel_boxes[i]);
+            }
         model_box.push_back(bounding_box);
         root_of_model.push_back(usable.empty() ? RELIDAR_BVH_NO_NODE
                                                : Builder(model_surfel_boxes, nodes, order).build(usable));

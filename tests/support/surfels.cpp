@@ -16,7 +16,8 @@ std::vector<reference::Surfel> to_reference(const Surfels& surfels) {
         if (get_primitive_kind(surfels.primitive).third_scale) s.log_scale_w = double(surfels.log_scale_w[i]);
         if (surfels.bends) {
             const GaitPhaseWindow& gait = surfels.gait[i];
-            s.gait_phase = double(gait.phase), s.gait_sharpness = double(gait.sharpness),
+            s.gait_phase = double(gait.phase);
+            s.gait_sharpness = double(gait.sharpness);
             s.gait_swing = glm::dvec3(gait.swing);
         }
         for (int k = 0; k < kShFloats; ++k) s.sh[k] = double(surfels.sh[i * kShFloats + k]);

@@ -196,7 +196,8 @@ TEST_F(Batch, SimilaritySeesWindows) {
     EXPECT_EQ(batch.window.stride, 1u);
     EXPECT_THAT(error_message<UsageError>([&] { BatchSampler(device(), config, cloud); }),
                 test::Names("loss.intensity_ssim ... ordered"));
-    config.loss.intensity_ssim = 0.0f, config.loss.likelihood = 0.15f;  // of single rays
+    config.loss.intensity_ssim = 0.0f;
+    config.loss.likelihood = 0.15f;  // of single rays
     BatchSampler(device(), config, cloud);
 }
 

@@ -60,8 +60,10 @@ TEST_F(NoWait, NorAllocationInAnIteration) {
 TEST_F(NoWait, ButALossThatIsNoNumberEndsTrainingSoon) {
     FrameSampler sampler(split.train.size(), config.train.seed);
     int poisoned_step = 1;
-    while (sampler.sample_next_frame_index() != 3)
-        ++poisoned_step, sampler.get_random_generator().sample_random_uint64();
+    while (sampler.sample_next_frame_index() != 3) {
+        ++poisoned_step;
+        sampler.get_random_generator().sample_random_uint64();
+    }
     LidarFrame& frame = street.frames[std::size_t(split.train[3])];
     std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(),
               std::numeric_limits<float>::quiet_NaN());

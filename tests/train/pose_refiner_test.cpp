@@ -34,7 +34,9 @@ constexpr double kDegree = kPi / 180.0;
 
 LidarSequence street_of(int n_frames, int rows, int columns, bool moving_cars = false) {
     SyntheticOptions options;
-    options.n_frames = n_frames, options.rows = rows, options.columns = columns,
+    options.n_frames = n_frames;
+    options.rows = rows;
+    options.columns = columns;
     options.moving_cars = moving_cars;
     return make_synthetic_street(options);
 }
@@ -121,7 +123,7 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
     Random draw(5);
     for (const auto& [batch_kind, f] : {std::pair{"rays", 0u}, {"columns", 1u}, {"columns", 2u}}) {
         Config config;
-        config.loss.intensity_ssim = batch_kind == std::string("columns") ? 0.15f : 0.0f,
+        config.loss.intensity_ssim = batch_kind == std::string("columns") ? 0.15f : 0.0f;
         config.train.rays_per_iteration = 130;
         BatchSampler sampler(device(), config, frames.get_all_frames());
         rays.move_rays_to_corrected_poses(stream, correction, frames[f]);
@@ -262,23 +264,31 @@ void keep_rays_near_boxes(LidarSequence& street, double margin_m) {
                     return box.contains_point(w.point_m, w.time_s, margin_m);
                 }))
                 continue;
-            scan.rays.origin[n] = scan.rays.origin[ray], scan.rays.direction[n] = scan.rays.direction[ray];
-            scan.rays.time_offset_s[n] = scan.rays.time_offset_s[ray],
+            scan.rays.origin[n] = scan.rays.origin[ray];
+            scan.rays.direction[n] = scan.rays.direction[ray];
+            scan.rays.time_offset_s[n] = scan.rays.time_offset_s[ray];
             scan.rays.channel[n] = scan.rays.channel[ray];
-            scan.range_m[n] = scan.range_m[ray], scan.intensity[n] = scan.intensity[ray];
+            scan.range_m[n] = scan.range_m[ray];
+            scan.intensity[n] = scan.intensity[ray];
             ++n;
         }
-        scan.rays.rows = 1, scan.rays.columns = int(n);
-        scan.rays.origin.resize(n), scan.rays.direction.resize(n), scan.rays.time_offset_s.resize(n),
-            scan.rays.channel.resize(n);
-        scan.range_m.resize(n), scan.intensity.resize(n);
+        scan.rays.rows = 1;
+        scan.rays.columns = int(n);
+        scan.rays.origin.resize(n);
+        scan.rays.direction.resize(n);
+        scan.rays.time_offset_s.resize(n);
+        scan.rays.channel.resize(n);
+        scan.range_m.resize(n);
+        scan.intensity.resize(n);
     }
 }
 
 /// Car labels with errors of 10 cm must become more accurate.
 TEST_F(Poses, OfTheActorsComeBack) {
     SyntheticOptions options;
-    options.n_frames = 7, options.rows = 32, options.columns = 512;
+    options.n_frames = 7;
+    options.rows = 32;
+    options.columns = 512;
     LidarSequence street = make_synthetic_street(options);
     const std::vector<BoxTrack> exact = street.boxes;
     keep_rays_near_boxes(street, 1.5);
@@ -311,7 +321,8 @@ TEST_F(Poses, AreKeptWhereNoneIsRefined) {
     TrainSession session;
     session.note = [&](const std::string& note) { notes.push_back(note); };
     config = make_refining_config("actors", 2);
-    config.init.actor_classes = "", config.init.mask_others = false;
+    config.init.actor_classes = "";
+    config.init.mask_others = false;
     train(
         device(), street, split_frames_into_train_and_test(street, 0), config,
         [](const TrainProgress&) { return true; }, session);

@@ -115,7 +115,7 @@ TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
     const TrainTestSplit split = split_frames_into_train_and_test(original_log, 10);
     Config config;
     config.train.refine_poses = "sensor";
-    config.init.unlabelled_movers = UnlabelledMoverPolicy::actors,
+    config.init.unlabelled_movers = UnlabelledMoverPolicy::actors;
     config.sensor.calibrate = "range,intensity";
     LidarSequence alone = original_log;
     std::vector<std::string> separate_notes;

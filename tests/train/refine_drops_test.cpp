@@ -251,7 +251,8 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
                 test::Names("2 ... step 2 ... setting refine.rate: found 0.5, expected 0.01"));
     copy_network_settings_into_config(checkpoint, other.config);
     EXPECT_EQ(other.config.refine.rate, run.config.refine.rate);
-    other.config.train.log_every = 7, other.config.train.checkpoint_minutes = 3.0,
+    other.config.train.log_every = 7;
+    other.config.train.checkpoint_minutes = 3.0;
     other.config.refine.enabled = false;
     require_network_training_is_resumable(checkpoint, other);
     other = run;

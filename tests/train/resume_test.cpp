@@ -117,8 +117,10 @@ protected:
 
 TEST(ResumedSampler, GoesOnWithTheSameFramesAndNumbers) {
     FrameSampler sampler(10, 3), other(10, 99);
-    for (int i = 0; i < 27; ++i)
-        sampler.sample_next_frame_index(), sampler.get_random_generator().sample_random_uint64();
+    for (int i = 0; i < 27; ++i) {
+        sampler.sample_next_frame_index();
+        sampler.get_random_generator().sample_random_uint64();
+    }
     Checkpoint checkpoint;
     sampler.visit_state(CheckpointWriter(checkpoint));
     other.sample_next_frame_index();
@@ -170,7 +172,9 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
         config.image.primitive = primitive;
         config.train.deterministic = true;
         config.densify.strategy = strategy;
-        config.densify.from = 4, config.densify.every = 4, config.densify.until = 36;
+        config.densify.from = 4;
+        config.densify.every = 4;
+        config.densify.until = 36;
         config.densify.gradient_threshold = 1e-3;
         config.densify.opacity_reset_every = 20;
         const TrainResult uninterrupted = run(config), first = run(config, nullptr, kStoppedAfter);
@@ -395,8 +399,10 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
     const std::size_t poisoned = 6;  // index among the training frames
     FrameSampler sampler(split.train.size(), config.train.seed);
     int expected = 1;
-    while (sampler.sample_next_frame_index() != poisoned)
-        ++expected, sampler.get_random_generator().sample_random_uint64();
+    while (sampler.sample_next_frame_index() != poisoned) {
+        ++expected;
+        sampler.get_random_generator().sample_random_uint64();
+    }
     LidarFrame& frame = street.frames[std::size_t(split.train[poisoned])];
     std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(),
               std::numeric_limits<float>::quiet_NaN());

@@ -128,8 +128,11 @@ TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
         EXPECT_TRUE(std::equal(a.begin(), a.begin() + floats, b.begin()));
         EXPECT_FALSE(std::equal(a.begin() + floats, a.end(), b.begin() + floats)) << "actors learn";
     };
-    same(&Surfels::mean), same(&Surfels::rotation), same(&Surfels::log_scale), same(&Surfels::opacity_logit),
-        same(&Surfels::sh);
+    same(&Surfels::mean);
+    same(&Surfels::rotation);
+    same(&Surfels::log_scale);
+    same(&Surfels::opacity_logit);
+    same(&Surfels::sh);
 }
 
 /// Only background near the rays may affect the training of actors. Surfels high above

@@ -211,7 +211,8 @@ TEST_F(Train, StopsWhenAskedAndKeepsTheScene) {
 /// the cars, the errors with actors must be much smaller.
 TEST_F(Train, ActorsBeatMasking) {
     SyntheticOptions options = make_small_street();
-    options.rows = 32, options.columns = 512;
+    options.rows = 32;
+    options.columns = 512;
     const LidarSequence street = make_synthetic_street(options);
     const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     const LidarFrame& frame = street.frames[std::size_t(split.test[0])];
@@ -357,9 +358,14 @@ TEST_F(Train, ABlindSectorOfOneSweepIsRenderedBlind) {
     const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt, true}, frame.time_s);
     std::size_t hidden = 0, dropped = 0, ground = 0, returned = 0;
     for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
-        if (is_hidden(frame.scan.rays, i)) ++hidden, dropped += scan.image.drop_prob[i] >= 0.5f;
-        if (frame.scan.range_m[i] > 0.0f && frame.scan.rays.direction[i].z < -0.1f)
-            ++ground, returned += scan.image.drop_prob[i] < 0.5f;
+        if (is_hidden(frame.scan.rays, i)) {
+            ++hidden;
+            dropped += scan.image.drop_prob[i] >= 0.5f;
+        }
+        if (frame.scan.range_m[i] > 0.0f && frame.scan.rays.direction[i].z < -0.1f) {
+            ++ground;
+            returned += scan.image.drop_prob[i] < 0.5f;
+        }
     }
     std::printf("%zu of %zu hidden rays dropped, %zu of %zu that see the ground returned\n", dropped, hidden,
                 returned, ground);

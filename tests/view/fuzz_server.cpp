@@ -130,11 +130,15 @@ int run(int n_requests, unsigned seed) {
         bother(made.port(), change);
         if (sent - checked < kBetweenChecks) continue;
         checked = sent;
-        if (!is_server_alive(made.port()))
-            return std::fprintf(stderr, "view_fuzz: no answer after %d requests, seed %u\n", sent, seed), 1;
+        if (!is_server_alive(made.port())) {
+            std::fprintf(stderr, "view_fuzz: no answer after %d requests, seed %u\n", sent, seed);
+            return 1;
+        }
     }
-    if (!is_server_alive(made.port()))
-        return std::fprintf(stderr, "view_fuzz: no answer at the end, seed %u\n", seed), 1;
+    if (!is_server_alive(made.port())) {
+        std::fprintf(stderr, "view_fuzz: no answer at the end, seed %u\n", seed);
+        return 1;
+    }
     std::printf("view_fuzz: %d requests and frames, seed %u: the server answers as before\n", n_requests,
                 seed);
     return 0;
@@ -147,6 +151,7 @@ int main(int argc, char** argv) {
         return run(argc > 1 ? std::atoi(argv[1]) : 3000,
                    argc > 2 ? static_cast<unsigned>(std::atoi(argv[2])) : 1u);
     } catch (const std::exception& error) {
-        return std::fprintf(stderr, "view_fuzz: %s\n", error.what()), 1;
+        std::fprintf(stderr, "view_fuzz: %s\n", error.what());
+        return 1;
     }
 }

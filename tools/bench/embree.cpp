@@ -163,7 +163,10 @@ public:
 
     RenderedPixel render_ray(const glm::vec3& origin, const glm::vec3& direction) const {
         RayQueryState query;
-        query.world = &world_, query.origin = origin, query.direction = direction, query.chunk = chunk_;
+        query.world = &world_;
+        query.origin = origin;
+        query.direction = direction;
+        query.chunk = chunk_;
         query.after = {world_.model.near_m, 0.0f, ~0u};
         float basis[16];
         evaluate_sh_basis(direction, basis);
@@ -195,16 +198,20 @@ private:
         const float k = std::sqrt(2.0f * std::log(std::max(opacity / world_.model.alpha_min, 1.0f)));
         const glm::vec3 u = (k * scale.x * kGrow + kPad_m) * r[0], v = (k * scale.y * kGrow + kPad_m) * r[1];
         const glm::vec3 m = surfels.mean[surfel_index];
-        output_corners[0] = m - u - v, output_corners[1] = m + u - v, output_corners[2] = m + u + v,
+        output_corners[0] = m - u - v;
+        output_corners[1] = m + u - v;
+        output_corners[2] = m + u + v;
         output_corners[3] = m - u + v;
     }
 
     void find_next_nearest_hits(RayQueryState& query) const {
         query.n = 0;
         RTCRayHit target{};
-        target.ray.org_x = query.origin.x, target.ray.org_y = query.origin.y,
+        target.ray.org_x = query.origin.x;
+        target.ray.org_y = query.origin.y;
         target.ray.org_z = query.origin.z;
-        target.ray.dir_x = query.direction.x, target.ray.dir_y = query.direction.y,
+        target.ray.dir_x = query.direction.x;
+        target.ray.dir_y = query.direction.y;
         target.ray.dir_z = query.direction.z;
         target.ray.tnear = std::max(0.0f, query.after.t - (1e-4f + 1e-5f * query.after.t));
         target.ray.tfar = std::numeric_limits<float>::infinity();
@@ -235,9 +242,11 @@ private:
         float channel[3] = {0.5f, 0.5f, 0.5f};
         for (int c = 0; c < 3; ++c)
             for (int k = 0; k < 16; ++k) channel[c] += sh_basis_values[k] * sh[16 * c + k];
-        pixel.depth += w * hit.t, pixel.weight += w;
-        pixel.intensity += w * std::max(channel[0], 0.0f), pixel.hit_logit += w * channel[1],
-            pixel.drop_logit += w * channel[2];
+        pixel.depth += w * hit.t;
+        pixel.weight += w;
+        pixel.intensity += w * std::max(channel[0], 0.0f);
+        pixel.hit_logit += w * channel[1];
+        pixel.drop_logit += w * channel[2];
         pixel.transmittance = next;
         ++pixel.n_hits;
         return true;
@@ -315,7 +324,10 @@ int main(int argc, char** argv) {
     std::sort(wall.begin(), wall.end());
     std::sort(cpu.begin(), cpu.end());
     double n_hits = 0.0, depth = 0.0;
-    for (const RenderedPixel& pixel : image) n_hits += pixel.n_hits, depth += pixel.depth;
+    for (const RenderedPixel& pixel : image) {
+        n_hits += pixel.n_hits;
+        depth += pixel.depth;
+    }
     const double mrays = 1e-6 * double(rays.size()), n = double(rays.size());
     fmt::print("{:.4f} {:.4f} {:.3f} {:.6f}\n", mrays / wall[wall.size() / 2], mrays / cpu[cpu.size() / 2],
                n_hits / n, depth / n);

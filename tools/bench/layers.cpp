@@ -125,10 +125,13 @@ void benchmark_convolution(Device& device, const ConvolutionSize& size, int n_re
         {"by weights", [&] { on_device.compute_weight_gradient(); }}};
     for (std::size_t pass = 0; pass < passes.size(); ++pass) {
         const auto host = [&] { on_host.run_forward_or_gradient_pass(pass); };
-        passes[pass].second(), host();  // Warm-up run, not timed.
+        passes[pass].second();
+        host();  // Warm-up run, not timed.
         WallAndCpuTimes of_device, of_host;
-        for (int i = 0; i < n_repeats; ++i)
-            of_device.time_pass_and_append(passes[pass].second), of_host.time_pass_and_append(host);
+        for (int i = 0; i < n_repeats; ++i) {
+            of_device.time_pass_and_append(passes[pass].second);
+            of_host.time_pass_and_append(host);
+        }
         print_gpu_and_cpu_pass_times(size, passes[pass].first, of_device, of_host);
     }
 }

@@ -26,7 +26,10 @@ double compute_free_distance_ahead_m(const LidarPoints& points) {
 }
 
 int main(int argc, char** argv) try {
-    if (argc != 2) return std::fprintf(stderr, "usage: %s RUN\n", argv[0]), 2;
+    if (argc != 2) {
+        std::fprintf(stderr, "usage: %s RUN\n", argv[0]);
+        return 2;
+    }
     const TrainedRun run = load_run(argv[1]);
     if (run.scene.instances.size() < 2)
         throw UsageError("closed_loop: found a run without actors, expected at least one actor");

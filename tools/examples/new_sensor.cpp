@@ -9,7 +9,10 @@
 using namespace relidar;
 
 int main(int argc, char** argv) try {
-    if (argc != 4) return std::fprintf(stderr, "usage: %s RUN TRAJECTORY.csv OUT\n", argv[0]), 2;
+    if (argc != 4) {
+        std::fprintf(stderr, "usage: %s RUN TRAJECTORY.csv OUT\n", argv[0]);
+        return 2;
+    }
     TrainedRun run = load_run(argv[1]);
     // Instance 0 is the background, so instance 1 is the first actor.
     if (run.scene.instances.size() > 1)

@@ -38,7 +38,10 @@ double compute_loss_and_gradients(const RenderedRayValues& rendering, const Scan
 }
 
 int main(int argc, char** argv) try {
-    if (argc != 2) return std::fprintf(stderr, "usage: %s DRIVE\n", argv[0]), 2;
+    if (argc != 2) {
+        std::fprintf(stderr, "usage: %s DRIVE\n", argv[0]);
+        return 2;
+    }
     const LidarSequence log = load_sequence(argv[1], {});
     const PoseTrack trajectory = log.get_world_from_sensor(0);
     const TrainTestSplit split = split_frames_into_train_and_test(log, 10);
@@ -57,8 +60,8 @@ int main(int argc, char** argv) try {
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const WorldRay ray =
                 make_world_ray(trajectory, frame.time_s, frame.scan.rays, i, log.rolling_shutter);
-            rays.origin.push_back(glm::vec3(ray.origin_m)),
-                rays.direction.push_back(glm::vec3(ray.direction));
+            rays.origin.push_back(glm::vec3(ray.origin_m));
+            rays.direction.push_back(glm::vec3(ray.direction));
             rays.time_s.push_back(log.rolling_shutter ? frame.scan.rays.time_offset_s[i] : 0.0f);
         }
         renderer.record_view_preparation(compute_instance_poses(scene, log, get_sweep_timing_of_frame(frame)),
@@ -73,5 +76,6 @@ int main(int argc, char** argv) try {
     std::printf("loss %.4f -> %.4f\n", first, last);
     return last < first ? 0 : 1;
 } catch (const std::exception& error) {
-    return std::fprintf(stderr, "%s\n", error.what()), 1;
+    std::fprintf(stderr, "%s\n", error.what());
+    return 1;
 }

@@ -114,9 +114,12 @@ py::dict find_actor_boxes_in_scan_as_dict(const RenderedScan& scan, const ScanOu
         values.insert(values.end(), {vector.x, vector.y, vector.z});
     };
     for (const ActorBox& box : boxes) {
-        tracks.push_back(box.track), categories.push_back(box.category);
-        append(sizes_m, box.size_m), append(velocities_mps, box.velocity_mps);
-        times_s.push_back(box.time_s), shares.push_back(box.visible_share);
+        tracks.push_back(box.track);
+        categories.push_back(box.category);
+        append(sizes_m, box.size_m);
+        append(velocities_mps, box.velocity_mps);
+        times_s.push_back(box.time_s);
+        shares.push_back(box.visible_share);
         points.push_back(std::int32_t(box.n_points));
         const glm::dmat4 columns = to_matrix(box.dataset_from_box);
         for (int row = 0; row < 4; ++row)

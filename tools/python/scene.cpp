@@ -129,7 +129,8 @@ Surfels read_surfels_from_arrays(const py::dict& arrays) {
     // 2D surfels do not.
     const auto kind =
         std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveProperties::third_scale);
-    surfels.primitive = kind->primitive, surfels.bends = arrays.contains(kGait);
+    surfels.primitive = kind->primitive;
+    surfels.bends = arrays.contains(kGait);
     surfels.require_equal_array_lengths();
     return surfels;
 }

@@ -79,7 +79,10 @@ std::string format_byte_size(std::uint64_t n_bytes) {
     constexpr const char* kUnits[] = {"B", "KiB", "MiB", "GiB", "TiB"};
     auto value = static_cast<double>(n_bytes);
     std::size_t unit = 0;
-    while (value >= 1024.0 && unit + 1 < std::size(kUnits)) value /= 1024.0, ++unit;
+    while (value >= 1024.0 && unit + 1 < std::size(kUnits)) {
+        value /= 1024.0;
+        ++unit;
+    }
     return unit == 0 ? fmt::format("{} B", n_bytes) : fmt::format("{:.1f} {}", value, kUnits[unit]);
 }
 

@@ -123,7 +123,9 @@ void require_valid_bench_options(const BenchCaseOptions& bench_choice) {
     parse_ray_grid_size(bench_choice.rays);
     Config unused;
     set_config_from_bench_options(bench_choice, unused);
-    parse_proxy_shape(bench_choice), parse_traversal_mode(bench_choice), parse_hit_sort_method(bench_choice);
+    parse_proxy_shape(bench_choice);
+    parse_traversal_mode(bench_choice);
+    parse_hit_sort_method(bench_choice);
 }
 
 DevCase make_benchmark_of_run_or_street(const BenchCaseOptions& bench_choice) {

@@ -31,7 +31,8 @@ public:
     LogPathRequests(const TrainedRun& run, const ScanBenchOptions& bench) {
         const PoseTrack log =
             add_offset_to_track_positions(run.sequence.get_world_from_sensor(0), run.sequence.world_offset_m);
-        first_s_ = log.time_s.front(), last_s_ = log.time_s.back();
+        first_s_ = log.time_s.front();
+        last_s_ = log.time_s.back();
         if (const auto rig = read_sensor_rig(bench.sensor)) {
             for (const MountedSensor& mounted : *rig) {
                 sensors_.push_back(make_simulated_sensor(mounted));

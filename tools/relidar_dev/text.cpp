@@ -114,8 +114,10 @@ Json make_time_percentiles_json(const std::vector<KernelBenchTime>& rows,
                                         {"p90", row.ms.p90},
                                         {"floor", nullptr},
                                         {"median_over_floor", nullptr}};
-        if (const auto floor = min_times_ms.find(row.name); floor != min_times_ms.end())
-            entry["floor"] = floor->second, entry["median_over_floor"] = row.ms.median / floor->second;
+        if (const auto floor = min_times_ms.find(row.name); floor != min_times_ms.end()) {
+            entry["floor"] = floor->second;
+            entry["median_over_floor"] = row.ms.median / floor->second;
+        }
     }
     return json;
 }
@@ -228,8 +230,10 @@ std::string make_bench_result_json(const DevCase& bench_case, const BenchSetting
         {"surfels_tested_per_ray", nullptr},
         {"memory", make_memory_json(result.memory, bench_case.scene.surfels.size(), bench_case.rays.size())}};
     if (result.backward_mrays_per_s) json["backward_mrays_per_s"] = *result.backward_mrays_per_s;
-    if (result.visits)
-        json["nodes_per_ray"] = result.visits->nodes, json["surfels_tested_per_ray"] = result.visits->surfels;
+    if (result.visits) {
+        json["nodes_per_ray"] = result.visits->nodes;
+        json["surfels_tested_per_ray"] = result.visits->surfels;
+    }
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

@@ -185,9 +185,10 @@ void write_actor_tracks(const TrainedRun& run, PoseTransformOrder pose_order,
         // Leaves out poses before 0 s, because the message format has no negative times.
         PoseTrack track;
         for (std::size_t i = 0; i < box->world_from_box.pose.size(); ++i)
-            if (box->world_from_box.time_s[i] >= 0.0)
-                track.time_s.push_back(box->world_from_box.time_s[i]),
-                    track.pose.push_back(box->world_from_box.pose[i]);
+            if (box->world_from_box.time_s[i] >= 0.0) {
+                track.time_s.push_back(box->world_from_box.time_s[i]);
+                track.pose.push_back(box->world_from_box.pose[i]);
+            }
         write_track(track, pose_order, *object.mutable_trajectory());
     }
 }

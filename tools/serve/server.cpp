@@ -92,7 +92,10 @@ struct ScanServer::Impl {
         if (acceptor) acceptor->stop_accepting_and_close_sockets();
         if (server) server->Shutdown(std::chrono::system_clock::now());
         server.reset();
-        run_on_render_thread([&] { scenes.reset(), device.reset(); });
+        run_on_render_thread([&] {
+            scenes.reset();
+            device.reset();
+        });
     }
 
     void run_on_render_thread(const std::function<void()>& function) {

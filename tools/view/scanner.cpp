@@ -325,11 +325,16 @@ std::string BrowserScanRenderer::render_scan_as_binary_message(TabCache& tab_cac
         measured = convert_measured_scan_to_columns(*real_.get_log_with_scans_or_null(), *real);
     }
     if (request.simulate) {
-        if (is_matched) sensor.rays = real->scan.rays, sensor.follows_sweeps = false;
+        if (is_matched) {
+            sensor.rays = real->scan.rays;
+            sensor.follows_sweeps = false;
+        }
         const RenderedScan scan = render_simulated_scan(*tab_cache.traffic, request, sensor);
         header["trace_ms"] = scan.trace_ms;
-        if (scan.unseen_share)
-            header["unseen"] = *scan.unseen_share, header["much_unseen"] = *scan.unseen_share > kMuchUnseen;
+        if (scan.unseen_share) {
+            header["unseen"] = *scan.unseen_share;
+            header["much_unseen"] = *scan.unseen_share > kMuchUnseen;
+        }
         header["kernels"] = make_kernel_times_json();
         simulated = convert_simulated_scan_to_columns(scan, run_.config, log.world_offset_m);
     }

@@ -42,8 +42,10 @@ void append_length_prefixed_text(std::string& bytes, std::string_view text) {
 
 std::string encode_key_value_pairs(const McapWriter::McapMetadataMap& values) {
     std::string pairs;
-    for (const auto& [key, value] : values)
-        append_length_prefixed_text(pairs, key), append_length_prefixed_text(pairs, value);
+    for (const auto& [key, value] : values) {
+        append_length_prefixed_text(pairs, key);
+        append_length_prefixed_text(pairs, value);
+    }
     return pairs;
 }
 
@@ -79,8 +81,9 @@ std::uint16_t McapWriter::add_schema(std::string_view schema_name, std::string_v
                                      std::string_view definition) {
     std::string body;
     append_binary_value(body, ++n_schemas_);
-    append_length_prefixed_text(body, schema_name), append_length_prefixed_text(body, encoding),
-        append_length_prefixed_text(body, definition);
+    append_length_prefixed_text(body, schema_name);
+    append_length_prefixed_text(body, encoding);
+    append_length_prefixed_text(body, definition);
     schemas_ += encode_mcap_record(kSchema, body);
     append_to_mcap_file(encode_mcap_record(kSchema, body));
     return n_schemas_;
@@ -91,9 +94,11 @@ std::uint16_t McapWriter::add_channel(std::uint16_t schema, std::string_view top
     const auto id = std::uint16_t(n_messages_.size() + 1);
     n_messages_[id] = 0;
     std::string body;
-    append_binary_value(body, id), append_binary_value(body, schema);
-    append_length_prefixed_text(body, topic), append_length_prefixed_text(body, encoding),
-        append_length_prefixed_text(body, encode_key_value_pairs(metadata));
+    append_binary_value(body, id);
+    append_binary_value(body, schema);
+    append_length_prefixed_text(body, topic);
+    append_length_prefixed_text(body, encoding);
+    append_length_prefixed_text(body, encode_key_value_pairs(metadata));
     channels_ += encode_mcap_record(kChannel, body);
     append_to_mcap_file(encode_mcap_record(kChannel, body));
     return id;
@@ -101,11 +106,12 @@ std::uint16_t McapWriter::add_channel(std::uint16_t schema, std::string_view top
 
 void McapWriter::add_metadata(std::string_view metadata_name, const McapMetadataMap& metadata_values) {
     std::string body, index;
-    append_length_prefixed_text(body, metadata_name),
-        append_length_prefixed_text(body, encode_key_value_pairs(metadata_values));
+    append_length_prefixed_text(body, metadata_name);
+    append_length_prefixed_text(body, encode_key_value_pairs(metadata_values));
     const std::string metadata = encode_mcap_record(kMetadata, body);
-    append_binary_value(index, written_), append_binary_value(index, std::uint64_t(metadata.size())),
-        append_length_prefixed_text(index, metadata_name);
+    append_binary_value(index, written_);
+    append_binary_value(index, std::uint64_t(metadata.size()));
+    append_length_prefixed_text(index, metadata_name);
     metadata_indices_ += encode_mcap_record(kMetadataIndex, index);
     ++n_metadata_;
     append_to_mcap_file(metadata);
@@ -113,12 +119,14 @@ void McapWriter::add_metadata(std::string_view metadata_name, const McapMetadata
 
 void McapWriter::add_message(std::uint16_t channel_id, std::uint64_t time_ns, std::string_view message) {
     chunk_index_[channel_id].push_back({time_ns, chunk_.size()});
-    chunk_first_ns_ = std::min(chunk_first_ns_, time_ns), chunk_last_ns_ = std::max(chunk_last_ns_, time_ns);
+    chunk_first_ns_ = std::min(chunk_first_ns_, time_ns);
+    chunk_last_ns_ = std::max(chunk_last_ns_, time_ns);
     std::string body;
-    append_binary_value(body, channel_id),
-        append_binary_value(body, std::uint32_t(n_messages_.at(channel_id)++));
+    append_binary_value(body, channel_id);
+    append_binary_value(body, std::uint32_t(n_messages_.at(channel_id)++));
     // A message has a log time and a publish time. Both get the same value.
-    append_binary_value(body, time_ns), append_binary_value(body, time_ns);
+    append_binary_value(body, time_ns);
+    append_binary_value(body, time_ns);
     body += message;
     chunk_ += encode_mcap_record(kMessageRecord, body);
 }
@@ -127,8 +135,9 @@ void McapWriter::write_pending_chunk() {
     if (chunk_.empty()) return;
     const std::uint64_t begin = written_;
     std::string body;
-    append_binary_value(body, chunk_first_ns_), append_binary_value(body, chunk_last_ns_),
-        append_binary_value(body, std::uint64_t(chunk_.size()));
+    append_binary_value(body, chunk_first_ns_);
+    append_binary_value(body, chunk_last_ns_);
+    append_binary_value(body, std::uint64_t(chunk_.size()));
     append_binary_value(
         body, std::uint32_t(crc32(0, reinterpret_cast<const Bytef*>(chunk_.data()), uInt(chunk_.size()))));
     // Writes an empty name, which means no compression. Compression would save little,
@@ -142,38 +151,54 @@ void McapWriter::write_pending_chunk() {
     // The chunk index record contains this list.
     std::string index_positions;
     for (const auto& [channel, messages] : chunk_index_) {
-        append_binary_value(index_positions, channel), append_binary_value(index_positions, written_);
+        append_binary_value(index_positions, channel);
+        append_binary_value(index_positions, written_);
         std::string index, entries;
-        for (const MessageIndexEntry& message : messages)
-            append_binary_value(entries, message.time_ns), append_binary_value(entries, message.offset);
-        append_binary_value(index, channel), append_length_prefixed_text(index, entries);
+        for (const MessageIndexEntry& message : messages) {
+            append_binary_value(entries, message.time_ns);
+            append_binary_value(entries, message.offset);
+        }
+        append_binary_value(index, channel);
+        append_length_prefixed_text(index, entries);
         append_to_mcap_file(encode_mcap_record(kMessageIndex, index));
     }
     std::string index;
-    append_binary_value(index, chunk_first_ns_), append_binary_value(index, chunk_last_ns_),
-        append_binary_value(index, begin), append_binary_value(index, end - begin);
+    append_binary_value(index, chunk_first_ns_);
+    append_binary_value(index, chunk_last_ns_);
+    append_binary_value(index, begin);
+    append_binary_value(index, end - begin);
     append_length_prefixed_text(index, index_positions);
-    append_binary_value(index, written_ - end), append_length_prefixed_text(index, ""),
-        append_binary_value(index, std::uint64_t(chunk_.size()));
+    append_binary_value(index, written_ - end);
+    append_length_prefixed_text(index, "");
+    append_binary_value(index, std::uint64_t(chunk_.size()));
     append_binary_value(index, std::uint64_t(chunk_.size()));
     chunk_indices_ += encode_mcap_record(kChunkIndex, index);
     ++n_chunks_;
-    first_ns_ = std::min(first_ns_, chunk_first_ns_), last_ns_ = std::max(last_ns_, chunk_last_ns_);
-    chunk_.clear(), chunk_index_.clear();
-    chunk_first_ns_ = UINT64_MAX, chunk_last_ns_ = 0;
+    first_ns_ = std::min(first_ns_, chunk_first_ns_);
+    last_ns_ = std::max(last_ns_, chunk_last_ns_);
+    chunk_.clear();
+    chunk_index_.clear();
+    chunk_first_ns_ = UINT64_MAX;
+    chunk_last_ns_ = 0;
 }
 
 std::string McapWriter::encode_statistics_record() const {
     std::string body, counts;
     std::uint64_t n_messages = 0;
-    for (const auto& [channel, n] : n_messages_)
-        append_binary_value(counts, channel), append_binary_value(counts, n), n_messages += n;
-    append_binary_value(body, n_messages), append_binary_value(body, n_schemas_),
-        append_binary_value(body, std::uint32_t(n_messages_.size()));
+    for (const auto& [channel, n] : n_messages_) {
+        append_binary_value(counts, channel);
+        append_binary_value(counts, n);
+        n_messages += n;
+    }
+    append_binary_value(body, n_messages);
+    append_binary_value(body, n_schemas_);
+    append_binary_value(body, std::uint32_t(n_messages_.size()));
     // The number of attachments is 0.
-    append_binary_value(body, std::uint32_t(0)), append_binary_value(body, n_metadata_),
-        append_binary_value(body, n_chunks_);
-    append_binary_value(body, n_messages ? first_ns_ : std::uint64_t(0)), append_binary_value(body, last_ns_);
+    append_binary_value(body, std::uint32_t(0));
+    append_binary_value(body, n_metadata_);
+    append_binary_value(body, n_chunks_);
+    append_binary_value(body, n_messages ? first_ns_ : std::uint64_t(0));
+    append_binary_value(body, last_ns_);
     append_length_prefixed_text(body, counts);
     return encode_mcap_record(kStatistics, body);
 }
@@ -187,8 +212,11 @@ std::string McapWriter::encode_summary_and_list_groups(std::vector<SummaryRecord
         if (!records.empty()) record_groups.push_back({code, written_ + bytes.size(), records.size()});
         bytes += records;
     };
-    add(kSchema, schemas_), add(kChannel, channels_), add(kStatistics, encode_statistics_record());
-    add(kChunkIndex, chunk_indices_), add(kMetadataIndex, metadata_indices_);
+    add(kSchema, schemas_);
+    add(kChannel, channels_);
+    add(kStatistics, encode_statistics_record());
+    add(kChunkIndex, chunk_indices_);
+    add(kMetadataIndex, metadata_indices_);
     return bytes;
 }
 
@@ -204,12 +232,14 @@ void McapWriter::write_summary_and_close() {
     const std::uint64_t offsets = written_;
     for (const SummaryRecordGroup& group : groups) {
         std::string body;
-        append_binary_value(body, group.code), append_binary_value(body, group.begin),
-            append_binary_value(body, group.n_bytes);
+        append_binary_value(body, group.code);
+        append_binary_value(body, group.begin);
+        append_binary_value(body, group.n_bytes);
         append_to_mcap_file(encode_mcap_record(kSummaryOffset, body));
     }
-    append_binary_value(footer, begin), append_binary_value(footer, offsets),
-        append_binary_value(footer, std::uint32_t(0));
+    append_binary_value(footer, begin);
+    append_binary_value(footer, offsets);
+    append_binary_value(footer, std::uint32_t(0));
     append_to_mcap_file(encode_mcap_record(kFooter, footer));
     append_to_mcap_file(kMagic);
     file_.close();

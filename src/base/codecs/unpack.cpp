@@ -18,7 +18,8 @@ void decompress_lz4(std::string_view compressed_bytes, std::span<char> uncompres
         std::size_t n_to = uncompressed_bytes.size() - written, n_from = compressed_bytes.size() - read;
         left = LZ4F_decompress(context, uncompressed_bytes.data() + written, &n_to,
                                compressed_bytes.data() + read, &n_from, nullptr);
-        read += n_from, written += n_to;
+        read += n_from;
+        written += n_to;
         if (LZ4F_isError(left) || (n_to == 0 && n_from == 0)) break;
     }
     LZ4F_freeDecompressionContext(context);

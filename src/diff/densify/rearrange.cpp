@@ -17,7 +17,8 @@ SurfelReorderer::SurfelReorderer(Device& device, std::uint32_t n_surfels, std::u
       prefix_sum_(device),
       allot_(device, "diff/densify/allot"),
       move_(device, "diff/densify/move") {
-    scratch_surfels_.primitive = parameter_set.primitive, scratch_surfels_.bends = parameter_set.bends;
+    scratch_surfels_.primitive = parameter_set.primitive;
+    scratch_surfels_.bends = parameter_set.bends;
     statistics.n_words = std::max(1u, (n_frames + 31) / 32);
     reserve_surfel_memory(n_surfels);
     Stream stream(device);

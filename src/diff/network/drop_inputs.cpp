@@ -45,7 +45,10 @@ std::vector<float> compute_channel_normalisation(const std::vector<RayDropImage>
                 for (std::size_t i = c * pixels; i < (c + 1) * pixels; ++i) work(double(image.channels[i]));
             }
         };
-        for_each([&](double value) { n += 1.0, sum += value; });
+        for_each([&](double value) {
+            n += 1.0;
+            sum += value;
+        });
         const double mean = sum / n;
         for_each([&](double value) { squares += (value - mean) * (value - mean); });
         const double deviation = std::sqrt(squares / n), scale = deviation > 1e-6 ? 1.0 / deviation : 0.0;
@@ -81,7 +84,8 @@ void RayDropInputs::make_input_batch(Stream& stream, std::span<const RotatedSamp
     params.samples = samples_.address();
     if (has_measured_drops()) {
         target_.reserve(stream.device(), output_images.grid.count_all_pixels(), "targets");
-        params.targets = targets_.address(), params.target = target_.address();
+        params.targets = targets_.address();
+        params.target = target_.address();
     }
     make_input_batch(stream, selection, params, output_images);
 }
@@ -112,8 +116,11 @@ void RayDropInputs::make_input_batch(Stream& stream, std::span<const RotatedSamp
     params.images = output_images.values.address();
     params.start = start_.address();
     params.n_images = output_images.grid.n;
-    params.n_channels = n_channels_, params.n_fixed = n_fixed_, params.logit_channel = logit_channel_;
-    params.rows = output_images.grid.rows, params.columns = output_images.grid.columns;
+    params.n_channels = n_channels_;
+    params.n_fixed = n_fixed_;
+    params.logit_channel = logit_channel_;
+    params.rows = output_images.grid.rows;
+    params.columns = output_images.grid.columns;
     run(stream, kernel_, output_images.grid.count_all_pixels(), params);
 }
 

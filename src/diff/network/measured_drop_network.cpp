@@ -32,13 +32,15 @@ double count_network_inference_flops(const RayDropNetwork& network, refine::Imag
         sum += 2.0 * double(layer.n_in) * double(layer.n_out) * double(layer.taps) *
                double(grid.count_pixels_per_image());
     };
-    add(plan.first_conv), add(plan.last_conv);
+    add(plan.first_conv);
+    add(plan.last_conv);
     for (std::size_t level = 0; level < network.widths.size(); ++level, grid = refine::halve_image_size(grid))
         for (std::size_t k = 0; k < 2; ++k) {
             if (level > 0) add(plan.down[2 * level - 2 + k].conv);
             if (2 * level + k < plan.up.size()) add(plan.up[2 * level + k].conv);
             if (level + 1 < network.widths.size() || network.heads == 0 || k == 1) continue;
-            add(plan.query->conv), add(plan.project);
+            add(plan.query->conv);
+            add(plan.project);
             sum += 4.0 * double(grid.count_pixels_per_image()) * double(grid.count_pixels_per_image()) *
                    double(network.widths[level]);
         }

@@ -36,8 +36,10 @@ std::vector<TimeRange> list_point_time_ranges(const std::vector<folder::PointTab
         if (const folder::PointFieldView* times = clouds[c].find_field(folder::PointAttribute::time))
             times->visit_with_value_reader([&](const auto& time_at) {
                 for (std::size_t i = 0; i < clouds[c].n; ++i)
-                    if (const auto t = double(time_at(i)); std::isfinite(t))
-                        range.first = std::min(range.first, t), range.last = std::max(range.last, t);
+                    if (const auto t = double(time_at(i)); std::isfinite(t)) {
+                        range.first = std::min(range.first, t);
+                        range.last = std::max(range.last, t);
+                    }
             });
         if (range.first <= range.last) ranges.push_back(range);
     }

@@ -44,7 +44,8 @@ std::optional<double> estimate_rotation_sign(const LidarPoints& points) {
         const double step = std::remainder(compute_point_azimuth_rad(points.position_m[i]) -
                                                compute_point_azimuth_rad(points.position_m[i - 1]),
                                            2.0 * kPi);
-        n_up += step > 0.0, n_down += step < 0.0;
+        n_up += step > 0.0;
+        n_down += step < 0.0;
     }
     const double least = kMinSameSignFraction * double(points.size());
     if (double(n_up) > least) return 1.0;
@@ -160,7 +161,10 @@ double find_ring_start_azimuth_rad(const LidarPoints& points,
         const int reach = step_deg == 10 ? 18 : 9;
         for (int k = -reach; k <= reach; ++k) {
             const double candidate_rad = middle_rad + k * step_deg * kPi / 180.0, off = spread(candidate_rad);
-            if (off < least) least = off, best_rad = candidate_rad;
+            if (off < least) {
+                least = off;
+                best_rad = candidate_rad;
+            }
         }
     }
     return best_rad;
@@ -177,7 +181,8 @@ bool are_rings_sorted_and_separated(const LidarPoints& points,
     std::size_t n_up = 0, n_down = 0;
     for (std::size_t r = 1; r < ring_elevations_rad.size(); ++r) {
         const double step = ring_elevations_rad[r] - ring_elevations_rad[r - 1];
-        n_up += step > 0.0, n_down += step < 0.0;
+        n_up += step > 0.0;
+        n_down += step < 0.0;
         if (std::isfinite(step)) steps.push_back(std::abs(step));
     }
     if (steps.empty() || double(std::max(n_up, n_down)) < kSorted * double(ring_elevations_rad.size() - 1))

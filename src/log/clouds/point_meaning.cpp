@@ -95,7 +95,10 @@ std::optional<glm::vec3> find_position_that_marks_dropped_rays(const PointTable&
     std::size_t most = 0, last = 0;
     for (std::size_t k = 0, run = 0; k < some.size(); ++k) {
         run = k > 0 && some[k] == some[k - 1] ? run + 1 : 1;
-        if (run > most) most = run, last = k;
+        if (run > most) {
+            most = run;
+            last = k;
+        }
     }
     if (most < 3) return std::nullopt;
     std::size_t n_marked = 0;

@@ -192,7 +192,10 @@ void assign_points_to_rings(LidarPoints& points, const std::vector<Beam>& beams)
         for (auto k = begin; k != end; ++k) {
             const glm::dvec3 origin = geometry[*k].compute_ray(geometry[*k].compute_head_azimuth(p)).origin_m;
             const double miss = std::abs(compute_elevation(p - origin) - elevation(*k));
-            if (miss < least) least = miss, best = *k;
+            if (miss < least) {
+                least = miss;
+                best = *k;
+            }
         }
         points.ring.push_back(best);
     }

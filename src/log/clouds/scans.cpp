@@ -93,7 +93,10 @@ std::vector<int> assign_firings_to_columns(const SweepFirings& sweep, int n_colu
         const double gap = sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[f]) -
                            sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[f + 1]);
         const int missing = std::min(static_cast<int>(std::lround(gap / step)) - 1, n_extra_columns);
-        if (missing > 0) repeat[f] += missing, n_extra_columns -= missing;
+        if (missing > 0) {
+            repeat[f] += missing;
+            n_extra_columns -= missing;
+        }
     }
     repeat.back() += std::max(n_extra_columns, 0);
     std::vector<int> slot;
@@ -196,9 +199,10 @@ std::vector<double> compute_firing_times(const LidarPoints& points, const Spinni
     for (std::size_t f = 0; f < n; ++f)
         time_s[f] = turning_time(sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[f]));
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i)
-        if (firing_of_point[i] != kEmpty)
-            sum[std::size_t(firing_of_point[i])] += double(points.time_offset_s[i]),
-                count[std::size_t(firing_of_point[i])] += 1.0;
+        if (firing_of_point[i] != kEmpty) {
+            sum[std::size_t(firing_of_point[i])] += double(points.time_offset_s[i]);
+            count[std::size_t(firing_of_point[i])] += 1.0;
+        }
     std::vector<double> measured = time_s;
     for (std::size_t f = 0; f < n; ++f) {
         // nearest firing with points, before or after firing f

@@ -56,7 +56,8 @@ double compute_firing_time_spread_us(const Scan& scan, const FiringRayTable& fir
             const std::size_t ray = firing_rays.get_ray_index(ring, firing);
             if (scan.range_m[ray] <= 0.0f) continue;
             const double time_us = 1e6 * double(scan.rays.time_offset_s[ray]) - beam_delays_us[ring];
-            first = std::min(first, time_us), last = std::max(last, time_us);
+            first = std::min(first, time_us);
+            last = std::max(last, time_us);
         }
         if (last > first) sum_us += last - first;
     }
@@ -86,7 +87,8 @@ FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& firin
         if (range_m <= 0.0) continue;
         const double head = beams[ring].compute_head_azimuth(glm::dvec3(scan.rays.origin[ray]) +
                                                              glm::dvec3(scan.rays.direction[ray]) * range_m);
-        east += std::cos(head), north += std::sin(head);
+        east += std::cos(head);
+        north += std::sin(head);
         column.time_s += double(scan.rays.time_offset_s[ray]) - 1e-6 * beam_delays_us[ring];
         ++n_used;
     }

@@ -117,12 +117,15 @@ public:
             blocks_.compute_packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
         std::string& bytes = packet.bytes;
         bytes.append(product_.header.begin(), product_.header.begin() + std::ptrdiff_t(product_.n_header));
-        // Only for packets with two returns per ray. Header byte 8: block that contains
-        // the last return (1: first block). Byte 10: number of returns.
-        if (product_.n_header == 12 && blocks_.has_dual_returns()) bytes[8] = 1, bytes[10] = 2;
+        if (product_.n_header == 12 && blocks_.has_dual_returns()) {
+            bytes[8] = 1;   // block that contains the last return (1: first block)
+            bytes[10] = 2;  // number of returns
+        }
         blocks_.append_blocks(bytes, columns, packet_number, 1e-3 * kUnit_mm);
-        if (product_.has_checksums)
-            append_crc32(bytes, product_.n_header), append_fault_free_safety_field(bytes);
+        if (product_.has_checksums) {
+            append_crc32(bytes, product_.n_header);
+            append_fault_free_safety_field(bytes);
+        }
         const std::size_t tail_offset = bytes.size();
         bytes.append(product_.reserved, '\0');
         write_operation_mode_and_sequences(bytes, packet_number);
@@ -205,7 +208,10 @@ std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, co
         const PacketLayout& layout = find_packet_layout(product.layout);
         if (sensor.name != layout.sensor) continue;
         const double error = compute_time_and_beam_count_misfit(layout, sensor);
-        if (!best || error < least_error) best = &product, least_error = error;
+        if (!best || error < least_error) {
+            best = &product;
+            least_error = error;
+        }
     }
     return best ? std::make_unique<HesaiFormat>(*best, sensor, options) : nullptr;
 }

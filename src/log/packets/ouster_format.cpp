@@ -44,7 +44,10 @@ std::array<int, 2> find_column_window(const std::vector<bool>& column_has_fired)
     for (int start = 0; start < n; ++start) {
         int length = 0;
         while (length < n && !column_has_fired[std::size_t((start + length) % n)]) ++length;
-        if (length > longest) longest = length, begin = (start + length) % n;
+        if (length > longest) {
+            longest = length;
+            begin = (start + length) % n;
+        }
     }
     return longest == n ? std::array{0, n - 1} : std::array{begin, (begin + n - longest - 1) % n};
 }

@@ -50,10 +50,13 @@ std::string wrap_in_ethernet_frame(const std::string& payload, int udp_port, uns
         append_uint16_big_endian(ip, value);
     ip += std::string("\xC0\xA8\x01\xC9\xFF\xFF\xFF\xFF", 8);  // 192.168.1.201 to all
     const unsigned sum = compute_ip_checksum(ip);
-    ip[10] = char(sum >> 8), ip[11] = char(sum & 0xFF);
+    ip[10] = char(sum >> 8);
+    ip[11] = char(sum & 0xFF);
     std::string frame = std::string("\xFF\xFF\xFF\xFF\xFF\xFF\x02\0\0\0\0\x01\x08\0", 14) + ip;
-    append_uint16_big_endian(frame, unsigned(udp_port)), append_uint16_big_endian(frame, unsigned(udp_port));
-    append_uint16_big_endian(frame, unsigned(kUdpBytes + payload.size())), append_uint16_big_endian(frame, 0);
+    append_uint16_big_endian(frame, unsigned(udp_port));
+    append_uint16_big_endian(frame, unsigned(udp_port));
+    append_uint16_big_endian(frame, unsigned(kUdpBytes + payload.size()));
+    append_uint16_big_endian(frame, 0);
     return frame + payload;
 }
 
@@ -88,9 +91,12 @@ PcapWriter::PcapWriter(const fs::path& file, int port)
     : file_(file), out_(file, std::ios::binary), port_(port) {
     std::string head;
     append_binary_value(head, kMagic);
-    append_binary_value(head, std::uint16_t(2)), append_binary_value(head, std::uint16_t(4));
-    append_binary_value(head, std::int32_t(0)), append_binary_value(head, std::uint32_t(0));
-    append_binary_value(head, kMostBytes), append_binary_value(head, kEthernetLink);
+    append_binary_value(head, std::uint16_t(2));
+    append_binary_value(head, std::uint16_t(4));
+    append_binary_value(head, std::int32_t(0));
+    append_binary_value(head, std::uint32_t(0));
+    append_binary_value(head, kMostBytes);
+    append_binary_value(head, kEthernetLink);
     out_ << head;
     require_successful_write(out_, file_);
 }
@@ -102,8 +108,8 @@ void PcapWriter::write_packets(const std::vector<SensorPacket>& packets) {
         std::string head;
         append_binary_value(head, std::uint32_t(packet.time_ns / kSecond));
         append_binary_value(head, std::uint32_t(packet.time_ns % kSecond));
-        append_binary_value(head, std::uint32_t(frame.size())),
-            append_binary_value(head, std::uint32_t(frame.size()));
+        append_binary_value(head, std::uint32_t(frame.size()));
+        append_binary_value(head, std::uint32_t(frame.size()));
         out_ << head << frame;
     }
     require_successful_write(out_, file_);

@@ -194,11 +194,13 @@ void add_notes_about_dropped_returns(LidarSequence& sequence,
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         RangeLimitCounts sum;
         for (std::size_t i = 0; i < counts_of_frames.size(); ++i)
-            if (sequence.frames[i].lidar == int(l))
-                sum.n_below_min += counts_of_frames[i].n_below_min,
-                    sum.n_above_max += counts_of_frames[i].n_above_max,
-                    sum.n_returns += counts_of_frames[i].n_returns;
-        n_all += sum.n_returns, n_within_limits += sum.n_returns - sum.n_below_min - sum.n_above_max;
+            if (sequence.frames[i].lidar == int(l)) {
+                sum.n_below_min += counts_of_frames[i].n_below_min;
+                sum.n_above_max += counts_of_frames[i].n_above_max;
+                sum.n_returns += counts_of_frames[i].n_returns;
+            }
+        n_all += sum.n_returns;
+        n_within_limits += sum.n_returns - sum.n_below_min - sum.n_above_max;
         if (sum.n_below_min + sum.n_above_max == 0) continue;
         const Lidar& lidar = sequence.lidars[l];
         std::string parts = sum.n_above_max > 0 ? fmt::format("{} returns are beyond {} m", sum.n_above_max,
@@ -276,9 +278,10 @@ void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<s
     std::vector<std::string> left_out;
     for (std::size_t l = 0; l < new_index_of_lidar.size(); ++l) {
         if (new_index_of_lidar[l] < 0) left_out.push_back(sequence.lidars[l].name);
-        else
-            new_index_of_lidar[l] = static_cast<int>(remaining_lidars.size()),
+        else {
+            new_index_of_lidar[l] = static_cast<int>(remaining_lidars.size());
             remaining_lidars.push_back(std::move(sequence.lidars[l]));
+        }
     }
     std::erase_if(sequence.frames,
                   [&](const LidarFrame& frame) { return new_index_of_lidar[std::size_t(frame.lidar)] < 0; });

@@ -105,7 +105,10 @@ std::optional<Pose> fit_pose_to_neighbours_with_points(const PoseTrack& track,
         for (auto k = std::ptrdiff_t(pose_index) + step;
              k >= 0 && k < std::ptrdiff_t(track.pose.size()) && n < kNeighbours; k += step) {
             if (std::abs(track.time_s[std::size_t(k)] - time_s) > kLongestGap_s) break;
-            if (pose_has_points[std::size_t(k)]) used.push_back(std::size_t(k)), ++n;
+            if (pose_has_points[std::size_t(k)]) {
+                used.push_back(std::size_t(k));
+                ++n;
+            }
         }
         if (n == 0) return std::nullopt;
     }

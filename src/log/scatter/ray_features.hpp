@@ -149,7 +149,10 @@ private:
         for (int row = window.first.rows; row <= window.last.rows; ++row)
             for (int column = window.first.columns; column <= window.last.columns; ++column) {
                 const float v = get_value({row, column});
-                if (v != kNoIntensity) sum += v, ++n;
+                if (v != kNoIntensity) {
+                    sum += v;
+                    ++n;
+                }
             }
         return n > 0 ? sum / float(n) : kNoIntensity;
     }

@@ -34,7 +34,10 @@ std::vector<glm::dvec2> make_footprint_offsets(int n_sub_rays) {
     // Radii of the sub-rays in units of the beam radius. The mean of radius^2 over all
     // sub-rays is 1/2, as for a uniform disc.
     if (n_sub_rays == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
-    if (n_sub_rays == 9) add_ring(0.5, kPi / 4.0), add_ring(std::sqrt(7.0 / 8.0), 0.0);
+    if (n_sub_rays == 9) {
+        add_ring(0.5, kPi / 4.0);
+        add_ring(std::sqrt(7.0 / 8.0), 0.0);
+    }
     if (n_sub_rays == 1 || n_sub_rays == 5 || n_sub_rays == 9) return offsets;
     constexpr double kGolden_rad = 2.399963229728653;
     offsets.clear();

@@ -206,9 +206,11 @@ struct alignas(64) Sums {
                 for (std::size_t j = 0; j <= i; ++j)
                     system.h(unknown, row.by[j].first) += derivative * row.by[j].second;
             }
-            cc += row.by_albedo * row.by_albedo, ce += row.by_albedo * row.error;
+            cc += row.by_albedo * row.by_albedo;
+            ce += row.by_albedo * row.error;
             const double expected = model.albedo[r.cell] * row.by_albedo;
-            sum += expected, squares += expected * expected;
+            sum += expected;
+            squares += expected * expected;
         }
         for (const Eigen::Index i : touched) {
             system.g[i] -= coupling[std::size_t(i)] * ce / cc;
@@ -227,8 +229,10 @@ NormalEquations build_normal_equations(const IntensityFit& model, const UnknownI
             sums[chunk].add_equations_of_cell_returns(model, unknown_indices, place);
         });
     for (std::size_t c = 1; c < kChunks; ++c) {
-        sums[0].system.h += sums[c].system.h, sums[0].system.g += sums[c].system.g;
-        sums[0].sum += sums[c].sum, sums[0].squares += sums[c].squares;
+        sums[0].system.h += sums[c].system.h;
+        sums[0].system.g += sums[c].system.g;
+        sums[0].sum += sums[c].sum;
+        sums[0].squares += sums[c].squares;
     }
     NormalEquations sys = std::move(sums[0].system);
     const double n = double(returns.sorted_returns.size());
@@ -240,7 +244,8 @@ NormalEquations build_normal_equations(const IntensityFit& model, const UnknownI
 void add_intensity_priors_to_equations(NormalEquations& equations, const IntensityFit& model,
                                        const UnknownIndices& unknown_indices) {
     const auto pull = [&](Eigen::Index i, double weight, double error) {
-        equations.h(i, i) += weight, equations.g[i] += weight * error;
+        equations.h(i, i) += weight;
+        equations.g[i] += weight * error;
     };
     const double prior =
         kResponsePrior * (equations.mean * equations.mean + equations.spread * equations.spread);
@@ -273,13 +278,13 @@ void add_intensity_priors_to_equations(NormalEquations& equations, const Intensi
             const double weight = 0.5 * kResponsePrior,
                          error = x - model.beams[b].gain * x - model.beams[b].offset;
             equations.h(unknown_indices.get_unknown_index_of_beam_gain(b),
-                        unknown_indices.get_unknown_index_of_beam_gain(b)) += weight * x * x,
-                equations.h(unknown_indices.get_unknown_index_of_beam_offset(b),
-                            unknown_indices.get_unknown_index_of_beam_offset(b)) += weight;
+                        unknown_indices.get_unknown_index_of_beam_gain(b)) += weight * x * x;
+            equations.h(unknown_indices.get_unknown_index_of_beam_offset(b),
+                        unknown_indices.get_unknown_index_of_beam_offset(b)) += weight;
             equations.h(unknown_indices.get_unknown_index_of_beam_offset(b),
                         unknown_indices.get_unknown_index_of_beam_gain(b)) += weight * x;
-            equations.g[unknown_indices.get_unknown_index_of_beam_gain(b)] += weight * x * error,
-                equations.g[unknown_indices.get_unknown_index_of_beam_offset(b)] += weight * error;
+            equations.g[unknown_indices.get_unknown_index_of_beam_gain(b)] += weight * x * error;
+            equations.g[unknown_indices.get_unknown_index_of_beam_offset(b)] += weight * error;
         }
 }
 
@@ -309,8 +314,11 @@ void normalise_mean_beam_gain_and_offset(std::vector<BeamGainOffset>& beams,
     std::vector<double> n(beams.size(), kResponsePrior);
     for (const CellReturn& r : returns.sorted_returns) n[r.beam] += 1.0;
     double all = 0.0, gain = 0.0, offset = 0.0;
-    for (std::size_t b = 0; b < beams.size(); ++b)
-        all += n[b], gain += n[b] * beams[b].gain, offset += n[b] * beams[b].offset;
+    for (std::size_t b = 0; b < beams.size(); ++b) {
+        all += n[b];
+        gain += n[b] * beams[b].gain;
+        offset += n[b] * beams[b].offset;
+    }
     for (BeamGainOffset& r : beams) {
         r.gain *= all / gain;
         r.offset -= r.gain * offset / all;
@@ -382,7 +390,10 @@ IntensityCalibrationResult fit_and_set_intensity_calibration(LidarSequence& sequ
                                                              const std::vector<int>& frame_indices) {
     sequence.intensity_response = {};
     const std::vector<Beam*> beams = list_beams_of_all_lidars(sequence);
-    for (Beam* beam : beams) beam->intensity_gain = 1.0, beam->intensity_offset = 0.0;
+    for (Beam* beam : beams) {
+        beam->intensity_gain = 1.0;
+        beam->intensity_offset = 0.0;
+    }
     const RepeatedCellReturns returns = collect_repeatedly_hit_cells(sequence, frame_indices);
     IntensityCalibrationResult result;
     result.returns = returns.sorted_returns.size();
@@ -398,8 +409,15 @@ IntensityCalibrationResult fit_and_set_intensity_calibration(LidarSequence& sequ
                        both = fit_intensity_model(returns, n, {true, true});
     const bool first_shared = shared.rms <= each_beam.rms;
     const IntensityFit& single = first_shared ? shared : each_beam;
-    if (better(single, best)) best = single, result.shared = first_shared, result.beams = !first_shared;
-    if (better(both, best)) best = both, result.shared = result.beams = true;
+    if (better(single, best)) {
+        best = single;
+        result.shared = first_shared;
+        result.beams = !first_shared;
+    }
+    if (better(both, best)) {
+        best = both;
+        result.shared = result.beams = true;
+    }
     result.rms_after = best.rms;
     if (result.shared) sequence.intensity_response = best.shared;
     for (std::size_t b = 0; b < n && result.beams; ++b) {

@@ -42,7 +42,10 @@ PoseTrack select_poses_around_frames(const LidarSequence& sequence, const std::v
     }
     PoseTrack track;
     for (std::size_t i = 0; i < is_used.size(); ++i)
-        if (is_used[i]) track.time_s.push_back(all.time_s[i]), track.pose.push_back(all.pose[i]);
+        if (is_used[i]) {
+            track.time_s.push_back(all.time_s[i]);
+            track.pose.push_back(all.pose[i]);
+        }
     return track;
 }
 

@@ -27,7 +27,8 @@ bool is_box_hit_by_ray(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_dir
         }
         const double a = (-half_m - ray_origin_m[axis]) / ray_direction[axis],
                      b = (half_m - ray_origin_m[axis]) / ray_direction[axis];
-        begin = std::max(begin, std::min(a, b)), end = std::min(end, std::max(a, b));
+        begin = std::max(begin, std::min(a, b));
+        end = std::min(end, std::max(a, b));
     }
     return begin <= end;
 }
@@ -76,8 +77,11 @@ ActorModelResolution compare_ray_and_surfel_count_of_actor(const SceneWithLog& s
         if (frame.lidar != lidar_index || !box->is_observed_at_time(frame.time_s)) continue;
         const Pose nearer = inverse(box->world_from_box.interpolate_pose(frame.time_s)) *
                             world_from_sensor.interpolate_pose(frame.time_s);
-        if (const double distance_m = glm::length(nearer.translation); distance_m < detail.nearest_m)
-            box_from_sensor = nearer, detail.nearest_m = distance_m, detail.time_s = frame.time_s;
+        if (const double distance_m = glm::length(nearer.translation); distance_m < detail.nearest_m) {
+            box_from_sensor = nearer;
+            detail.nearest_m = distance_m;
+            detail.time_s = frame.time_s;
+        }
     }
     if (detail.nearest_m == std::numeric_limits<double>::infinity()) return detail;
     const RayTable rays = make_nominal_rays(log.lidars[std::size_t(lidar_index)], detail.time_s);

@@ -185,7 +185,10 @@ private:
                 const double off = plane.compute_height_above_plane(p) / kOnPlane_m;
                 score += std::max(0.0, 1.0 - off * off);
             }
-            if (score > most) best = plane, most = score;
+            if (score > most) {
+                best = plane;
+                most = score;
+            }
         }
         return best;
     }
@@ -250,8 +253,11 @@ std::optional<GroundPlane> estimate_ground_below_box_at_position(
             const double apart_m = glm::distance(glm::dvec2(pose.translation), xy);
             const Footprint footprint{pose.translation, compute_heading_rad(pose),
                                       0.5 * glm::dvec2(box.size_m)};
-            if (apart_m < nearest_m && footprint.contains_point(glm::dvec3(xy, 0.0), 0.0))
-                nearest = &box, at = pose, nearest_m = apart_m;
+            if (apart_m < nearest_m && footprint.contains_point(glm::dvec3(xy, 0.0), 0.0)) {
+                nearest = &box;
+                at = pose;
+                nearest_m = apart_m;
+            }
         }
     if (!nearest) return {};
     const glm::dvec3 up = at.rotation * glm::dvec3(0.0, 0.0, 1.0);

@@ -170,7 +170,8 @@ void move_staged_files(const fs::path& staging_folder, const fs::path& run_folde
     std::vector<fs::path> files;
     for (const auto& entry : fs::recursive_directory_iterator(staging_folder))
         if (entry.is_regular_file()) files.push_back(entry.path().lexically_relative(staging_folder));
-    std::erase(files, kSceneFile), std::erase(files, kConfigFile);
+    std::erase(files, kSceneFile);
+    std::erase(files, kConfigFile);
     for (const fs::path& file : files) {
         create_folder((run_folder / file).parent_path());
         rename_file(staging_folder / file, run_folder / file);

@@ -194,7 +194,10 @@ std::vector<ActorScore> average_actor_scores(const std::vector<std::vector<Actor
                 const bool is_count = name.starts_with("points") || name.starts_with("tail");
                 const double weight = actor.metrics.at("points_real");
                 if (is_count) s.counts[name] += value;
-                else s.weighted[name] += weight * value, s.weight[name] += weight;
+                else {
+                    s.weighted[name] += weight * value;
+                    s.weight[name] += weight;
+                }
             }
         }
     std::vector<ActorScore> actors;

@@ -30,7 +30,10 @@ constexpr std::size_t kScoredAtOnce = 16;
 SimulatedSensor make_sensor_for_frame(const Config& config, const LidarSequence& sequence,
                                       const LidarFrame& frame) {
     SimulatedSensor sensor = make_sensor_from_config(config, sequence, frame.lidar);
-    if (config.sensor.grid == "native") sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
+    if (config.sensor.grid == "native") {
+        sensor.rays = frame.scan.rays;
+        sensor.follows_sweeps = false;
+    }
     sensor.rolling_shutter = sequence.rolling_shutter;
     return sensor;
 }

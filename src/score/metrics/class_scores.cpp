@@ -13,14 +13,21 @@ MetricValues compute_surface_class_metrics(const std::vector<std::int32_t>& rend
     for (std::size_t i = 0; i < real_classes.size(); ++i) {
         if (real_classes[i] == SurfaceClass::unknown) continue;
         const auto label = std::size_t(real_classes[i]);
-        n += 1.0, n_real[label] += 1.0, n_either[label] += 1.0;
-        if (rendered_classes[i] == std::int32_t(label)) n_equal += 1.0, n_both[label] += 1.0;
-        else if (rendered_classes[i] >= 0) n_either[std::size_t(rendered_classes[i])] += 1.0;
+        n += 1.0;
+        n_real[label] += 1.0;
+        n_either[label] += 1.0;
+        if (rendered_classes[i] == std::int32_t(label)) {
+            n_equal += 1.0;
+            n_both[label] += 1.0;
+        } else if (rendered_classes[i] >= 0) n_either[std::size_t(rendered_classes[i])] += 1.0;
     }
     if (n == 0.0) return {};
     double sum = 0.0, n_classes = 0.0;
     for (std::size_t k = 0; k < kSurfaceClasses; ++k)
-        if (n_real[k] > 0.0) sum += n_both[k] / n_either[k], n_classes += 1.0;
+        if (n_real[k] > 0.0) {
+            sum += n_both[k] / n_either[k];
+            n_classes += 1.0;
+        }
     return {{"classes/accuracy", n_equal / n}, {"classes/mean_iou", sum / n_classes}};
 }
 

@@ -116,14 +116,18 @@ struct RayTableNeighbours {
         double least = std::abs(compute_elevation_above_ray_rad({0, column}, point_m));
         for (int r = 1; r < rays.rows; ++r)
             if (const double off = std::abs(compute_elevation_above_ray_rad({r, column}, point_m));
-                off < least)
-                least = off, row = r;
+                off < least) {
+                least = off;
+                row = r;
+            }
         RayPixel best{row, column};
         double most = compute_cosine_to_ray(best, point_m);
         for (int r = std::max(row - 1, 0); r <= std::min(row + 1, rays.rows - 1); ++r)
             for (int c = column - kColumnSearch; c <= column + kColumnSearch; ++c)
-                if (const double cos = compute_cosine_to_ray({r, c}, point_m); cos > most)
-                    most = cos, best = {r, c};
+                if (const double cos = compute_cosine_to_ray({r, c}, point_m); cos > most) {
+                    most = cos;
+                    best = {r, c};
+                }
         return best;
     }
     /// Returns true if a point is above the highest or below the lowest row of rays. The

@@ -96,23 +96,34 @@ std::string format_tick_label(double value) {
 
 ChartAxis make_y_axis(const ValueInterval& value_extent, double page_low, double page_high) {
     ChartAxis axis{value_extent.low, value_extent.high, page_low, page_high, false};
-    if (value_extent.empty()) axis.low = 0.0, axis.high = 1.0;
+    if (value_extent.empty()) {
+        axis.low = 0.0;
+        axis.high = 1.0;
+    }
     axis.logarithmic = axis.low > 0.0 && axis.high > 4.0 * axis.low;
     if (axis.logarithmic) {
         const double margin = std::pow(axis.high / axis.low, 0.05);
-        axis.low /= margin, axis.high *= margin;
+        axis.low /= margin;
+        axis.high *= margin;
     } else {
         const double span = axis.high - axis.low;
         const double margin = span > 0.0 ? 0.06 * span : std::max(0.05 * std::abs(axis.low), 1e-6);
-        axis.low -= margin, axis.high += margin;
+        axis.low -= margin;
+        axis.high += margin;
     }
     return axis;
 }
 
 ChartAxis make_x_axis(const ValueInterval& value_extent, double page_low, double page_high) {
     ChartAxis axis{value_extent.low, value_extent.high, page_low, page_high, false};
-    if (value_extent.empty()) axis.low = 0.0, axis.high = 1.0;
-    if (!(axis.high > axis.low)) axis.low -= 0.5, axis.high += 0.5;
+    if (value_extent.empty()) {
+        axis.low = 0.0;
+        axis.high = 1.0;
+    }
+    if (!(axis.high > axis.low)) {
+        axis.low -= 0.5;
+        axis.high += 0.5;
+    }
     return axis;
 }
 
@@ -149,7 +160,10 @@ ReportCurve compute_running_mean(const ReportCurve& curve) {
         const std::size_t reach = std::min({half, middle, n - 1 - middle});
         double sum = 0.0, count = 0.0;
         for (std::size_t i = middle - reach; i <= middle + reach; ++i)
-            if (is_curve_point_drawable(curve, i)) sum += curve.y[i], ++count;
+            if (is_curve_point_drawable(curve, i)) {
+                sum += curve.y[i];
+                ++count;
+            }
         result.x.push_back(curve.x[middle]);
         // The mean is NaN if the window has no finite value. NaN is drawn as a gap.
         result.y.push_back(sum / count);
@@ -212,8 +226,10 @@ std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int wi
                 "cannot draw the curve '{}': it has {} x values and {} y values, expected the same number",
                 curve->name, curve->x.size(), curve->y.size()));
         for (std::size_t i = 0; i < curve->x.size(); ++i)
-            if (is_curve_point_drawable(*curve, i))
-                x_extent.extend_range_to_value(curve->x[i]), y_extent.extend_range_to_value(curve->y[i]);
+            if (is_curve_point_drawable(*curve, i)) {
+                x_extent.extend_range_to_value(curve->x[i]);
+                y_extent.extend_range_to_value(curve->y[i]);
+            }
     }
     const ChartAxis x = make_x_axis(x_extent, kLeft, width - kRight),
                     y = make_y_axis(y_extent, height - kBottom, kTop);

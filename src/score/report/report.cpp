@@ -221,7 +221,10 @@ std::string make_timing_table_html(const MetricValues& kernel_times_ms) {
     for (const auto& [name, ms] : kernel_times_ms) {
         if (name == "total") continue;
         rows.emplace_back(name, ms);
-        if (std::isfinite(ms)) longest = std::max(longest, ms), sum += ms;
+        if (std::isfinite(ms)) {
+            longest = std::max(longest, ms);
+            sum += ms;
+        }
     }
     std::stable_sort(rows.begin(), rows.end(), [](const auto& first, const auto& second) {
         return (std::isfinite(first.second) ? first.second : -1.0) >

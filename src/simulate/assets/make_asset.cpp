@@ -47,7 +47,8 @@ LidarSequence make_log_of_actor_without_scans(const LidarSequence& sequence_of_l
     for (const LidarFrame& frame : sequence_of_log.frames) {
         if (!box.is_observed_at_time(frame.time_s)) continue;
         LidarFrame frame_without_scan;
-        frame_without_scan.index = frame.index, frame_without_scan.time_s = frame.time_s,
+        frame_without_scan.index = frame.index;
+        frame_without_scan.time_s = frame.time_s;
         frame_without_scan.lidar = frame.lidar;
         sequence.frames.push_back(std::move(frame_without_scan));
         PoseTrack& track = sequence.world_from_vehicle;

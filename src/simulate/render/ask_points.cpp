@@ -25,8 +25,11 @@ void copy_device_points(std::span<const shared::ReturnedPoint> returned_points,
     constexpr std::size_t kTogether = 1 << 13;
     static_assert(std::int32_t(RELIDAR_NO_INSTANCE) == -1);
     const std::size_t n = returned_points.size();
-    points.position_m.resize(n), points.intensity.resize(n), points.ring.resize(n);
-    points.time_offset_s.resize(n), points.instance.resize(n);
+    points.position_m.resize(n);
+    points.intensity.resize(n);
+    points.ring.resize(n);
+    points.time_offset_s.resize(n);
+    points.instance.resize(n);
     parallel_for_ranges(n, kTogether, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
             const shared::ReturnedPoint& point = returned_points[i];
@@ -90,7 +93,9 @@ RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& pending_points,
     IntensityScatterModel steps;
     steps.step = pending_points.step;
     RenderedPoints result{std::move(reusable_memory), rays.size()};
-    result.points.return_number.clear(), result.points.firing.clear(), result.points.channels.clear();
+    result.points.return_number.clear();
+    result.points.firing.clear();
+    result.points.channels.clear();
     result.points.world_from_points = pending_points.dataset_from_points;
     result.points.time_s = pending_points.time_s;
     copy_device_points(gathered.points, steps, result.points);

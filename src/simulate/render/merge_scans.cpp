@@ -116,8 +116,10 @@ void append_scan_channels(RenderedScan& merged_scan, const RenderedScan& scan, R
 /// range and intensity are 0, and the channels have no value.
 void pad_second_returns(RenderedScan& merged_scan) {
     const std::size_t n = merged_scan.image.range_m.size();
-    for (AdditionalReturns& second : merged_scan.second_returns)
-        second.range_m.resize(n), second.intensity.resize(n);
+    for (AdditionalReturns& second : merged_scan.second_returns) {
+        second.range_m.resize(n);
+        second.intensity.resize(n);
+    }
     for (ScanChannel& channel : merged_scan.channels)
         if (count_channel_values(channel.second) > 0)
             std::visit(
@@ -134,7 +136,10 @@ void merge_actor_ray_counts(RenderedScan& merged_scan, const RenderedScan& scan)
         const auto existing_view =
             std::ranges::find(merged_scan.actor_views, view.track, &ActorVisibility::track);
         if (existing_view == merged_scan.actor_views.end()) merged_scan.actor_views.push_back(view);
-        else existing_view->n_rays += view.n_rays, existing_view->n_rays_alone += view.n_rays_alone;
+        else {
+            existing_view->n_rays += view.n_rays;
+            existing_view->n_rays_alone += view.n_rays_alone;
+        }
     }
     for (const UnobservedActorSide& side : scan.unseen_sides) {
         const auto existing_side =
@@ -195,8 +200,8 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
         }
         merged.second_returns.resize(std::max(merged.second_returns.size(), scan.second_returns.size()));
         for (std::size_t k = 0; k < scan.second_returns.size(); ++k) {
-            merged.second_returns[k].range_m.resize(first_ray),
-                merged.second_returns[k].intensity.resize(first_ray);
+            merged.second_returns[k].range_m.resize(first_ray);
+            merged.second_returns[k].intensity.resize(first_ray);
             append_elements(merged.second_returns[k].range_m, scan.second_returns[k].range_m);
             append_elements(merged.second_returns[k].intensity, scan.second_returns[k].intensity);
         }

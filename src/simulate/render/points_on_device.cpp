@@ -20,7 +20,9 @@ DevicePointComputer::DevicePointComputer(Device& device)
 void DevicePointComputer::reserve_ray_memory(Stream& stream, std::size_t n_rays) {
     if (n_rays <= points_.size()) return;
     stream.submit_and_wait();
-    marks_ = {}, point_indices_ = {}, points_ = {};  // frees the old arrays before allocating larger ones
+    marks_ = {};
+    point_indices_ = {};
+    points_ = {};  // frees the old arrays before allocating larger ones
     marks_ = Array<std::uint32_t, shared::ReturnMarks>(device_, n_rays, "rays with a return");
     point_indices_ = Array<std::uint32_t, shared::ReturnPlaces>(device_, n_rays, "indices of points");
     sum_.reserve_scratch_memory(device_, n_rays);

@@ -92,7 +92,8 @@ WeatherSensorProperties make_sensor_properties_for_weather(const Config& config,
     // detection.
     result.weakest_reflectivity = 0.5 * result.darkest;
     result.separation_m = config.sensor.return_separation_m;
-    result.min_range_m = limits.min_m, result.max_range_m = limits.max_m;
+    result.min_range_m = limits.min_m;
+    result.max_range_m = limits.max_m;
     return result;
 }
 

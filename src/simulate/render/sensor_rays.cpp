@@ -142,17 +142,21 @@ void DeviceSensorRays::upload_ray_table(const RayTable& rays, const std::string&
     });
     if (all.size() > measured_.size()) {  // measured_ is allocated last
         table_ = {};  // if an allocation below fails, is_ray_table_uploaded() then returns false
-        rays_ = {}, fired_ = {}, measured_ = {};  // frees the old arrays before allocating larger ones
+        rays_ = {};
+        fired_ = {};
+        measured_ = {};  // frees the old arrays before allocating larger ones
         rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
         fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in the world");
         measured_ = Array<shared::MeasuredRay>(device_, all.size(), "measured rays");
-        readback_.reset(), refined_readback_.reset();
+        readback_.reset();
+        refined_readback_.reset();
     }
     rays_.upload(all);
     table_ = rays;
     sensor_ = sensor_name;
     const auto [first, last] = std::ranges::minmax_element(rays.time_offset_s);
-    first_s_ = *first, last_s_ = *last;
+    first_s_ = *first;
+    last_s_ = *last;
 }
 
 std::vector<shared::SensorPose> DeviceSensorRays::list_poses_during_sweep(const PoseTrack& world_from_sensor,

@@ -27,7 +27,10 @@ std::pair<double, int> find_ray_entry_into_box(const glm::dvec3& origin, const g
     for (int k = 0; k < 3; ++k) {
         const double inverse = 1.0 / direction[k], a = (-box_half_size_m[k] - origin[k]) * inverse,
                      b = (box_half_size_m[k] - origin[k]) * inverse;
-        if (std::min(a, b) > enter_m) enter_m = std::min(a, b), axis = k;
+        if (std::min(a, b) > enter_m) {
+            enter_m = std::min(a, b);
+            axis = k;
+        }
         leave_m = std::min(leave_m, std::max(a, b));
     }
     if (axis < 0 || !(enter_m < leave_m)) return {std::numeric_limits<double>::infinity(), 0};

@@ -232,8 +232,9 @@ std::string pack_points_to_bytes(const LidarPoints& cloud) {
     bytes.reserve(cloud.size() * kStride);
     for (std::size_t i = 0; i < cloud.size(); ++i) {
         append_binary_value(bytes, cloud.position_m[i]);
-        append_binary_value(bytes, cloud.intensity[i]), append_binary_value(bytes, cloud.time_offset_s[i]),
-            append_binary_value(bytes, cloud.instance[i]);
+        append_binary_value(bytes, cloud.intensity[i]);
+        append_binary_value(bytes, cloud.time_offset_s[i]);
+        append_binary_value(bytes, cloud.instance[i]);
         append_binary_value(bytes, cloud.ring[i]);
         append_binary_value(bytes, cloud.return_number.empty() ? std::uint8_t(1) : cloud.return_number[i]);
         append_binary_value(bytes, std::uint8_t(0));  // padding to a multiple of 4 bytes

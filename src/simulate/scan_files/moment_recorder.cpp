@@ -94,7 +94,8 @@ RecordedSweep SweepRecorder::convert_scans_to_recorded_sweep(std::span<const Ren
     std::vector<double> times_s;
     append_pose_sample_times(times_s, scans[0].track, all.first_s, all.last_s);
     for (std::size_t s = 0; s < scans.size(); ++s) {
-        times_s.push_back(sweeps[s].first_s), times_s.push_back(sweeps[s].last_s);
+        times_s.push_back(sweeps[s].first_s);
+        times_s.push_back(sweeps[s].last_s);
         moment.clouds.push_back(make_point_cloud(scans[s], sensors_[s], sweeps[s]));
         merge_recorded_actors(moment.actors[make_time_stamp_ns(sweeps[s].first_s)],
                               list_recorded_actors(scans[s], sweeps[s].first_s));

@@ -40,11 +40,14 @@ template <class Visit>
 void for_each_file_channel(const ScanInOutputFrame& placed_scan, Visit&& visit) {
     const RenderedScan& scan = placed_scan.scan;
     const BasicChannels& basic = get_basic_channels();
-    visit(basic.range, scan.image.range_m), visit(basic.median_range, scan.median_range_m),
-        visit(basic.intensity, scan.image.intensity);
-    visit(basic.drop_prob, scan.image.drop_prob), visit(basic.weight, scan.weight),
-        visit(basic.time, scan.time_offset_s);
-    visit(basic.ring, scan.ring), visit(basic.instance, scan.instance);
+    visit(basic.range, scan.image.range_m);
+    visit(basic.median_range, scan.median_range_m);
+    visit(basic.intensity, scan.image.intensity);
+    visit(basic.drop_prob, scan.image.drop_prob);
+    visit(basic.weight, scan.weight);
+    visit(basic.time, scan.time_offset_s);
+    visit(basic.ring, scan.ring);
+    visit(basic.instance, scan.instance);
     if (!scan.second_returns.empty()) {
         visit(ChannelInfo{"range_2", "m"}, scan.second_returns[0].range_m);
         visit(ChannelInfo{"intensity_2"}, scan.second_returns[0].intensity);

@@ -72,9 +72,12 @@ std::string pack_point_records(const LidarPoints& points) {
         if (!values.empty()) append_binary_value(bytes, values[index]);
     };
     for (std::size_t i = 0; i < points.size(); ++i) {
-        append_binary_value(bytes, points.position_m[i]), append_binary_value(bytes, points.intensity[i]);
-        append_if_present(points.ring, i), append_if_present(points.time_offset_s, i);
-        append_if_present(points.instance, i), append_if_present(points.return_number, i);
+        append_binary_value(bytes, points.position_m[i]);
+        append_binary_value(bytes, points.intensity[i]);
+        append_if_present(points.ring, i);
+        append_if_present(points.time_offset_s, i);
+        append_if_present(points.instance, i);
+        append_if_present(points.return_number, i);
         append_channel_values(bytes, points.channels, i);
     }
     return bytes;

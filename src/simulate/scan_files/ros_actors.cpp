@@ -22,8 +22,10 @@ std::string make_detections_message(std::uint64_t stamp_ns, const Actors& actors
         // Each detection has one class with a score of 1, because the class is known
         // exactly.
         cdr.append_aligned_number(std::uint32_t(1)).append_string(actor.category).append_aligned_number(1.0);
-        add_pose(cdr, actor.faced.world_from_box), add_zero_covariance(cdr);
-        add_pose(cdr, actor.faced.world_from_box), add_vector(cdr, actor.size_m);
+        add_pose(cdr, actor.faced.world_from_box);
+        add_zero_covariance(cdr);
+        add_pose(cdr, actor.faced.world_from_box);
+        add_vector(cdr, actor.size_m);
         cdr.append_string(actor.name);
     }
     return cdr.take_encoded_message();
@@ -84,7 +86,8 @@ std::string make_tracked_objects_message(std::uint64_t stamp_ns, const Actors& a
             .append_aligned_number(std::uint32_t(1))
             .append_aligned_number(get_autoware_label(actor.category))
             .append_aligned_number(1.0f);
-        add_pose(cdr, actor.at_stamp.world_from_box), add_zero_covariance(cdr);
+        add_pose(cdr, actor.at_stamp.world_from_box);
+        add_zero_covariance(cdr);
         add_velocity_with_covariance(cdr, actor.at_stamp.velocity);
         add_velocity_with_covariance(cdr, {});  // zero acceleration, because the acceleration is unknown
         cdr.append_aligned_number(kOrientationAvailable).append_aligned_number(std::uint8_t(actor.is_parked));

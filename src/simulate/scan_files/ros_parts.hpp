@@ -21,7 +21,8 @@ inline void add_time(CdrWriter& cdr, std::uint64_t time_ns) {
         .append_aligned_number(std::uint32_t(time_ns % kNanoseconds));
 }
 inline void add_header(CdrWriter& cdr, std::uint64_t stamp_ns, const std::string& frame_id) {
-    add_time(cdr, stamp_ns), cdr.append_string(frame_id);
+    add_time(cdr, stamp_ns);
+    cdr.append_string(frame_id);
 }
 
 inline void add_vector(CdrWriter& cdr, const glm::dvec3& vector) {
@@ -39,7 +40,8 @@ inline void add_zero_covariance(CdrWriter& cdr) {
     for (int i = 0; i < kCovariance; ++i) cdr.append_aligned_number(0.0);
 }
 inline void add_velocity_with_covariance(CdrWriter& cdr, const Velocity& velocity) {
-    add_vector(cdr, velocity.linear_mps), add_vector(cdr, velocity.angular_radps);
+    add_vector(cdr, velocity.linear_mps);
+    add_vector(cdr, velocity.angular_radps);
     add_zero_covariance(cdr);
 }
 

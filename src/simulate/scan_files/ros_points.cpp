@@ -51,9 +51,9 @@ std::string pack_autoware_points(const LidarPoints& cloud) {
                             std::uint8_t(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
         append_binary_value(bytes, std::uint8_t(get_return_type(cloud, i)));
         append_binary_value(bytes, cloud.ring[i]);
-        append_binary_value(bytes, std::atan2(p.y, p.x)),
-            append_binary_value(bytes, std::atan2(p.z, std::hypot(p.x, p.y))),
-            append_binary_value(bytes, glm::length(p));
+        append_binary_value(bytes, std::atan2(p.y, p.x));
+        append_binary_value(bytes, std::atan2(p.z, std::hypot(p.x, p.y)));
+        append_binary_value(bytes, glm::length(p));
         append_binary_value(bytes,
                             std::uint32_t(std::llround(1e9 * std::max(0.0, double(cloud.time_offset_s[i])))));
     }
@@ -63,8 +63,10 @@ std::string pack_autoware_points(const LidarPoints& cloud) {
 std::string pack_velodyne_points(const LidarPoints& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
-        append_binary_value(bytes, cloud.position_m[i]), append_binary_value(bytes, cloud.intensity[i]);
-        append_binary_value(bytes, cloud.time_offset_s[i]), append_binary_value(bytes, cloud.ring[i]);
+        append_binary_value(bytes, cloud.position_m[i]);
+        append_binary_value(bytes, cloud.intensity[i]);
+        append_binary_value(bytes, cloud.time_offset_s[i]);
+        append_binary_value(bytes, cloud.ring[i]);
         append_binary_value(bytes, std::uint16_t(0));  // padding to a multiple of 4 bytes
         append_channel_values(bytes, cloud.channels, i);
     }

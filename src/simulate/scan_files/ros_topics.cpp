@@ -42,7 +42,8 @@ std::string make_odometry_message(const RecordedPose& pose) {
     CdrWriter cdr;
     add_header(cdr, pose.time_ns, kWorldFrame);
     cdr.append_string(kVehicleFrame);
-    add_pose(cdr, pose.world_from_vehicle), add_zero_covariance(cdr);
+    add_pose(cdr, pose.world_from_vehicle);
+    add_zero_covariance(cdr);
     add_velocity_with_covariance(cdr, pose.velocity);
     return cdr.take_encoded_message();
 }

@@ -109,7 +109,8 @@ void write_exr_file(const fs::path& path, const ScanInOutputFrame& output_scan) 
             channels[name].assign(values.begin(), values.end());
         }
     };
-    add("origin", output_scan.origin), add("direction", output_scan.direction);
+    add("origin", output_scan.origin);
+    add("direction", output_scan.direction);
     for_each_file_channel(output_scan,
                           [&](const ChannelInfo& channel, const auto& values) { add(channel.name, values); });
     const RangeImage& image = output_scan.scan.image;

@@ -127,7 +127,8 @@ ScanRecordingsWriter::ScanRecordingsWriter(fs::path folder, std::vector<ScanOutp
     const scan_files::RecordedRig rig = impl_->recorder.make_recorded_rig();
     for (const scan_files::RecordingFormat& format : scan_files::list_recording_formats()) {
         if (std::ranges::find(requested_formats, format.name) == requested_formats.end()) continue;
-        require_valid_topic_and_frame_names(rig), require_unique_topic_names(format.topics(rig));
+        require_valid_topic_and_frame_names(rig);
+        require_unique_topic_names(format.topics(rig));
         impl_->names.emplace_back(format.file);
         impl_->files.push_back(std::make_unique<scan_files::RecordingFileWriter>(
             folder / format.file, format, rig, make_recording_metadata(sensors)));

@@ -18,7 +18,10 @@ LidarEcho select_second_return(const EchoCandidates& candidates, const LidarEcho
         const double range_m = candidate.echo.range_m;
         if (std::abs(range_m - strongest.range_m) < min_separation_m) continue;
         if (range_m > std::max(strongest.range_m, last.range_m)) last = candidate.echo;
-        if (candidate.power > power) next = candidate.echo, power = candidate.power;
+        if (candidate.power > power) {
+            next = candidate.echo;
+            power = candidate.power;
+        }
     }
     return last.source == ReturnCause::nothing ? next : last;
 }

@@ -59,7 +59,9 @@ std::vector<RetroReflector> find_retro_reflectors(const RenderedScan& scan) {
         DirectionCell& square = squares[compute_square_degree_cell(direction)];
         ++square.rays;
         if (!is_retro_reflector_hit(scan, i)) continue;
-        ++square.reflectors, square.direction += direction, square.range_m += double(scan.median_range_m[i]);
+        ++square.reflectors;
+        square.direction += direction;
+        square.range_m += double(scan.median_range_m[i]);
     }
     std::vector<RetroReflector> reflectors;
     for (const auto& [place, square] : squares)

@@ -42,13 +42,18 @@ struct GroundGridCell {
     glm::dvec2 products{0.0};  // sums of xz, yz
 
     void add_point(const glm::dvec3& point) {
-        n += 1.0, zz += point.z * point.z, sum += point;
-        squares += glm::dvec3(point.x * point.x, point.x * point.y, point.y * point.y),
-            products += point.z * glm::dvec2(point);
+        n += 1.0;
+        zz += point.z * point.z;
+        sum += point;
+        squares += glm::dvec3(point.x * point.x, point.x * point.y, point.y * point.y);
+        products += point.z * glm::dvec2(point);
     }
     void add_cell_sums(const GroundGridCell& other) {
-        n += other.n, zz += other.zz, sum += other.sum;
-        squares += other.squares, products += other.products;
+        n += other.n;
+        zz += other.zz;
+        sum += other.sum;
+        squares += other.squares;
+        products += other.products;
     }
 };
 using GroundGrid = std::unordered_map<std::uint64_t, GroundGridCell>;
@@ -233,8 +238,9 @@ std::vector<WetGroundRay> compute_wet_ground_rays(const WeatherInput& input) {
         if (!(on_m > 0.0) || compute_drop_probability(r, k) >= kDropThreshold) continue;
         if (kLift_m + on_m * glm::dot(glm::dvec3(rays.direction[k]), up[ray]) < kLowest_m) continue;
         LidarEcho& echo = wet[ray].mirrored;
-        echo.range_m += on_m, echo.reflectivity = std::min(double(r.intensity[k]), 1.0),
-                              echo.source = ReturnCause::mirror;
+        echo.range_m += on_m;
+        echo.reflectivity = std::min(double(r.intensity[k]), 1.0);
+        echo.source = ReturnCause::mirror;
     }
     return wet;
 }

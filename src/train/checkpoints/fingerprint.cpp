@@ -31,9 +31,10 @@ public:
     void add_to_hash(const std::string& text) { add_to_hash(text.data(), text.size()); }
     void add_to_hash(const PoseTrack& track) {
         add_to_hash(track.time_s);
-        for (const Pose& pose : track.pose)
-            add_to_hash(&pose.rotation, sizeof pose.rotation),
-                add_to_hash(&pose.translation, sizeof pose.translation);
+        for (const Pose& pose : track.pose) {
+            add_to_hash(&pose.rotation, sizeof pose.rotation);
+            add_to_hash(&pose.translation, sizeof pose.translation);
+        }
     }
     void add_to_hash(const void* bytes, std::size_t n_bytes) {
         for (std::size_t i = 0; i < n_bytes; i += 8) {

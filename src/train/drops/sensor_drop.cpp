@@ -83,8 +83,10 @@ RayDropTable RayDropCounts::estimate_persistent_drop_rates() const {
         for (int first = 0; first < index_.bins; ++first) {
             std::uint32_t rays = 0, drops = 0;
             int end = first;
-            for (; end < first + index_.bins && rays < kCertainRays; ++end)
-                rays += rays_[get_bin_index(channel, end)], drops += drops_[get_bin_index(channel, end)];
+            for (; end < first + index_.bins && rays < kCertainRays; ++end) {
+                rays += rays_[get_bin_index(channel, end)];
+                drops += drops_[get_bin_index(channel, end)];
+            }
             if (rays < kCertainRays) continue;
             for (int bin = first; bin < end; ++bin) {
                 const std::size_t i = get_bin_index(channel, bin);

@@ -9,8 +9,10 @@ namespace relidar {
 SimulatedSensor choose_nominal_sensor_of_frame(const Config& config, const LidarSequence& sequence,
                                                const LidarFrame& frame) {
     SimulatedSensor sensor = find_or_load_sensor("native", config, sequence, frame.lidar);
-    if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns)
-        sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
+    if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns) {
+        sensor.rays = frame.scan.rays;
+        sensor.follows_sweeps = false;
+    }
     sensor.rolling_shutter = sequence.rolling_shutter;  // same setting as in the measured scan
     return sensor;
 }

@@ -32,7 +32,8 @@ public:
                                                     const PoseTrack& world_from_vehicle) {
         const LidarFrame& frame = run_.sequence.frames[std::size_t(frame_index)];
         SimulatedSensor sensor;
-        sensor.rays = select_rays(frame.scan.rays, ray_indices), sensor.follows_sweeps = false;
+        sensor.rays = select_rays(frame.scan.rays, ray_indices);
+        sensor.follows_sweeps = false;
         sensor.lidar = frame.lidar;
         sensor.rolling_shutter = run_.sequence.rolling_shutter;
         const Pose& mounted = run_.sequence.get_lidar(frame).vehicle_from_sensor;

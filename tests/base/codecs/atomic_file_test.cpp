@@ -121,8 +121,10 @@ TEST_F(AtomicFile, LeftoversOfAKilledProcessAreRemoved) {
     EXPECT_EQ(files().size(), 5u);
     pid_t child = ::fork();  // uses real leftovers of a killed process
     if (child == 0)
-        write_file_atomically(folder / "b.txt",
-                              [](const fs::path& temporary) { put(temporary, "half"), ::_exit(0); });
+        write_file_atomically(folder / "b.txt", [](const fs::path& temporary) {
+            put(temporary, "half");
+            ::_exit(0);
+        });
     ::waitpid(child, nullptr, 0);
     EXPECT_EQ(files().size(), 6u);
     remove_temporary_files(folder);

@@ -102,7 +102,10 @@ struct Body {
         if (codec != FeatherCodec::none && !buffer.empty()) {
             std::int64_t n = std::int64_t(buffer.size());
             std::string packed = compress_bytes(buffer, codec);
-            if (packed.size() >= buffer.size()) n = -1, packed = buffer;
+            if (packed.size() >= buffer.size()) {
+                n = -1;
+                packed = buffer;
+            }
             stored.assign(reinterpret_cast<const char*>(&n), sizeof n);
             stored += packed;
         }

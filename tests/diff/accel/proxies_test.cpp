@@ -63,7 +63,8 @@ TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
     constexpr double kAlphaMin = 1.0 / 255.0;
     Surfels surfels = make_benchmark_street_surfels(kAll);
     for (std::uint32_t i = 0; i < kAll; i += 3) surfels.opacity_logit[i] = 2.0f;
-    surfels.opacity_logit[7] = -20.0f, surfels.mean[7] = {1e4f, 0.0f, 0.0f};  // too transparent to be hit
+    surfels.opacity_logit[7] = -20.0f;
+    surfels.mean[7] = {1e4f, 0.0f, 0.0f};  // too transparent to be hit
     Scene scene = make_background_scene(surfels);
     scene.models = {{"background", 0, kFirst}, {"actor", kFirst, kAll - kFirst}};
     DeviceScene on_device(device(), scene);

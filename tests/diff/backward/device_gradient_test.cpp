@@ -173,7 +173,9 @@ TEST_F(DeviceGradient, ViewOriginAndLongLists) {
 TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
     test::RandomSceneOptions options;
     options.seed = 34;
-    options.opacity_low = 0.5, options.opacity_high = 0.98, options.wide_surfels = 2;
+    options.opacity_low = 0.5;
+    options.opacity_high = 0.98;
+    options.wide_surfels = 2;
     // Single precision rounds an opacity near 0.99 by up to 6e-8, which is 6e-6 of 1 -
     // alpha. Eq. 9 divides by 1 - alpha, and the transmittance carries this error to the
     // surfels behind the wall. Their gradients are small, so that the fourth digit is not
@@ -190,14 +192,18 @@ TEST_F(DeviceGradient, Gaussians) {
     test::RandomSceneOptions options;
     options.primitive = PrimitiveType::gaussian;
     // more rays hit a 3D Gaussian than a surfel
-    options.seed = 36, options.rays = 30, options.background_surfels = 24, options.actor_surfels = 8;
+    options.seed = 36;
+    options.rays = 30;
+    options.background_surfels = 24;
+    options.actor_surfels = 8;
     // Single precision rounds points 10 m away to 1e-6 m. This is 3e-5 standard
     // deviations of the thinnest Gaussian (0.03 m) and affects every gradient of alpha.
     const double tolerance = 3.0 * test::kKernelGradient;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.proxy = ProxyShape::triangles, .tolerance = tolerance},
                      "3D Gaussians, icosahedra, SH along the ray, 3 instances");
-    options.seed = 37, options.actor_instances = 1;
+    options.seed = 37;
+    options.actor_instances = 1;
     expect_agreement({.sh_direction = ShDirection::surfel}, options,
                      {.tests_all_methods = true, .tolerance = tolerance},
                      "3D Gaussians, boxes, SH along sensor -> mean, 2 instances");
@@ -222,20 +228,29 @@ TEST_F(DeviceGradient, SingleDropLogit) {
 /// likelihood without the image.
 TEST_F(DeviceGradient, ImageAndLikelihood) {
     test::RandomSceneOptions options;
-    options.rays = 60, options.seed = 72;
+    options.rays = 60;
+    options.seed = 72;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.proxy = ProxyShape::triangles,
                       .tests_all_methods = true,
                       .tolerance = 2.0 * test::kKernelGradient,
                       .outputs = Outputs::all},
                      "image and likelihood, SH along the ray");
-    options.seed = 73, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0,
-    options.actor_surfels = 0, options.opacity_low = 0.02, options.opacity_high = 0.2;
+    options.seed = 73;
+    options.rays = 40;
+    options.background_surfels = 80;
+    options.actor_instances = 0;
+    options.actor_surfels = 0;
+    options.opacity_low = 0.02;
+    options.opacity_high = 0.2;
     expect_agreement({.sh_direction = ShDirection::surfel}, options,
                      {.tolerance = 2.0 * test::kKernelGradient, .outputs = Outputs::all},
                      "image and likelihood, transparent, long lists");
-    options.seed = 37, options.background_surfels = 40, options.opacity_low = 0.5,
-    options.opacity_high = 0.98, options.wide_surfels = 2;
+    options.seed = 37;
+    options.background_surfels = 40;
+    options.opacity_low = 0.5;
+    options.opacity_high = 0.98;
+    options.wide_surfels = 2;
     expect_agreement(
         {.sh_direction = ShDirection::ray}, options,
         {.brute_force = true, .tolerance = 10.0 * test::kKernelGradient, .outputs = Outputs::all, .chunk = 2},
@@ -247,12 +262,18 @@ TEST_F(DeviceGradient, ImageAndLikelihood) {
 /// errors are up to 3 and 2.5 units in the last place on a GPU, and half a unit on a CPU.
 TEST_F(DeviceGradient, Likelihood) {
     test::RandomSceneOptions options;
-    options.rays = 60, options.seed = 64;
+    options.rays = 60;
+    options.seed = 64;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.tolerance = 2.0 * test::kKernelGradient, .outputs = Outputs::likelihood},
                      "likelihood, SH along the ray");
-    options.seed = 65, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0,
-    options.actor_surfels = 0, options.opacity_low = 0.02, options.opacity_high = 0.2;
+    options.seed = 65;
+    options.rays = 40;
+    options.background_surfels = 80;
+    options.actor_instances = 0;
+    options.actor_surfels = 0;
+    options.opacity_low = 0.02;
+    options.opacity_high = 0.2;
     expect_agreement({.sh_direction = ShDirection::ray}, options, {.outputs = Outputs::likelihood},
                      "likelihood, transparent, long lists");
     options = {.seed = 66,

@@ -39,7 +39,10 @@ protected:
     /// Makes many rays through few surfels, so that rows extend over many blocks.
     test::RandomScene make_crowded_scene(const reference::Settings& settings) {
         test::RandomSceneOptions options;
-        options.seed = 51, options.rays = 20, options.background_surfels = 20, options.actor_surfels = 6;
+        options.seed = 51;
+        options.rays = 20;
+        options.background_surfels = 20;
+        options.actor_surfels = 6;
         options.primitive = settings.image.primitive;
         test::RandomScene scene = test::make_random_scene(options, settings);
         const std::vector<reference::Ray> once = scene.rays;
@@ -83,7 +86,10 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
         reference::Settings settings;
         settings.image.sh_direction = direction;
         test::RandomSceneOptions options;
-        options.seed = 52, options.rays = 30, options.background_surfels = 400, options.actor_surfels = 9;
+        options.seed = 52;
+        options.rays = 30;
+        options.background_surfels = 400;
+        options.actor_surfels = 9;
         const test::RandomScene scene = test::make_random_scene(options, settings);
         const std::vector<PixelGradient> upstream = test::make_random_upstream(scene.rays.size(), 5);
         std::vector<std::uint32_t> touched;

@@ -187,7 +187,10 @@ std::vector<std::pair<std::string, std::vector<double>>> compute_expected_rows(W
     const auto add_twist = [&](const char* name,
                                const std::function<void(const glm::dvec3&, const glm::dvec3&)>& move) {
         glm::dvec3 v(0.0), w(0.0);
-        const auto moved = [&] { return move(v, w), problem.terms(); };
+        const auto moved = [&] {
+            move(v, w);
+            return problem.terms();
+        };
         rows.emplace_back(std::string(name) + " translation",
                           test::compute_central_differences(&v.x, 3, moved));
         rows.emplace_back(std::string(name) + " rotation",
@@ -223,7 +226,9 @@ std::vector<std::vector<double>> collect_actual_rows(const DeviceGradients& grad
         const std::vector<float> values = array.download();
         for (std::size_t k = 0; k < values.size(); k += 3) rows.push_back(lanes(&values[k], 3));
     };
-    add(gradients.rays), add(gradients.poses), add(gradients.sensor);
+    add(gradients.rays);
+    add(gradients.poses);
+    add(gradients.sensor);
     return rows;
 }
 
@@ -316,8 +321,10 @@ protected:
 LossWeights make_weights(float image, float likelihood) {
     LossWeights w;
     w.depth = w.intensity = w.drop = image;
-    w.likelihood = likelihood, w.chamfer = 0.0f;
-    w.likelihood_scale_m = 0.1f, w.likelihood_floor = 0.05f;
+    w.likelihood = likelihood;
+    w.chamfer = 0.0f;
+    w.likelihood_scale_m = 0.1f;
+    w.likelihood_floor = 0.05f;
     w.normalised_depth = true;
     return w;
 }

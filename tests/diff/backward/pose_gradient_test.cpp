@@ -108,7 +108,8 @@ protected:
                 else placed.world_from_model = changed;
                 return p.terms(p.scene.rays, p.settings);
             });
-            placed.world_from_model = start, placed.change = {};
+            placed.world_from_model = start;
+            placed.change = {};
             add_twist(table, "differences, pose", differences, lanes(poses.data() + 6 * k, 6));
         }
         // If instances move during the sweep, the sensor's gradient
@@ -129,19 +130,27 @@ protected:
 
 TEST_F(PoseGradient, ModelPlacedThriceShAlongRay) {
     test::RandomSceneOptions options;
-    options.seed = 41, options.rays = 60, options.actor_instances = 3;
+    options.seed = 41;
+    options.rays = 60;
+    options.actor_instances = 3;
     expect_agreement(ShDirection::ray, options, "poses, SH along the ray, one model placed three times");
 }
 
 TEST_F(PoseGradient, OfModelsThatMoveWhileRaysAreFired) {
     test::RandomSceneOptions options;
-    options.seed = 47, options.rays = 60, options.actor_instances = 3, options.moving = true;
+    options.seed = 47;
+    options.rays = 60;
+    options.actor_instances = 3;
+    options.moving = true;
     expect_agreement(ShDirection::ray, options, "poses, models that drive and turn");
 }
 
 TEST_F(PoseGradient, OfTheSensorIsExactInTranslationWhereModelsOnlyDrive) {
     test::RandomSceneOptions options;
-    options.seed = 48, options.rays = 60, options.actor_instances = 3, options.moving = true,
+    options.seed = 48;
+    options.rays = 60;
+    options.actor_instances = 3;
+    options.moving = true;
     options.angular_speed_radps = 0.0;
     PoseProblem p(ShDirection::ray, options);
     Passes passes(device(), p.settings.image, p.scene, p.upstream, test::make_options(p.settings.image));
@@ -157,22 +166,31 @@ TEST_F(PoseGradient, OfTheSensorIsExactInTranslationWhereModelsOnlyDrive) {
 
 TEST_F(PoseGradient, GaussiansPlacedTwice) {
     test::RandomSceneOptions options;
-    options.seed = 46, options.rays = 60, options.primitive = PrimitiveType::gaussian;
+    options.seed = 46;
+    options.rays = 60;
+    options.primitive = PrimitiveType::gaussian;
     expect_agreement(ShDirection::ray, options, "poses, 3D Gaussians, one model placed twice");
 }
 
 TEST_F(PoseGradient, ShAlongSurfelSeesTheViewOriginMove) {
     test::RandomSceneOptions options;
-    options.seed = 42, options.rays = 60, options.actor_instances = 1, options.actor_surfels = 30;
+    options.seed = 42;
+    options.rays = 60;
+    options.actor_instances = 1;
+    options.actor_surfels = 30;
     expect_agreement(ShDirection::surfel, options,
                      "poses, SH along sensor -> mean, an actor in the background");
 }
 
 TEST_F(PoseGradient, MoreSurfelsThanThreadsOfAWorkgroup) {
     test::RandomSceneOptions options;
-    options.seed = 43, options.rays = 40, options.actor_instances = 1, options.actor_surfels = 90,
+    options.seed = 43;
+    options.rays = 40;
+    options.actor_instances = 1;
+    options.actor_surfels = 90;
     options.background_surfels = 60;
-    options.opacity_low = 0.02, options.opacity_high = 0.2;
+    options.opacity_low = 0.02;
+    options.opacity_high = 0.2;
     expect_agreement(ShDirection::ray, options, "poses, transparent, 90 surfels an actor");
 }
 
@@ -252,7 +270,8 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
 /// must have a gradient of exactly zero.
 TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
     test::RandomSceneOptions options;
-    options.seed = 44, options.actor_instances = 3;
+    options.seed = 44;
+    options.actor_instances = 3;
     PoseProblem p(ShDirection::ray, options);
     Passes passes(device(), p.settings.image, p.scene, p.upstream, test::make_options(p.settings.image));
     std::vector<InstancePose> placed = passes.renderer.scene().get_instance_poses();

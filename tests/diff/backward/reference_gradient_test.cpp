@@ -196,7 +196,9 @@ TEST(ReferenceGradient, EveryParameterShAlongSurfel) {
 TEST(ReferenceGradient, LikelihoodAlone) {
     test::RandomSceneOptions options;
     options.seed = 6;
-    options.background_surfels = 24, options.actor_surfels = 8, options.rays = 12;
+    options.background_surfels = 24;
+    options.actor_surfels = 8;
+    options.rays = 12;
     expect_differences_agree(ShDirection::surfel, options, 4, "likelihood alone", false,
                              test::Outputs::likelihood);
     options.primitive = PrimitiveType::gaussian;
@@ -207,7 +209,9 @@ TEST(ReferenceGradient, LikelihoodAlone) {
 TEST(ReferenceGradient, SingleDropLogit) {
     test::RandomSceneOptions options;
     options.seed = 5;
-    options.background_surfels = 24, options.actor_surfels = 8, options.rays = 12;
+    options.background_surfels = 24;
+    options.actor_surfels = 8;
+    options.rays = 12;
     expect_differences_agree(ShDirection::ray, options, 4, "one drop logit, SH along the ray, chunk 4", true);
     expect_differences_agree(ShDirection::surfel, options, 4,
                              "one drop logit, SH along sensor -> mean, chunk 4", true);
@@ -225,7 +229,8 @@ TEST(ReferenceGradient, GaussiansOpaqueShAlongSurfel) {
     test::RandomSceneOptions options;
     options.seed = 7;
     options.primitive = PrimitiveType::gaussian;
-    options.opacity_low = 0.5, options.opacity_high = 0.98;
+    options.opacity_low = 0.5;
+    options.opacity_high = 0.98;
     expect_differences_agree(ShDirection::surfel, options, 2,
                              "3D Gaussians, opaque, SH along sensor -> mean, chunk 2");
 }
@@ -247,7 +252,9 @@ std::pair<int, int> count_clamps_and_stopped_rays(const Problem& problem) {
 TEST(ReferenceGradient, OpaqueSceneThatStopsEarly) {
     test::RandomSceneOptions options;
     options.seed = 3;
-    options.opacity_low = 0.5, options.opacity_high = 0.98, options.wide_surfels = 2;
+    options.opacity_low = 0.5;
+    options.opacity_high = 0.98;
+    options.wide_surfels = 2;
     const auto [clamps, stops] = count_clamps_and_stopped_rays(Problem(ShDirection::surfel, options, 2));
     EXPECT_GT(clamps, 0);
     EXPECT_GT(stops, 0);
@@ -257,8 +264,11 @@ TEST(ReferenceGradient, OpaqueSceneThatStopsEarly) {
 TEST(ReferenceGradient, LongListsChunk16) {
     test::RandomSceneOptions options;
     options.seed = 4;
-    options.background_surfels = 80, options.actor_surfels = 16, options.rays = 8;
-    options.opacity_low = 0.02, options.opacity_high = 0.2;
+    options.background_surfels = 80;
+    options.actor_surfels = 16;
+    options.rays = 8;
+    options.opacity_low = 0.02;
+    options.opacity_high = 0.2;
     expect_differences_agree(ShDirection::ray, options, 16, "transparent, long lists, chunk 16");
 }
 

@@ -62,9 +62,15 @@ protected:
 
 TEST_F(OnDemand, AgreesWithDoubleReference) {
     test::RandomSceneOptions few, many;
-    few.seed = 24, few.rays = 200;
-    many.seed = 25, many.rays = 60, many.background_surfels = 120, many.actor_surfels = 0,
-    many.actor_instances = 0, many.opacity_low = 0.02, many.opacity_high = 0.2;
+    few.seed = 24;
+    few.rays = 200;
+    many.seed = 25;
+    many.rays = 60;
+    many.background_surfels = 120;
+    many.actor_surfels = 0;
+    many.actor_instances = 0;
+    many.opacity_low = 0.02;
+    many.opacity_high = 0.2;
     for (const test::RandomSceneOptions& options : {few, many}) {
         reference::Settings settings;
         settings.likelihood_scale_m = 0.3;
@@ -89,7 +95,8 @@ TEST_F(OnDemand, AgreesWithDoubleReference) {
         const Found again = trace(scene, settings.image, other);
         EXPECT_EQ(again.surfaces, result.surfaces) << "nor on the chunk";
         EXPECT_EQ(again.likelihood, result.likelihood);
-        other.chunk = 5, other.order = HitSortMethod::lists;
+        other.chunk = 5;
+        other.order = HitSortMethod::lists;
         for (const int list_capacity : {4, 64}) {
             other.initial_list_capacity = list_capacity;
             const Found lists = trace(scene, settings.image, other);
@@ -110,7 +117,8 @@ TEST_F(OnDemand, AgreesWithDoubleReference) {
 TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
     constexpr float kGap = 0.3f;
     test::RandomSceneOptions options;
-    options.seed = 28, options.rays = 100;
+    options.seed = 28;
+    options.rays = 100;
     const reference::Settings settings;
     const test::RandomScene scene = test::make_random_scene(options, settings);
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
@@ -146,7 +154,8 @@ TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
 /// render a likelihood.
 TEST_F(OnDemand, LikelihoodOfEveryThirdRay) {
     test::RandomSceneOptions options;
-    options.seed = 27, options.rays = 60;
+    options.seed = 27;
+    options.rays = 60;
     const test::RandomScene scene = test::make_random_scene(options, {});
     const test::SceneAndPoses placed =
         test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
@@ -175,7 +184,8 @@ TEST_F(OnDemand, LikelihoodOfEveryThirdRay) {
 
 TEST_F(OnDemand, OfARenderer) {
     test::RandomSceneOptions options;
-    options.seed = 26, options.rays = 100;
+    options.seed = 26;
+    options.rays = 100;
     const reference::Settings settings;
     const test::RandomScene scene = test::make_random_scene(options, settings);
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);

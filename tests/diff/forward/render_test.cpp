@@ -57,8 +57,10 @@ Expected render_reference(const test::RandomScene& scene, const reference::Setti
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) e.name.push_back(p.name);
         RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
-        e.transmittance.push_back(p.transmittance), e.median_depth.push_back(p.median_depth),
-            e.hits.push_back(p.hits), e.instance.push_back(std::int32_t(p.instance));
+        e.transmittance.push_back(p.transmittance);
+        e.median_depth.push_back(p.median_depth);
+        e.hits.push_back(p.hits);
+        e.instance.push_back(std::int32_t(p.instance));
     }
     return e;
 }
@@ -90,7 +92,8 @@ TEST_F(Forward, AgreesWithDoubleReference) {
         // With SH along the surfel, the first instance of a model determines the
         // direction, so the actor has a single instance.
         options.actor_instances = direction == ShDirection::ray ? 2 : 1;
-        options.background_surfels = 24, options.actor_surfels = 20;
+        options.background_surfels = 24;
+        options.actor_surfels = 20;
         options.rays = 300;
         const test::RandomScene scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
@@ -172,7 +175,8 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
 /// face the rays within 50 degrees.
 TEST_F(Forward, ThinGaussiansApproachSurfels) {
     test::RandomSceneOptions options;
-    options.seed = 23, options.rays = 200;
+    options.seed = 23;
+    options.rays = 200;
     const test::RandomScene random = test::make_random_scene(options, {});
     const test::SceneAndPoses placed =
         test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
@@ -255,7 +259,9 @@ Surfels make_poisoned_copies(const Surfels& good, float bad) {
     const bool is_gaussian = good.primitive == PrimitiveType::gaussian;
     Surfels extra = test::take(good, is_gaussian ? std::vector<std::uint32_t>{0, 1, 2, 3, 4, 5}
                                                  : std::vector<std::uint32_t>{0, 1, 2, 3, 4});
-    extra.mean[0].x = bad, extra.rotation[1].y = bad, extra.log_scale[2].x = bad,
+    extra.mean[0].x = bad;
+    extra.rotation[1].y = bad;
+    extra.log_scale[2].x = bad;
     extra.opacity_logit[3] = -std::abs(bad);
     extra.sh[4 * kShFloats] = std::isfinite(bad) ? std::nanf("") : bad;
     if (is_gaussian) extra.log_scale_w[5] = bad;

@@ -74,9 +74,11 @@ FoundChamfer compute_device_chamfer(Device& device, const Clouds& clouds, const 
     for (std::size_t i = 0; i < n; ++i) {
         const bool dropped = clouds.simulated[i] == 0.0f;
         shared::RenderedRay& ray = rendered.emplace_back();
-        ray.depth = clouds.simulated[i] * (setting.normalised ? setting.weight : 1.0f),
-        ray.weight = setting.weight, ray.intensity = 0.5f;
-        ray.hit_logit = dropped ? 0.0f : 1.0f, ray.drop_logit = dropped ? 1.0f : 0.0f;
+        ray.depth = clouds.simulated[i] * (setting.normalised ? setting.weight : 1.0f);
+        ray.weight = setting.weight;
+        ray.intensity = 0.5f;
+        ray.hit_logit = dropped ? 0.0f : 1.0f;
+        ray.drop_logit = dropped ? 1.0f : 0.0f;
         rays[i * setting.stride] = clouds.rays[i];
         targets[i * setting.stride] = {clouds.measured[i], 0.5f, 1.0f};
     }
@@ -154,8 +156,9 @@ TEST_F(Chamfer, CloudsWithoutImageOrderAreExactToo) {
     std::mt19937_64 random(6);
     for (std::size_t i = c.rays.size() - 1; i > 0; --i) {
         const std::size_t k = random() % (i + 1);
-        std::swap(c.rays[i], c.rays[k]), std::swap(c.simulated[i], c.simulated[k]),
-            std::swap(c.measured[i], c.measured[k]);
+        std::swap(c.rays[i], c.rays[k]);
+        std::swap(c.simulated[i], c.simulated[k]);
+        std::swap(c.measured[i], c.measured[k]);
     }
     for (const bool image : {false, true})
         expect_exact(c, compute_device_chamfer(device(), c, {.image = image}),
@@ -180,18 +183,22 @@ TEST_F(Chamfer, DegenerateClouds) {
     };
     const std::vector<float> none(320, 0.0f);
     std::vector<float> one = none, far = none;
-    one[77] = 5.0f, far[300] = 4096.0f;
+    one[77] = 5.0f;
+    far[300] = 4096.0f;
     expect("nothing simulated", [&](Clouds& clouds) { clouds.simulated = none; });
     expect("nothing measured", [&](Clouds& clouds) { clouds.measured = none; });
     expect("nothing at all", [&](Clouds& clouds) { clouds.simulated = clouds.measured = none; });
     expect("one point simulated", [&](Clouds& clouds) { clouds.simulated = one; });
-    expect("one point each, far apart",
-           [&](Clouds& clouds) { clouds.simulated = one, clouds.measured = far; });
+    expect("one point each, far apart", [&](Clouds& clouds) {
+        clouds.simulated = one;
+        clouds.measured = far;
+    });
     expect("outliers", [&](Clouds& clouds) { clouds.simulated[5] = clouds.measured[211] = 4096.0f; });
     expect("equal clouds", [&](Clouds& clouds) { clouds.measured = clouds.simulated; });
     expect("all points in one place", [&](Clouds& clouds) {
         for (DeviceRay& ray : clouds.rays) ray = clouds.rays[0];
-        clouds.simulated.assign(320, 3.0f), clouds.measured.assign(320, 4.0f);
+        clouds.simulated.assign(320, 3.0f);
+        clouds.measured.assign(320, 4.0f);
     });
 }
 

@@ -37,11 +37,18 @@ Data make_random_data(std::size_t count, std::uint64_t seed) {
                     intensity = unit(random);
         const bool dropped = unit(random) < 0.3f;
         shared::RenderedRay& ray = d.rendered.emplace_back();
-        ray.depth = depth, ray.weight = weight, ray.intensity = intensity, ray.hit_logit = hit,
+        ray.depth = depth;
+        ray.weight = weight;
+        ray.intensity = intensity;
+        ray.hit_logit = hit;
         ray.drop_logit = drop;
         d.targets.push_back({dropped ? 0.0f : range, dropped ? 0.0f : unit(random), 1.0f});
         reference::Pixel p;
-        p.depth = depth, p.weight = weight, p.intensity = intensity, p.hit_logit = hit, p.drop_logit = drop;
+        p.depth = depth;
+        p.weight = weight;
+        p.intensity = intensity;
+        p.hit_logit = hit;
+        p.drop_logit = drop;
         d.pixels.push_back(p);
         d.expected_targets.push_back({d.targets.back().range_m, d.targets.back().intensity});
     }
@@ -130,7 +137,8 @@ std::vector<std::string> list_made_kernels(Device& device, const LossWeights& we
 TEST_F(ImageLossTest, ComesFirstAndEachOtherLossOnceWhereATermAsksForIt) {
     using Names = std::vector<std::string>;
     const auto of = [&](LossWeights weights, float chamfer) {
-        return weights.chamfer = chamfer, list_made_kernels(device(), weights);
+        weights.chamfer = chamfer;
+        return list_made_kernels(device(), weights);
     };
     EXPECT_EQ(of({.depth = 0.0f, .intensity = 0.0f, .drop = 0.0f}, 0.0f), Names{"image"})
         << "it outputs what others add to";

@@ -45,7 +45,8 @@ TEST_F(LikelihoodTerm, AgreesWithReference) {
     for (shared::RayGradient& g : others) g.depth = 3.0f;
     Array<shared::RayGradient> upstream(device(), others, "upstream");
     LossWeights weights;
-    weights.likelihood = 0.7f, weights.likelihood_floor = 0.02f;
+    weights.likelihood = 0.7f;
+    weights.likelihood_floor = 0.02f;
     LikelihoodLoss loss(device(), weights);
     Stream stream(device());
     loss.record_ray_losses(stream, {{}, &rendered, &upstream},

@@ -48,7 +48,9 @@ Result compute_device_ssim(Device& device, const Image& image, float share, std:
     for (std::size_t i = 0; i < n; ++i) {
         n_known_pixels += image.is_known[i];
         shared::RenderedRay& ray = rendered.emplace_back();
-        ray.depth = 10.0f, ray.weight = 1.0f, ray.intensity = image.is_known[i] ? float(image.x[i]) : 7.0f;
+        ray.depth = 10.0f;
+        ray.weight = 1.0f;
+        ray.intensity = image.is_known[i] ? float(image.x[i]) : 7.0f;
         targets[i * stride] = image.is_known[i] ? DeviceTarget{10.0f, float(image.y[i]), 1.0f}
                               : i % 2           ? DeviceTarget{0.0f, 5.0f, 1.0f}
                                                 : DeviceTarget{10.0f, 5.0f, 0.0f};

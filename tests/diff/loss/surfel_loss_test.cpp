@@ -31,7 +31,8 @@ Scene random_scene() {
     for (glm::vec2& s : scene.surfels.log_scale)
         s = 0.4f * glm::vec2(uniform(random), uniform(random) - 2.0f);
     for (float& o : scene.surfels.opacity_logit) o = 4.0f * uniform(random);
-    scene.surfels.opacity_logit[3] = 500.0f, scene.surfels.opacity_logit[4] = -500.0f;
+    scene.surfels.opacity_logit[3] = 500.0f;
+    scene.surfels.opacity_logit[4] = -500.0f;
     scene.models = {{"background", 0, kBackground},
                     {"a", kBackground, kActor, {2.0f, 0.9f, 0.75f}},
                     {"b", kBackground + kActor, kActor, {1.0f, 0.3f, 0.85f}}};

@@ -104,7 +104,8 @@ TEST_P(ConvSizes, DerivativeByTheWeights) {
     }
     std::vector<double> actual = test::to_doubles(d_weights), repeated = test::to_doubles(again);
     EXPECT_TRUE(std::isnan(actual.back())) << "wrote past the end";
-    actual.pop_back(), repeated.pop_back();
+    actual.pop_back();
+    repeated.pop_back();
     EXPECT_LT(compute_worst_error(
                   actual, reference::backpropagate_convolution_weights(layer.from, layer.d_to, int(c.taps))),
               test::kLayer);

@@ -96,7 +96,8 @@ TEST_F(DropLossTest, DerivativeIsThatOfTheScore) {
     };
     for (std::size_t i = 0; i < n; i += 5) {
         std::vector<double> logits = test::make_random_floats(n, 9), above = logits, below = logits;
-        above[i] += 0.125, below[i] -= 0.125;  // differences of floats need a large step
+        above[i] += 0.125;
+        below[i] -= 0.125;  // differences of floats need a large step
         const double difference = (entropy(above) - entropy(below)) / 0.25;
         entropy(logits);
         EXPECT_NEAR(test::to_doubles(d_logit)[i], difference, 3e-3 / double(d.n_known_targets) * 2.0) << i;

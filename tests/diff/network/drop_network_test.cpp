@@ -174,7 +174,10 @@ TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
         const std::vector<RayDropImage> images = make_some_images(options, 6);
         std::vector<RayDropTrainProgress> uninterrupted, parts;
         const auto collect_into = [](std::vector<RayDropTrainProgress>& lines) {
-            return [&](const RayDropTrainProgress& p, const auto&) { return lines.push_back(p), true; };
+            return [&](const RayDropTrainProgress& p, const auto&) {
+                lines.push_back(p);
+                return true;
+            };
         };
         const RayDropNetwork expected =
             train_ray_drop_network(device(), images, options, 1, collect_into(uninterrupted));

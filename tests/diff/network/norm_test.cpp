@@ -156,7 +156,10 @@ TEST_P(NormSizes, Derivatives) {
         EXPECT_LT(compute_worst_error(d_from.read(), expected.from) * scale, 2e-5);
         const std::vector<double> d = test::to_doubles(d_parameters);
         std::vector<double> d_beta, d_gamma;
-        for (std::size_t k = 0; k < n; k += 2) d_beta.push_back(d[4 + k]), d_gamma.push_back(d[5 + k]);
+        for (std::size_t k = 0; k < n; k += 2) {
+            d_beta.push_back(d[4 + k]);
+            d_gamma.push_back(d[5 + k]);
+        }
         EXPECT_LT(compute_worst_error(d_beta, expected.beta), test::kLayer);
         EXPECT_LT(compute_worst_error(d_gamma, expected.gamma), test::kLayer);
         for (const std::size_t k : {std::size_t(0), std::size_t(3), n + 4, n + 5})

@@ -190,7 +190,10 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
     };
     add_conv(plan.first_conv);
     for (const UnetBlockOffsets& block : plan.down) add_block(block);
-    if (plan.query) add_block(*plan.query), add_conv(plan.project);
+    if (plan.query) {
+        add_block(*plan.query);
+        add_conv(plan.project);
+    }
     for (const UnetBlockOffsets& block : plan.up) add_block(block);
     add_conv(plan.last_conv);
     for (const auto& [first, n] : groups) {

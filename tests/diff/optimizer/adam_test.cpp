@@ -92,13 +92,16 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
 TEST_F(AdamTest, StepsEachParameterOnceInALargeLaunch) {
     const std::uint32_t n = 200'001;  // 75,001 workgroups of 128 threads, or 300,002 of 32
     Surfels start, gradient;
-    start.resize(n), gradient.resize(n);
-    std::ranges::fill(start.sh, 0.0f), std::ranges::fill(gradient.sh, 1.0f);
+    start.resize(n);
+    gradient.resize(n);
+    std::ranges::fill(start.sh, 0.0f);
+    std::ranges::fill(gradient.sh, 1.0f);
     const ForcedBehaviourScope forced(device(), {.coalesces = true});
     Adam adam(device(), n, {});
     Stream stream(device());
     SurfelArrays parameters(device(), n, "parameters"), gradients(device(), n, "gradients");
-    parameters.upload(start), gradients.upload(gradient);
+    parameters.upload(start);
+    gradients.upload(gradient);
     adam.record_adam_step(stream, parameters, gradients, nullptr, {.sh = 1e-2, .sh_rest_factor = 1.0}, 1, 3);
     stream.submit_and_wait();
     const Surfels actual = parameters.download();

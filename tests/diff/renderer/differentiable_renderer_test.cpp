@@ -37,9 +37,11 @@ protected:
 RenderedGradients to_arrays(const std::vector<reference::PixelGradient>& d) {
     RenderedGradients result;
     for (const reference::PixelGradient& g : d) {
-        result.depth.push_back(float(g.depth)), result.weight.push_back(float(g.weight)),
-            result.intensity.push_back(float(g.intensity));
-        result.hit_logit.push_back(float(g.hit_logit)), result.drop_logit.push_back(float(g.drop_logit));
+        result.depth.push_back(float(g.depth));
+        result.weight.push_back(float(g.weight));
+        result.intensity.push_back(float(g.intensity));
+        result.hit_logit.push_back(float(g.hit_logit));
+        result.drop_logit.push_back(float(g.drop_logit));
     }
     return result;
 }

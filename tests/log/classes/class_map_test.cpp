@@ -108,9 +108,14 @@ TEST(ClassFinder, FindsTheNearestCell) {
         SurfaceClass expected = SurfaceClass::unknown;
         for (const SurfaceClassCell& cell : map)
             if (const double away_m = glm::distance(0.1 * (glm::dvec3(cell.grid_index) + 0.5), point);
-                away_m < nearest_m)
-                nearest_m = away_m, expected = cell.surface;
-        if (nearest_m > 2.0) expected = SurfaceClass::unknown, ++n_far;
+                away_m < nearest_m) {
+                nearest_m = away_m;
+                expected = cell.surface;
+            }
+        if (nearest_m > 2.0) {
+            expected = SurfaceClass::unknown;
+            ++n_far;
+        }
         ASSERT_EQ(finder.find_class_of_nearest_cell(point), expected) << i;
     }
     EXPECT_GT(n_far, 50u);

@@ -85,7 +85,11 @@ TEST(FindBeams, KeepsBeamsWithFewReturns) {
     const RayTable rays = make_rays(truth);
     Random random(11);
     std::vector<int> n_left(128, 1004);
-    n_left[0] = 2, n_left[60] = 3, n_left[125] = 2, n_left[126] = 1, n_left[127] = 4;
+    n_left[0] = 2;
+    n_left[60] = 3;
+    n_left[125] = 2;
+    n_left[126] = 1;
+    n_left[127] = 4;
     LidarPoints points;
     for (std::size_t i = 0; i < rays.size(); ++i)
         if (const int n = n_left[rays.channel[i]]--; n > 0)
@@ -102,7 +106,10 @@ TEST(FindBeams, KeepsBeamsWithFewReturns) {
 TEST(RecoverRings, OfBeamsThatStartBesideTheCentre) {
     SpinningSensor s = make_true_sensor();
     // 2 degrees at 3 m, which is three beam spacings
-    for (Beam& beam : s.beams) beam.origin_offset_m = 0.03, beam.origin_up_m = 0.15;
+    for (Beam& beam : s.beams) {
+        beam.origin_offset_m = 0.03;
+        beam.origin_up_m = 0.15;
+    }
     LidarPoints points = make_points_on(s, 4);
     std::vector<std::uint16_t> truth;
     for (const std::uint16_t ring : points.ring) truth.push_back(std::uint16_t(kBeams - 1 - ring));

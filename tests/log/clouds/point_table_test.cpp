@@ -32,8 +32,12 @@ PointTable make_two_points(std::int64_t first_time, std::int64_t second_time) {
     std::string bytes;
     for (const auto& [x, ring, time] : {std::tuple(3.5f, std::uint16_t(7), first_time),
                                         std::tuple(-2.25f, std::uint16_t(300), second_time)}) {
-        append(bytes, x), append(bytes, 1.0f), append(bytes, 0.5f);
-        append(bytes, ring), append(bytes, std::uint8_t(9)), append(bytes, time);
+        append(bytes, x);
+        append(bytes, 1.0f);
+        append(bytes, 0.5f);
+        append(bytes, ring);
+        append(bytes, std::uint8_t(9));
+        append(bytes, time);
     }
     const std::vector<PointField> fields = {{"x", 'F', 4},    {"y", 'F', 4},   {"z", 'F', 4},
                                             {"ring", 'U', 2}, {"red", 'U', 1}, {"timestamp", 'I', 8}};
@@ -118,7 +122,10 @@ TEST(DroppedRays, HaveManySpellings) {
                                             {5.0f, kInfinite, 0.0f},
                                             {1e-5f, 0.0f, 1e-5f}};
     std::vector<glm::vec3> points;
-    for (const glm::vec3& p : dropped) points.push_back(p), points.push_back(real);
+    for (const glm::vec3& p : dropped) {
+        points.push_back(p);
+        points.push_back(real);
+    }
     const LidarPoints returns =
         convert_table_to_points(make_point_table(points, {}), PointFileUnits{}, 0.0, "test");
     ASSERT_EQ(returns.size(), dropped.size());

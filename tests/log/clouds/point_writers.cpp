@@ -52,7 +52,9 @@ std::string make_pcd_binary(const FilePoints& points) {
     for (const FilePoint& p : points) {
         for (int axis = 0; axis < 3; ++axis) append(bytes, p.point_m[axis]);
         bytes += "___";
-        append(bytes, get_byte(p.intensity)), append(bytes, p.ring), append(bytes, p.time_s);
+        append(bytes, get_byte(p.intensity));
+        append(bytes, p.ring);
+        append(bytes, p.time_s);
     }
     return bytes;
 }
@@ -67,7 +69,8 @@ std::string make_pcd_compressed(const FilePoints& points) {
     for (const FilePoint& p : points) append(fields, p.time_s);
     const std::string packed = compress_lzf(fields);
     std::string bytes = make_pcd_header(points.size(), "binary_compressed");
-    append(bytes, std::uint32_t(packed.size())), append(bytes, std::uint32_t(fields.size()));
+    append(bytes, std::uint32_t(packed.size()));
+    append(bytes, std::uint32_t(fields.size()));
     return bytes + packed;
 }
 
@@ -83,8 +86,10 @@ std::string make_ply_binary(const FilePoints& points) {
     std::string bytes = make_ply_header(points.size(), "binary_little_endian");
     for (const FilePoint& p : points) {
         for (int axis = 0; axis < 3; ++axis) append(bytes, double(p.point_m[axis]));
-        append(bytes, p.intensity), append(bytes, p.ring), append(bytes, p.time_s),
-            append(bytes, std::uint8_t(255));
+        append(bytes, p.intensity);
+        append(bytes, p.ring);
+        append(bytes, p.time_s);
+        append(bytes, std::uint8_t(255));
     }
     return bytes;
 }
@@ -93,7 +98,8 @@ std::string bin(const FilePoints& points) {
     std::string bytes;
     for (const FilePoint& p : points) {
         for (int axis = 0; axis < 3; ++axis) append(bytes, p.point_m[axis]);
-        append(bytes, p.intensity), append(bytes, float(p.ring));
+        append(bytes, p.intensity);
+        append(bytes, float(p.ring));
     }
     return bytes;
 }
@@ -107,7 +113,9 @@ std::string npy(const FilePoints& points) {
     bytes += header + "\n";
     for (const FilePoint& p : points) {
         for (int axis = 0; axis < 3; ++axis) append(bytes, double(p.point_m[axis]));
-        append(bytes, double(p.intensity)), append(bytes, double(p.ring)), append(bytes, p.time_s);
+        append(bytes, double(p.intensity));
+        append(bytes, double(p.ring));
+        append(bytes, p.time_s);
     }
     return bytes;
 }
@@ -151,20 +159,28 @@ std::string compress_lzf(const std::string& bytes) {
 std::string las(const FilePoints& points, double x_offset_m, int format) {
     constexpr std::size_t kHeader = 227, kRecord = 28;
     std::string bytes("LASF");
-    bytes.resize(24), bytes += "\x01\x02";
-    bytes.resize(94), append(bytes, std::uint16_t(kHeader)), append(bytes, std::uint32_t(kHeader));
-    append(bytes, std::uint32_t(0)), append(bytes, std::uint8_t(format));
-    append(bytes, std::uint16_t(kRecord)), append(bytes, std::uint32_t(points.size()));
+    bytes.resize(24);
+    bytes += "\x01\x02";
+    bytes.resize(94);
+    append(bytes, std::uint16_t(kHeader));
+    append(bytes, std::uint32_t(kHeader));
+    append(bytes, std::uint32_t(0));
+    append(bytes, std::uint8_t(format));
+    append(bytes, std::uint16_t(kRecord));
+    append(bytes, std::uint32_t(points.size()));
     bytes.resize(131);
     for (int axis = 0; axis < 3; ++axis) append(bytes, 1e-5);
-    append(bytes, x_offset_m), append(bytes, 0.0), append(bytes, 0.0);
+    append(bytes, x_offset_m);
+    append(bytes, 0.0);
+    append(bytes, 0.0);
     bytes.resize(kHeader);
     for (const FilePoint& p : points) {
         const glm::dvec3 stored_m = glm::dvec3(p.point_m) - glm::dvec3(x_offset_m, 0.0, 0.0);
         for (int axis = 0; axis < 3; ++axis) append(bytes, std::int32_t(std::lround(1e5 * stored_m[axis])));
         append(bytes, std::uint16_t(get_byte(p.intensity)));
         append(bytes, std::uint32_t(9));  // return 1 of 1; class, angle and user data are 0
-        append(bytes, std::uint16_t(0)), append(bytes, p.time_s);
+        append(bytes, std::uint16_t(0));
+        append(bytes, p.time_s);
     }
     return bytes;
 }

@@ -45,11 +45,12 @@ struct Truth {
         if (second) scan.second_returns.assign(1, {to_vector(scan.range_m), to_vector(scan.intensity)});
         for (std::size_t i = 0; i < scan.rays.size(); ++i) {
             if (random.sample_uniform_number() < 0.2) continue;
-            scan.range_m[i] = float(random.sample_uniform_number(2.0, 60.0)),
+            scan.range_m[i] = float(random.sample_uniform_number(2.0, 60.0));
             scan.intensity[i] = float(random.sample_uniform_number());
-            if (second && random.sample_uniform_number() < 0.1)
-                scan.second_returns[0].range_m[i] = scan.range_m[i] + 3.0f,
+            if (second && random.sample_uniform_number() < 0.1) {
+                scan.second_returns[0].range_m[i] = scan.range_m[i] + 3.0f;
                 scan.second_returns[0].intensity[i] = 0.25f;
+            }
         }
         std::vector<std::size_t> order(scan.rays.size());
         std::iota(order.begin(), order.end(), std::size_t(0));
@@ -134,9 +135,11 @@ TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     const SpinningSensor s = sensor();
     LidarPoints points;
     const BeamRay ray = compute_beam_ray(s.beams[0], 0.0);
-    for (const double range : {10.0, 12.0, 14.0, 11.0, 9.0, 200.0})
-        points.position_m.emplace_back(ray.origin_m + range * ray.direction),
-            points.intensity.push_back(2.0f), points.ring.push_back(0);
+    for (const double range : {10.0, 12.0, 14.0, 11.0, 9.0, 200.0}) {
+        points.position_m.emplace_back(ray.origin_m + range * ray.direction);
+        points.intensity.push_back(2.0f);
+        points.ring.push_back(0);
+    }
     const Scan scan =
         assign_points_to_rays_of_spinning_scan(points, s, fit_equal_azimuth_steps_to_points(points, s));
     EXPECT_EQ(scan.count_returns(), 3u) << "its own ray and those beside it";

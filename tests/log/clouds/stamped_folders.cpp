@@ -111,12 +111,14 @@ StampedFolder::~StampedFolder() {
 
 BoreasFolder::BoreasFolder(const std::string& name, int angles, int columns)
     : StampedFolder("boreas", "boreas-" + name) {
-    drive.pitch_rad = 0.02, drive.roll_rad = -0.015;
+    drive.pitch_rad = 0.02;
+    drive.roll_rad = -0.015;
     drive.start_m = {-3.0, -4.0, 0.9};
     drive.world_m = {312.5, -204.25, 12.0};
     drive.vehicle_from_lidar.rotation = make_rotation(-42.6 * kDegree, 0.0, 0.0);
     drive.beams = std::get<SpinningSensor>(find_built_in_sensor("VLS-128")->pattern).beams;
-    drive.columns = columns, drive.n_scans = kScans;
+    drive.columns = columns;
+    drive.n_scans = kScans;
     drive.first_azimuth_rad = 0.0;
     drive.cast();
     for (int s = 0; s < kScans; ++s) {
@@ -155,7 +157,8 @@ MulranFolder::MulranFolder(const std::string& name, bool by_column) : StampedFol
     for (int b = 0; b < 64; ++b)
         drive.beams.push_back({.elevation_rad = (16.6 - b * 33.2 / 63.0) * kDegree,
                                .azimuth_offset_rad = (3.164 - b % 4 * 2.109) * kDegree});
-    drive.columns = 1024, drive.n_scans = kScans;
+    drive.columns = 1024;
+    drive.n_scans = kScans;
     drive.first_azimuth_rad = 0.0;  // first azimuth of the sensor, which looks backward
     drive.cast();
     for (int s = 0; s < kScans; ++s) {
@@ -175,11 +178,14 @@ MulranFolder::MulranFolder(const std::string& name, bool by_column) : StampedFol
 }
 
 OnceFolder::OnceFolder(const std::string& name, bool w_first, int columns) : StampedFolder("once", name) {
-    drive.rate_rad_s = 0.1, drive.start_m = {-12.0, -6.0, 1.45};
+    drive.rate_rad_s = 0.1;
+    drive.start_m = {-12.0, -6.0, 1.45};
     // x axis to the left, y axis backward
     drive.vehicle_from_lidar.rotation = make_rotation(kPi / 2.0, 0.0, 0.0);
     drive.beams = std::get<SpinningSensor>(find_built_in_sensor("Pandar40P")->pattern).beams;
-    drive.columns = columns, drive.n_scans = kScans, drive.step_s = 0.5;
+    drive.columns = columns;
+    drive.n_scans = kScans;
+    drive.step_s = 0.5;
     // Starts half a step after backward, because a point that is exactly backward can
     // belong to either end of the turn.
     drive.first_azimuth_rad = kPi / 2.0 - kPi / columns;

@@ -47,12 +47,15 @@ double measure_height_difference_m(const LidarSequence& street) {
             // The road is at height 0 of the street.
             if (std::abs(p.z + street.world_offset_m.z) > 0.5) continue;
             const std::tuple cell(int(std::floor(2.0 * p.x)), int(std::floor(2.0 * p.y)));
-            sum[frame.lidar][cell] += p.z, count[frame.lidar][cell] += 1.0;
+            sum[frame.lidar][cell] += p.z;
+            count[frame.lidar][cell] += 1.0;
         }
     double difference = 0.0, n = 0.0;
     for (const auto& [cell, total] : sum[0])
-        if (count[1].contains(cell))
-            difference += std::abs(total / count[0][cell] - sum[1][cell] / count[1][cell]), n += 1.0;
+        if (count[1].contains(cell)) {
+            difference += std::abs(total / count[0][cell] - sum[1][cell] / count[1][cell]);
+            n += 1.0;
+        }
     EXPECT_GT(n, 50.0);
     return difference / n;
 }

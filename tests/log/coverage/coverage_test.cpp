@@ -31,7 +31,8 @@ double measure_length_within(const Segment& segment, const Cell& cell) {
     for (int axis = 0; axis < 3; ++axis) {
         const double a = (low[axis] - segment.from_m[axis]) / d[axis],
                      b = (low[axis] + 1.0 - segment.from_m[axis]) / d[axis];
-        begin = std::max(begin, std::min(a, b)), end = std::min(end, std::max(a, b));
+        begin = std::max(begin, std::min(a, b));
+        end = std::min(end, std::max(a, b));
     }
     return std::max(end - begin, 0.0) * glm::length(d);
 }

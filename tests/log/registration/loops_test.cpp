@@ -62,7 +62,9 @@ TEST(CloseLoops, ADriveAroundABlockMeetsItsBeginning) {
 
 TEST(CloseLoops, WhereNothingIsSeenAgainAllStays) {
     SyntheticOptions street;
-    street.n_frames = 160, street.rows = 32, street.columns = 256;
+    street.n_frames = 160;
+    street.rows = 32;
+    street.columns = 256;
     const LidarSequence log = make_synthetic_street(street);
     const auto scans = thin(log);
     const PoseTrack& exact = log.world_from_vehicle;

@@ -50,7 +50,8 @@ LidarSequence drive() {
             frame.scan.rays.time_offset_s.push_back(static_cast<float>(0.1 * azimuth / (2.0 * kPi)));
             frame.scan.rays.channel.push_back(0);
         }
-        frame.scan.rays.rows = 1, frame.scan.rays.columns = 24 * 360;
+        frame.scan.rays.rows = 1;
+        frame.scan.rays.columns = 24 * 360;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const WorldRay ray =
                 make_world_ray(log.world_from_vehicle, frame.time_s, frame.scan.rays, i, true);

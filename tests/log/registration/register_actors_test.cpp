@@ -57,7 +57,9 @@ TrackError measure_error_of_track(const BoxTrack& box, const BoxTrack& exact) {
 /// the yaw. Only the labels determine the position across the track.
 TEST(RegisterActors, CorrectsDriftingLabels) {
     SyntheticOptions options;
-    options.n_frames = 30, options.rows = 64, options.columns = 1024;
+    options.n_frames = 30;
+    options.rows = 64;
+    options.columns = 1024;
     const LidarSequence exact = make_synthetic_street(options);
     LidarSequence street = exact;
     for (std::size_t i = 0; i < street.boxes.size(); ++i)
@@ -78,7 +80,9 @@ TEST(RegisterActors, CorrectsDriftingLabels) {
 /// Exact labels must not change, because a correction would only add noise.
 TEST(RegisterActors, KeepsExactLabels) {
     SyntheticOptions options;
-    options.n_frames = 12, options.rows = 32, options.columns = 512;
+    options.n_frames = 12;
+    options.rows = 32;
+    options.columns = 512;
     const LidarSequence exact = make_synthetic_street(options);
     LidarSequence street = exact;
     register_actors(street, split_frames_into_train_and_test(street, 0).train);
@@ -89,7 +93,10 @@ TEST(RegisterActors, KeepsExactLabels) {
 /// A parked car must get a single pose, although its label drifts by 2.5 m.
 TEST(RegisterActors, FindsStandingCarsWithDriftingLabels) {
     SyntheticOptions options;
-    options.n_frames = 20, options.rows = 64, options.columns = 1024, options.speed_mps = 0.001;
+    options.n_frames = 20;
+    options.rows = 64;
+    options.columns = 1024;
+    options.speed_mps = 0.001;
     LidarSequence street = make_synthetic_street(options);
     ASSERT_FALSE(street.boxes.empty());
     BoxTrack& box = street.boxes[0];

@@ -24,7 +24,9 @@ using test::PoseError;
 
 LidarSequence make_street_of(int n_frames) {
     SyntheticOptions options;
-    options.n_frames = n_frames, options.rows = 32, options.columns = 256;
+    options.n_frames = n_frames;
+    options.rows = 32;
+    options.columns = 256;
     return make_synthetic_street(options);
 }
 
@@ -64,7 +66,10 @@ void expect_registered(const RegistrationResult& registration, const PoseTrack& 
 /// connected only if the poses of all sweeps are solved together.
 TEST(RegisterScans, LongStreetStaysWhereItIs) {
     SyntheticOptions options;
-    options.seed = 7, options.n_frames = 400, options.rows = 32, options.columns = 256;
+    options.seed = 7;
+    options.n_frames = 400;
+    options.rows = 32;
+    options.columns = 256;
     const LidarSequence street = make_synthetic_street(options);
     const RegistrationResult registration = register_street(street, 10);
     EXPECT_TRUE(registration.lost.empty()) << registration.lost.size() << " scans are lost";
@@ -104,7 +109,10 @@ TEST(RegisterScans, TwoScansAreEnough) {
 
 TEST(RegisterScans, WithoutARollingShutterToo) {
     SyntheticOptions options;
-    options.n_frames = 11, options.rows = 32, options.columns = 256, options.speed_mps = 1.0;
+    options.n_frames = 11;
+    options.rows = 32;
+    options.columns = 256;
+    options.speed_mps = 1.0;
     LidarSequence street = make_synthetic_street(options);
     for (LidarFrame& frame : street.frames) {  // simulates a sensor that fires all rays at the same time
         RayTable rays = frame.scan.rays;

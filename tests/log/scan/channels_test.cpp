@@ -43,8 +43,10 @@ TEST(ChannelList, NumbersAndRowsAgree) {
         {{.name = "share"}, std::vector<float>{0.5f, 0.25f}}};
     std::vector<std::string> names;
     std::vector<bool> integers;
-    for (const auto& [name, is_integer] : list_channel_columns(channels, "."))
-        names.push_back(name), integers.push_back(is_integer);
+    for (const auto& [name, is_integer] : list_channel_columns(channels, ".")) {
+        names.push_back(name);
+        integers.push_back(is_integer);
+    }
     EXPECT_THAT(names, ElementsAre("way.x", "way.y", "way.z", "label", "share"));
     EXPECT_THAT(integers, ElementsAre(false, false, false, true, false));
     std::string bytes;
@@ -52,7 +54,9 @@ TEST(ChannelList, NumbersAndRowsAgree) {
     ASSERT_EQ(bytes.size(), 20u);
     float z, share;
     std::int32_t label;
-    std::memcpy(&z, &bytes[8], 4), std::memcpy(&label, &bytes[12], 4), std::memcpy(&share, &bytes[16], 4);
+    std::memcpy(&z, &bytes[8], 4);
+    std::memcpy(&label, &bytes[12], 4);
+    std::memcpy(&share, &bytes[16], 4);
     EXPECT_EQ(z, 6.0f);
     EXPECT_EQ(label, -8);
     EXPECT_EQ(share, 0.25f);

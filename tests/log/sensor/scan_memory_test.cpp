@@ -82,8 +82,10 @@ TEST(ScanMemory, KeepsWhatIsWrittenWhereverItLies) {
                 const std::size_t which = random() % arrays.size();
                 for (std::size_t i = 0; i < arrays[which].size(); ++i)
                     ASSERT_EQ(arrays[which][i], first[which] + i);
-                std::swap(arrays[which], arrays.back()), arrays.pop_back();
-                std::swap(first[which], first.back()), first.pop_back();
+                std::swap(arrays[which], arrays.back());
+                arrays.pop_back();
+                std::swap(first[which], first.back());
+                first.pop_back();
             } else {
                 first.push_back(random());
                 arrays.emplace_back(1 + random() % 100'000);

@@ -122,7 +122,9 @@ TEST(AzimuthShift, FiringsWithoutReturnsAreBetweenTheirNeighbours) {
             if (const int firing = get_firing(sensor(), i); firing >= first && firing < end)
                 scan.range_m[i] = 0.0f;
     };
-    hide(0, 10), hide(300, 321), hide(1000, kColumns);
+    hide(0, 10);
+    hide(300, 321);
+    hide(1000, kColumns);
     const std::vector<float> shift_rad = shift_of(scan);
     ASSERT_EQ(shift_rad.size(), std::size_t(kColumns));
     EXPECT_EQ(shift_rad[0], shift_rad[10]);
@@ -142,7 +144,8 @@ TEST(AzimuthShift, IsNotThereWhereNothingSaysIt) {
     EXPECT_TRUE(measure_azimuth_shifts_rad(make_uneven_scan(1.0, 1), sensor(), {}).empty())
         << "no nominal rays";
     Scan other = make_uneven_scan(1.0, 1);
-    other.rays.rows = 8, other.rays.columns = 2 * kColumns;
+    other.rays.rows = 8;
+    other.rays.columns = 2 * kColumns;
     EXPECT_TRUE(shift_of(other).empty()) << "another order";
     Scan apart = make_uneven_scan(1.0, 1);
     for (std::size_t i = 0; i < apart.rays.size(); ++i)

@@ -86,15 +86,20 @@ TEST(IntensityResponse, ComesBackFromSharedPlaces) {
         }
     }
     double gain = 0.0, offset = 0.0;
-    for (const Beam& beam : sequence.lidars[0].sensor.beams)
-        gain += beam.intensity_gain, offset += beam.intensity_offset;
+    for (const Beam& beam : sequence.lidars[0].sensor.beams) {
+        gain += beam.intensity_gain;
+        offset += beam.intensity_offset;
+    }
     EXPECT_NEAR(gain / 8.0, 1.0, 0.05);
     EXPECT_NEAR(offset / 8.0, 0.0, 0.03);
 }
 
 TEST(IntensityResponse, EqualLasersStayEqual) {
     std::vector<Beam> beams = make_unequal_beams();
-    for (Beam& beam : beams) beam.intensity_gain = 1.0, beam.intensity_offset = 0.0;
+    for (Beam& beam : beams) {
+        beam.intensity_gain = 1.0;
+        beam.intensity_offset = 0.0;
+    }
     LidarSequence sequence = drive(beams, 0.02);
     fit_and_set_intensity_calibration(sequence, kAll);
     for (const Beam& beam : sequence.lidars[0].sensor.beams)
@@ -132,9 +137,10 @@ TEST(IntensityResponse, FallAndLasersAreToldApart) {
     LidarSequence sequence = street();
     std::vector<double> gains;
     double mean = 0.0;
-    for (std::size_t b = 0; b < sequence.lidars[0].sensor.beams.size(); ++b)
-        gains.push_back(1.0 + 0.25 * noise(b + 5)),
-            mean += gains.back() / double(sequence.lidars[0].sensor.beams.size());
+    for (std::size_t b = 0; b < sequence.lidars[0].sensor.beams.size(); ++b) {
+        gains.push_back(1.0 + 0.25 * noise(b + 5));
+        mean += gains.back() / double(sequence.lidars[0].sensor.beams.size());
+    }
     for (LidarFrame& frame : sequence.frames)
         for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i)
             frame.scan.intensity[i] *= float(gains[frame.scan.rays.channel[i]]);

@@ -13,7 +13,10 @@ namespace {
 
 TEST(RangeNoise, ComesBackFromASmoothStreet) {
     SyntheticOptions options;
-    options.n_frames = 24, options.rows = 64, options.columns = 1024, options.range_noise_m = 0.0,
+    options.n_frames = 24;
+    options.rows = 64;
+    options.columns = 1024;
+    options.range_noise_m = 0.0;
     options.moving_cars = false;
     LidarSequence street = make_synthetic_street(options);
     const auto sigma = [](float range_m) { return range_m < 20.0f ? 0.01 : 0.04; };
@@ -39,7 +42,10 @@ TEST(RangeNoise, ComesBackFromASmoothStreet) {
 TEST(RangeNoise, EachLidarHasItsOwn) {
     const auto street_of = [](double noise_m) {
         SyntheticOptions options;
-        options.n_frames = 8, options.rows = 32, options.columns = 512, options.range_noise_m = noise_m,
+        options.n_frames = 8;
+        options.rows = 32;
+        options.columns = 512;
+        options.range_noise_m = noise_m;
         options.moving_cars = false;
         return make_synthetic_street(options);
     };

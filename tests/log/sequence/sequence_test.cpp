@@ -380,7 +380,8 @@ TEST(BoxTrack, KnowsWhatOfItWasLabelled) {
         car.world_from_box.pose.push_back({{}, {double(i), 0.0, 0.0}});
     }
     EXPECT_EQ(car.copy_track_of_labelled_poses().world_from_box.time_s, car.world_from_box.time_s);
-    car.n_before = 2, car.n_after = 1;
+    car.n_before = 2;
+    car.n_after = 1;
     const PoseTrack labelled = car.copy_track_of_labelled_poses().world_from_box;
     EXPECT_EQ(labelled.time_s, (std::vector<double>{0.1 * 2, 0.1 * 3, 0.1 * 4}));
     EXPECT_EQ(labelled.pose.front().translation.x, 2.0);

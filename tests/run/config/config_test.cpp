@@ -265,7 +265,8 @@ TEST(Config, ReleasedDiffersFromThePaperInThreeLosses) {
     EXPECT_EQ(c.train.rays_per_iteration, 0) << "structural similarity is of images";
     const Config paper = make_preset_config("paper");
     c.preset = paper.preset;
-    c.loss.intensity_ssim = paper.loss.intensity_ssim, c.loss.chamfer = paper.loss.chamfer,
+    c.loss.intensity_ssim = paper.loss.intensity_ssim;
+    c.loss.chamfer = paper.loss.chamfer;
     c.loss.box = paper.loss.box;
     expect_equal(c, paper);
 }

@@ -233,9 +233,10 @@ TEST_F(EditedRun, IsSavedAndLoadedLikeAnyOther) {
         for (glm::vec4& q : run.scene.surfels.rotation) q = {1, 0, 0, 0};
         run.sequence.lidars[0].sensor.beams = {{0.0}};
         run.sequence.lidars[0].sensor.columns = 4;
-        for (const LidarFrame& f : run.sequence.frames)
-            run.sequence.world_from_vehicle.time_s.push_back(f.time_s),
-                run.sequence.world_from_vehicle.pose.push_back({});
+        for (const LidarFrame& f : run.sequence.frames) {
+            run.sequence.world_from_vehicle.time_s.push_back(f.time_s);
+            run.sequence.world_from_vehicle.pose.push_back({});
+        }
         save_run(run);
         const relidar::TrainedRun read = load_run(run.folder);
         EXPECT_EQ(tracks({read.scene, read.sequence}), tracks(d));

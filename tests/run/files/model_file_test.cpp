@@ -156,7 +156,8 @@ TEST_F(ModelFile, AGaitAndItsStrideComeBack) {
 
     arrays = read_safetensors(path, &metadata);
     NamedArray& gait = array("gait");
-    gait.shape = {4, 4}, gait.bytes.resize(64);
+    gait.shape = {4, 4};
+    gait.bytes.resize(64);
     write_safetensors(path, arrays, metadata);
     EXPECT_NE(load_error().find("array gait"), std::string::npos);
 }

@@ -163,7 +163,8 @@ TEST_F(RunFolder, IsTheSameInEveryLocale) {
 
 TEST_F(RunFolder, KeepsWhatWasGuessedAndFoundOfBoxes) {
     BoxTrack& box = run.sequence.boxes[0];
-    box.size_guess = "car", box.n_before = 1;
+    box.size_guess = "car";
+    box.n_before = 1;
     save_run(run);
     const BoxTrack read = load_run(run.folder).sequence.boxes[0];
     EXPECT_EQ(read.size_guess, "car");

@@ -198,7 +198,10 @@ TEST(Evaluate, RefusesWrongShapesAndValues) {
         EXPECT_THROW(evaluate(bad, good), DataError);
         EXPECT_THROW(evaluate(good, bad), DataError);
     };
-    refused([](RangeImage& image) { image.rows = 3, image.columns = 2; });
+    refused([](RangeImage& image) {
+        image.rows = 3;
+        image.columns = 2;
+    });
     refused([](RangeImage& image) { image.rows = 0; });
     refused([](RangeImage& image) { image.range_m.pop_back(); });
     refused([](RangeImage& image) { image.intensity.push_back(0.0f); });

@@ -113,8 +113,10 @@ double compute_reference_distance(const Planes& first, const Planes& second,
     for (int y = 0; y < first.rows; ++y)
         for (int x = 0; x < first.columns; ++x) {
             double na = 0.0, nb = 0.0;
-            for (int c = 0; c < first.channels; ++c)
-                na += first.at(c, y, x) * first.at(c, y, x), nb += second.at(c, y, x) * second.at(c, y, x);
+            for (int c = 0; c < first.channels; ++c) {
+                na += first.at(c, y, x) * first.at(c, y, x);
+                nb += second.at(c, y, x) * second.at(c, y, x);
+            }
             for (int c = 0; c < first.channels; ++c) {
                 const double d = first.at(c, y, x) / (std::sqrt(na) + 1e-10) -
                                  second.at(c, y, x) / (std::sqrt(nb) + 1e-10);

@@ -129,8 +129,10 @@ TEST(BinOntoRays, GivesEachRayItsOwnPoint) {
     std::uniform_real_distribution<float> uniform(2.0f, 80.0f);
     const RayTable rays = make_rays(make_uneven_sensor());
     Scan points{rays, {}, {}};
-    for (std::size_t i = 0; i < rays.size(); ++i)
-        points.range_m.push_back(uniform(random)), points.intensity.push_back(uniform(random));
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        points.range_m.push_back(uniform(random));
+        points.intensity.push_back(uniform(random));
+    }
     const Scan scan = assign_points_to_nearest_rays(rays, points);
     for (std::size_t i = 0; i < rays.size(); ++i) {
         ASSERT_NEAR(scan.range_m[i], points.range_m[i], 1e-4) << i;

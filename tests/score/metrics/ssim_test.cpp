@@ -29,10 +29,15 @@ double compute_reference_ssim(const Values& a, const Values& second, int rows, i
                 return values[std::size_t(first + k / 7 * columns + k % 7)];
             };
             double ma = 0.0, mb = 0.0, va = 0.0, vb = 0.0, cov = 0.0;
-            for (int k = 0; k < 49; ++k) ma += at(a, k) / 49.0, mb += at(second, k) / 49.0;
+            for (int k = 0; k < 49; ++k) {
+                ma += at(a, k) / 49.0;
+                mb += at(second, k) / 49.0;
+            }
             for (int k = 0; k < 49; ++k) {
                 const double da = at(a, k) - ma, db = at(second, k) - mb;
-                va += da * da / 48.0, vb += db * db / 48.0, cov += da * db / 48.0;
+                va += da * da / 48.0;
+                vb += db * db / 48.0;
+                cov += da * db / 48.0;
             }
             total += (2 * ma * mb + c1) * (2 * cov + c2) / ((ma * ma + mb * mb + c1) * (va + vb + c2));
         }

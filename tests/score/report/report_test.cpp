@@ -218,8 +218,10 @@ TEST_F(ReportFile, TakesPoisonedAndLongCurves) {
     const double nan = std::nan(""), inf = std::numeric_limits<double>::infinity();
     Report report;
     ReportCurve curve{"long", {}, {}};
-    for (int i = 0; i < 30'000; ++i)
-        curve.x.push_back(i), curve.y.push_back(i % 1000 == 7 ? nan : 1.0 + 1.0 / (1 + i));
+    for (int i = 0; i < 30'000; ++i) {
+        curve.x.push_back(i);
+        curve.y.push_back(i % 1000 == 7 ? nan : 1.0 + 1.0 / (1 + i));
+    }
     report.curves = {curve,
                      {"a", {0, 1, 2, 3}, {1, nan, inf, 2}},
                      {"none", {}, {}},

@@ -88,8 +88,8 @@ TEST(MakeAsset, OnlyVehiclesAreMirrored) {
     ActorObservations left = from_outside(make_plates().mean);
     for (std::size_t i = left.points_m.size(); i-- > 0;) {
         if (left.points_m[i].y > 0.9f) continue;
-        left.points_m.erase(left.points_m.begin() + std::ptrdiff_t(i)),
-            left.directions.erase(left.directions.begin() + std::ptrdiff_t(i));
+        left.points_m.erase(left.points_m.begin() + std::ptrdiff_t(i));
+        left.directions.erase(left.directions.begin() + std::ptrdiff_t(i));
     }
     for (const auto& [category, is_vehicle] :
          {std::pair("Car", true), {"Pedestrian", false}, {"Cyclist", false}, {kDiscoveredCategory, true}}) {

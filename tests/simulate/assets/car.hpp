@@ -77,10 +77,14 @@ inline Surfels make_plates() {
     const glm::quat along_x(std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f),
         along_y(std::sqrt(0.5f), std::sqrt(0.5f), 0.0f, 0.0f);
     for (float z_m = -0.7f; z_m < 0.75f; z_m += 0.2f) {
-        for (float y_m = -0.9f; y_m < 0.95f; y_m += 0.2f)
-            add({1.95f, y_m, z_m}, along_x), add({-1.95f, y_m, z_m}, along_x);
-        for (float x_m = -1.9f; x_m < 1.95f; x_m += 0.2f)
-            add({x_m, 0.95f, z_m}, along_y), add({x_m, -0.95f, z_m}, along_y);
+        for (float y_m = -0.9f; y_m < 0.95f; y_m += 0.2f) {
+            add({1.95f, y_m, z_m}, along_x);
+            add({-1.95f, y_m, z_m}, along_x);
+        }
+        for (float x_m = -1.9f; x_m < 1.95f; x_m += 0.2f) {
+            add({x_m, 0.95f, z_m}, along_y);
+            add({x_m, -0.95f, z_m}, along_y);
+        }
     }
     return surfels;
 }

@@ -87,7 +87,8 @@ TEST(Mirror, TwiceIsNoChange) {
 /// Returns rays towards the car from a point 8 m to its right, or to its left if y is -1.
 RayTable make_rays_from_the_right(double y) {
     RayTable rays;
-    rays.rows = 40, rays.columns = 80;
+    rays.rows = 40;
+    rays.columns = 80;
     for (int row = 0; row < rays.rows; ++row) {
         for (int column = 0; column < rays.columns; ++column) {
             const glm::dvec3 from(0.7, -8.0 * y, 1.2), to(-1.6 + 0.04 * column, -0.9 * y, -0.5 + 0.025 * row);

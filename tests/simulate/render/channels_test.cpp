@@ -34,7 +34,8 @@ const std::vector<glm::vec3>& list_ways(const RenderedScan& scan) {
 /// have a return and almost the same origin.
 RenderedScan make_marked_scan(int count, int first = 0) {
     RenderedScan scan;
-    scan.image.rows = 1, scan.image.columns = count;
+    scan.image.rows = 1;
+    scan.image.columns = count;
     std::vector<std::int32_t> label;
     std::vector<float> share;
     std::vector<glm::vec3> vectors;
@@ -42,14 +43,18 @@ RenderedScan make_marked_scan(int count, int first = 0) {
         const auto code = float(kStep * (first + i));
         scan.image.origin.emplace_back(0.0f);
         scan.image.direction.push_back(glm::normalize(glm::vec3(1.0f, 0.05f * float(first + i), 0.0f)));
-        scan.image.range_m.push_back(code + 1.0f), scan.median_range_m.push_back(code + 2.0f),
-            scan.mean_range_m.push_back(code + 3.0f);
-        scan.image.intensity.push_back(code + 4.0f), scan.image.drop_prob.push_back(1e-6f * (code + 5.0f)),
-            scan.weight.push_back(code + 6.0f);
-        scan.instance.push_back(int(code) + 7), scan.ring.push_back(0),
-            scan.time_offset_s.push_back(code + 8.0f);
-        label.push_back(int(code) + 9), share.push_back(code + 10.0f),
-            vectors.emplace_back(code + 11.0f, code + 12.0f, code + 13.0f);
+        scan.image.range_m.push_back(code + 1.0f);
+        scan.median_range_m.push_back(code + 2.0f);
+        scan.mean_range_m.push_back(code + 3.0f);
+        scan.image.intensity.push_back(code + 4.0f);
+        scan.image.drop_prob.push_back(1e-6f * (code + 5.0f));
+        scan.weight.push_back(code + 6.0f);
+        scan.instance.push_back(int(code) + 7);
+        scan.ring.push_back(0);
+        scan.time_offset_s.push_back(code + 8.0f);
+        label.push_back(int(code) + 9);
+        share.push_back(code + 10.0f);
+        vectors.emplace_back(code + 11.0f, code + 12.0f, code + 13.0f);
     }
     scan.channels = {
         {{.name = kLabel, .none = -5.0}, label}, {{.name = kShare}, share}, {{.name = kVector}, vectors}};
@@ -124,7 +129,8 @@ TEST(Channels, ACellHasThemOfItsRay) {
 /// beam must get the channels of the sub-ray that is nearest to its middle.
 TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
     RenderedScan parts = make_marked_scan(5);
-    parts.median_range_m.assign(5, 10.0f), parts.image.intensity.assign(5, 0.5f);
+    parts.median_range_m.assign(5, 10.0f);
+    parts.image.intensity.assign(5, 0.5f);
     parts.channels.push_back({{.name = "my_drop", .join = ChannelMergeRule::drop},
                               std::vector<float>{0.0f, 0.1f, 0.2f, 0.3f, 0.9f}});
     parts.channels.push_back({{.name = "my_light", .join = ChannelMergeRule::intensity},
@@ -143,7 +149,8 @@ TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
             RenderedScan old = join_sub_rays_to_beam_returns(parts, ray, config);
             for (auto& [info, values, second] : old.channels)
                 std::visit([](auto& v) { v.assign(1, {}); }, values);
-            old.weight = {0.0f}, old.instance = {-1};
+            old.weight = {0.0f};
+            old.instance = {-1};
             replace_scan_rays(old, {0}, joined);
             joined = old;
         }
@@ -185,7 +192,8 @@ protected:
 
 TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
     for (const int sub_rays : {1, 5}) {
-        config.sensor.sub_rays = sub_rays, config.sensor.divergence_mrad = 3.0;
+        config.sensor.sub_rays = sub_rays;
+        config.sensor.divergence_mrad = 3.0;
         for (const char* sensor : {"native", "kitti360", "VLP-16"}) {
             const RenderedScan rendered_scan = scan(sensor);
             std::vector<std::string> names, expected = list_optional_channel_names();
@@ -195,7 +203,8 @@ TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
                     << channel.info.name;
                 EXPECT_FALSE(channel.info.meaning.empty());
             }
-            std::ranges::sort(names), std::ranges::sort(expected);
+            std::ranges::sort(names);
+            std::ranges::sort(expected);
             EXPECT_EQ(names, expected) << sensor;
         }
     }

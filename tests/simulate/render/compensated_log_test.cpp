@@ -174,7 +174,8 @@ TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
     for (const auto& [position_m, time_s] : raw) {
         EXPECT_NEAR(position_m.x + compute_sensor_x(time_s), kWall_m, kTolerance_m)
             << "in the sensor's frame when the ray is fired";
-        first_s = std::min(first_s, time_s), last_s = std::max(last_s, time_s);
+        first_s = std::min(first_s, time_s);
+        last_s = std::max(last_s, time_s);
     }
     EXPECT_GT(last_s - first_s, 0.02) << "the head turns";
     for (const auto& [name, header] :

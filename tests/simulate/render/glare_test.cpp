@@ -26,7 +26,8 @@ constexpr double kStep_deg = 0.25, kRadius_deg = 2.5;
 RenderedScan make_wall_with(const std::vector<glm::dvec3>& reflectors) {
     constexpr std::size_t n = std::size_t(kBeams) * kSteps;
     RenderedScan scan;
-    scan.image.rows = kBeams, scan.image.columns = kSteps;
+    scan.image.rows = kBeams;
+    scan.image.columns = kSteps;
     for (int row = 0; row < kBeams; ++row) {
         for (int column = 0; column < kSteps; ++column) {
             const double azimuth = kDegree * kStep_deg * (column - kSteps / 2 + 0.5);
@@ -43,9 +44,12 @@ RenderedScan make_wall_with(const std::vector<glm::dvec3>& reflectors) {
             scan.ring.push_back(std::uint16_t(row));
         }
     }
-    scan.image.origin.assign(n, glm::vec3(0.0f)), scan.image.drop_prob.assign(n, 0.0f);
+    scan.image.origin.assign(n, glm::vec3(0.0f));
+    scan.image.drop_prob.assign(n, 0.0f);
     scan.median_range_m = scan.mean_range_m = scan.image.range_m;
-    scan.weight.assign(n, 1.0f), scan.instance.assign(n, 0), scan.time_offset_s.assign(n, 0.0f);
+    scan.weight.assign(n, 1.0f);
+    scan.instance.assign(n, 0);
+    scan.time_offset_s.assign(n, 0.0f);
     return scan;
 }
 std::size_t ray_at(int row, int column) { return std::size_t(row) * kSteps + std::size_t(column); }
@@ -103,7 +107,9 @@ TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
             const double deviate = here.reflectivity / expected_near[std::size_t(row)];
             EXPECT_NEAR(beside.reflectivity / expected_far[std::size_t(row)] / deviate, 1.0, 0.15)
                 << "squares of a degree, and a beam's deviate";
-            sum += std::log(deviate), squares += std::log(deviate) * std::log(deviate), ++n;
+            sum += std::log(deviate);
+            squares += std::log(deviate) * std::log(deviate);
+            ++n;
         }
         const std::vector<LidarEcho> again = compute_stray_light(scan, 1e-4, seed);
         for (std::size_t i = 0; i < stray.size(); i += 97)

@@ -56,7 +56,10 @@ RenderedScan arrange_in_two_rows(RenderedScan scan) {
     };
     for_each_basic_channel_pair(RenderedScan(scan), scan,
                                 [&](const ChannelInfo&, const auto&, auto& values) { twice(values); });
-    twice(scan.image.origin), twice(scan.image.direction), twice(scan.time_offset_s), twice(scan.ring);
+    twice(scan.image.origin);
+    twice(scan.image.direction);
+    twice(scan.time_offset_s);
+    twice(scan.ring);
     twice(std::get<std::vector<glm::vec3>>(scan.channels[0].values));
     scan.image.rows = 2;
     scan.time_offset_s.back() += 0.01f;

@@ -58,8 +58,10 @@ LidarSequence drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at
     BoxTrack box{.id = "actor", .category = "Van", .size_m = size_m, .world_from_box = {}};
     for (int k = 0; k <= 40; ++k) {
         const double t_s = 0.025 * k;
-        log.world_from_vehicle.time_s.push_back(t_s), log.world_from_vehicle.pose.push_back(sensor_at(t_s));
-        box.world_from_box.time_s.push_back(t_s), box.world_from_box.pose.push_back(actor_at(t_s));
+        log.world_from_vehicle.time_s.push_back(t_s);
+        log.world_from_vehicle.pose.push_back(sensor_at(t_s));
+        box.world_from_box.time_s.push_back(t_s);
+        box.world_from_box.pose.push_back(actor_at(t_s));
     }
     log.boxes = {box};
     return log;
@@ -77,7 +79,8 @@ std::array<double, 2> measure_halves_behind(const RenderedScan& scan) {
         // a motion-compensated scan has no time offsets, so its rays are divided by side
         const bool has_times = scan.time_offset_s[i] != 0.0f;
         const std::size_t half = (has_times ? double(scan.time_offset_s[i]) : d.y) < 0.0 ? 0 : 1;
-        sum[half] += -d.x * double(scan.median_range_m[i]), n[half] += 1.0;
+        sum[half] += -d.x * double(scan.median_range_m[i]);
+        n[half] += 1.0;
     }
     EXPECT_GT(std::min(n[0], n[1]), 5.0) << "rays that meet the actor";
     return {sum[0] / n[0], sum[1] / n[1]};
@@ -150,7 +153,9 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
         if (!(scan.median_range_m[i] > 0.0f)) continue;
         const double x = double(scan.median_range_m[i] * scan.image.direction[i].x);
         const int post = x < 0.0 ? 0 : 1;
-        n[post] += 1.0, x_m[post] += x, t_s[post] += double(scan.time_offset_s[i]);
+        n[post] += 1.0;
+        x_m[post] += x;
+        t_s[post] += double(scan.time_offset_s[i]);
         EXPECT_NEAR(scan.median_range_m[i] * scan.image.direction[i].y, 6.0f, 1e-3f) << "the side of the car";
     }
     ASSERT_GT(std::min(n[0], n[1]), 3.0);

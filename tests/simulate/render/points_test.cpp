@@ -131,7 +131,8 @@ TEST(FiringPoses, AreThoseOfEachRay) {
     for (const PoseTrack& track : {bend, PoseTrack{{5.0}, {bend.pose[3]}}, PoseTrack{}})
         for (const float late_s : {0.0f, 1e-3f}) {  // delay of each row relative to the row above
             scan.track = track;
-            scan.image.rows = 4, scan.image.columns = 16;
+            scan.image.rows = 4;
+            scan.image.columns = 16;
             scan.time_offset_s.clear();
             for (int i = 0; i < 64; ++i)
                 scan.time_offset_s.push_back(0.005f * float(i % 16) + late_s * float(i / 16));
@@ -169,10 +170,13 @@ TEST(PlacePoints, LieWhereDoublePrecisionPutsThem) {
         scan.image.range_m.push_back(float(1.0 + 79.0 * random.sample_uniform_number()));
         scan.time_offset_s.push_back(float(0.14 * random.sample_uniform_number() - 0.07));
     }
-    scan.image.intensity.resize(n), scan.image.drop_prob.resize(n);
-    scan.image.rows = 1, scan.image.columns = int(n);
+    scan.image.intensity.resize(n);
+    scan.image.drop_prob.resize(n);
+    scan.image.rows = 1;
+    scan.image.columns = int(n);
     scan.median_range_m = scan.image.range_m;
-    scan.ring.resize(n), scan.instance.resize(n);
+    scan.ring.resize(n);
+    scan.instance.resize(n);
     for (const auto& [frame, tolerance_m] : {std::pair(scan.world_from_sensor, 3e-5), {Pose{}, 0.26}}) {
         const LidarPoints points = convert_scan_to_points(scan, Config{}, frame);
         ASSERT_EQ(points.size(), n);
@@ -213,7 +217,8 @@ TEST_F(PointsOfScans, OfASensorThatStandsAndAmongActorsOfTheCaller) {
         sensor("native"), {middle_s(), {{0.0}, {bend().interpolate_pose(middle_s())}}}, 0.0};
     const PointRequest alone{sensor("native"), {middle_s(), bend(), ActorTracksByName{}}, middle_s()};
     const RenderedPoints standing = on_host(stands), empty = on_host(alone);
-    ask(stands), ask(alone);
+    ask(stands);
+    ask(alone);
     expect_equal(renderer->wait_for_points(), standing, "stands");
     expect_equal(renderer->wait_for_points(), empty, "no actor");
 }
@@ -253,9 +258,10 @@ TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
             const std::string what = std::to_string(n) + " side by side, scan ";
             renderer->set_max_parallel_scans(n);
             EXPECT_EQ(renderer->get_max_parallel_scans(), n);
-            ask_together(wishes), ask_together(wishes);
-            ask(wishes[0], ScanRenderer::SubmissionTiming::with_next),
-                ask(wishes[1], ScanRenderer::SubmissionTiming::with_next);
+            ask_together(wishes);
+            ask_together(wishes);
+            ask(wishes[0], ScanRenderer::SubmissionTiming::with_next);
+            ask(wishes[1], ScanRenderer::SubmissionTiming::with_next);
             for (std::size_t k = 0; k < 2 * wishes.size() + 2; ++k)
                 expect_equal(renderer->wait_for_points(), expected[k % wishes.size()],
                              what + std::to_string(k));
@@ -286,8 +292,8 @@ TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
         expect_equal(renderer->wait_for_points(), of_one, "one of four");
     EXPECT_THAT([&] { renderer->set_max_parallel_scans(0); },
                 testing::ThrowsMessage<UsageError>(test::Names("found 0 scans")));
-    ask(wishes[0], ScanRenderer::SubmissionTiming::with_next),
-        ask(wishes[1], ScanRenderer::SubmissionTiming::with_next);
+    ask(wishes[0], ScanRenderer::SubmissionTiming::with_next);
+    ask(wishes[1], ScanRenderer::SubmissionTiming::with_next);
     make_renderer();  // the two scans are never submitted
     expect_equal(alone(wishes[0]), expected[0], "of the next renderer");
 }
@@ -310,7 +316,8 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
         [](const RayDropTrainProgress&, const std::function<RayDropTrainState()>&) { return true; }));
     const std::vector<RenderedPoints> expected = {on_host(wishes[0]), on_host(wishes[1])};
     EXPECT_NE(expected[0].points.size(), before) << "a network that says something";
-    ask(wishes[0]), ask(wishes[1]);
+    ask(wishes[0]);
+    ask(wishes[1]);
     for (const RenderedPoints& scan_expected : expected)
         expect_equal(renderer->wait_for_points(), scan_expected, "refined");
     // Images of the same shape share as much memory as possible.
@@ -411,7 +418,8 @@ TEST_F(PointsOfScans, MayBeLeftBehind) {
     const PointRequest wish{sensor("native"), {middle_s(), bend()}, middle_s()};
     make_renderer();
     const RenderedPoints expected = on_host(wish);
-    ask(wish), ask(wish);
+    ask(wish);
+    ask(wish);
     make_renderer();  // if memory is still in use, the validation layer reports it
     ask(wish);
     expect_equal(renderer->wait_for_points(), expected, "of the next renderer");

@@ -78,7 +78,8 @@ RenderedScan make_half_dropped_wall() {
         for (int column = 0; column < 256; ++column)
             points.push_back({10.0f, 10.0f * std::tan((128 - column) * 0.008f), 3.2f - 0.1f * float(row)});
     RenderedScan scan = scan_of(points, std::vector<float>(points.size(), 0.5f));
-    scan.image.rows = 64, scan.image.columns = 256;
+    scan.image.rows = 64;
+    scan.image.columns = 256;
     scan.time_s = 1.5;
     return scan;
 }
@@ -106,7 +107,9 @@ TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
         if (std::abs(cosine - 0.8) < 0.02 || i % 256 < 4 || i % 256 > 251 || i < 256 || i >= 63 * 256)
             continue;
         const int oblique = cosine < 0.8;
-        n += 1.0, count[oblique] += 1.0, square[oblique] += error * error;
+        n += 1.0;
+        count[oblique] += 1.0;
+        square[oblique] += error * error;
     }
     EXPECT_NEAR(std::sqrt(square[0] / count[0]), 0.05, 0.005);
     EXPECT_NEAR(std::sqrt(square[1] / count[1]), 0.2, 0.02);

@@ -77,9 +77,11 @@ TEST_F(RayDrop, DoesNotDependOnTheOrderOfTheRays) {
     std::iota(order.begin(), order.end(), std::size_t(0));
     std::shuffle(order.begin(), order.end(), std::mt19937_64(4));
     RayTable shuffled = select_rays(all, order);
-    shuffled.rows = all.rows, shuffled.columns = all.columns;
+    shuffled.rows = all.rows;
+    shuffled.columns = all.columns;
     expect_same_rays(scan, scan_of(shuffled, test::make_network_of_rays()), order);
-    shuffled.rows = 1, shuffled.columns = int(all.size());  // a list without image order
+    shuffled.rows = 1;
+    shuffled.columns = int(all.size());  // a list without image order
     expect_same_rays(scan, scan_of(shuffled, test::make_network_of_rays()), order);
 }
 
@@ -104,7 +106,8 @@ TEST_F(RayDrop, DoesNotDependOnTheSensorsYaw) {
             order.push_back(row * std::size_t(all.columns) +
                             (c + std::size_t(all.columns / 2)) % std::size_t(all.columns));
     RayTable turned = select_rays(all, order);
-    turned.rows = all.rows, turned.columns = all.columns;
+    turned.rows = all.rows;
+    turned.columns = all.columns;
     for (glm::vec3& d : turned.direction) d = {-d.x, -d.y, d.z};
     for (glm::vec3& o : turned.origin) o = {-o.x, -o.y, o.z};
     const auto standing = [&](const glm::dquat& rotation) {
@@ -123,7 +126,8 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
         for (const int sub_rays : {1, 5})
             for (const char* range : {"median", "expected"}) {
                 Config of_scan = config;
-                of_scan.sensor.sub_rays = sub_rays, of_scan.sensor.divergence_mrad = 3.0,
+                of_scan.sensor.sub_rays = sub_rays;
+                of_scan.sensor.divergence_mrad = 3.0;
                 of_scan.render.range = range;
                 ScanRenderer renderer(device(), scene, of_scan, log);
                 renderer.set_drop_network(test::make_network_that_never_drops());
@@ -136,7 +140,8 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
                 std::size_t n_returns = 0, n_empty = 0;
                 for (std::size_t i = 0; i < scan.instance.size(); ++i) {
                     const bool returns = scan.image.drop_prob[i] < 0.5f;
-                    n_returns += returns, n_empty += scan.instance[i] < 0;
+                    n_returns += returns;
+                    n_empty += scan.instance[i] < 0;
                     EXPECT_FALSE(returns && (scan.instance[i] < 0 || !(scan.median_range_m[i] > 0.0f) ||
                                              !(scan.image.range_m[i] > 0.0f)))
                         << name << ", " << sub_rays << " parts, " << range << ", ray " << i << ": "

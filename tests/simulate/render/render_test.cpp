@@ -99,7 +99,8 @@ TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
                   {0, 0, 0}};
     rays.ray_divergence_rad = {1e-3f, 0.02f, 0.0f};
     Config config;
-    config.sensor.sub_rays = 9, config.sensor.returns = 2;
+    config.sensor.sub_rays = 9;
+    config.sensor.returns = 2;
     ScanRenderer renderer(device(), make_background_scene(make_post_before_wall()), config,
                           make_cross_sequence());
     const RenderedScan scan = renderer.render(
@@ -160,7 +161,9 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};
     LidarSequence sequence = make_cross_sequence();
     SpinningSensor& sensor = sequence.lidars[0].sensor;
-    sensor.beams = {{0.0}}, sensor.columns = kColumns, sensor.max_range_m = 80.0;
+    sensor.beams = {{0.0}};
+    sensor.columns = kColumns;
+    sensor.max_range_m = 80.0;
     sequence.frames = {{0, 0.0, {}}, {1, 1.0, {}}};
     sequence.frames[1].azimuth_shift_rad.assign(kColumns, float(kColumn_rad));
     sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{}}};
@@ -196,7 +199,8 @@ TEST_F(Render, ModeIsTheHeaviestSurface) {
     scene.resize(4);
     for (std::size_t i = 0; i < 4; ++i) {
         scene.mean[i] = {x[i], 0.0f, 0.0f};
-        scene.rotation[i] = wall.rotation[0], scene.log_scale[i] = wall.log_scale[0];
+        scene.rotation[i] = wall.rotation[0];
+        scene.log_scale[i] = wall.log_scale[0];
         scene.opacity_logit[i] = std::log(opacity[i] / (1.0f - opacity[i]));
         std::copy(wall.sh.begin(), wall.sh.end(), scene.sh.begin() + std::ptrdiff_t(i * kShFloats));
     }

@@ -93,8 +93,11 @@ std::vector<shared::RenderedRay> make_random_rendering(std::size_t count) {
         r.depth = r.weight * t;
         r.median_depth = r.weight > 0.5f ? t * (0.9f + 0.2f * uniform(random)) : 0.0f;
         r.intensity = 1.2f * uniform(random);
-        r.hit_logit = 8.0f * uniform(random) - 4.0f, r.drop_logit = 8.0f * uniform(random) - 4.0f;
-        r.transmittance = 1.0f - r.weight, r.n_hits = 3, r.instance = uniform(random) < 0.5f ? 0u : 2u;
+        r.hit_logit = 8.0f * uniform(random) - 4.0f;
+        r.drop_logit = 8.0f * uniform(random) - 4.0f;
+        r.transmittance = 1.0f - r.weight;
+        r.n_hits = 3;
+        r.instance = uniform(random) < 0.5f ? 0u : 2u;
     }
     return rendered;
 }
@@ -182,7 +185,9 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
 TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     RayTable rays = make_spinning_rays(16);
     shared::RenderedRay wall{};
-    wall.depth = wall.median_depth = 10.0f, wall.weight = 1.0f, wall.hit_logit = 20.0f;
+    wall.depth = wall.median_depth = 10.0f;
+    wall.weight = 1.0f;
+    wall.hit_logit = 20.0f;
     const std::vector<shared::RenderedRay> rendering(rays.size(), wall);
     const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering),
                                               "rendered rays");
@@ -220,13 +225,17 @@ std::vector<shared::RenderedRay> make_rendered_room(const RayTable& rays) {
 
 RenderedScan scan_of(const RayTable& rays, std::span<const shared::MeasuredRay> measured) {
     RenderedScan scan;
-    scan.image.rows = rays.rows, scan.image.columns = rays.columns;
-    scan.image.origin = to_vector(rays.origin), scan.image.direction = to_vector(rays.direction);
+    scan.image.rows = rays.rows;
+    scan.image.columns = rays.columns;
+    scan.image.origin = to_vector(rays.origin);
+    scan.image.direction = to_vector(rays.direction);
     std::vector<float> incidence;
     for (const shared::MeasuredRay& m : measured) {
-        scan.median_range_m.push_back(m.median_range_m), scan.mean_range_m.push_back(m.mean_range_m);
-        scan.image.intensity.push_back(m.intensity), scan.image.drop_prob.push_back(m.drop_prob),
-            scan.weight.push_back(m.weight);
+        scan.median_range_m.push_back(m.median_range_m);
+        scan.mean_range_m.push_back(m.mean_range_m);
+        scan.image.intensity.push_back(m.intensity);
+        scan.image.drop_prob.push_back(m.drop_prob);
+        scan.weight.push_back(m.weight);
         incidence.push_back(m.incidence);
     }
     scan.channels = {{{.name = "incidence"}, incidence}};

@@ -25,14 +25,19 @@ constexpr std::int32_t kNothing = -1, kSurface = 0, kFog = 1;
 RenderedScan make_wall_at(float range_m, float intensity, bool two_returns = false, int n_rays = kRays) {
     const auto n = std::size_t(n_rays);
     RenderedScan scan;
-    scan.image.rows = 1, scan.image.columns = n_rays;
-    scan.image.origin.assign(n, glm::vec3(0.0f)), scan.image.direction.assign(n, glm::vec3(1.0f, 0.0f, 0.0f));
-    scan.image.range_m.assign(n, range_m), scan.image.intensity.assign(n, intensity),
-        scan.image.drop_prob.assign(n, 0.25f);
+    scan.image.rows = 1;
+    scan.image.columns = n_rays;
+    scan.image.origin.assign(n, glm::vec3(0.0f));
+    scan.image.direction.assign(n, glm::vec3(1.0f, 0.0f, 0.0f));
+    scan.image.range_m.assign(n, range_m);
+    scan.image.intensity.assign(n, intensity);
+    scan.image.drop_prob.assign(n, 0.25f);
     for (std::size_t i = 0; i < n; i += 10) scan.image.drop_prob[i] = 0.75f;
     scan.median_range_m = scan.mean_range_m = scan.image.range_m;
-    scan.weight.assign(n, 1.0f), scan.instance.assign(n, 3), scan.ring.assign(n, 0),
-        scan.time_offset_s.assign(n, 0.0f);
+    scan.weight.assign(n, 1.0f);
+    scan.instance.assign(n, 3);
+    scan.ring.assign(n, 0);
+    scan.time_offset_s.assign(n, 0.0f);
     scan.channels = {{{.name = "of_surface", .none = -2.0}, std::vector<float>(n, 7.0f)},
                      {{.name = "of_ray", .of_ray = true, .none = -2.0}, std::vector<float>(n, 7.0f)}};
     if (two_returns) {

@@ -20,7 +20,8 @@ using ExrScans = TemporaryFolder;
 /// return.
 RenderedScan make_four_rays() {
     RenderedScan scan;
-    scan.image.rows = 1, scan.image.columns = 4;
+    scan.image.rows = 1;
+    scan.image.columns = 4;
     scan.image.range_m = {10.0f, 12.0f, 7.0f, 55.125f};
     scan.image.intensity = {0.5f, 1.0f, 0.25f, 0.125f};
     scan.image.drop_prob = {0.0f, 0.1f, 0.9f, 0.4f};

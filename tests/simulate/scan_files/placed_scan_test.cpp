@@ -46,7 +46,8 @@ RenderedScan make_lane_change() {
         scan.image.direction.emplace_back(glm::normalize(ray_vector_m));
         scan.image.range_m.push_back(float(glm::length(ray_vector_m)));
     }
-    scan.image.rows = 1, scan.image.columns = int(places().size());
+    scan.image.rows = 1;
+    scan.image.columns = int(places().size());
     scan.image.intensity.assign(places().size(), 0.5f);
     scan.image.drop_prob.assign(places().size(), 0.0f);
     scan.median_range_m = scan.mean_range_m = scan.image.range_m;
@@ -99,7 +100,8 @@ protected:
     void write(PointCoordinateFrame frame, bool deskew) const {
         ScanOutputOptions format;
         format.formats = {"npz", "exr", "ply", "pcd", "bin"};
-        format.frame = frame, format.deskew = deskew;
+        format.frame = frame;
+        format.deskew = deskew;
         ScanFolderWriter scans(folder, format);
         scans.write_scan(0, make_lane_change());
         scans.finish_scan_folder();

@@ -142,7 +142,9 @@ TEST_F(PointFiles, WritesTheSpreadBehindTheOtherFields) {
 
 TEST_F(PointFiles, WritesNormalsByTheNamesOfEachFormat) {
     LidarPoints cloud = make_some_cloud();
-    cloud.ring.clear(), cloud.time_offset_s.clear(), cloud.instance.clear();
+    cloud.ring.clear();
+    cloud.time_offset_s.clear();
+    cloud.instance.clear();
     const std::vector<glm::vec3> normal{{1.0f, 0.0f, 0.0f}, {0.0f, -1.0f, 0.0f}, {0.6f, 0.0f, 0.8f}};
     cloud.channels = {{{.name = "normal", .turns = true}, normal}};
     write_ply(folder / "a.ply", cloud);

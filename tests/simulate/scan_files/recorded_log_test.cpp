@@ -36,7 +36,8 @@ PoseTrack make_track() {
 /// and every fifth ray has a second return.
 RenderedScan room(double time_s) {
     RenderedScan scan;
-    scan.image.rows = kRows, scan.image.columns = kColumns;
+    scan.image.rows = kRows;
+    scan.image.columns = kColumns;
     for (int r = 0; r < kRows; ++r)
         for (int c = 0; c < kColumns; ++c) {
             const double azimuth = kPi - 2.0 * kPi * (c + 0.5) / kColumns, elevation = 0.2 - 0.05 * r;
@@ -56,9 +57,10 @@ RenderedScan room(double time_s) {
     scan.median_range_m = scan.mean_range_m = scan.image.range_m;
     scan.second_returns.assign(1, {std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
     for (std::size_t i = 0; i < n; i += 5)
-        if (i % 12 != 0)
-            scan.second_returns[0].range_m[i] = scan.image.range_m[i] + 2.0f,
+        if (i % 12 != 0) {
+            scan.second_returns[0].range_m[i] = scan.image.range_m[i] + 2.0f;
             scan.second_returns[0].intensity[i] = 0.2f;
+        }
     scan.time_s = time_s;
     scan.track = make_track();
     for (Pose& pose : scan.track.pose) pose = pose * kMounting;
@@ -235,7 +237,8 @@ double compute_entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, 
     for (int axis = 0; axis < 3; ++axis) {
         const double a = (-0.5 * size_m[axis] - origin_m[axis]) / direction[axis];
         const double b = (0.5 * size_m[axis] - origin_m[axis]) / direction[axis];
-        enters_m = std::max(enters_m, std::min(a, b)), leaves_m = std::min(leaves_m, std::max(a, b));
+        enters_m = std::max(enters_m, std::min(a, b));
+        leaves_m = std::min(leaves_m, std::max(a, b));
     }
     return enters_m < leaves_m ? enters_m : 0.0;
 }

@@ -191,7 +191,8 @@ TEST_F(Recordings, TimesThatNoFileHasAreRefused) {
 
 TEST_F(Recordings, OfARigAreOne) {
     ScanOutputOptions left = format, right = format;
-    set_topic_and_frame_id_from_name(left, "left"), set_topic_and_frame_id_from_name(right, "2nd-right");
+    set_topic_and_frame_id_from_name(left, "left");
+    set_topic_and_frame_id_from_name(right, "2nd-right");
     ScanRecordingsWriter recordings(folder, {left, right});
     const std::vector<RenderedScan> scans{make_two_rays(1.0), make_two_rays(1.0)};
     recordings.write_scans(scans);
@@ -208,7 +209,8 @@ TEST_F(Recordings, OfARigAreOne) {
 TEST_F(Recordings, RefuseNamesThatRosDoesNotTakeOrThatAreTaken) {
     const auto error = [&](const char* topic, const char* frame_id) {
         ScanOutputOptions other = format;
-        other.topic = topic, other.frame_id = frame_id;
+        other.topic = topic;
+        other.frame_id = frame_id;
         return error_message<UsageError>([&] { ScanRecordingsWriter(folder, {format, other}); });
     };
     for (const char* topic : {"", "/", "points", "/lidar//points", "/lidar/points/", "/2nd/points",

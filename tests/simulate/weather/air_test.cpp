@@ -219,8 +219,10 @@ public:
         std::vector<std::vector<double>> n(levels_.size());
         for (std::size_t i = 0; i < levels_.size(); ++i) {
             double all = 0.0;
-            for (const double r : ranges_m_)
-                n[i].push_back(brighter(r, levels_[i]) * kCell_m), all += n[i].back();
+            for (const double r : ranges_m_) {
+                n[i].push_back(brighter(r, levels_[i]) * kCell_m);
+                all += n[i].back();
+            }
             none_stronger_[i] = std::exp(-all);
         }
         for (std::size_t i = 0; i + 1 < levels_.size(); ++i)
@@ -249,7 +251,8 @@ public:
                 from_[k] +=
                     (next_cell[k] - cell[k]) * 0.5 *
                     (none_stronger_[i] / next[k / cells] + none_stronger_[i - 1] / stretch[k / cells]);
-            stretch = next, cell = next_cell;
+            stretch = next;
+            cell = next_cell;
         }
     }
     double alpha() const { return alpha_; }
@@ -270,10 +273,13 @@ double compute_deviation(const std::vector<double>& counts, const std::vector<do
     double chi2 = 0.0, in_bin = 0.0, of_bin = 0.0, sum = 0.0;
     int bins = 0;
     for (std::size_t k = 0; k < counts.size(); ++k) {
-        in_bin += counts[k], of_bin += kRays * probabilities[k], sum += probabilities[k];
+        in_bin += counts[k];
+        of_bin += kRays * probabilities[k];
+        sum += probabilities[k];
         if (of_bin < 100.0 && k + 1 < counts.size()) continue;
         chi2 += (in_bin - of_bin) * (in_bin - of_bin) / std::max(of_bin, 1.0);
-        ++bins, in_bin = of_bin = 0.0;
+        ++bins;
+        in_bin = of_bin = 0.0;
     }
     EXPECT_NEAR(sum, 1.0, 1e-6);
     EXPECT_GT(bins, 30);
@@ -295,7 +301,8 @@ void FreeAir::expect_as(const WeatherRaySimulator& air, ReturnCause source) cons
         const LidarEcho echo =
             air.compute_echoes_in_weather(make_ray_to({}, sensor_.max_range_m), seed).strongest;
         if (echo.source == ReturnCause::nothing) {
-            ranges.back() += 1.0, powers.front() += 1.0;
+            ranges.back() += 1.0;
+            powers.front() += 1.0;
             continue;
         }
         ASSERT_EQ(echo.source, source);

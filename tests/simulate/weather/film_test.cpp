@@ -54,8 +54,10 @@ TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
         for (const double cosine : {1.0, 0.5, 0.1, 0.03}) {
             const double passes = 1.0 - compute_water_reflectance(cosine);
             double light = passes, returned = 0.0;  // per albedo
-            for (int bounce = 0; bounce < 2000; ++bounce)
-                returned += light, light *= albedo * internal_reflectance;
+            for (int bounce = 0; bounce < 2000; ++bounce) {
+                returned += light;
+                light *= albedo * internal_reflectance;
+            }
             EXPECT_NEAR(compute_wet_reflectance_ratio(cosine, albedo), returned * passes / (n * n), 1e-3)
                 << cosine << ' ' << albedo;
         }

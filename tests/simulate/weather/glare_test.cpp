@@ -22,7 +22,9 @@ constexpr double kDegree = kPi / 180.0, kLight_m_s = 299792458.0;
 /// 0.005 at 60 m.
 WeatherSensorProperties make_sensor_to_60_m() {
     WeatherSensorProperties sensor;
-    sensor.max_range_m = 60.0, sensor.darkest = 0.005, sensor.pulse_s = 6.0 / kLight_m_s;
+    sensor.max_range_m = 60.0;
+    sensor.darkest = 0.005;
+    sensor.pulse_s = 6.0 / kLight_m_s;
     return sensor;
 }
 
@@ -53,7 +55,8 @@ double compute_chi2_deviate(const std::vector<double>& counts, const std::vector
 /// pulse.
 TEST(Sunlight, IsShotNoiseOfItsPhotons) {
     WeatherSensorProperties sensor;
-    sensor.divergence_rad = 0.003, sensor.pulse_s = 6e-9;
+    sensor.divergence_rad = 0.003;
+    sensor.pulse_s = 6e-9;
     const double photon_J = 6.626e-34 * 299792458.0 / 905e-9, view_sr = kPi * 0.0015 * 0.0015;
     const auto expected = [&](double W_m2_sr_nm) {
         const double electrons = W_m2_sr_nm * 20.0 * 1e-3 * view_sr * 6e-9 * 0.7 / photon_J;

@@ -41,9 +41,13 @@ inline WeatherRaySimulator make_air_of(const Weather& weather, const WeatherSens
                                        float hides_sun = 0.0f) {
     RenderedScan scan;
     scan.image.rows = scan.image.columns = 1;
-    scan.image.origin = {glm::vec3(0.0f)}, scan.image.direction = {glm::vec3(1.0f, 0.0f, 0.0f)};
+    scan.image.origin = {glm::vec3(0.0f)};
+    scan.image.direction = {glm::vec3(1.0f, 0.0f, 0.0f)};
     scan.image.range_m = scan.median_range_m = scan.image.intensity = {0.0f};
-    scan.image.drop_prob = {1.0f}, scan.time_offset_s = {0.0f}, scan.ring = {0}, scan.instance = {-1};
+    scan.image.drop_prob = {1.0f};
+    scan.time_offset_s = {0.0f};
+    scan.ring = {0};
+    scan.instance = {-1};
     const IntensityResponse response;
     return WeatherRaySimulator(WeatherInput{.weather = weather,
                                             .sensor = sensor,

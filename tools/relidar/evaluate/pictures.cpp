@@ -106,8 +106,14 @@ Image draw_rays_as_coloured_dots(const RayTable& rays) {
         angle.emplace_back(std::atan2(double(d.y), double(d.x)),
                            std::asin(std::clamp(double(d.z), -1.0, 1.0)));
     glm::dvec2 low = angle.front(), high = angle.front();
-    for (const glm::dvec2& a : angle) low = glm::min(low, a), high = glm::max(high, a);
-    if (high.x - low.x > 1.9 * kPi) low.x = -kSector_rad, high.x = kSector_rad;
+    for (const glm::dvec2& a : angle) {
+        low = glm::min(low, a);
+        high = glm::max(high, a);
+    }
+    if (high.x - low.x > 1.9 * kPi) {
+        low.x = -kSector_rad;
+        high.x = kSector_rad;
+    }
     low -= kMargin_rad;
     high += kMargin_rad;
     const double pixels_per_rad = kWidth / (high.x - low.x);
@@ -124,7 +130,10 @@ Image draw_rays_as_coloured_dots(const RayTable& rays) {
     const auto first = std::ranges::find_if(seconds, drawn);
     float earliest = first == seconds.end() ? 0.0f : *first, latest = earliest;
     for (const float value : seconds)
-        if (drawn(value)) earliest = std::min(earliest, value), latest = std::max(latest, value);
+        if (drawn(value)) {
+            earliest = std::min(earliest, value);
+            latest = std::max(latest, value);
+        }
     return apply_colour_map(seconds, rows, kWidth, earliest,
                             std::max(latest, std::nextafter(earliest, 1e30f)), "turbo");
 }

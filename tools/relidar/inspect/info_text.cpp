@@ -131,8 +131,10 @@ Json make_summary_json(const LogSummary& summary) {
                  {"returns_share", nullptr},
                  {"boxes", boxes},
                  {"masked", summary.masked}};
-    if (summary.returns_share)
-        json["returns_share"] = *summary.returns_share, json["scans_read"] = summary.n_scans_read;
+    if (summary.returns_share) {
+        json["returns_share"] = *summary.returns_share;
+        json["scans_read"] = summary.n_scans_read;
+    }
     return json;
 }
 
@@ -181,13 +183,17 @@ LidarSummary summarise(const LidarSequence& sequence, int lidar_index) {
         return first.elevation_rad < second.elevation_rad;
     };
     const auto [low, high] = std::minmax_element(sensor.beams.begin(), sensor.beams.end(), lower);
-    if (low != sensor.beams.end())
-        l.bottom_deg = low->elevation_rad * 180.0 / kPi, l.top_deg = high->elevation_rad * 180.0 / kPi;
+    if (low != sensor.beams.end()) {
+        l.bottom_deg = low->elevation_rad * 180.0 / kPi;
+        l.top_deg = high->elevation_rad * 180.0 / kPi;
+    }
     if (lidar.pattern) {  // A sensor that does not spin has no beam table, so its nominal rays are used.
         const RayTable rays = make_nominal_rays(lidar, 0.0);
         const auto [lowest, highest] = std::ranges::minmax(rays.direction, {}, &glm::vec3::z);
-        l.n_beams = std::size_t(rays.rows), l.columns = rays.columns, l.period_s = lidar.get_sweep_period_s();
-        l.bottom_deg = std::asin(double(lowest.z)) * 180.0 / kPi,
+        l.n_beams = std::size_t(rays.rows);
+        l.columns = rays.columns;
+        l.period_s = lidar.get_sweep_period_s();
+        l.bottom_deg = std::asin(double(lowest.z)) * 180.0 / kPi;
         l.top_deg = std::asin(double(highest.z)) * 180.0 / kPi;
     }
     for (const LidarFrame& frame : sequence.frames) {

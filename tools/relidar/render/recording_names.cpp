@@ -52,7 +52,8 @@ void require_valid_recording_names(const RecordingNames& name_templates,
                 "replaced by the name of each sensor",
                 option, text, kName));
     };
-    check("--topic", name_templates.topic), check("--frame-id", name_templates.frame_id);
+    check("--topic", name_templates.topic);
+    check("--frame-id", name_templates.frame_id);
 }
 
 void set_topic_and_frame_id(ScanOutputOptions& output_options, const std::string& sensor_name,

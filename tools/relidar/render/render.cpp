@@ -172,7 +172,8 @@ void require_valid_render_options(const RenderOptions& options, bool is_rig, con
                 format, ranks.size()));
     require_valid_recording_names(options.names, parse_file_formats(options.formats),
                                   is_rig && !options.merge);
-    parse_point_frame(options.point_frame), parse_weather(options.weather);
+    parse_point_frame(options.point_frame);
+    parse_weather(options.weather);
     require_valid_packet_options(options.packets, parse_file_formats(options.formats), options.merge,
                                  ranks.size());
     if (ranks.is_first_mpi_process()) require_no_files_overwritten(options.out, options);
@@ -267,8 +268,10 @@ RenderOutputs create_output_folders(const RenderOptions& options, const TrainedR
     const auto add = [&](const std::filesystem::path& folder, const ScanOutputOptions& format) {
         if (!ranks.is_first_mpi_process())
             return output.folders.push_back(ScanFolderWriter::open_shared_folder(folder, format));
-        if (folder != options.out)
-            require_no_files_overwritten(folder, options), std::filesystem::create_directories(folder);
+        if (folder != options.out) {
+            require_no_files_overwritten(folder, options);
+            std::filesystem::create_directories(folder);
+        }
         output.folders.emplace_back(folder, format);
     };
     if (options.merge)
@@ -413,15 +416,10 @@ void run_render_command(const RenderOptions& command_options) {
     if (options.boxes) renderer.enable_actor_visibility();
     renderer.set_weather(parse_weather(options.weather));
     RenderOutputs output = create_output_folders(options, run, targets, offset, ranks);
-    if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() &&
-        !options.quiet)
-        print_note(fmt::format("{} has no range noise: --sample keeps ranges exact", run.folder.string()));
-    if (options.sample && !options.quiet) print_note_if_intensity_noise_missing(run, lidar);
+    if (options.sample && !options.quiet) print_notes_on_missing_noise(run, lidar);
     if (!options.quiet) print_sensor_assumptions_of_weather(parse_weather(options.weather));
     for (const MountedSimulatedSensor& w : targets)
-        if (!options.quiet)
-            print_note_if_log_is_motion_compensated(run, w.sensor),
-                print_note_if_drop_network_is_unused(run, renderer, w.sensor);
+        if (!options.quiet) print_notes_on_sensor(run, renderer, w.sensor);
     install_interrupt_handlers();
     TerminalProgress progress(options.quiet);
     SweepRenderer sweep_renderer(renderer, run, options, targets, offset, subdivide_turning_segments(track));

@@ -11,6 +11,8 @@
 
 namespace relidar::cli {
 
+namespace {
+
 void print_note_if_log_is_motion_compensated(const TrainedRun& run, const SimulatedSensor& sensor) {
     if (run.config.sensor.rolling_shutter != RollingShutter::automatic ||
         fires_rays_at_different_times(sensor, run.config))
@@ -32,8 +34,18 @@ void print_note_if_drop_network_is_unused(const TrainedRun& run, const ScanRende
         run.drop_network.compute_min_image_rows_and_columns(), sensor.name));
 }
 
-void print_note_if_intensity_noise_missing(const TrainedRun& run, int lidar_index) {
+}  // namespace
+
+void print_notes_on_sensor(const TrainedRun& run, const ScanRenderer& renderer,
+                           const SimulatedSensor& sensor) {
+    print_note_if_log_is_motion_compensated(run, sensor);
+    print_note_if_drop_network_is_unused(run, renderer, sensor);
+}
+
+void print_notes_on_missing_noise(const TrainedRun& run, int lidar_index) {
     const auto at = std::size_t(lidar_index);
+    if (run.sequence.lidars[at].range_noise.sigma_m.empty())
+        print_note(fmt::format("{} has no range noise: --sample keeps ranges exact", run.folder.string()));
     if (at < run.intensity_scatter.size() && !run.intensity_scatter[at].empty()) return;
     print_note(fmt::format("{} has no intensity noise: --sample keeps the most likely intensities",
                            run.folder.string()));
@@ -63,7 +75,8 @@ void print_unobserved_sides_note(const std::vector<nlohmann::json>& scans, const
         for (const nlohmann::json& side : scan[sides_json_key]) {
             ScanRayCounts& sum = sums[fmt::format("the {} of {}", side["side"].get<std::string>(),
                                                   side["track"].get<std::string>())];
-            ++sum.scans, sum.rays += side["rays"].get<std::size_t>();
+            ++sum.scans;
+            sum.rays += side["rays"].get<std::size_t>();
         }
     std::vector<std::string> texts;
     for (const auto& [name, sum] : sums)
@@ -92,7 +105,10 @@ void print_note_on_unseen_space(const std::vector<std::string>& scan_json_entrie
         ++n_scans_with_value;
         const double unseen = scan["unseen"];
         n_unseen += unseen > kMuchUnseen;
-        if (unseen > worst) worst = unseen, worst_number = scan["frame_number"];
+        if (unseen > worst) {
+            worst = unseen;
+            worst_number = scan["frame_number"];
+        }
     }
     if (n_unseen == 0) return;
     print_note(fmt::format(

@@ -10,17 +10,15 @@
 
 namespace relidar::cli {
 
-/// Prints a note if the log is motion-compensated. In this case, scans of the log's
-/// sensor are rendered without rolling shutter.
-void print_note_if_log_is_motion_compensated(const TrainedRun& run, const SimulatedSensor& sensor);
+/// Prints a note if the log is motion-compensated, because scans of its sensor are then
+/// rendered without rolling shutter. Prints another note if the ray-drop network of the
+/// run cannot process scans of this sensor.
+void print_notes_on_sensor(const TrainedRun& run, const ScanRenderer& renderer,
+                           const SimulatedSensor& sensor);
 
-/// Prints a note if the ray-drop network of the run cannot process scans of this sensor.
-void print_note_if_drop_network_is_unused(const TrainedRun& run, const ScanRenderer& renderer,
-                                          const SimulatedSensor& sensor);
-
-/// Prints a note if the rendered intensities have no noise, because the noise of this
-/// LiDAR's intensities was not measured.
-void print_note_if_intensity_noise_missing(const TrainedRun& run, int lidar_index);
+/// Prints a note if sampled ranges or intensities have no noise, because training did not
+/// measure the noise of this LiDAR.
+void print_notes_on_missing_noise(const TrainedRun& run, int lidar_index);
 
 /// Prints a note with the sensor properties that the weather simulation assumes.
 void print_sensor_assumptions_of_weather(const Weather& weather);

@@ -56,9 +56,11 @@ LidarPoints BagScanProvider::read_points_of_frame(std::size_t frame_index) const
                             "revolutions, or times of points",
                             get_frame_name(frame_index), lidars_[at.lidar].clouds->parts_about));
         const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
-        append(all.position_m, points.position_m), append(all.intensity, points.intensity),
-            append(all.ring, points.ring);
-        append(all.time_offset_s, points.time_offset_s), append(all.return_number, points.return_number);
+        append(all.position_m, points.position_m);
+        append(all.intensity, points.intensity);
+        append(all.ring, points.ring);
+        append(all.time_offset_s, points.time_offset_s);
+        append(all.return_number, points.return_number);
     }
     if ((!all.ring.empty() && all.ring.size() != all.size()) ||
         (!all.return_number.empty() && all.return_number.size() != all.size()))

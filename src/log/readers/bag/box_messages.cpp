@@ -80,7 +80,10 @@ std::string read_results_and_get_best_class(MessageReader& reader, const Detecti
                                      : fmt::format("class {}", reader.read_number<std::int64_t>());
         const auto score = reader.read_number<double>();
         skip_doubles(reader, std::tuple_size_v<PoseComponents> + kCovariance);
-        if (best.empty() || score > best_score) best = name, best_score = score;
+        if (best.empty() || score > best_score) {
+            best = name;
+            best_score = score;
+        }
     }
     return best;
 }
@@ -97,7 +100,10 @@ BoxListMessage read_detections_with_layout(MessageReader reader, const Detection
                          read_vector3(reader)};
         // Also skips is_dense, the last field of source_cloud, because read_point_cloud()
         // does not read it.
-        if (layout.has_cloud) read_point_cloud(reader), reader.read_number<std::uint8_t>();
+        if (layout.has_cloud) {
+            read_point_cloud(reader);
+            reader.read_number<std::uint8_t>();
+        }
         if (layout.is_flagged) reader.read_number<std::uint8_t>();
         if (layout.has_identity) box.id = reader.read_string();
         if (box.header.frame.empty()) box.header = list.header;
@@ -137,7 +143,10 @@ std::string read_most_probable_label(MessageReader& reader) {
     for (std::size_t i = 0; i < n; ++i) {
         const auto label = reader.read_number<std::uint8_t>();
         const auto probability = reader.read_number<float>();
-        if (probability > best_probability) best = label, best_probability = probability;
+        if (probability > best_probability) {
+            best = label;
+            best_probability = probability;
+        }
     }
     return best < std::size(kLabels) ? kLabels[best] : fmt::format("class {}", best);
 }

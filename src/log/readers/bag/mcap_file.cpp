@@ -78,7 +78,8 @@ public:
     }
 
     void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
-        schemas_.clear(), channels_.clear();
+        schemas_.clear();
+        channels_.clear();
         points_in_.clear();
         std::uint64_t at = kMcapMagic.size();
         for (;;) {

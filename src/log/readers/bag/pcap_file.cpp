@@ -83,7 +83,7 @@ std::optional<IpPacket> parse_udp_ipv6_packet(std::string_view packet) {
         const std::size_t size = next == kFragment ? kFragmentHead : 8 * (1 + get_byte_or_zero(rest, 1));
         if (rest.size() < size) return std::nullopt;
         if (next == kFragment) {
-            result.offset = read_big_endian_uint16(rest, 2) & 0xfff8,
+            result.offset = read_big_endian_uint16(rest, 2) & 0xfff8;
             result.has_more = (read_big_endian_uint16(rest, 2) & 1) != 0;
             result.key.append(rest.substr(4, 4));
         }
@@ -99,9 +99,18 @@ std::optional<IpPacket> parse_udp_ipv6_packet(std::string_view packet) {
 std::optional<IpPacket> parse_ip_packet(std::string_view network_frame, int link_type) {
     std::size_t head = 0;
     unsigned type = 0;
-    if (link_type == DLT_EN10MB) head = 14, type = read_big_endian_uint16(network_frame, 12);
-    if (link_type == DLT_LINUX_SLL) head = 16, type = read_big_endian_uint16(network_frame, 14);
-    if (link_type == DLT_LINUX_SLL2) head = 20, type = read_big_endian_uint16(network_frame, 0);
+    if (link_type == DLT_EN10MB) {
+        head = 14;
+        type = read_big_endian_uint16(network_frame, 12);
+    }
+    if (link_type == DLT_LINUX_SLL) {
+        head = 16;
+        type = read_big_endian_uint16(network_frame, 14);
+    }
+    if (link_type == DLT_LINUX_SLL2) {
+        head = 20;
+        type = read_big_endian_uint16(network_frame, 0);
+    }
     if (link_type == DLT_NULL || link_type == DLT_LOOP) head = 4;
     // skips VLAN tags
     for (; type == 0x8100 || type == 0x88a8 || type == 0x9100; head += 4)

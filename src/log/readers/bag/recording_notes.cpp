@@ -101,7 +101,10 @@ std::string describe_missing_sweeps(const std::vector<double>& sweep_times_s, do
         if (gap_s < kGap * sweep_period_s) continue;
         ++n;
         missing += std::round(gap_s / sweep_period_s) - 1.0;
-        if (gap_s > longest_s) longest_s = gap_s, at_s = sweep_times_s[i - 1];
+        if (gap_s > longest_s) {
+            longest_s = gap_s;
+            at_s = sweep_times_s[i - 1];
+        }
     }
     return n == 0 ? ""
                   : fmt::format(

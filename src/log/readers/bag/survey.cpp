@@ -88,7 +88,10 @@ private:
     void index_cloud_message(const BagTopic& topic, const BagMessage& message) {
         const CloudMessage cloud = read_cloud_of_message(topic, message.bytes);
         CloudTopic& clouds = find_or_add_topic_entry(survey_.clouds, message.topic);
-        if (clouds.fields.empty()) clouds.fields = cloud.fields, clouds.frame = cloud.header.frame;
+        if (clouds.fields.empty()) {
+            clouds.fields = cloud.fields;
+            clouds.frame = cloud.header.frame;
+        }
         if (cloud.size() == 0) {
             ++clouds.n_empty;
             return;
@@ -141,7 +144,10 @@ private:
     void index_pose_message(const BagTopic& topic, const BagMessage& message) {
         const TransformMessage transform = read_transforms_of_message(topic, message.bytes).front();
         PoseTopic& poses = find_or_add_topic_entry(survey_.poses, message.topic);
-        if (poses.samples.empty()) poses.parent = transform.header.frame, poses.child = transform.child;
+        if (poses.samples.empty()) {
+            poses.parent = transform.header.frame;
+            poses.child = transform.child;
+        }
         poses.samples.push_back({transform.header.stamp_ns, message.log_ns, transform.parent_from_child});
     }
 

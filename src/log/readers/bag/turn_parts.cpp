@@ -57,7 +57,10 @@ std::optional<AzimuthArc> find_occupied_azimuth_range(const std::array<bool, kBi
     // Loops over the circle twice, because its widest gap may contain the azimuth pi.
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = is_bin_occupied[b % kBins] ? 0 : run + 1;
-        if (run > widest) widest = run, end = b + 1;
+        if (run > widest) {
+            widest = run;
+            end = b + 1;
+        }
     }
     if (widest >= kBins) return std::nullopt;
     const double bin = 2.0 * kPi / kBins, extent = 2.0 * kPi - bin * double(widest);

@@ -124,7 +124,9 @@ PoseTrack read_boreas_poses(const fs::path& pose_file, const stamped::StampedLog
         const bool is_leveler =
             driving.n_steps >= kFewestSteps && driving.rise_spread < kClearlyLevel * of_best.rise_spread;
         if (best_order && gain <= kClearlyForward && !(gain >= -kClearlyForward && is_leveler)) continue;
-        best_order = &order, best = std::move(track), of_best = driving;
+        best_order = &order;
+        best = std::move(track);
+        of_best = driving;
     }
     if (best_order != &kAngleOrders[0])
         notes.push_back(

@@ -80,7 +80,11 @@ void refine_phase_by_least_squares(TickGridPhase& phase, const BeamPolarPoints& 
         const double e =
             std::remainder(polar.azimuth_rad[i] - phase.left_m * u - phase.phase_rad, encoder_tick_rad);
         if (std::abs(e) > 0.25 * encoder_tick_rad) continue;
-        n += 1, su += u, se += e, suu += u * u, sue += u * e;
+        n += 1;
+        su += u;
+        se += e;
+        suu += u * u;
+        sue += u * e;
     }
     const double spread = n * suu - su * su;
     // If all points have similar distances, the lateral offset of the beam cannot be
@@ -148,7 +152,10 @@ int estimate_firings_per_revolution(const std::vector<const ScanWithRings*>& sca
     const double longest = 1.5 * compute_median(steps);
     double sum = 0.0, n = 0.0;
     for (const double s : steps) {
-        if (s < longest) sum += s, n += 1.0;
+        if (s < longest) {
+            sum += s;
+            n += 1.0;
+        }
     }
     return std::max(static_cast<int>(std::lround(2.0 * kPi * n / sum)), 1);
 }
@@ -216,7 +223,10 @@ int find_best_tick_shift(const std::vector<EncoderTicksByBeam>& ticks_of_scans, 
             }
         }
         if (i == 0) at_zero = hits;
-        if (hits > most) most = hits, best = shift;
+        if (hits > most) {
+            most = hits;
+            best = shift;
+        }
     }
     return most > at_zero + n / 100 ? best : 0;
 }

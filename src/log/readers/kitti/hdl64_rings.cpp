@@ -34,7 +34,11 @@ BeamCone fit_line_to_inliers(const std::vector<RhoHeightSample>& samples, const 
     double n = 0, sr = 0, sz = 0, srr = 0, srz = 0;
     for (const RhoHeightSample& s : samples) {
         if (std::abs(compute_height_residual_m(previous_line, s)) > max_residual_m) continue;
-        n += 1, sr += s.rho_m, sz += s.z_m, srr += s.rho_m * s.rho_m, srz += s.rho_m * s.z_m;
+        n += 1;
+        sr += s.rho_m;
+        sz += s.z_m;
+        srr += s.rho_m * s.rho_m;
+        srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
     // The slope is inaccurate if all points have similar distances rho. Rounding causes
@@ -79,7 +83,8 @@ LaserHeightFit fit_height_to_slope_of_laser_block(const BeamCones& cones,
     }
     for (const std::size_t k : fitted_rings) {
         const double t = cones[k].tan_el - line.mean_tan;
-        tt += t * t, tz += t * (cones[k].z0_m - line.mean_z0);
+        tt += t * t;
+        tz += t * (cones[k].z0_m - line.mean_z0);
     }
     line.slope = tz / std::max(tt, 1e-12);
     return line;
@@ -146,7 +151,10 @@ int find_nearest_ring_of_points(const ScanWithRings& scan, std::size_t begin_poi
             error.push_back(std::abs(
                 compute_height_residual_m(cones[static_cast<std::size_t>(k)], {std::hypot(p.x, p.y), p.z})));
         }
-        if (const double middle = compute_median(std::move(error)); middle < least) least = middle, best = k;
+        if (const double middle = compute_median(std::move(error)); middle < least) {
+            least = middle;
+            best = k;
+        }
     }
     return best;
 }

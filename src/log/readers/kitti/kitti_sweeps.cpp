@@ -48,8 +48,10 @@ ScanWithRings read_raw_scan(const std::filesystem::path& scan_file,
 
 LidarPoints convert_raw_scan_to_points(const ScanWithRings& raw_scan) {
     LidarPoints points;
-    for (const glm::vec4& p : raw_scan.points)
-        points.position_m.emplace_back(p), points.intensity.push_back(p.w);
+    for (const glm::vec4& p : raw_scan.points) {
+        points.position_m.emplace_back(p);
+        points.intensity.push_back(p.w);
+    }
     points.ring.assign(raw_scan.ring.begin(), raw_scan.ring.end());
     points.classes = raw_scan.classes;
     return points;
@@ -144,7 +146,8 @@ std::string scale_byte_intensities_and_get_note(std::vector<ScanWithRings>& raw_
     bool are_integers = true;
     for (const ScanWithRings& scan : raw_scans)
         for (const glm::vec4& p : scan.points) {
-            lowest = std::min(lowest, p.w), highest = std::max(highest, p.w);
+            lowest = std::min(lowest, p.w);
+            highest = std::max(highest, p.w);
             are_integers = are_integers && p.w == std::floor(p.w);
         }
     if (lowest >= 0.0f && highest <= 1.0f) return "";

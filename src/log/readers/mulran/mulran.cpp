@@ -66,11 +66,16 @@ double compute_beam_elevation_spread_rad(const folder::PointTable& table, Mulran
         if (!(std::hypot(p.x, p.y, p.z) >= kLeastRange_m)) continue;
         const double e = std::atan2(p.z, std::hypot(p.x, p.y));
         Sums& sums = of_beam[get_beam_of_point(i, point_order)];
-        sums.n += 1.0, sums.e += e, sums.ee += e * e;
+        sums.n += 1.0;
+        sums.e += e;
+        sums.ee += e * e;
     }
     double n = 0.0, squares = 0.0;
     for (const Sums& sums : of_beam)
-        if (sums.n > 0.0) n += sums.n, squares += sums.ee - sums.e * sums.e / sums.n;
+        if (sums.n > 0.0) {
+            n += sums.n;
+            squares += sums.ee - sums.e * sums.e / sums.n;
+        }
     return n > 0.0 ? std::sqrt(std::max(squares, 0.0) / n) : INFINITY;
 }
 

@@ -48,8 +48,11 @@ void remove_points_without_return(LidarPoints& points, std::vector<int>& column_
         if (!points.classes.empty()) points.classes[n] = points.classes[i];
         column_of_point[n++] = column_of_point[i];
     }
-    points.position_m.resize(n), points.intensity.resize(n), points.ring.resize(n),
-        points.time_offset_s.resize(n), column_of_point.resize(n);
+    points.position_m.resize(n);
+    points.intensity.resize(n);
+    points.ring.resize(n);
+    points.time_offset_s.resize(n);
+    column_of_point.resize(n);
     if (!points.classes.empty()) points.classes.resize(n);
 }
 

@@ -89,8 +89,10 @@ SweepsByChannel list_lidar_files_of_scene(const fs::path& table_folder,
         if (lidar == mounted_lidars.end()) return;
         file.sample = record.get_text("sample_token");
         if (!keyframe_times_us.contains(file.sample)) return;
-        file.token = record.get_text("token"), file.next = record.get_text("next");
-        file.ego_pose = record.get_text("ego_pose_token"), file.file = record.get_text("filename");
+        file.token = record.get_text("token");
+        file.next = record.get_text("next");
+        file.ego_pose = record.get_text("ego_pose_token");
+        file.file = record.get_text("filename");
         file.time_us = record.get_rounded_integer("timestamp");
         file.is_keyframe = record.get_bool("is_key_frame");
         files[lidar->second.channel][file.token] = file;
@@ -183,8 +185,10 @@ std::vector<Pose> read_ego_poses_of_sweeps(const fs::path& table_folder,
     }
     const auto seconds = [&](std::int64_t time_us) { return double(time_us - sweeps[0].time_us) * 1e-6; };
     PoseTrack track;
-    for (const auto& [time_us, pose] : by_time)
-        track.time_s.push_back(seconds(time_us)), track.pose.push_back(pose);
+    for (const auto& [time_us, pose] : by_time) {
+        track.time_s.push_back(seconds(time_us));
+        track.pose.push_back(pose);
+    }
     std::vector<Pose> world_from_ego;
     for (const SweepRecord& sweep : sweeps)
         world_from_ego.push_back(track.interpolate_pose(seconds(sweep.time_us)));

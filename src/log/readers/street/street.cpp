@@ -33,7 +33,10 @@ ShapeHit intersect_ray_with_box(const glm::dvec3& half_size, const glm::dvec3& r
         const double side = std::copysign(half_size[a], ray_direction[a]);
         const double near = (-side - ray_origin[a]) / ray_direction[a],
                      far = (side - ray_origin[a]) / ray_direction[a];
-        if (near > enter) enter = near, axis = a;
+        if (near > enter) {
+            enter = near;
+            axis = a;
+        }
         leave = std::min(leave, far);
     }
     if (!(enter > 0.0) || enter > leave) return {};
@@ -127,8 +130,10 @@ BoundingSphere compute_bounding_sphere(const StreetShape& shape) {
 /// around the centres of the shapes.
 BoundingSphere compute_bounding_sphere(std::span<const StreetShape> shapes) {
     glm::dvec3 low = shapes.front().centre, high = low;
-    for (const StreetShape& shape : shapes)
-        low = glm::min(low, shape.centre), high = glm::max(high, shape.centre);
+    for (const StreetShape& shape : shapes) {
+        low = glm::min(low, shape.centre);
+        high = glm::max(high, shape.centre);
+    }
     BoundingSphere around{0.5 * (low + high)};
     for (const StreetShape& shape : shapes) {
         const BoundingSphere s = compute_bounding_sphere(shape);

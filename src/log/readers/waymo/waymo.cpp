@@ -152,7 +152,10 @@ Pose find_pose_facing_forward(const WaymoFrameRecord& frame_record, const std::s
     int away = image.columns;
     for (std::size_t at = 0; poses && at < std::size_t(image.rows) * std::size_t(image.columns); ++at) {
         const int from_middle = std::abs(int(at % std::size_t(image.columns)) - image.columns / 2);
-        if (image.get_pixel_values(at)[0] > 0.0f && from_middle < away) nearest = at, away = from_middle;
+        if (image.get_pixel_values(at)[0] > 0.0f && from_middle < away) {
+            nearest = at;
+            away = from_middle;
+        }
     }
     return nearest ? read_vehicle_pose_of_pixel(*poses, *nearest, in_top) : frame_record.world_from_vehicle;
 }

@@ -155,7 +155,9 @@ CompressedLidarImages parse_laser_images(pbf_reader reader) {
                 break;
             case make_message_tag(2): {
                 const CompressedReturnImages first = parse_range_image(reader.get_message());
-                laser.first = first.image, laser.pixel_pose = first.pixel_pose, laser.labels = first.labels;
+                laser.first = first.image;
+                laser.pixel_pose = first.pixel_pose;
+                laser.labels = first.labels;
                 break;
             }
             case make_message_tag(3):
@@ -309,7 +311,7 @@ WaymoFrameRecord parse_frame_record(std::string_view record_bytes, const std::st
                     frame.timestamp_us = from.get_int64();
                     break;
                 case make_message_tag(3):
-                    frame.world_from_vehicle = parse_transform(from.get_message(), error_location + ": pose"),
+                    frame.world_from_vehicle = parse_transform(from.get_message(), error_location + ": pose");
                     has_pose = true;
                     break;
                 case make_message_tag(5):

@@ -12,7 +12,11 @@ constexpr int kNesting = 3;  // maximum nesting of lists: rows, columns, vectors
 
 nlohmann::ordered_json make_vectors_json(const ScanArray<glm::vec3>& vectors) {
     auto json = nlohmann::ordered_json::array();
-    for (const glm::vec3& v : vectors) json.push_back(v.x), json.push_back(v.y), json.push_back(v.z);
+    for (const glm::vec3& v : vectors) {
+        json.push_back(v.x);
+        json.push_back(v.y);
+        json.push_back(v.z);
+    }
     return json;
 }
 

@@ -70,7 +70,9 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
             rays.push_back(ray);
             if (!ray.returned) continue;
             const glm::dvec3 p = inverse(vehicle_at_sweep) * ray.point_m;
-            points.x.push_back(float(p.x)), points.y.push_back(float(p.y)), points.z.push_back(float(p.z));
+            points.x.push_back(float(p.x));
+            points.y.push_back(float(p.y));
+            points.z.push_back(float(p.z));
             points.intensity.push_back(std::uint8_t(51));
             points.laser.push_back(std::uint8_t(32 * half + k));
             points.offset_ns.push_back(std::int32_t(offset_ns));
@@ -98,7 +100,9 @@ std::string make_annotation_bytes(int sweeps, FeatherCodec codec) {
         const double time_s = 1e-9 * double(Argoverse2Log::sweep_ns(i) - Argoverse2Log::kFirstSweep_ns);
         time_ns.push_back(Argoverse2Log::sweep_ns(i));
         n_points.push_back(7);
-        length.push_back(4.5), width.push_back(1.9), height.push_back(1.6);
+        length.push_back(4.5);
+        width.push_back(1.9);
+        height.push_back(1.6);
         poses.push_back(inverse(Argoverse2Log::compute_vehicle_pose(time_s)) *
                         Argoverse2Log::compute_box_pose(time_s));
     }

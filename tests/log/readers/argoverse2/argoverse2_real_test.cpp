@@ -121,7 +121,8 @@ void write_log(const fs::path& folder, const std::vector<RealSweep>& sweeps) {
         for (std::size_t i = 0; i < sweeps[s].track.size(); ++i) {
             const double* b = &sweeps[s].boxes[10 * i];
             time_ns.push_back(kTimes_ns[s]);
-            track.push_back(sweeps[s].track[i]), category.push_back(sweeps[s].category[i]);
+            track.push_back(sweeps[s].track[i]);
+            category.push_back(sweeps[s].category[i]);
             for (int axis = 0; axis < 3; ++axis) size[axis].push_back(b[3 + axis]);
             boxes.push_back({glm::dquat(b[6], b[7], b[8], b[9]), {b[0], b[1], b[2]}});
         }
@@ -198,8 +199,10 @@ TEST_F(Argoverse2Real, ElevationsAreThoseOfTheTable) {
             const std::size_t beam = frame.scan.rays.channel[i];
             const double error =
                 elevation_deg(frame.scan.rays.direction[i]) - beams_[beam].elevation_rad * 180.0 / kPi;
-            sum[beam] += error, n[beam] += 1.0;
-            off += std::abs(error) > 0.1, ++returns;
+            sum[beam] += error;
+            n[beam] += 1.0;
+            off += std::abs(error) > 0.1;
+            ++returns;
         }
         double worst = 0.0;
         for (std::size_t k = 0; k < 32; ++k) worst = std::max(worst, std::abs(sum[k] / n[k]));
@@ -298,7 +301,10 @@ TEST_F(Argoverse2Real, PointsAreFoundInTheirCells) {
                 if (std::abs(double(rays.time_offset_s[at]) - time_s) > 1e-3) continue;
                 const double azimuth = std::atan2(p.y * rays.direction[at].x - p.x * rays.direction[at].y,
                                                   p.x * rays.direction[at].x + p.y * rays.direction[at].y);
-                if (std::abs(azimuth) < nearest) nearest = std::abs(azimuth), cell = at;
+                if (std::abs(azimuth) < nearest) {
+                    nearest = std::abs(azimuth);
+                    cell = at;
+                }
             }
             const bool here =
                 std::abs(double(frame.scan.range_m[cell]) - glm::length(p)) < 1e-3 &&

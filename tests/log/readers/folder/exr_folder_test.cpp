@@ -73,9 +73,10 @@ struct StreetOfImages {
             scan.second_returns.assign(
                 1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});
             for (std::size_t i = 0; i < scan.range_m.size(); i += 5)
-                if (scan.range_m[i] > 0.0f && scan.range_m[i] < 70.0f)
-                    scan.second_returns[0].range_m[i] = scan.range_m[i] + 1.75f,
+                if (scan.range_m[i] > 0.0f && scan.range_m[i] < 70.0f) {
+                    scan.second_returns[0].range_m[i] = scan.range_m[i] + 1.75f;
                     scan.second_returns[0].intensity[i] = 0.125f;
+                }
         }
         fs::remove_all(folder);
         save_folder(truth, folder);
@@ -178,8 +179,10 @@ TEST(ExrFolder, ImagesOfOtherPrograms) {
     test::write_text(folder / "rays.json", fmt::format(R"({{"directions": [{}]}})", directions));
     std::vector<Imath::half> range(n);
     std::vector<unsigned> intensity(n);
-    for (std::size_t i = 0; i < range.size(); ++i)
-        range[i] = Imath::half(float(i % 2048) / 32.0f), intensity[i] = unsigned(i % 1000);
+    for (std::size_t i = 0; i < range.size(); ++i) {
+        range[i] = Imath::half(float(i % 2048) / 32.0f);
+        intensity[i] = unsigned(i % 1000);
+    }
     for (const Imf::Compression compression :
          {Imf::NO_COMPRESSION, Imf::RLE_COMPRESSION, Imf::ZIPS_COMPRESSION, Imf::PIZ_COMPRESSION}) {
         const Imath::Box2i window({-7, 11}, {-7 + n - 1, 11});
@@ -218,8 +221,8 @@ protected:
             const double a = 0.01 * i;
             channels["range"].push_back(5.0f + 0.01f * float((i * 7919) % 997));
             channels["intensity"].push_back(0.5f);
-            channels["direction.x"].push_back(float(std::cos(a))),
-                channels["direction.y"].push_back(float(std::sin(a)));
+            channels["direction.x"].push_back(float(std::cos(a)));
+            channels["direction.y"].push_back(float(std::sin(a)));
             channels["direction.z"].push_back(0.0f);
         }
         return channels;

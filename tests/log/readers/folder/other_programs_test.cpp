@@ -58,8 +58,12 @@ TEST(OtherPrograms, NpyWithNamedFields) {
             bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
         };
         for (const test::FilePoint& p : points) {
-            append(p.point_m), append(std::uint8_t(std::lround(255.0f * p.intensity))), append('\0');
-            append(p.ring), append(glm::vec3(7.0f)), append(p.time_s);
+            append(p.point_m);
+            append(std::uint8_t(std::lround(255.0f * p.intensity)));
+            append('\0');
+            append(p.ring);
+            append(glm::vec3(7.0f));
+            append(p.time_s);
         }
         return bytes;
     };

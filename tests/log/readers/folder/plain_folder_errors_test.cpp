@@ -253,7 +253,10 @@ TEST_F(FolderDamage, OfValues) {
     expect("sequence.json",
            with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}], \"columns\": 8}}]"),
            "number ... 1 beams");
-    for (test::FilePoint& p : points) p.ring = 0, p.point_m = {5.0f, 0.0f, 0.0f};
+    for (test::FilePoint& p : points) {
+        p.ring = 0;
+        p.point_m = {5.0f, 0.0f, 0.0f};
+    }
     expect("scans/a.pcd", test::make_pcd_binary(points), "use \"spins\": false in sequence.json");
 }
 

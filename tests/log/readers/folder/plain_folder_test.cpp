@@ -40,9 +40,10 @@ LidarSequence make_rich_street() {
         scan.second_returns.assign(
             1, {std::vector<float>(scan.range_m.size()), std::vector<float>(scan.range_m.size())});
         for (std::size_t i = 0; i < scan.range_m.size(); i += 7)
-            if (scan.range_m[i] > 0.0f && scan.range_m[i] < 77.0f)
-                scan.second_returns[0].range_m[i] = scan.range_m[i] + 2.5f,
+            if (scan.range_m[i] > 0.0f && scan.range_m[i] < 77.0f) {
+                scan.second_returns[0].range_m[i] = scan.range_m[i] + 2.5f;
                 scan.second_returns[0].intensity[i] = 0.125f;
+            }
     }
     street.notes = {"a first note", "a second one"};
     street.world_offset_m += glm::dvec3(457123.4, 5428765.3, 112.9);  // map coordinates
@@ -263,7 +264,8 @@ TEST(SaveFolder, LeavesNothingUnfinished) {
         << "the old one stays until the new one is complete";
     LidarSequence shorter = street;
     shorter.frames.resize(2);
-    shorter.world_from_vehicle.time_s.resize(1), shorter.world_from_vehicle.pose.resize(1);
+    shorter.world_from_vehicle.time_s.resize(1);
+    shorter.world_from_vehicle.pose.resize(1);
     save_folder(shorter, folder, {.overwrite = true});
     EXPECT_EQ(load_sequence(folder.string(), {}).frames.size(), 2u);
     EXPECT_EQ(list_names_in(folder.parent_path()), std::vector<std::string>{"saved"});

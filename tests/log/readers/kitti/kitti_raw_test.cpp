@@ -339,7 +339,10 @@ std::vector<glm::vec3> read_file_points(const fs::path& file, float max_range_m,
     std::ifstream(file, std::ios::binary).read(reinterpret_cast<char*>(records.data()), n_bytes);
     std::vector<glm::vec3> points;
     for (const glm::vec4& r : records)
-        if (glm::length(glm::vec3(r)) < max_range_m) points.emplace_back(r), intensity.push_back(r.w);
+        if (glm::length(glm::vec3(r)) < max_range_m) {
+            points.emplace_back(r);
+            intensity.push_back(r.w);
+        }
     return points;
 }
 

@@ -195,7 +195,8 @@ std::map<std::string, std::vector<float>> make_lyft(const TruckScenesFolder& dat
             for (std::size_t at = pcd.find("DATA binary\n") + 12; at < pcd.size(); at += 24) {
                 float values[5];
                 std::memcpy(values, pcd.data() + at, 12);
-                values[3] = 100.0f, values[4] = 1.0f;
+                values[3] = 100.0f;
+                values[4] = 1.0f;
                 bytes.append(reinterpret_cast<const char*>(values), sizeof values);
                 ranges[name].push_back(std::hypot(values[0], values[1], values[2]));
             }
@@ -246,7 +247,8 @@ TEST(Lyft, ReturnsOfBothLidars) {
             read.push_back(frame.scan.range_m[i]);
             ASSERT_FLOAT_EQ(frame.scan.intensity[i], 100.0f / 255.0f);
         }
-        std::ranges::sort(read), std::ranges::sort(written);
+        std::ranges::sort(read);
+        std::ranges::sort(written);
         ASSERT_EQ(read.size(), written.size());
         for (std::size_t i = 0; i < read.size(); ++i) ASSERT_NEAR(read[i], written[i], 1e-4f);
     }

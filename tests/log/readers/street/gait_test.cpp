@@ -30,7 +30,9 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
     const street::SwingingLimb limb{{0.1, 0.3, 0.2}, 0.7, 0.08, 0.5, 0.4, 0.5};
     street::MovingStreetActor walker;
     walker.start_m = {3.0, -2.0, 5.0};
-    walker.yaw_rad = 0.7, walker.speed_mps = 1.3, walker.stride_m = 1.4;
+    walker.yaw_rad = 0.7;
+    walker.speed_mps = 1.3;
+    walker.stride_m = 1.4;
     walker.limbs = {limb};
     street::SyntheticStreet street;
     street.cars = {walker};

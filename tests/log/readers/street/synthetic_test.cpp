@@ -277,15 +277,19 @@ TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
         EXPECT_GE(std::abs(second_m - frame.scan.range_m[i]), 0.4f)
             << "means of returns whose nearest parts are 0.5 m apart";
         RayTable fan = make_one_ray(frame.scan.rays.direction[i]);  // 20 x 20 directions of the cone
-        fan.time_offset_s.clear(), fan.origin.clear(), fan.channel.clear(), fan.direction.clear();
+        fan.time_offset_s.clear();
+        fan.origin.clear();
+        fan.channel.clear();
+        fan.direction.clear();
         const glm::vec3 d = frame.scan.rays.direction[i],
                         side = glm::normalize(glm::cross(d, glm::vec3(0, 0, 1)));
         const glm::vec3 up = glm::cross(side, d);
         for (int k = 0; k < 400; ++k) {
             const float u = (float(k % 20) - 9.5f) / 10.0f, v = (float(k / 20) - 9.5f) / 10.0f;
             fan.direction.push_back(glm::normalize(d + 4.5e-3f * (u * side + v * up)));
-            fan.origin.emplace_back(0.0f), fan.time_offset_s.push_back(frame.scan.rays.time_offset_s[i]),
-                fan.channel.push_back(0);
+            fan.origin.emplace_back(0.0f);
+            fan.time_offset_s.push_back(frame.scan.rays.time_offset_s[i]);
+            fan.channel.push_back(0);
         }
         fan.columns = 400;
         const Scan scan = cast_rays_into_synthetic_street(options, fan, track, frame.time_s);
@@ -339,7 +343,8 @@ TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
                                                  .top_rad = 0.05,
                                                  .bottom_rad = -0.1});
     RayTable wide = narrow, mixed = narrow;
-    narrow.divergence_rad = 1e-3f, wide.divergence_rad = 0.03f;
+    narrow.divergence_rad = 1e-3f;
+    wide.divergence_rad = 0.03f;
     for (std::size_t i = 0; i < mixed.size(); ++i) mixed.ray_divergence_rad.push_back(i % 2 ? 0.03f : 1e-3f);
     const auto cast = [&](const RayTable& rays) {
         return cast_beams_into_synthetic_street(options, rays, track, 0.2);

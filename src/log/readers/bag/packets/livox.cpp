@@ -80,8 +80,9 @@ std::uint32_t append_livox_points_and_count(std::string& point_bytes, std::strin
         if (position_m == glm::vec3(0.0f)) continue;
         append_binary_value(point_bytes,
                             std::uint32_t(std::max(packet_time_offset_ns + std::llround(step_ns * i), 0ll)));
-        append_binary_value(point_bytes, position_m.x), append_binary_value(point_bytes, position_m.y),
-            append_binary_value(point_bytes, position_m.z);
+        append_binary_value(point_bytes, position_m.x);
+        append_binary_value(point_bytes, position_m.y);
+        append_binary_value(point_bytes, position_m.z);
         point_bytes.append(reflectivity_and_tag);
         // number of the laser line; always 0, because packets do not contain it
         append_binary_value(point_bytes, std::uint8_t(0));
@@ -109,7 +110,10 @@ std::string make_livox_cloud_message(std::string_view packed_packets, std::strin
         const std::string_view packet = reader.read_length_prefixed_string();
         if (!is_livox_point_packet(packet)) continue;
         const auto clock_ns = read_number_at<std::int64_t>(packet, kLivoxTimeAt);
-        if (is_first) first_stamp_ns = stamp_ns, first_clock_ns = clock_ns;
+        if (is_first) {
+            first_stamp_ns = stamp_ns;
+            first_clock_ns = clock_ns;
+        }
         // If the sensor's clock has jumped, uses the receive times of the packets
         // instead.
         const std::int64_t passed_ns = compute_clamped_time_between_ns(first_stamp_ns, stamp_ns);

@@ -147,7 +147,10 @@ SkippedSector find_sector_without_firings(const std::vector<PacketIndexEntry>& p
     // azimuth 0.
     for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = fires[b % kBins] ? 0 : run + 1;
-        if (run > widest) widest = run, end = b + 1;
+        if (run > widest) {
+            widest = run;
+            end = b + 1;
+        }
     }
     const double bin_deg = 360.0 / kBins;
     if (double(widest) * bin_deg < kLeastSector_deg || widest >= kBins) return {};

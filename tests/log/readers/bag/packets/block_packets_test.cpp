@@ -243,11 +243,19 @@ TEST(BlockPackets, AngleFilesNextToABag) {
 std::string make_ot128_packet(int mode, int azimuth_state) {
     std::string bytes("\xee\xff\x01\x04\0\0\x80\x02\0\x04\x01\x07", 12);
     for (int block = 0; block < 2; ++block) {
-        bytes += char(0x28), bytes += char(0x23 + block);  // 90.00 degrees, then 92.56 degrees
-        for (int laser = 0; laser < 128; ++laser) bytes += char(laser), bytes += '\0', bytes += char(200);
+        bytes += char(0x28);
+        bytes += char(0x23 + block);  // 90.00 degrees, then 92.56 degrees
+        for (int laser = 0; laser < 128; ++laser) {
+            bytes += char(laser);
+            bytes += '\0';
+            bytes += char(200);
+        }
     }
     bytes.append(4 + 17 + 9, '\0');
-    bytes += '\0', bytes += char(azimuth_state), bytes += char(mode), bytes += char(0x37);
+    bytes += '\0';
+    bytes += char(azimuth_state);
+    bytes += char(mode);
+    bytes += char(0x37);
     bytes.append(2 + 6, '\0');
     bytes.append("\x40\x42\x0f\0", 4);  // 1 000 000 us
     bytes.resize(861);
@@ -285,7 +293,9 @@ TEST(BlockPackets, TheTwoBrightestOfThreeReturns) {
     constexpr std::size_t kBlock = 2 + 32 * 4;
     const auto set = [&](int block, int laser, int range, int reflectivity) {
         char* unit = &bytes[12 + std::size_t(block) * kBlock + 2 + std::size_t(laser) * 4];
-        unit[0] = char(range & 255), unit[1] = char(range >> 8), unit[2] = char(reflectivity);
+        unit[0] = char(range & 255);
+        unit[1] = char(range >> 8);
+        unit[2] = char(reflectivity);
     };
     const int returns[3][3][2] = {{{1000, 10}, {1200, 30}, {1400, 20}},  // the first is the darkest
                                   {{1000, 30}, {1200, 20}, {1200, 25}},  // two are the same
@@ -315,8 +325,14 @@ std::string make_rs16_packet() {
     bytes.resize(42);
     for (int block = 0; block < 12; ++block) {
         const int azimuth = 9000 + 40 * block;
-        bytes += "\xff\xee", bytes += char(azimuth >> 8), bytes += char(azimuth & 255);
-        for (int laser = 0; laser < 32; ++laser) bytes += '\x03', bytes += char(laser), bytes += char(51);
+        bytes += "\xff\xee";
+        bytes += char(azimuth >> 8);
+        bytes += char(azimuth & 255);
+        for (int laser = 0; laser < 32; ++laser) {
+            bytes += '\x03';
+            bytes += char(laser);
+            bytes += char(51);
+        }
     }
     bytes.resize(1248);
     return bytes;

@@ -42,12 +42,15 @@ struct OusterScans {
             return *std::find_if(arrays.begin(), arrays.end(),
                                  [&](const NamedArray& a) { return a.name == name; });
         };
-        frames = array("range_mm").shape[0], rows = array("range_mm").shape[1],
+        frames = array("range_mm").shape[0];
+        rows = array("range_mm").shape[1];
         columns = array("range_mm").shape[2];
-        range_m = array("range_mm").convert_to_doubles(), time_s = array("ts").convert_to_doubles();
+        range_m = array("range_mm").convert_to_doubles();
+        time_s = array("ts").convert_to_doubles();
         for (double& r : range_m) r *= 1e-3;
         for (double& t : time_s) t = (t - array("ts").convert_to_doubles()[0]) * 1e-9;
-        altitude_deg = array("alt").convert_to_doubles(), azimuth_deg = array("az").convert_to_doubles();
+        altitude_deg = array("alt").convert_to_doubles();
+        azimuth_deg = array("az").convert_to_doubles();
         n_m = array("n_mm").convert_to_doubles()[0] * 1e-3;
     }
     double range(std::size_t frame, std::size_t row, std::size_t column) const {
@@ -145,7 +148,8 @@ TEST(OusterFolder, EveryReturnFindsItsBeamAndColumn) {
                  // a firing at exactly +180 degrees may be the last
                  {std::size_t(0), std::size_t(1), scans.columns - 1}) {
                 const Found match_counts = compare(scans, f, log.frames[f].scan, log.lidars[0].sensor, first);
-                right = std::max(right, match_counts.right), all = match_counts.all;
+                right = std::max(right, match_counts.right);
+                all = match_counts.all;
             }
             EXPECT_GE(double(right), 0.999 * double(all)) << name << " frame " << f;
             EXPECT_EQ(log.frames[f].scan.count_returns(), all);

@@ -15,19 +15,22 @@ void add_pixel(std::string& bytes, const OusterImages& images, std::size_t index
     const std::uint32_t mm = images.range_mm[index], bright = images.reflectivity[index];
     if (images.profile == kLegacy) {
         append_binary_value(bytes, mm | 0xA00000u);  // bits above the range are flags
-        append_binary_value(bytes, std::uint16_t(bright)), append_binary_value(bytes, std::uint16_t(500)),
-            append_binary_value(bytes, std::uint32_t(77));
+        append_binary_value(bytes, std::uint16_t(bright));
+        append_binary_value(bytes, std::uint16_t(500));
+        append_binary_value(bytes, std::uint32_t(77));
     } else if (images.profile == kSingle) {
         append_binary_value(bytes, mm | 0x80000u);
-        append_binary_value(bytes, std::uint8_t(bright)), append_binary_value(bytes, std::uint8_t(0xEE)),
-            append_binary_value(bytes, std::uint16_t(500));
+        append_binary_value(bytes, std::uint8_t(bright));
+        append_binary_value(bytes, std::uint8_t(0xEE));
+        append_binary_value(bytes, std::uint16_t(500));
         append_binary_value(bytes, std::uint32_t(77));
     } else if (images.profile == kDual) {
         const bool has_second = !images.range_2_mm.empty();
         append_binary_value(bytes, mm | bright << 24);
         append_binary_value(bytes,
                             has_second ? images.range_2_mm[index] | images.reflectivity_2[index] << 24 : 0u);
-        append_binary_value(bytes, std::uint32_t(0x01F401F4)), append_binary_value(bytes, std::uint32_t(77));
+        append_binary_value(bytes, std::uint32_t(0x01F401F4));
+        append_binary_value(bytes, std::uint32_t(77));
     } else {
         append_binary_value(bytes, std::uint32_t(mm / 8 | 0x8000u | bright << 16 | 0x77000000u));
         if (images.is_dual())
@@ -44,10 +47,10 @@ std::string make_column_bytes(const OusterImages& images, std::size_t frame, std
                           images.is_in_window(column);
     append_binary_value(bytes, images.time_ns[frame * images.columns + column]);
     append_binary_value(bytes, std::uint16_t(column));
-    if (images.profile == kLegacy)
-        append_binary_value(bytes, std::uint16_t(frame)),
-            append_binary_value(bytes, std::uint32_t(column * 90112 / images.columns));
-    else append_binary_value(bytes, std::uint16_t(is_valid ? 0x0101 : 0x0100));
+    if (images.profile == kLegacy) {
+        append_binary_value(bytes, std::uint16_t(frame));
+        append_binary_value(bytes, std::uint32_t(column * 90112 / images.columns));
+    } else append_binary_value(bytes, std::uint16_t(is_valid ? 0x0101 : 0x0100));
     for (std::size_t row = 0; row < images.rows; ++row)
         add_pixel(bytes, images, images.at(frame, row, column));
     if (images.profile == kLegacy) append_binary_value(bytes, std::uint32_t(is_valid ? 0xFFFFFFFF : 0));
@@ -113,14 +116,15 @@ std::vector<Datagram> receive(const std::vector<OusterPacket>& packets, int port
 
 void write_pcap(const std::filesystem::path& file, const std::vector<Datagram>& datagrams) {
     std::string bytes;
-    append_binary_value(bytes, std::uint32_t(0xA1B23C4D)),
-        append_binary_value(bytes, std::uint32_t(0x00040002));
+    append_binary_value(bytes, std::uint32_t(0xA1B23C4D));
+    append_binary_value(bytes, std::uint32_t(0x00040002));
     for (const std::uint32_t word : {0u, 0u, 262144u, 1u}) append_binary_value(bytes, word);
     for (const Datagram& datagram : datagrams) {
         const std::size_t udp = 8 + datagram.bytes.size(), frame = 14 + 20 + udp;
-        append_binary_value(bytes, std::uint32_t(datagram.stamp_ns / 1000000000)),
-            append_binary_value(bytes, std::uint32_t(datagram.stamp_ns % 1000000000));
-        append_binary_value(bytes, std::uint32_t(frame)), append_binary_value(bytes, std::uint32_t(frame));
+        append_binary_value(bytes, std::uint32_t(datagram.stamp_ns / 1000000000));
+        append_binary_value(bytes, std::uint32_t(datagram.stamp_ns % 1000000000));
+        append_binary_value(bytes, std::uint32_t(frame));
+        append_binary_value(bytes, std::uint32_t(frame));
         bytes.append(12, '\0').append("\x08\x00", 2);
         bytes.append("\x45\x00", 2)
             .append(read_big_endian(std::uint16_t(20 + udp)))

@@ -53,9 +53,10 @@ void add_second_returns(OusterImages& images) {
     images.range_2_mm.assign(images.range_mm.size(), 0);
     images.reflectivity_2 = images.range_2_mm;
     for (std::size_t i = 0; i < images.range_mm.size(); i += 5)
-        if (images.range_mm[i] > 0)
-            images.range_2_mm[i] = images.range_mm[i] + 1500,
+        if (images.range_mm[i] > 0) {
+            images.range_2_mm[i] = images.range_mm[i] + 1500;
             images.reflectivity_2[i] = std::uint32_t(3 + i % 200);
+        }
 }
 
 /// Returns real scans, or std::nullopt if the files are not available.
@@ -71,14 +72,15 @@ std::optional<OusterImages> load_real_images(const std::string& name, const std:
         return *std::ranges::find_if(arrays, [&](const NamedArray& a) { return a.name == key; });
     };
     OusterImages images;
-    images.product = product, images.profile = profile;
-    images.frames = array("range_mm").shape[0], images.rows = array("range_mm").shape[1],
+    images.product = product;
+    images.profile = profile;
+    images.frames = array("range_mm").shape[0];
+    images.rows = array("range_mm").shape[1];
     images.columns = array("range_mm").shape[2];
-    images.altitude_deg = array("alt").convert_to_doubles(),
+    images.altitude_deg = array("alt").convert_to_doubles();
     images.azimuth_deg = array("az").convert_to_doubles();
     images.n_mm = array("n_mm").convert_to_doubles()[0];
-    for (const double mm : array("range_mm").convert_to_doubles())
-        // 15 bits in units of 8 mm
+    for (const double mm : array("range_mm").convert_to_doubles())  // low rate: 15 bits in units of 8 mm
         images.range_mm.push_back(images.is_low_rate() && mm > 262136.0 ? 0 : std::uint32_t(mm));
     for (const double v : array("refl").convert_to_doubles()) images.reflectivity.push_back(std::uint32_t(v));
     for (const double ns : array("ts").convert_to_doubles()) images.time_ns.push_back(std::uint64_t(ns));
@@ -89,10 +91,15 @@ std::optional<OusterImages> load_real_images(const std::string& name, const std:
 /// Makes range images of a few beams in a room. Some pixels have no return.
 OusterImages make_small_images(const std::string& profile) {
     OusterImages images;
-    images.profile = profile, images.frames = 4, images.rows = 16, images.columns = 128, images.n_mm = 15.8;
-    for (std::size_t row = 0; row < images.rows; ++row)  // not ordered by altitude
-        images.altitude_deg.push_back(15.0 - 2.0 * double(row ^ 1)),
-            images.azimuth_deg.push_back(row % 2 == 0 ? 2.8125 : -2.8125);
+    images.profile = profile;
+    images.frames = 4;
+    images.rows = 16;
+    images.columns = 128;
+    images.n_mm = 15.8;
+    for (std::size_t row = 0; row < images.rows; ++row) {  // not ordered by altitude
+        images.altitude_deg.push_back(15.0 - 2.0 * double(row ^ 1));
+        images.azimuth_deg.push_back(row % 2 == 0 ? 2.8125 : -2.8125);
+    }
     for (std::size_t frame = 0; frame < images.frames; ++frame)
         for (std::size_t row = 0; row < images.rows; ++row)
             for (std::size_t column = 0; column < images.columns; ++column) {
@@ -338,7 +345,8 @@ struct Columns {
         const Scan& scan = log.frames[frame].scan;
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray) {
             const auto column = std::size_t(find_cell(scan, ray, log.lidars[0].sensor).second);
-            ++rays[column], returns[column] += scan.range_m[ray] > 0.0f;
+            ++rays[column];
+            returns[column] += scan.range_m[ray] > 0.0f;
         }
     }
 };
@@ -422,10 +430,11 @@ TEST(OusterPackets, ATurnWithoutMostOfItsPacketsIsLeftOut) {
 
 TEST(OusterPackets, AWindowOfColumnsIsTheWholeTurn) {
     for (const auto& [first, last] :
-         {std::pair(32, 95), std::pair(5, 40), std::pair(0, 63), std::pair(100, 127)}) {
+         std::vector<std::pair<int, int>>{{32, 95}, {5, 40}, {0, 63}, {100, 127}}) {
         SCOPED_TRACE(fmt::format("{} to {}", first, last));
         OusterImages images = make_small_images(test::kLowRate);
-        images.first = std::size_t(first), images.last = std::size_t(last);
+        images.first = std::size_t(first);
+        images.last = std::size_t(last);
         const Loaded loaded(write_capture(images));
         if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
         ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
@@ -457,7 +466,8 @@ TEST(OusterPackets, AClockSinceBootAndOneOfPtpAreTheSame) {
 TEST(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
     const OusterImages one = make_small_images(test::kSingle);
     OusterImages other = make_small_images(test::kSingle);
-    other.product = "OS-0-16", other.n_mm = 27.0;
+    other.product = "OS-0-16";
+    other.n_mm = 27.0;
     for (std::uint32_t& mm : other.range_mm) mm += mm > 0 ? 1000 : 0;
     auto datagrams = test::receive(test::make_packets(one));
     std::ranges::copy(test::receive(test::make_packets(other), 7504), std::back_inserter(datagrams));
@@ -529,8 +539,10 @@ TEST(OusterPackets, WhatIsWrongIsSaidInOneLine) {
     auto datagrams = test::receive(test::make_packets(images));
     for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 2;
     EXPECT_THAT(Loaded(write_capture(images, datagrams)).error, Names("type 2, expected 1 ... LiDAR"));
-    // column 1024 and above
-    for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 1, datagram.bytes[32 + 9] = 4;
+    for (test::Datagram& datagram : datagrams) {
+        datagram.bytes[0] = 1;
+        datagram.bytes[32 + 9] = 4;  // column 1024 and above
+    }
     EXPECT_THAT(Loaded(write_capture(images, datagrams)).error, Names("128 ... lidar_mode"));
 }
 
