@@ -2,7 +2,7 @@
 // Controls when freed memory is returned to the operating system. Each training stage
 // allocates and frees arrays as large as the log. Returning and allocating this memory
 // again would take a fifth to a third of the time of a scan registration. The functions
-// have an effect only with glibc. The tests set the same limits (GLIBC_TUNABLES in
+// have an effect only with glibc. The tests set similar limits (GLIBC_TUNABLES in
 // CMakePresets.json).
 #pragma once
 

@@ -35,7 +35,7 @@ void measure_wall(std::uint32_t side, std::vector<DeviceRay>& rays, std::vector<
     for (std::uint32_t i = 0; i < side * side; ++i) {
         const glm::vec3 d = glm::normalize(glm::vec3(1.0f, 0.6f * (float(i % side) / float(side - 1) - 0.5f),
                                                      0.6f * (float(i / side) / float(side - 1) - 0.5f)));
-        rays.push_back({glm::vec3(0.0f), d});
+        rays.push_back({glm::vec3(0.0f), d, 0.0f});
         targets.push_back({kWall_m / d.x, 0.5f, 1.0f});
     }
 }

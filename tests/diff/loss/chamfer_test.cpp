@@ -45,7 +45,8 @@ Clouds make_lattice_scan(std::uint32_t rows, std::uint32_t columns, float missin
         const float azimuth = 6.2831853f * float(i % columns) / float(columns),
                     elevation = -0.4f * std::pow(float(i / columns) / float(rows), 1.7f);
         c.rays.push_back({{on(float(i % columns) / float(columns), 1024), 0, 0},
-                          {on(std::cos(azimuth), 64), on(std::sin(azimuth), 64), on(elevation, 64)}});
+                          {on(std::cos(azimuth), 64), on(std::sin(azimuth), 64), on(elevation, 64)},
+                          0.0f});
         const float range = on(6.0f + 3.0f * std::sin(5.0f * azimuth) + unit(random), 16);
         c.simulated.push_back(unit(random) < missing ? 0.0f : range);
         c.measured.push_back(unit(random) < missing ? 0.0f : on(range + 0.5f * unit(random) - 0.25f, 16));
