@@ -53,9 +53,9 @@ void require_toml_nesting_within_limit(std::string_view toml_text, const std::st
                             file_name, line, kMostParts));
         if (depth > kDeepest)
             throw DataError(
-                fmt::format("{}:{}: found brackets that are nested more than {} deep, expected one value for "
-                            "each setting",
-                            file_name, line, kDeepest));
+                fmt::format("{}:{}: found more than {} brackets inside each other, expected at most {}; a "
+                            "closing bracket may be missing",
+                            file_name, line, kDeepest, kDeepest));
         line += c == '\n';
         ++at;
     }

@@ -37,12 +37,13 @@ RadixSort::RadixSort(Device& device, std::uint32_t max_keys, std::uint32_t words
       totals_(device, RELIDAR_SORT_DIGITS, "sort totals") {
     if (const int lanes = device.info().subgroup_size; lanes < 4 || lanes > 64)
         throw DeviceError(
-            fmt::format("cannot create a sort on {}: it has subgroups with {} lanes, expected 4 to 64",
+            fmt::format("cannot sort on the device {}: it has subgroups of {} lanes, expected 4 to 64 lanes; "
+                        "use another device",
                         device.info().name, lanes));
     if (!device.info().can_require_subgroup_size)
         throw DeviceError(fmt::format(
-            "cannot create a sort on {}: its subgroup size varies, and it lacks subgroupSizeControl "
-            "and computeFullSubgroups",
+            "cannot sort on the device {}: the size of its subgroups varies, and it lacks the Vulkan "
+            "features subgroupSizeControl and computeFullSubgroups; update the driver or use another device",
             device.info().name));
 }
 

@@ -174,7 +174,7 @@ converting() {
     good convert plain --out plain --frames 3: --force --quiet
     check "--quiet prints" test ! -s out -a ! -s err
     check "--force left scans of the log before" test "$(ls plain/scans | wc -l)" = 3
-    bad 2 "street: .*exists .*plain" convert street --out street --force
+    bad 2 "street: .*exists .*new name" convert street --out street --force
     good convert street --out free --set dataset.poses=none
     absent free/poses.txt
     bad 3 "free/poses.txt: no such file" info free

@@ -66,8 +66,9 @@ Colour interpolate_colour(std::span<const Colour> stops, double fraction) {
 void require_pixel_value_count(const char* array_name_for_errors, std::size_t count,
                                std::size_t expected_count) {
     if (count != expected_count)
-        throw DataError(fmt::format("cannot colour an image: found {} values of {}, expected {}", count,
-                                    array_name_for_errors, expected_count));
+        throw DataError(
+            fmt::format("cannot colour an image: {} has {} values, expected {} values, one for each pixel",
+                        array_name_for_errors, count, expected_count));
 }
 
 }  // namespace
@@ -80,8 +81,8 @@ Image apply_colour_map(const std::vector<float>& values, int rows, int columns, 
     if (!valid_pixel_mask.empty()) require_pixel_value_count("the mask", valid_pixel_mask.size(), n);
     if (!std::isfinite(min_value) || !std::isfinite(max_value))
         throw DataError(
-            fmt::format("cannot colour an image: found the range {} to {}, expected finite values", min_value,
-                        max_value));
+            fmt::format("cannot colour an image: the colour scale goes from {} to {}, expected finite limits",
+                        min_value, max_value));
     const std::span<const Colour> stops = get_stops_of_colour_map(colour_map_name);
     // Avoids a division by zero. A constant image gets the lowest colour.
     const double span = max_value > min_value ? double(max_value) - double(min_value) : 1.0;
@@ -102,8 +103,10 @@ Image apply_colour_map(const std::vector<float>& values, int rows, int columns, 
 
 Image stack_images_vertically(const std::vector<Image>& images, int vertical_scale) {
     if (vertical_scale < 1)
-        throw UsageError(fmt::format(
-            "cannot stack images: found the vertical scale factor {}, expected at least 1", vertical_scale));
+        throw UsageError(
+            fmt::format("cannot stack images on top of each other: found {} as the factor that stretches "
+                        "their height, expected at least 1",
+                        vertical_scale));
     Image result;
     for (const Image& image : images) {
         if (result.columns == 0) result.columns = image.columns;

@@ -78,7 +78,9 @@ struct ImageHeader {
 
 void parse_data_window(std::string_view attribute_bytes, ImageHeader& image_header) {
     if (attribute_bytes.size() != 16)
-        throw DataError(fmt::format("dataWindow has {} bytes, expected 16", attribute_bytes.size()));
+        throw DataError(fmt::format(
+            "the OpenEXR attribute dataWindow (the area of the image) has {} bytes, expected 16 bytes",
+            attribute_bytes.size()));
     std::int32_t corner[4];
     std::memcpy(corner, attribute_bytes.data(), sizeof corner);
     image_header.columns = std::int64_t(corner[2]) - corner[0] + 1;
@@ -88,8 +90,10 @@ void parse_data_window(std::string_view attribute_bytes, ImageHeader& image_head
     constexpr std::int32_t kFarthest = 1 << 29;
     for (const std::int32_t c : corner)
         if (c < -kFarthest || c > kFarthest)
-            throw DataError(fmt::format("dataWindow has a corner at {}, expected a coordinate of at most {}",
-                                        c, kFarthest));
+            throw DataError(
+                fmt::format("the OpenEXR attribute dataWindow (the area of the image) has a corner with the "
+                            "coordinate {}, expected a coordinate from {} to {}",
+                            c, -kFarthest, kFarthest));
 }
 
 void parse_compression_method(std::string_view attribute_bytes, ImageHeader& image_header) {
@@ -110,8 +114,10 @@ void parse_channel_list(std::string_view attribute_bytes, ImageHeader& image_hea
         items.read_bytes(8);  // Skips type and linearity, because OpenEXR checks both.
         const std::int32_t x = items.read_int32(), y = items.read_int32();
         if (x != 1 || y != 1)
-            throw DataError(fmt::format("channel '{}' is subsampled by {} x {}, expected all pixels",
-                                        shorten_for_error_message(name), x, y));
+            throw DataError(
+                fmt::format("channel '{}' is subsampled by {} x {}, so it has values for only some pixels; "
+                            "expected a value for every pixel",
+                            shorten_for_error_message(name), x, y));
         if (std::find(image_header.channels.begin(), image_header.channels.end(), name) !=
             image_header.channels.end())
             throw DataError(
@@ -122,7 +128,8 @@ void parse_channel_list(std::string_view attribute_bytes, ImageHeader& image_hea
                 fmt::format("the image has too many channels, expected at most {}", kMostChannels));
     }
     if (!items.is_at_end())
-        throw DataError("the list of channels ends before the size that the header gives for the list");
+        throw DataError(
+            "the list of channels is shorter than the size that is stored for it, so the file is damaged");
 }
 
 /// Checks that the size of an attribute matches its type. OpenEXR ignores the stored
@@ -181,8 +188,14 @@ void read_and_require_magic_and_version(ExrHeaderReader& header_reader) {
     if ((version & kVersionBits) > 2)
         throw DataError(
             fmt::format("the file has version {} of the format, expected 2", version & kVersionBits));
-    if (version & kTiles) throw DataError("the file stores tiles, expected scan lines");
-    if (version & kDeep) throw DataError("the file has deep pixels, expected one value per channel");
+    if (version & kTiles)
+        throw DataError(
+            "the OpenEXR image is stored in tiles, expected an image that is stored row by row (as scan "
+            "lines)");
+    if (version & kDeep)
+        throw DataError(
+            "the OpenEXR image is a deep image with several values per pixel and channel, expected one "
+            "value per pixel and channel");
     if (version & kParts) throw DataError("the file contains several images, expected one");
 }
 

@@ -68,8 +68,10 @@ Batch read_record_batch(std::string_view file_bytes, const arrow::ArrowFileBlock
         get_byte_range_or_throw(file_bytes, block.offset, block.metadata_bytes, "a message");
     if (std::int64_t(message.size()) < kPrefix ||
         read_little_endian<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
-        throw DataError(fmt::format(
-            "found no message at byte {}, expected a record batch of Arrow 0.15 or later", block.offset));
+        throw DataError(
+            fmt::format("found no block of rows (Arrow record batch) at byte {}, expected a Feather file of "
+                        "Arrow 0.15 or later; the file is damaged or older",
+                        block.offset));
     const auto n = read_little_endian<std::int32_t>(message, 4);
     return {arrow::parse_record_batch_message(get_byte_range_or_throw(message, kPrefix, n, "a message")),
             get_byte_range_or_throw(file_bytes, block.offset + block.metadata_bytes, block.body_bytes,
@@ -88,7 +90,9 @@ std::string decompress_buffer_of_batch(const Batch& batch, std::size_t buffer_in
     if (compressed) {
         if (stored.size() < 8)
             throw DataError(
-                fmt::format("found a compressed buffer of {} bytes, expected at least 8", stored.size()));
+                fmt::format("a block of compressed values has {} bytes, expected at least 8 bytes, so the "
+                            "file is damaged",
+                            stored.size()));
         n = read_little_endian<std::int64_t>(stored, 0);
         stored.remove_prefix(8);
         compressed = n != -1;
@@ -185,8 +189,10 @@ void append_text_column(std::vector<std::string>& values, const Batch& batch, st
     };
     for (std::size_t i = 0; i < n; ++i)
         if (offset(i) < 0 || offset(i + 1) < offset(i))
-            throw DataError(fmt::format("text {} goes from offset {} to {}, expected increasing offsets", i,
-                                        offset(i), offset(i + 1)));
+            throw DataError(
+                fmt::format("text {} of the column starts at byte {} and ends at byte {}, expected a start "
+                            "of at least 0 and an end that is not before the start",
+                            i, offset(i), offset(i + 1)));
     if (std::size_t(offset(n)) > max_text_bytes)
         throw DataError(
             fmt::format("found {} bytes of text, expected at most {}", offset(n), max_text_bytes));
@@ -203,8 +209,10 @@ std::size_t count_rows_of_batches(const std::vector<Batch>& batches, std::size_t
     for (const Batch& batch : batches) {
         const std::int64_t n = batch.layout.length;
         if (n < 0 || std::uint64_t(n) > max_allowed_rows - rows)
-            throw DataError(fmt::format("found a record batch of {} rows, expected at most {} rows", n,
-                                        max_allowed_rows - rows));
+            throw DataError(
+                fmt::format("found a block of {} rows (Arrow record batch), expected 0 to {} rows in a file "
+                            "of this size",
+                            n, max_allowed_rows - rows));
         rows += std::size_t(n);
     }
     return rows;
@@ -312,7 +320,8 @@ std::vector<std::string> Feather::read_text_column(const std::string& column_nam
         for (const std::int64_t index : indices) {
             if (index < 0 || std::uint64_t(index) >= words.size())
                 throw DataError(
-                    fmt::format("found the index {} of a dictionary entry, but the dictionary has {} entries",
+                    fmt::format("a row refers to text {} in the list of texts of this column (Arrow "
+                                "dictionary), but the list has only {} texts, counted from 0",
                                 index, words.size()));
             length += words[std::size_t(index)].size();
             if (length > most)

@@ -86,7 +86,9 @@ std::vector<Out> require_numeric_and_convert_elements(const NamedArray& array) {
     const Converter<Out> function = find_element_converter<Out>(array.dtype);
     if (!function)
         throw DataError(
-            fmt::format("array '{}' has the type '{}', which is not a number type", array.name, array.dtype));
+            fmt::format("array '{}' has values of the type '{}', expected numbers, such as values of the "
+                        "type 'f4' (32-bit float) or 'i4' (32-bit integer)",
+                        array.name, array.dtype));
     return function(array);
 }
 

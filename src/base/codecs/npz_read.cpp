@@ -188,13 +188,16 @@ std::vector<std::byte> decompress_zip_entry(const ZipArchiveBytes& archive, cons
     if (entry.method == 0) {
         if (entry.size != entry.packed_size)
             throw DataError(
-                "the compressed and uncompressed sizes differ, although the entry is stored without "
-                "compression");
+                fmt::format("the entry is stored without compression, but has {} bytes in the file and {} "
+                            "bytes when unpacked, expected equal sizes; the file is damaged",
+                            entry.packed_size, entry.size));
         bytes.assign(packed.begin(), packed.end());
     } else if (entry.method == 8) {
         if (entry.size / kMaxExpansion > packed.size())
             throw DataError(
-                fmt::format("the size is {} bytes, which is impossible for the compressed data", entry.size));
+                fmt::format("the file says that {} bytes of compressed data unpack to {} bytes, which is "
+                            "impossible, so the file is damaged",
+                            packed.size(), entry.size));
         bytes = inflate_bytes(packed, entry.size);
     } else {
         throw DataError(fmt::format(

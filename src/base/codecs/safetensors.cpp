@@ -142,16 +142,19 @@ std::vector<std::size_t> parse_integer_list(const std::string& array_name, const
                                             const char* key) {
     if (!array_json.is_object() || !array_json.contains(key) || !array_json[key].is_array())
         throw DataError(
-            fmt::format("array '{}' has no list '{}' in the header, expected one", array_name, key));
+            fmt::format("array '{}': the list '{}' is missing in the header of the file, expected a list of "
+                        "integers",
+                        array_name, key));
     if (array_json[key].size() > kMaxDimensions)
         throw DataError(fmt::format("array '{}': '{}' contains {} numbers, expected at most {}", array_name,
                                     key, array_json[key].size(), kMaxDimensions));
     std::vector<std::size_t> result;
     for (const Json& value : array_json[key]) {
         if (!value.is_number_unsigned())
-            throw DataError(
-                fmt::format("array '{}': '{}' contains a value of type {}, expected integers of at least 0",
-                            array_name, key, value.type_name()));
+            throw DataError(fmt::format(
+                "array '{}': the list '{}' in the header of the file contains a value of type {}, "
+                "expected only integers of at least 0",
+                array_name, key, value.type_name()));
         result.push_back(value.get<std::size_t>());
     }
     return result;
@@ -216,7 +219,8 @@ std::vector<NamedArray> parse_safetensors_file(const std::vector<std::byte>& fil
     for (auto& [array, range] : entries) {
         if (range.begin != covered)
             throw DataError(
-                fmt::format("array '{}' starts at byte {}, expected {} without a gap or an overlap",
+                fmt::format("array '{}' starts at byte {} of the data, expected byte {}, where the previous "
+                            "array ends; gaps and overlaps are not allowed",
                             array.name, range.begin, covered));
         const auto data = file_bytes.begin() + std::ptrdiff_t(header.data_start);
         array.bytes.assign(data + std::ptrdiff_t(range.begin), data + std::ptrdiff_t(range.end));

@@ -59,15 +59,17 @@ TfRecordReader::TfRecordReader(std::filesystem::path file) : file_(std::move(fil
             throw DataError(
                 fmt::format("{} is truncated: its header has {} bytes, expected {}", where, left, kHeader));
         if (read_unaligned_value<std::uint32_t>(&header[8]) != compute_masked_crc32c({header.data(), 8}))
-            throw DataError(fmt::format(
-                "{}: the checksum (CRC) of its length is wrong, expected a TFRecord file", where));
+            throw DataError(
+                fmt::format("{}: the checksum (CRC) of the length of the record is wrong, so the file is "
+                            "damaged or is not a TFRecord file",
+                            where));
         const auto size = read_unaligned_value<std::uint64_t>(header.data());
         left -= kHeader;
         if (left < kFooter || size > left - kFooter)
             throw DataError(fmt::format(
-                "{} is truncated: its length is {} bytes, but {} bytes are left in the file, expected {} "
-                "more bytes after the data",
-                where, size, left, kFooter));
+                "{} is truncated: its length should be {} bytes, followed by {} bytes of checksum, but the "
+                "file has only {} bytes left",
+                where, size, kFooter, left));
         records_.push_back({at + kHeader, size});
         at += kHeader + size + kFooter;
         left -= size + kFooter;

@@ -75,9 +75,10 @@ RayDropNetwork make_network_architecture(const RayDropNetworkOptions& options) {
     network.heads = levels > 0 ? preset.heads : 0;
     if (network.heads > 0 && network.widths.back() % network.heads != 0)
         throw UsageError(
-            fmt::format("cannot create the ray-drop network of width {}: its deepest level has {} channels, "
-                        "expected a multiple of its {} attention heads",
-                        width, network.widths.back(), network.heads));
+            fmt::format("cannot create the ray-drop network: with the width {}, its last level has {} "
+                        "channels, expected a multiple of {} (the number of attention heads); use a width "
+                        "that is a multiple of {}",
+                        width, network.widths.back(), network.heads, network.heads));
     network.taps = preset.taps;
     network.residual = preset.residual;
     return network;
@@ -120,7 +121,8 @@ void require_valid_network_image(const RayDropNetwork& network, const RayDropIma
     if (bad != image.channels.end()) {
         const auto at = std::size_t(bad - image.channels.begin());
         throw DataError(
-            fmt::format("{}: the value of input {} at row {} and column {} is {}, expected a finite number",
+            fmt::format("{}: in the input channel '{}', the value at row {} and column {} is {}, expected a "
+                        "finite number",
                         description, network.inputs[at / pixels], at % pixels / std::size_t(image.columns),
                         at % std::size_t(image.columns), *bad));
     }

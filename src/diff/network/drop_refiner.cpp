@@ -22,13 +22,16 @@ namespace {
 const RayDropNetwork& require_valid_network(const RayDropNetwork& network) {
     if (network.widths.empty() || network.inputs.empty() || (network.taps != 1 && network.taps != 9))
         throw DataError(
-            "cannot use the ray-drop network: its list of channels or inputs is empty or its kernel "
-            "size is invalid");
+            fmt::format("cannot use the ray-drop network: found {} levels, {} input channels and kernels of "
+                        "{} pixels, expected at least 1 level, at least 1 input channel, and kernels of 1 or "
+                        "9 pixels",
+                        network.widths.size(), network.inputs.size(), network.taps));
     const refine::UnetParameterLayout plan(network);
     const auto check = [](const char* description, std::size_t found, std::size_t expected) {
         if (found != expected)
             throw DataError(
-                fmt::format("cannot use the ray-drop network: found {} {}, expected {} for its channels",
+                fmt::format("cannot use the ray-drop network: found {} {}, expected {} for a network with "
+                            "its input channels and levels",
                             found, description, expected));
     };
     check("parameters", network.parameters.size(), plan.n_parameters);

@@ -31,8 +31,8 @@ void require_valid_training_images(const RayDropNetwork& network, const std::vec
                 i, image.rows, image.columns, images[0].rows, images[0].columns));
         if (image.dropped.empty())
             throw DataError(
-                fmt::format("cannot train the ray-drop network: image {} has no measured drops, expected one "
-                            "value per pixel",
+                fmt::format("cannot train the ray-drop network: image {} does not say which measured "
+                            "rays had no return, expected one such value per pixel",
                             i));
         for (const float dropped : image.dropped) drops += dropped > 0.5f;
     }

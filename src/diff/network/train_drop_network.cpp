@@ -53,8 +53,9 @@ struct TrainingRunState {
         report.n_steps = options.epochs * int(n_steps);
         if (report.step < 0 || report.step > report.n_steps)
             throw DataError(
-                fmt::format("cannot resume the ray-drop network: found step {}, expected at most {}",
-                            report.step, report.n_steps));
+                fmt::format("cannot resume the training of the ray-drop network: the saved training is at "
+                            "step {}, expected 0 to {}, the last step with {} epochs (refine.epochs)",
+                            report.step, report.n_steps, report.n_epochs));
     }
 
     /// Increments the step number. In the first step of an epoch, sets the sums of the

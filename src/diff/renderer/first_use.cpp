@@ -78,8 +78,8 @@ int find_working_subgroup_size(const DeviceOptions& options, const Device& devic
         if (test_subgroups_and_describe_error(other).empty()) return *lanes;
     }
     throw DeviceError(fmt::format(
-        "cannot use {} ({}): subgroups of {} lanes give wrong results ({}), and no other subgroup size gives "
-        "correct results",
+        "cannot use the device {} (driver {}): it gives wrong results with subgroups of {} lanes ({}) and "
+        "with every other size of subgroups; update the driver or use another device",
         device.info().name, device.info().driver, device.info().subgroup_size, default_size_error));
 }
 

@@ -44,8 +44,9 @@ CollectedHits collect_ray_hits(Device& device, const PosedScene& posed_scene, co
     stream.submit_and_wait();
     if (const std::uint32_t capped = pass_cap.download()[0])
         throw DeviceError(
-            fmt::format("cannot collect the hits of {} rays: {} of them exceeded the maximum of {} traversal "
-                        "passes or the size of the traversal stack",
+            fmt::format("cannot collect the hits of {} rays: the search for surfels along {} of them stopped "
+                        "at its limit ({} passes, or a full stack), because too many surfels of the scene "
+                        "overlap",
                         n, capped, RELIDAR_MAX_PASSES));
     return {max_hits_per_ray, counts.download(), t.download(), instance.download(), surfel.download()};
 }

@@ -379,10 +379,11 @@ private:
             const std::uint16_t ring = points.ring[p],
                                 beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
             if (beam == kNoBeam && head_.lidars[std::size_t(sequence_.frames[frame_index].lidar)].has_beams)
-                throw DataError(
-                    fmt::format("{}: a point has ring {}, expected the number of one of {} "
-                                "beams",
-                                source_.get_frame_name(frame_index), ring, plan.beam_of_ring.size()));
+                throw DataError(fmt::format(
+                    "{}: a point has the ring number {}, expected a ring number below {}, because "
+                    "the sensor of the LiDAR has {} beams",
+                    source_.get_frame_name(frame_index), ring, plan.beam_of_ring.size(),
+                    plan.beam_of_ring.size()));
             if (beam == kNoBeam) {
                 ++left_out_[frame_index];
                 continue;

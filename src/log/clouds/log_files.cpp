@@ -80,7 +80,9 @@ std::string describe_or_reject_missing_scan_files(const fs::path& folder,
     const std::string gaps =
         fmt::format("{} of the scans with numbers {} to {} are missing ({}{})", n, frame_numbers.front(),
                     frame_numbers.back(), fmt::join(shown, ", "), n > kShown ? ", ..." : "");
-    if (!allow_missing) throw DataError(fmt::format("{}: {}, expected all scans", folder.string(), gaps));
+    if (!allow_missing)
+        throw DataError(
+            fmt::format("{}: {}, expected one file for each of these numbers", folder.string(), gaps));
     return gaps;
 }
 

@@ -162,8 +162,8 @@ std::string decompress_pcd_points(std::string_view compressed_data, const std::s
     compressed_data.remove_prefix(8);
     if (packed > compressed_data.size() || size / kMostExpansion > packed)
         throw DataError(
-            fmt::format("{}: found sizes of {} compressed and {} unpacked bytes, but the file has {} bytes "
-                        "of compressed data",
+            fmt::format("{}: the file says that {} bytes of compressed data unpack to {} bytes, which is "
+                        "impossible with the {} bytes of data that it has, so it is damaged",
                         error_location, packed, size, compressed_data.size()));
     return decompress_lzf(compressed_data.substr(0, packed), size, error_location);
 }

@@ -9,6 +9,7 @@
 #include <tuple>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
@@ -139,11 +140,11 @@ PointTable read_npy_points(const fs::path& file, const std::vector<std::string>&
     NamedArray array = read_npy(file);
     if (array.shape.size() != 2 || array.shape[1] != column_names.size())
         throw DataError(fmt::format(
-            "{}: found an array of {} dimensions{}, expected the shape [points, {}] (\"columns\" in "
-            "sequence.json)",
+            "{}: found an array of {} dimensions{}, expected the shape [points, {}] with the columns {}; set "
+            "\"columns\" in sequence.json to the columns of the array",
             file.string(), array.shape.size(),
             array.shape.empty() ? "" : fmt::format(", whose last dimension is {}", array.shape.back()),
-            column_names.size()));
+            column_names.size(), fmt::join(column_names, ", ")));
     require_valid_point_count(array.shape[0], file.string());
     const auto* type_row = std::ranges::find(kNumberTypes, array.dtype, &ScalarTypeEntry::numpy);
     if (type_row == std::end(kNumberTypes) ||

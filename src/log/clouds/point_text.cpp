@@ -100,7 +100,10 @@ private:
     const std::string& where_;
 
     [[noreturn]] void fail() const {
-        throw DataError(fmt::format("{}: the npy header is malformed, expected fields of numbers", where_));
+        throw DataError(
+            fmt::format("{}: cannot read the list of fields in the header of the npy file, expected a list "
+                        "such as [('x', '<f4'), ('y', '<f4')]",
+                        where_));
     }
     bool is_next_nonblank_character(char expected_character) {
         while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n')) text_.remove_prefix(1);

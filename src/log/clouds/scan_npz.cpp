@@ -134,10 +134,10 @@ RayTable make_sensor_rays_of_array_shape(const ScanNpzArrays& arrays, const Scan
             "sequence.json",
             arrays.get_location()));
     if (std::size_t(rays.rows) != arrays.rows || std::size_t(rays.columns) != arrays.columns)
-        throw DataError(fmt::format(
-            "{}: the array range has {} x {} values and there are no directions, expected {} x {} values "
-            "like the sensor of the LiDAR",
-            arrays.get_location(), arrays.rows, arrays.columns, rays.rows, rays.columns));
+        throw DataError(
+            fmt::format("{}: the array range has {} x {} values, expected {} x {} values (beams x columns of "
+                        "the sensor of the LiDAR), because the array of ray directions is missing",
+                        arrays.get_location(), arrays.rows, arrays.columns, rays.rows, rays.columns));
     return rays;
 }
 
@@ -201,9 +201,9 @@ void require_header_to_declare_deskewing(bool is_deskewed, const SequenceHeader&
                                          const std::string& error_location) {
     if (is_deskewed && !sequence_header.motion_compensated)
         throw DataError(
-            fmt::format("{}: the rays are motion-compensated or in the world frame, expected rays that start "
-                        "at the position of the sensor at their firing times; render without --deskew and "
-                        "--frame world, or set \"motion_compensated\": true",
+            fmt::format("{}: the points are motion-compensated or in the world frame, but sequence.json does "
+                        "not say so; set \"motion_compensated\": true in sequence.json, or render the scans "
+                        "again without --deskew and without --frame world",
                         error_location));
 }
 
@@ -228,7 +228,8 @@ float convert_point_time_to_frame_offset_s(double file_value, const PointFileUni
     if (!(std::abs(offset_s) <= kLongestOffset_s))
         throw DataError(
             fmt::format("{}: the time {} is {} s away from the time of the frame, expected at most {} s; "
-                        "\"time_unit\" and \"point_times\" in sequence.json define the meaning of times",
+                        "check the unit and the start of the times of points (\"time_unit\" and "
+                        "\"point_times\" in sequence.json)",
                         error_location, file_value, offset_s, kLongestOffset_s));
     return float(offset_s);
 }

@@ -42,8 +42,9 @@ void require_valid_point_arrays(const LidarPoints& points, std::size_t n_beams) 
     const auto check = [&](const char* field, std::size_t count, bool may_be_empty) {
         if (count != points.size() && !(may_be_empty && count == 0))
             throw UsageError(
-                fmt::format("cannot make a scan: found {} values of {} for the points, expected {}", count,
-                            field, points.size()));
+                fmt::format("cannot make a scan: found {} values of {} for the points, expected {}, one for "
+                            "each point",
+                            count, field, points.size()));
     };
     check("intensity", points.intensity.size(), false);
     check("ring", points.ring.size(), n_beams == 0);
@@ -281,14 +282,14 @@ Scan assign_points_to_rays_of_spinning_scan(const LidarPoints& points, const Spi
     if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
         sweep_firings.lattice.n_ticks > kMostTicks)
         throw UsageError(fmt::format(
-            "cannot make a scan: found {} beams, {} columns and {} firing positions per sweep, expected at "
-            "most {} rays and {} firing positions",
+            "cannot make a scan: the sensor has {} beams and {} columns, and its azimuth has {} steps per "
+            "sweep; expected 1 to {} rays (beams times columns) and at most {} azimuth steps",
             sensor.beams.size(), sensor.columns, sweep_firings.lattice.n_ticks, kMaxRays, kMostTicks));
     if (sweep_firings.firings.empty())
-        throw UsageError(
-            fmt::format("cannot make a scan of {} points: the list of laser firings is empty, expected the "
-                        "firings of a sweep",
-                        points.size()));
+        throw UsageError(fmt::format(
+            "cannot make a scan of {} points: the list of azimuth steps at which the lasers fired "
+            "is empty, expected at least one step",
+            points.size()));
     for (const std::uint32_t firing : points.firing)
         if (firing >= sweep_firings.firings.size())
             throw UsageError(

@@ -56,14 +56,15 @@ StampedPoseRow parse_stamped_row(const std::vector<std::string_view>& cells, std
                                     shorten_for_error_message(cells[0])));
     row.stamp = *stamp;
     if (cells.size() < n_values + 1)
-        throw DataError(fmt::format("{}: found {} cells, expected a time and {} numbers", error_location,
-                                    cells.size(), n_values));
+        throw DataError(
+            fmt::format("{}: found {} cells in the line, expected a time and {} numbers, separated by commas",
+                        error_location, cells.size(), n_values));
     for (std::size_t c = 1; c <= n_values; ++c) {
         const std::optional<double> number = parse_number(cells[c]);
         if (!number || !(std::abs(*number) <= kLargestCoordinate_m))
-            throw DataError(fmt::format("{}: cell {} is '{}', expected a number of at most {:g}",
+            throw DataError(fmt::format("{}: cell {} is '{}', expected a number from {:g} to {:g}",
                                         error_location, c + 1, shorten_for_error_message(cells[c]),
-                                        kLargestCoordinate_m));
+                                        -kLargestCoordinate_m, kLargestCoordinate_m));
         row.values.push_back(*number);
     }
     return row;

@@ -85,8 +85,10 @@ std::vector<Pose> read_pose_from_each_row(const Feather& table) {
     for (std::size_t i = 0; i < table.get_row_count(); ++i) {
         const glm::dquat rotation(q[0][i], q[1][i], q[2][i], q[3][i]);
         if (!(std::abs(glm::length(rotation) - 1.0) < 1e-3))
-            throw DataError(fmt::format("{}, columns 'qw' to 'qz': row {} has length {}, expected 1",
-                                        table.name(), i, glm::length(rotation)));
+            throw DataError(
+                fmt::format("{}, columns 'qw' to 'qz': the rotation quaternion in row {} has length {}, "
+                            "expected 1",
+                            table.name(), i, glm::length(rotation)));
         poses.push_back({glm::normalize(rotation), {t[0][i], t[1][i], t[2][i]}});
     }
     return poses;

@@ -52,8 +52,7 @@ LidarPoints BagScanProvider::read_points_of_frame(std::size_t frame_index) const
             at.cloud_s + 1e-9 * double(cloud.get_time_ns(clock_) - at.entry.get_time_ns(clock_)));
         if (points.time_offset_s.empty())
             throw DataError(
-                fmt::format("{}: {}, and the points have no usable times, expected clouds of full "
-                            "revolutions, or times of points",
+                fmt::format("{}: the points have no usable times, expected a time for each point, because {}",
                             get_frame_name(frame_index), lidars_[at.lidar].clouds->parts_about));
         const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
         append(all.position_m, points.position_m);

@@ -127,8 +127,8 @@ BoxListMessage read_detections_of_any_version(const MessageReader& reader) {
         }
     }
     throw DataError(
-        fmt::format("cannot read the message as any version of vision_msgs/Detection3DArray; "
-                    "as the newest version: {}",
+        fmt::format("the message does not match any known version of vision_msgs/Detection3DArray; the error "
+                    "with the newest version is: {}",
                     why));
 }
 

@@ -77,8 +77,10 @@ CloudMessage::CloudField read_foxglove_point_field(pbf_reader reader) {
         else reader.skip();
     }
     if (type < 1 || type > 8)
-        throw DataError(fmt::format("the field '{}' has the type number {}, expected 1 to 8",
-                                    shorten_for_error_message(field.name), type));
+        throw DataError(
+            fmt::format("the field '{}' of the cloud has the data type {}, expected a number from 1 to 8 as "
+                        "defined in foxglove.PackedElementField",
+                        shorten_for_error_message(field.name), type));
     field.kind = kTypes[type - 1].kind;
     field.size = kTypes[type - 1].size;
     return field;
@@ -96,9 +98,9 @@ void require_identity_pose(pbf_reader reader) {
         const glm::dvec4 v = read_xyzw(reader.get_message());
         if (!(glm::length(glm::dvec3(v)) <= 1e-9))
             throw DataError(
-                fmt::format("the cloud has a pose by which its points are {}, expected points in the frame "
-                            "of the message",
-                            turns ? "turned" : "moved"));
+                fmt::format("the pose of the cloud {} its points, expected a pose without translation and "
+                            "rotation",
+                            turns ? "rotates" : "moves"));
     }
 }
 
@@ -252,7 +254,8 @@ BoxListMessage read_foxglove_boxes(std::string_view message_bytes) {
             add_box_from_scene_entity(list, reader.get_message());
         return list;
     } catch (const protozero::exception& error) {
-        throw DataError(fmt::format("{}, expected foxglove.SceneUpdate in protobuf", error.what()));
+        throw DataError(fmt::format("the message is not a valid foxglove.SceneUpdate in protobuf format: {}",
+                                    error.what()));
     }
 }
 
@@ -260,7 +263,8 @@ CloudMessage read_foxglove_cloud(std::string_view message_bytes) {
     try {
         return parse_foxglove_cloud_message(message_bytes);
     } catch (const protozero::exception& error) {
-        throw DataError(fmt::format("{}, expected foxglove.PointCloud in protobuf", error.what()));
+        throw DataError(fmt::format("the message is not a valid foxglove.PointCloud in protobuf format: {}",
+                                    error.what()));
     }
 }
 
@@ -272,7 +276,8 @@ std::vector<TransformMessage> read_foxglove_transforms(std::string_view message_
             transforms.push_back(read_frame_transform(reader.get_message()));
         return transforms;
     } catch (const protozero::exception& error) {
-        throw DataError(fmt::format("{}, expected foxglove.FrameTransforms in protobuf", error.what()));
+        throw DataError(fmt::format(
+            "the message is not a valid foxglove.FrameTransforms in protobuf format: {}", error.what()));
     }
 }
 

@@ -24,9 +24,10 @@ public:
         if (is_ros1) return;
         constexpr std::size_t kHead = 4;
         if (bytes.size() < kHead)
-            throw DataError(
-                fmt::format("the message has only {} bytes, expected a CDR message with a header of 4 bytes",
-                            bytes.size()));
+            throw DataError(fmt::format(
+                "the message has only {} bytes, expected at least the {} bytes of the header of a "
+                "ROS 2 message (CDR format)",
+                bytes.size(), kHead));
         // The second byte is the encoding: XCDR version 1 (0 and 1) or version 2 (6 and
         // 7). Odd numbers mean little-endian.
         const auto kind = static_cast<unsigned char>(bytes[1]);
@@ -64,10 +65,10 @@ public:
     std::size_t read_list_length(std::size_t min_entry_bytes) {
         const auto n = read_number<std::uint32_t>();
         if (n > (bytes_.size() - at_) / min_entry_bytes)
-            throw DataError(
-                fmt::format("the message has a list of {} entries in {} bytes, expected at "
-                            "most {} entries",
-                            n, bytes_.size() - at_, (bytes_.size() - at_) / min_entry_bytes));
+            throw DataError(fmt::format(
+                "the message has a list of {} entries, but only {} bytes are left in the message, "
+                "which can hold at most {} entries",
+                n, bytes_.size() - at_, (bytes_.size() - at_) / min_entry_bytes));
         return n;
     }
     std::string_view read_bytes(std::size_t n_bytes) {

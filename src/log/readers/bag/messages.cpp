@@ -63,8 +63,10 @@ CloudMessage::CloudField read_ros_point_field(MessageReader& reader) {
     const auto count = reader.read_number<std::uint32_t>();
     field.count = std::max<std::size_t>(count, 1);  // some drivers write 0
     if (type < 1 || type > std::size(kTypes))
-        throw DataError(fmt::format("the field '{}' has the type number {}, expected 1 to {}",
-                                    shorten_for_error_message(field.name), type, std::size(kTypes)));
+        throw DataError(
+            fmt::format("the field '{}' of the cloud has the data type {}, expected a number from 1 to {} as "
+                        "defined in sensor_msgs/PointField",
+                        shorten_for_error_message(field.name), type, std::size(kTypes)));
     field.kind = kTypes[type - 1].kind;
     field.size = kTypes[type - 1].size;
     return field;
@@ -84,12 +86,16 @@ void require_valid_cloud_layout(const CloudMessage& cloud) {
             fmt::format("a point has {} bytes, expected 1 to {}", cloud.point_step, kMostPointStep));
     const std::size_t row = cloud.width * cloud.point_step;
     if (cloud.row_step < row && cloud.height > 1)
-        throw DataError(fmt::format("a row of the cloud has {} bytes, expected {} points of {} bytes",
-                                    cloud.row_step, cloud.width, cloud.point_step));
+        throw DataError(
+            fmt::format("each row of the cloud has {} bytes (row_step), expected at least {} bytes for {} "
+                        "points of {} bytes each",
+                        cloud.row_step, row, cloud.width, cloud.point_step));
     if (cloud.data.size() < row ||
         (cloud.height > 1 && (cloud.data.size() - row) / cloud.row_step < cloud.height - 1))
-        throw DataError(fmt::format("the cloud has {} bytes, expected {} x {} points of {} bytes",
-                                    cloud.data.size(), cloud.height, cloud.width, cloud.point_step));
+        throw DataError(
+            fmt::format("the data of the cloud have only {} bytes, expected enough for {} rows of {} points "
+                        "with {} bytes each",
+                        cloud.data.size(), cloud.height, cloud.width, cloud.point_step));
 }
 
 /// Reads a CustomMsg of the Livox drivers. A point has the fields offset_time (uint32,

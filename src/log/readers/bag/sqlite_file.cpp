@@ -112,7 +112,10 @@ public:
         sqlite3_reset(one_.get());
         sqlite3_bind_int64(one_.get(), 1, std::int64_t(place.at));
         if (!step_to_next_row(one_.get()))
-            throw DataError(fmt::format("{}: the message in row {} no longer exists", name_, place.at));
+            throw DataError(fmt::format(
+                "{}: row {} of the table 'messages' has disappeared since the file was opened; do "
+                "not change the recording while relidar uses it",
+                name_, place.at));
         const std::string_view bytes = get_bytes_column(one_.get(), 0);
         return packed_ ? unpack_zstd_message(bytes, std::int64_t(place.at))
                        : make_shared_bytes(std::string(bytes));
@@ -180,9 +183,10 @@ private:
         const unsigned long long n =
             ZSTD_getFrameContentSize(compressed_bytes.data(), compressed_bytes.size());
         if (n == ZSTD_CONTENTSIZE_UNKNOWN || n == ZSTD_CONTENTSIZE_ERROR)
-            throw DataError(fmt::format(
-                "{}: the message in row {} is not compressed with zstd, unlike metadata.yaml says", name_,
-                row_id));
+            throw DataError(
+                fmt::format("{}: the message in row {} of the table 'messages' is not compressed with zstd, "
+                            "although metadata.yaml says that it is",
+                            name_, row_id));
         try {
             return unpack_chunk("zstd", {nullptr, compressed_bytes}, n);
         } catch (const DataError& error) {

@@ -102,12 +102,14 @@ std::string format_boxes_json(const LidarSequence& sequence) {
 void require_writable_target_folder(const fs::path& folder, bool overwrite) {
     if (!does_path_exist(folder) || (fs::is_directory(folder) && list_folder_entries(folder).empty())) return;
     if (!fs::is_directory(folder) || !does_path_exist(folder / folder::kHeadFile))
-        throw UsageError(fmt::format("{}: this path exists and is not a plain folder, expected a new name",
-                                     folder.string()));
+        throw UsageError(
+            fmt::format("{}: this path exists and does not contain a log with {}, expected a new name or an "
+                        "empty folder",
+                        folder.string(), folder::kHeadFile));
     if (!overwrite)
         throw UsageError(
-            fmt::format("{}: this plain folder exists, expected a new name; use --force to "
-                        "replace it",
+            fmt::format("{}: this folder exists and contains a log, expected a new name; use --force to "
+                        "replace the log",
                         folder.string()));
 }
 

@@ -60,7 +60,7 @@ RequestedDrive choose_drive(const fs::path& folder, const DatasetOptions& option
             return {drive, part.frames, part.test_frames};
     throw UsageError(fmt::format(
         "dataset.sequence: found '{}', expected the name or number of a drive in {} ({}), or ks1 to ks4 or "
-        "kd1 to kd6 for parts of drive 0000",
+        "kd1 to kd6, which are the static and dynamic parts of drive 0000 in the LiDAR-RT paper",
         shorten_for_error_message(options.sequence), folder.string(),
         shorten_for_error_message(fmt::format("{}", fmt::join(drives, ", ")))));
 }

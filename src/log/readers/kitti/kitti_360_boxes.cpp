@@ -71,17 +71,19 @@ glm::dmat4 read_box_transform(const pugi::xml_node& object, const std::string& e
     const auto numbers = parse_numbers(matrix.child_value("data"));
     if (rows != 4 || cols != 4 || !numbers || numbers->size() != 16)
         throw DataError(fmt::format(
-            "{}: transform has {} x {} entries and {}, expected 4 x 4 entries and 16 numbers", error_location,
-            rows, cols, numbers ? fmt::format("{} numbers", numbers->size()) : "words that are not numbers"));
+            "{}: transform has {} rows and {} columns and contains {}, expected a matrix with 4 rows, 4 "
+            "columns and 16 numbers",
+            error_location, rows, cols,
+            numbers ? fmt::format("{} numbers", numbers->size()) : "words that are not numbers"));
     constexpr double kLargest = 1e8;
     glm::dmat4 m;
     for (int i = 0; i < 16; ++i) {
         const double value = (*numbers)[std::size_t(i)];
         if (!(std::abs(value) <= kLargest))
             throw DataError(
-                fmt::format("{}: number {} of transform is {}, expected a number of at most "
+                fmt::format("{}: number {} of the matrix transform is {}, expected a number from {:.0e} to "
                             "{:.0e}",
-                            error_location, i + 1, value, kLargest));
+                            error_location, i + 1, value, -kLargest, kLargest));
         m[i % 4][i / 4] = value;
     }
     return m;
@@ -97,9 +99,9 @@ void set_box_size_and_pose_from_transform(BoxLabel& label, const glm::dmat4& wor
     constexpr double kSmallest_m = 1e-3;
     if (!(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) >= kSmallest_m))
         throw DataError(
-            fmt::format("{}: transform gives the size {} x {} x {} m, expected three lengths "
-                        "above 0",
-                        error_location, label.size_m.x, label.size_m.y, label.size_m.z));
+            fmt::format("{}: transform is a matrix that gives the box the size {} x {} x {} m, expected "
+                        "lengths of at least {} m",
+                        error_location, label.size_m.x, label.size_m.y, label.size_m.z, kSmallest_m));
     for (int c = 0; c < 3; ++c) axes[c] /= label.size_m[c];
     if (glm::determinant(axes) < 0.0) axes[1] = -axes[1];
     label.world_from_box = make_pose_from_checked_rotation(axes, glm::dvec3(world_from_unit_box[3]),

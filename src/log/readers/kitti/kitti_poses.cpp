@@ -125,9 +125,9 @@ fs::path find_imu_calibration_file(const fs::path& drive_folder) {
         }
     }
     throw DataError(
-        fmt::format("{}: no such file here, in the drive, or in a folder calib, calibration or {}_calib "
-                    "next to it or above it; expected KITTI's calibration of that day; without it, use "
-                    "dataset.poses",
+        fmt::format("{}: no such file, and it was not found in the folder of the drive or in a folder calib, "
+                    "calibration or {}_calib either; copy KITTI's calibration file of that day to this path, "
+                    "or use dataset.poses=FILE",
                     (drive_folder.parent_path() / name).string(), date));
 }
 
@@ -141,8 +141,10 @@ Pose read_calibration_transform(const fs::path& file) {
         if (line.rfind("T:", 0) == 0) t = parse_finite_numbers(line.substr(2), 3, where + " key T");
     }
     if (r.empty() || t.empty()) {
-        throw DataError(fmt::format("{}: the line '{}:' is missing, expected the keys R and T", file.string(),
-                                    r.empty() ? "R" : "T"));
+        throw DataError(
+            fmt::format("{}: the line that begins with '{}:' is missing, expected a line 'R:' with 9 numbers "
+                        "and a line 'T:' with 3 numbers",
+                        file.string(), r.empty() ? "R" : "T"));
     }
     return make_pose_from_checked_rotation(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]),
                                            {t[0], t[1], t[2]}, file.string());
@@ -180,8 +182,10 @@ std::vector<Pose> read_pose_matrices(const fs::path& pose_file, const std::vecto
     for (const int frame : frame_numbers) {
         const std::size_t line = static_cast<std::size_t>(frame);
         if (line >= lines.size()) {
-            throw DataError(fmt::format("{}: found {} lines, but frame {} needs line {}", pose_file.string(),
-                                        lines.size(), frame, line + 1));
+            throw DataError(
+                fmt::format("{}: found {} lines, but frame {} needs line {}; expected one line with a pose "
+                            "for each frame, starting with frame 0",
+                            pose_file.string(), lines.size(), frame, line + 1));
         }
         const std::string where = fmt::format("{} line {}", pose_file.string(), line + 1);
         poses.push_back(parse_pose_matrix(lines[line], where));

@@ -169,16 +169,18 @@ void require_plausible_ray_counts(const std::vector<ScanWithRings>& raw_scans,
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
     if (firing_grid.head.n_ticks > kMostFirings)
         throw DataError(
-            fmt::format("{}: azimuths of neighbouring points differ by 1/{} of a sweep, expected at most "
-                        "{} firings per sweep of an HDL-64E",
-                        error_location, firing_grid.head.n_ticks, kMostFirings));
+            fmt::format("{}: the azimuths of neighbouring points differ by only 1/{} of a turn, expected at "
+                        "least 1/{}, because relidar expects at most {} firings per turn of an HDL-64E",
+                        error_location, firing_grid.head.n_ticks, kMostFirings, kMostFirings));
     std::size_t n_points = 0;
     for (const ScanWithRings& scan : raw_scans) n_points += scan.points.size();
     const std::size_t n_rays =
         raw_scans.size() * kRings * std::size_t(firing_grid.every_tick ? firing_grid.head.n_ticks : 1);
     if (n_rays > kMostRaysAPoint * n_points)
-        throw DataError(fmt::format("{}: found {} points in {} sweeps of {} rays, expected complete sweeps",
-                                    error_location, n_points, raw_scans.size(), n_rays / raw_scans.size()));
+        throw DataError(fmt::format(
+            "{}: found only {} points in {} sweeps with {} rays each, expected complete sweeps "
+            "with at least one point per {} rays",
+            error_location, n_points, raw_scans.size(), n_rays / raw_scans.size(), kMostRaysAPoint));
 }
 
 }  // namespace

@@ -123,8 +123,8 @@ double read_median_sweep_duration_s(const fs::path& drive_folder) {
     }
     if (lasts_s.empty())
         throw DataError(fmt::format(
-            "{}: no line has a time in this file and in timestamps_start.txt, expected one time per sweep "
-            "in both",
+            "{}: no sweep has a time both in this file and in timestamps_start.txt, expected one line with a "
+            "time for each sweep in both files",
             file.string()));
     return compute_sweep_period_s(std::move(lasts_s), file);
 }

@@ -60,8 +60,10 @@ void remove_points_without_return(LidarPoints& points, std::vector<int>& column_
 std::string read_point_categories(const fs::path& file, std::size_t n_points) {
     std::string categories = read_file(file);
     if (categories.size() != n_points)
-        throw DataError(fmt::format("{} has {} bytes, expected one for each of the {} points of the sweep",
-                                    file.string(), categories.size(), n_points));
+        throw DataError(
+            fmt::format("{} has {} bytes, expected one byte for each of the {} points of the sweep, with the "
+                        "category of the point",
+                        file.string(), categories.size(), n_points));
     return categories;
 }
 
@@ -73,9 +75,10 @@ SweepWithColumns read_hdl32e_sweep(const SweepFiles& sweep_files,
     const std::string bytes = read_file(file);
     if (bytes.empty() || bytes.size() % (kBeams * kPointBytes) != 0 ||
         bytes.size() / (kBeams * kPointBytes) > kMostColumnsOfSweep)
-        throw DataError(
-            fmt::format("{} has {} bytes, expected columns of {} points with {} bytes each, 1 to {} columns",
-                        file.string(), bytes.size(), kBeams, kPointBytes, kMostColumnsOfSweep));
+        throw DataError(fmt::format(
+            "{} has {} bytes, expected a multiple of {} bytes (a column of {} points with {} "
+            "bytes each), and 1 to {} columns",
+            file.string(), bytes.size(), kBeams * kPointBytes, kBeams, kPointBytes, kMostColumnsOfSweep));
     const std::size_t n = bytes.size() / kPointBytes, columns = n / kBeams;
     const std::string categories =
         sweep_files.categories.empty() ? "" : read_point_categories(sweep_files.categories, n);
@@ -106,8 +109,10 @@ SweepWithColumns read_hdl32e_sweep(const SweepFiles& sweep_files,
     undo_motion_compensation(read.points, world_from_sensor, sweep_time_s);
     remove_points_without_return(read.points, numbers);
     if (read.points.size() == 0)
-        throw DataError(
-            fmt::format("{} has no points beyond {} m, expected at least one", file.string(), kNoReturn_m));
+        throw DataError(fmt::format(
+            "{} has no points at a distance of {} m or more, expected at least one; nearer points "
+            "mean rays without a return",
+            file.string(), kNoReturn_m));
     read.sweep =
         estimate_sweep_and_assign_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));
     return read;

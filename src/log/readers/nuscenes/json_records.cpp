@@ -81,8 +81,10 @@ private:
         if (character == '[' && !opened_) opened_ = true;
         else if (character == ']' && opened_ && !closed_) closed_ = true;
         else if (!blank && !(character == ',' && opened_ && !closed_))
-            throw DataError(fmt::format("{}: found '{}' between objects, expected an array of objects", name_,
-                                        shorten_for_error_message({&character, 1})));
+            throw DataError(
+                fmt::format("{}: found the character '{}' outside of an object, expected a JSON array of "
+                            "objects: [{{...}}, {{...}}]",
+                            name_, shorten_for_error_message({&character, 1})));
         return false;
     }
 };

@@ -109,8 +109,10 @@ SceneTablesLocation choose_scene(const std::vector<SceneTablesLocation>& scenes,
     }
     if (begin_so.size() == 1) return *begin_so[0];
     throw UsageError(fmt::format(
-        "dataset.sequence '{}': {}, expected one of {} scenes: {}", shorten_for_error_message(requested_name),
-        begin_so.empty() ? "no such scene" : fmt::format("{} scenes begin with this name", begin_so.size()),
+        "dataset.sequence '{}' {}, expected the name or the number of one of the {} scenes: {}",
+        shorten_for_error_message(requested_name),
+        begin_so.empty() ? "is not a scene of this dataset"
+                         : fmt::format("is the beginning of the names of {} scenes", begin_so.size()),
         scenes.size(), names));
 }
 
@@ -222,9 +224,9 @@ private:
         for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
         for (const std::string& name : options_.lidars)
             if (std::ranges::find(channels, name) == channels.end())
-                throw UsageError(fmt::format("dataset.lidars: {1} has no LiDAR '{0}', expected some of {2}",
-                                             shorten_for_error_message(name), scene_.name,
-                                             fmt::join(channels, ", ")));
+                throw UsageError(fmt::format(
+                    "dataset.lidars: the scene {1} has no LiDAR '{0}', expected one or more of: {2}",
+                    shorten_for_error_message(name), scene_.name, fmt::join(channels, ", ")));
         sequence_.lidars.clear();
         for (std::size_t l = 0; l < channels.size(); ++l) {
             if (!options_.lidars.empty() &&

@@ -112,10 +112,10 @@ std::vector<SweepRecord> list_sweeps_from_first_keyframe(const fs::path& table_f
     for (std::string token = first ? first->token : ""; !token.empty(); token = sweeps.back().next) {
         const auto file = files_by_token.find(token);
         if (file == files_by_token.end() || sweeps.size() == files_by_token.size())
-            throw DataError(fmt::format(
-                "{}, key 'next': found '{}' after {} files, expected the token of the next file of the "
-                "scene or an empty text",
-                where, shorten_for_error_message(token), sweeps.size()));
+            throw DataError(
+                fmt::format("{}, key 'next': found '{}' after {} files of a LiDAR, expected the token of the "
+                            "LiDAR's next file in the scene, or an empty text after the last file",
+                            where, shorten_for_error_message(token), sweeps.size()));
         if (!sweeps.empty() && file->second.time_us <= sweeps.back().time_us)
             throw DataError(fmt::format("{}, key 'timestamp': found {} after {}, expected increasing times",
                                         where, file->second.time_us, sweeps.back().time_us));
@@ -136,15 +136,18 @@ std::vector<SceneLidar> read_lidars_of_scene(const fs::path& table_folder,
         for (const SweepRecord& sweep : lidar.sweeps)
             if (sweep.calibration != lidar.sweeps[0].calibration)
                 throw DataError(fmt::format(
-                    "{}, key 'calibrated_sensor_token': the LiDAR {} of {} has two mountings in one "
-                    "scene, expected one",
-                    (table_folder / "sample_data.json").string(), channel,
-                    shorten_for_error_message(sweep.file)));
+                    "{}, key 'calibrated_sensor_token': the file {} refers to another position "
+                    "of the LiDAR {} on the vehicle than the first file of the scene, expected the "
+                    "same position",
+                    (table_folder / "sample_data.json").string(), shorten_for_error_message(sweep.file),
+                    channel));
         lidars.push_back(std::move(lidar));
     }
     if (lidars.empty())
-        throw DataError(fmt::format("{}: the scene has no keyframe of a LiDAR",
-                                    (table_folder / "sample_data.json").string()));
+        throw DataError(
+            fmt::format("{}: found no LiDAR file of the scene with \"is_key_frame\": true, expected at "
+                        "least one",
+                        (table_folder / "sample_data.json").string()));
     std::stable_partition(lidars.begin(), lidars.end(),
                           [](const SceneLidar& lidar) { return lidar.channel == kFirstChannel; });
     return lidars;
@@ -171,9 +174,9 @@ std::vector<Pose> read_ego_poses_of_sweeps(const fs::path& table_folder,
     std::map<std::int64_t, Pose> by_time;
     for (const SweepRecord& sweep : sweeps) {
         if (missing.contains(sweep.ego_pose))
-            throw DataError(fmt::format("{}, key 'token': '{}' is missing, which is the pose of {}",
-                                        file.string(), shorten_for_error_message(sweep.ego_pose),
-                                        shorten_for_error_message(sweep.file)));
+            throw DataError(fmt::format(
+                "{}, key 'token': the pose '{}' is missing, but the file {} refers to it", file.string(),
+                shorten_for_error_message(sweep.ego_pose), shorten_for_error_message(sweep.file)));
         const TimedPose& pose = poses[sweep.ego_pose];
         if (const double apart_s = double(pose.time_us - sweep.time_us) * 1e-6;
             !(std::abs(apart_s) <= kFarthestPose_s))
@@ -270,8 +273,8 @@ void read_lidarseg_files_and_classes(const fs::path& table_folder, SceneTables& 
         const std::int64_t index = record.get_rounded_integer("index");
         if (index < 0 || index >= std::int64_t(scene.classes.size()))
             throw DataError(fmt::format(
-                "{}, key 'index': found {} for '{}', expected 0 to {}", categories.string(), index,
-                shorten_for_error_message(record.get_text("name")), scene.classes.size() - 1));
+                "{}, key 'index': found {} for the category '{}', expected 0 to {}", categories.string(),
+                index, shorten_for_error_message(record.get_text("name")), scene.classes.size() - 1));
         scene.classes[std::size_t(index)] = convert_nuscenes_class(record.get_text("name"));
     });
 }

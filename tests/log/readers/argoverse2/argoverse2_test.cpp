@@ -275,7 +275,7 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
     std::vector<Pose> bad = two;
     bad[1].rotation = glm::dquat(0.5, 0, 0, 0);
     refuse(sensors, test::set_poses({test::make_texts("sensor_name", {"up_lidar", "down_lidar"})}, bad),
-           "columns 'qw' to 'qz': row 1 has length 0.5, expected 1");
+           "columns 'qw' to 'qz' ... row 1 has length 0.5, expected 1");
     const auto times = [](std::vector<std::int64_t> t) { return test::make_numbers("timestamp_ns", t); };
     const std::int64_t first = Argoverse2Log::sweep_ns(0), second = Argoverse2Log::sweep_ns(1);
     refuse(vehicle_poses, test::set_poses({times({first, first})}, two),

@@ -285,8 +285,8 @@ TEST(Kitti360, SaysWhichBoxIsWrong) {
     expect("<timestamp>-1</timestamp>", "<timestamp>1.5</timestamp>", "object3: timestamp is '1.5'");
     expect("<start_frame>2351</start_frame>", "", "object3: start_frame is ''");
     expect("<rows>4</rows>", "<rows>400000000</rows>", "object0: transform: rows is '400000000'");
-    expect("<cols>4</cols>", "<cols>3</cols>", "object0 ... 4 x 3 entries and 16 numbers");
-    expect("e+00 ", "e+00 nan ", "object0 ... 4 x 4 entries and 17 numbers");
+    expect("<cols>4</cols>", "<cols>3</cols>", "object0 ... 4 rows ... 3 columns ... 16 numbers");
+    expect("e+00 ", "e+00 nan ", "object0 ... 4 rows ... 4 columns ... 17 numbers");
     expect("e+00 ", "e+99 ", "object0: number 1 ... transform ... ");
     expect("<semanticId>13</semanticId>\n  <instanceId>7", "<semanticId>14</semanticId>\n  <instanceId>-995",
            "object3 ... truck ... 13005 ... car");

@@ -129,8 +129,9 @@ TEST(Nuscenes, RefusesDamagedLabelsOfPoints) {
         }
     };
     test::write_text(file, "123");
-    EXPECT_THAT(error_of_load(),
-                testing::HasSubstr("10_lidarseg.bin has 3 bytes, expected one for each of the 1280 points"));
+    EXPECT_THAT(
+        error_of_load(),
+        testing::HasSubstr("10_lidarseg.bin has 3 bytes, expected one byte for each of the 1280 points"));
     fs::remove(file);
     const LidarSequence log = load(data);
     EXPECT_THAT(log.notes,
@@ -139,8 +140,9 @@ TEST(Nuscenes, RefusesDamagedLabelsOfPoints) {
     EXPECT_FALSE(log.frames[0].scan.classes.empty());
     test::write_text(data.table("category"),
                      R"([{"token": "vehicle", "name": "vehicle.car", "index": 256}])");
-    EXPECT_THAT(error_of_load(),
-                testing::HasSubstr("key 'index': found 256 for 'vehicle.car', expected 0 to 255"));
+    EXPECT_THAT(
+        error_of_load(),
+        testing::HasSubstr("key 'index': found 256 for the category 'vehicle.car', expected 0 to 255"));
 }
 
 TEST(Nuscenes, TablesOfT4) {

@@ -63,7 +63,8 @@ void PacketIndex::require_same_product_or_set_it(const ReceivedPacket& packet,
     const LidarProduct* product = find_product_of_packet(packet.bytes, calibration);
     if (product_)
         throw DataError(fmt::format(
-            "found a packet of {} bytes of {}, expected a packet of a {} like the previous packets",
+            "found a packet of {} bytes from {}, but the previous packets are from a {}, expected packets "
+            "of one LiDAR model",
             packet.bytes.size(), product ? product->name : "an unknown product", product_->name));
     if (!product || !product->make) throw DataError(format_unsupported_packet_error(product, packet.bytes));
     decoder_ = product->make(product->name, calibration);
