@@ -47,8 +47,10 @@ void require_valid_scene_layout(const Scene& scene) {
         next += model.count;
     }
     if (next != scene.surfels.size())
-        throw DataError(fmt::format("cannot load the scene: the models end at surfel {}, expected {}", next,
-                                    scene.surfels.size()));
+        throw DataError(
+            fmt::format("cannot load the scene: its models have {} surfels in total, but the scene has {}; "
+                        "expected equal numbers",
+                        next, scene.surfels.size()));
     for (const ModelInstance& instance : scene.instances)
         if (instance.model >= scene.models.size())
             throw DataError(fmt::format(

@@ -116,7 +116,8 @@ void transform_surfels_to_world(Surfels& surfels, const Pose& world_from_model) 
 Surfels transform_all_surfels_to_world(const Scene& scene, const std::vector<InstancePose>& instance_poses) {
     if (instance_poses.size() != scene.instances.size())
         throw DataError(
-            fmt::format("cannot freeze the scene: found {} poses, expected {}, one for each instance",
+            fmt::format("cannot convert the surfels of the scene to world coordinates: found {} poses, "
+                        "expected {}, one for the background and one for each actor",
                         instance_poses.size(), scene.instances.size()));
     Surfels all;
     all.primitive = scene.surfels.primitive;

@@ -224,7 +224,8 @@ float require_valid_property_value(float value, const PlyProperty& property, std
     if (property.kind == PlyProperty::model &&
         (value < 0.0f || value != std::floor(value) || value >= float(n_models)))
         throw DataError(
-            fmt::format("vertex {}: model is {}, expected an index below {}, the number of models in the run",
+            fmt::format("vertex {}: the property \"model\" is {}, expected a whole number of at least 0 and "
+                        "below {}, the number of models in the run",
                         vertex_index, value, n_models));
     return value;
 }
@@ -321,12 +322,16 @@ void require_contiguous_model_ranges(const Scene& scene) {
     std::size_t next = 0;
     for (const SurfelModel& m : scene.models) {
         if (m.first != next)
-            throw DataError(fmt::format("model {} starts at surfel {}, expected {}", m.name, m.first, next));
+            throw DataError(
+                fmt::format("cannot export the scene: the surfels of model {} start at index {}, expected "
+                            "index {}, directly after the surfels of the previous model",
+                            m.name, m.first, next));
         next += m.count;
     }
     if (next != scene.surfels.size() || scene.models.size() > kMaxModels)
         throw DataError(
-            fmt::format("found {} models with {} surfels, expected at most {} models and {} surfels",
+            fmt::format("cannot export the scene: found {} models with {} surfels in total, expected at most "
+                        "{} models, and {} surfels as in the scene",
                         scene.models.size(), next, kMaxModels, scene.surfels.size()));
 }
 

@@ -55,20 +55,21 @@ void Surfels::require_equal_array_lengths() const {
         const std::size_t n_values = group.values(*this).size(),
                           n_expected_values = is_there ? size() * group.count_floats() : 0;
         if (n_values != n_expected_values)
-            throw DataError(fmt::format(
-                "cannot use {}: {} has {} values, expected {}, which is {} for each of the {} means",
-                get_primitive_kind(primitive).label, group.name, n_values, n_expected_values,
-                is_there ? group.count_floats() : 0, size()));
+            throw DataError(
+                fmt::format("cannot use {0}: the array {1} has {2} values, expected {3}, which is {4} for "
+                            "each of the {5} {0}",
+                            get_primitive_kind(primitive).label, group.name, n_values, n_expected_values,
+                            is_there ? group.count_floats() : 0, size()));
     }
 }
 
 void Surfels::append_surfels(const Surfels& other) {
     if (size() > 0 && other.size() > 0 && primitive != other.primitive)
-        throw DataError(
-            fmt::format("cannot join {} and {} primitives: found {} and {}, expected the same primitive "
-                        "(image.primitive)",
-                        size(), other.size(), get_primitive_kind(primitive).label,
-                        get_primitive_kind(other.primitive).label));
+        throw DataError(fmt::format(
+            "cannot join {} {} with {} {}, expected two sets of the same kind; use runs that were trained "
+            "with the same setting image.primitive",
+            size(), get_primitive_kind(primitive).label, other.size(),
+            get_primitive_kind(other.primitive).label));
     if (other.size() > 0) primitive = other.primitive;
     if (other.bends) add_gait_without_motion();
     const std::size_t n = size() + other.size();

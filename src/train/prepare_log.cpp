@@ -130,11 +130,11 @@ void report_or_reject_unregistered_scans(const LidarSequence& sequence,
         fmt::format("{} of {} scans could not be registered to their neighbours (frames {})", frames.size(),
                     n, format_number_list(frames));
     if (double(frames.size()) > std::max(1.0, kMostLost * double(n)) && !config.train.allow_lost_scans)
-        throw DataError(
-            fmt::format("cannot register the scans of {}: {}; expected at most {:.0f} % of the scans. Use "
-                        "train.allow_lost_scans=true to interpolate their poses from their neighbours, or "
-                        "train.refine_poses=none to keep the poses of the log",
-                        sequence.name, text, 100.0 * kMostLost));
+        throw DataError(fmt::format(
+            "cannot estimate the poses of {} from its scans: {}; expected that this happens for at "
+            "most {:.0f} % of the scans. Set train.allow_lost_scans=true to interpolate the poses "
+            "of these scans, or train.refine_poses=none to keep the poses of the log",
+            sequence.name, text, 100.0 * kMostLost));
     session.report_line(text + "; their poses are interpolated from their neighbours");
 }
 

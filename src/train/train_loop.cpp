@@ -388,10 +388,11 @@ void TrainLoop::restore_training_state_from_checkpoint(const Checkpoint& checkpo
     last_step_ = checkpoint.iteration;
     if (!sampler_.is_restored_frame_order_valid(frames_.get_all_frames().size()) ||
         !reports_.is_restored_report_state_valid())
-        throw DataError(
-            fmt::format("cannot resume from iteration {}: the stored frame order and loss sums do not fit {} "
-                        "frames and {} loss terms",
-                        checkpoint.iteration, frames_.get_all_frames().size(), kLossTerms));
+        throw DataError(fmt::format(
+            "cannot resume from iteration {}: the checkpoint's order of frames or its sums of the "
+            "losses do not match the {} training frames and {} loss terms of this training; train "
+            "again",
+            checkpoint.iteration, frames_.get_all_frames().size(), kLossTerms));
     refiner_.update_poses_after_restore();
 }
 

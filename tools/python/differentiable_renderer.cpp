@@ -123,9 +123,10 @@ RenderedGradients read_gradients_of_rendered_values(const py::dict& gradient_arr
         const auto match = std::find_if(gradient_arrays.begin(), gradient_arrays.end(),
                                         [&](const auto& p) { return p.first == name; });
         if (match == gradient_arrays.end())
-            throw UsageError(fmt::format("d_rendered: found \"{}\", expected one of " RELIDAR_IMAGE_VALUES(
-                                             RELIDAR_NAME) "which are the values that have gradients",
-                                         name));
+            throw UsageError(
+                fmt::format("the dict d_rendered has the unknown entry \"{}\"; expected only entries with "
+                            "the names " RELIDAR_IMAGE_VALUES(RELIDAR_NAME) "which are the rendered values",
+                            name));
         *match->second = copy_checked_array_to_vector<float, float>(array, "d_rendered: " + name,
                                                                     {static_cast<py::ssize_t>(n_rays)});
     }

@@ -27,9 +27,10 @@ Pose convert_row_major_matrix_to_pose(const double* matrix, const std::string& n
             name_for_errors, found));
     };
     if (!std::all_of(matrix, matrix + 16, [](double value) { return std::isfinite(value); }))
-        fail("a matrix that is not finite");
+        fail("a matrix with a number that is not finite");
     if (matrix[12] != 0.0 || matrix[13] != 0.0 || matrix[14] != 0.0 || matrix[15] != 1.0)
-        fail(fmt::format("the last row {} {} {} {}", matrix[12], matrix[13], matrix[14], matrix[15]));
+        fail(fmt::format("a matrix with the last row {} {} {} {}", matrix[12], matrix[13], matrix[14],
+                         matrix[15]));
     // The constructor of the GLM matrix expects columns, so the row-major numbers are
     // reordered.
     const glm::dmat3 rotation(matrix[0], matrix[4], matrix[8], matrix[1], matrix[5], matrix[9], matrix[2],
@@ -39,7 +40,10 @@ Pose convert_row_major_matrix_to_pose(const double* matrix, const std::string& n
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j) worst = std::max(worst, std::abs(square[i][j] - (i == j ? 1.0 : 0.0)));
     if (!(worst <= kRigid))
-        fail(fmt::format("a matrix whose axes deviate by {:.1e} from orthogonal unit vectors", worst));
+        fail(
+            fmt::format("a matrix whose upper left 3 x 3 part R is no rotation, because R^T R differs by "
+                        "{:.1e} from the identity and at most {:.0e} is allowed",
+                        worst, kRigid));
     if (glm::determinant(rotation) < 0.0) fail("a mirrored matrix");
     return {glm::normalize(glm::quat_cast(rotation)), {matrix[3], matrix[7], matrix[11]}};
 }

@@ -189,9 +189,10 @@ std::unique_ptr<LoadedRun> copy_run_with_replaced_surfels(const LoadedRun& loade
     Scene& scene = changed->run.scene;
     scene = copy_scene_with_all_blocks_loaded(scene);
     if (surfels.size() != scene.surfels.size() || surfels.primitive != scene.surfels.primitive)
-        throw DataError(fmt::format(
-            "with_surfels: found {} surfels, expected {} surfels of the same primitive as in the run",
-            surfels.size(), scene.surfels.size()));
+        throw DataError(
+            fmt::format("with_surfels: found {} {}, expected {} {}, the same number and kind as in the run",
+                        surfels.size(), get_primitive_kind(surfels.primitive).label, scene.surfels.size(),
+                        get_primitive_kind(scene.surfels.primitive).label));
     scene.surfels = std::move(surfels);
     return changed;
 }

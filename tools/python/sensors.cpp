@@ -33,8 +33,8 @@ void require_finite_rays_of_unit_length(const RayTable& rays) {
 RayTable read_ray_table_from_dict(const py::dict& dict) {
     if (!dict.contains("directions"))
         throw DataError(
-            "sensor: the dict has no entry \"directions\", expected rays with the names of an npz "
-            "file");
+            "sensor: the dict has no entry \"directions\", expected a dict of arrays with the names that "
+            "relidar.rays() returns");
     const py::object directions = dict["directions"];
     require_numpy_dtype_and_shape(directions, "sensor: directions", py::dtype::of<float>(), {kAny, kAny, 3});
     const auto array = py::reinterpret_borrow<py::array>(directions);

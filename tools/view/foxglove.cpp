@@ -135,10 +135,10 @@ void FoxglovePlayer::subscribe_or_unsubscribe_by_message(Client& client,
                     fmt::format("cannot subscribe: found channelId {}, expected a number from 0 to {}", topic,
                                 topics_.size() - 1));
             if (client.subscriptions.contains(id) || std::ranges::any_of(client.subscriptions, is_of_topic))
-                throw UsageError(
-                    fmt::format("cannot add subscription {} to channel {}: expected an unused id and at most "
-                                "one subscription to each channel",
-                                id, topic));
+                throw UsageError(fmt::format(
+                    "cannot add subscription {} to channel {}: this subscription id is already in "
+                    "use, or the client has already subscribed to the channel; unsubscribe first",
+                    id, topic));
             client.subscriptions.emplace(id, topic);
         }
     } else if (operation != message.end() && *operation == "unsubscribe") {

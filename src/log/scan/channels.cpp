@@ -181,17 +181,20 @@ void require_valid_channel_names_and_sizes(const std::vector<ScanChannel>& chann
                                         element_name_for_errors, info.name));
         if (count_channel_values(second) > 0 && !used_names.insert(info.name + "_2").second)
             throw DataError(
-                fmt::format("channels of {}: the name {}_2 occurs twice, expected different names",
+                fmt::format("channels of {0}: the name {1}_2 occurs twice, because the second returns of the "
+                            "channel {1} are stored under this name; rename one of the two channels",
                             element_name_for_errors, info.name));
         if (count_channel_values(values) != expected_size)
-            throw DataError(fmt::format("channels of {}: found {} values of {}, expected {}",
-                                        element_name_for_errors, count_channel_values(values), info.name,
-                                        expected_size));
+            throw DataError(fmt::format(
+                "channels of {}: the channel {} has {} values, expected {}, one for each ray or point",
+                element_name_for_errors, info.name, count_channel_values(values), expected_size));
         if (count_channel_values(second) > 0 &&
             (count_channel_values(second) != expected_size || second.index() != values.index()))
-            throw DataError(fmt::format(
-                "channels of {}: found {} values of {} for second returns, expected {} of the same type",
-                element_name_for_errors, count_channel_values(second), info.name, expected_size));
+            throw DataError(
+                fmt::format("channels of {}: the channel {} has {} values{} for second returns, expected {} "
+                            "values of the same type as its values for first returns",
+                            element_name_for_errors, info.name, count_channel_values(second),
+                            second.index() == values.index() ? "" : " of another type", expected_size));
     }
 }
 

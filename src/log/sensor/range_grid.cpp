@@ -26,7 +26,7 @@ RangeImageGrid make_kitti360_grid() {
 
 RangeImageGrid get_range_image_grid_by_name(const std::string& name) {
     if (find_name_ignoring_case(name, {"kitti360"})) return make_kitti360_grid();
-    throw UsageError(fmt::format("the grid '{}' is unknown, expected kitti360", name));
+    throw UsageError(fmt::format("the range image grid '{}' is unknown, expected kitti360", name));
 }
 
 std::optional<int> project_to_pixel_index(const RangeImageGrid& grid, const glm::dvec3& point_m) {

@@ -38,11 +38,12 @@ void require_valid_spinning_sensor(const SpinningSensor& sensor) {
     };
     if (sensor.beams.empty()) fail("no beams, expected at least one");
     if (sensor.beams.size() > 65535)
-        fail(fmt::format("{} beams in total, expected at most 65535", sensor.beams.size()));
-    if (sensor.columns <= 0) fail(fmt::format("{} columns, expected at least one", sensor.columns));
+        fail(fmt::format("{} beams, expected at most 65535", sensor.beams.size()));
+    if (sensor.columns <= 0) fail(fmt::format("{} columns per sweep, expected at least one", sensor.columns));
     if (sensor.beams.size() * static_cast<std::size_t>(sensor.columns) > kMaxRays) {
-        fail(fmt::format("{} beams and {} columns, expected at most {} rays per sweep", sensor.beams.size(),
-                         sensor.columns, kMaxRays));
+        fail(fmt::format("{} beams and {} columns, which are {} rays per sweep; expected at most {} rays",
+                         sensor.beams.size(), sensor.columns,
+                         sensor.beams.size() * static_cast<std::size_t>(sensor.columns), kMaxRays));
     }
     if (!(sensor.min_range_m >= 0.0 && sensor.max_range_m > sensor.min_range_m)) {
         fail(fmt::format("range limits of {} to {} m, expected 0 <= min_range_m < max_range_m",
@@ -52,14 +53,19 @@ void require_valid_spinning_sensor(const SpinningSensor& sensor) {
         fail(fmt::format("a period of {} s, expected a positive number", sensor.period_s));
     }
     if (!std::isfinite(sensor.first_azimuth_rad) || !std::isfinite(sensor.divergence_rad)) {
-        fail("a first_azimuth_rad or divergence_rad that is not finite");
+        fail(fmt::format("first_azimuth_rad = {} and divergence_rad = {}, expected finite numbers",
+                         sensor.first_azimuth_rad, sensor.divergence_rad));
     }
     for (std::size_t b = 0; b < sensor.beams.size(); ++b) {
         const Beam& beam = sensor.beams[b];
         const double sum = beam.elevation_rad + beam.azimuth_offset_rad + beam.origin_offset_m +
                            beam.origin_up_m + beam.origin_left_m + beam.intensity_gain +
                            beam.intensity_offset + beam.range_offset_m;
-        if (!std::isfinite(sum)) fail(fmt::format("a value in beam {} that is not finite", b));
+        if (!std::isfinite(sum))
+            fail(
+                fmt::format("an angle, an offset or a gain of beam {} that is not finite, expected finite "
+                            "numbers",
+                            b));
     }
 }
 

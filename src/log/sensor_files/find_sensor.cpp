@@ -96,8 +96,8 @@ void sensor_files::set_missing_max_range(SensorModel& sensor, double max_range_m
     if (!std::isinf(sensor.limits.max_m)) return;
     if (!(sensor.limits.min_m < max_range_m))
         throw DataError(fmt::format(
-            "{}: found range limits of {} to {} m, where max_range_m has its default value; expected "
-            "min_range_m < max_range_m",
+            "{}: min_range_m is {} m, but max_range_m is not given and has the default value of {} m; "
+            "expected min_range_m < max_range_m; give a larger max_range_m",
             error_location, sensor.limits.min_m, max_range_m));
     sensor.limits.max_m = max_range_m;
     if (auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) spinning->max_range_m = max_range_m;

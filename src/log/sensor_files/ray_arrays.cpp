@@ -127,8 +127,8 @@ SensorModel read_ray_npz(const std::string& path, const std::string& sensor_name
     const auto one = [&](const std::string& array_name) -> std::optional<double> {
         const std::vector<double> numbers = values(array_name);
         if (numbers.size() > 1)
-            throw DataError(
-                fmt::format("{}: {} has {} numbers, expected one", path, array_name, numbers.size()));
+            throw DataError(fmt::format("{}: the array \"{}\" has {} numbers, expected one number", path,
+                                        array_name, numbers.size()));
         return numbers.empty() ? std::nullopt : std::optional(numbers[0]);
     };
     const NamedArray* directions = find_array(arrays, "directions");

@@ -149,8 +149,8 @@ SensorModel parse_sensor_json(const std::string& json_text, const std::string& s
     std::string kinds;
     for (const PatternKind& kind : list_pattern_kinds()) kinds += fmt::format("\"{}\", ", kind.name);
     throw DataError(
-        fmt::format("{}: found none of the keys {}\"directions\" and \"beam_altitude_angles\", expected a "
-                    "scan pattern, a ray table, or Ouster metadata",
+        fmt::format("{}: found no sensor; expected a JSON object with one of the keys {}\"directions\" (a "
+                    "table of rays) or \"beam_altitude_angles\" (metadata of an Ouster)",
                     error_location, kinds));
 }
 

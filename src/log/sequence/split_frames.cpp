@@ -87,9 +87,9 @@ std::set<int> parse_test_frame_list(const std::string& frame_list_text,
         const IndexRange range = parse_frame_range(cell);
         for (int index = range.first; index < range.end; ++index) {
             if (!log_frames.contains(index))
-                throw UsageError(
-                    fmt::format("{}: found frame {}, expected only frames that are read from the log: {}",
-                                kSetting, index, format_number_list(log_frame_numbers)));
+                throw UsageError(fmt::format(
+                    "{}: found frame {}, which is not read from the log; choose from the frames {}", kSetting,
+                    index, format_number_list(log_frame_numbers)));
             if (!held_out.insert(index).second)
                 throw UsageError(fmt::format("{}: frame {} occurs twice, expected it once", kSetting, index));
         }

@@ -85,8 +85,8 @@ void keep_most_observed_actor_models(const TrainedRun& block_run, const LidarSeq
         const BoxTrack* box = find_box_track_by_id(block_run.sequence, instance.track);
         if (!box)
             throw DataError(
-                fmt::format("{}: the scene has an instance of track \"{}\", but the log has no box with this "
-                            "track id; expected the log that this block was trained with",
+                fmt::format("{}: the trained scene has an actor with the track id \"{}\", but the log has no "
+                            "box with this track id; expected the log that was used for training",
                             block_run.folder.string(), instance.track));
         const std::size_t sightings = count_training_frames_near_box(*box, full_sequence, block);
         ActorModelCandidate& candidate = best_actors[instance.track];

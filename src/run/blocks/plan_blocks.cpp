@@ -64,9 +64,9 @@ std::vector<TrajectoryBlock> plan_training_blocks(const LidarSequence& sequence,
                 block.train.push_back(position);
         if (block.train.empty())
             throw DataError(fmt::format(
-                "cannot divide {} into blocks: the part of its trajectory within {:g} m of metres {:.0f} "
-                "to {:.0f} has no training frame; hold out fewer frames there (settings "
-                "dataset.test_every and dataset.test_frames)",
+                "cannot divide {} into blocks: within {:g} m of the block that covers metres {:.0f} to "
+                "{:.0f} of the trajectory, no frame is used for training; hold out fewer frames there "
+                "(settings dataset.test_every and dataset.test_frames)",
                 sequence.name, options.halo_m, block.begin_m, block.end_m));
     }
     return blocks;

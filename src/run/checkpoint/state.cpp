@@ -34,8 +34,8 @@ const NamedArray& Checkpoint::get_array(const std::string& name) const {
     const NamedArray* match = find_array(arrays, name);
     if (!match)
         throw DataError(
-            fmt::format("the checkpoint of iteration {} has no array \"{}\", expected a checkpoint of the "
-                        "same version of relidar",
+            fmt::format("the checkpoint of iteration {} has no array \"{}\"; it was probably written by "
+                        "another version of relidar and cannot be resumed; train again",
                         iteration, name));
     return *match;
 }
@@ -69,9 +69,11 @@ const NamedArray& CheckpointReader::get_array_of_type_and_shape(const std::strin
                                                                 const std::vector<std::size_t>& shape) const {
     const NamedArray& array = checkpoint_.get_array(name);
     if (array.dtype != dtype || array.shape != shape)
-        throw DataError(fmt::format("checkpoint of iteration {}: array {}: found {} [{}], expected {} [{}]",
-                                    checkpoint_.iteration, name, array.dtype, fmt::join(array.shape, ", "),
-                                    dtype, fmt::join(shape, ", ")));
+        throw DataError(
+            fmt::format("checkpoint of iteration {}: the array {} has the type {} and the shape [{}], "
+                        "expected the type {} and the shape [{}]",
+                        checkpoint_.iteration, name, array.dtype, fmt::join(array.shape, ", "), dtype,
+                        fmt::join(shape, ", ")));
     return array;
 }
 

@@ -122,8 +122,8 @@ void require_complete_and_known_settings(const std::map<std::string, ParsedValue
             throw UsageError(fmt::format("{}; {}", make_unknown_key_message(key), kAdvice));
     for (const std::string& key : keys)
         if (!settings.contains(key))
-            throw UsageError(fmt::format("the setting {} is missing, expected a value for every setting; {}",
-                                         key, kAdvice));
+            throw UsageError(fmt::format(
+                "the setting {} is missing, but the file must contain all settings; {}", key, kAdvice));
 }
 
 /// Returns text as a TOML string, with quotes and escaped characters.

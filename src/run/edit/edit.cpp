@@ -52,7 +52,8 @@ BoxTrack& get_actor_box_track(SceneWithLog& scene_and_log, const std::string& tr
     if (const BoxTrack* box = find_box_track_by_id(scene_and_log.sequence, track_id))
         return boxes[std::size_t(box - boxes.data())];
     throw DataError(fmt::format(
-        "cannot edit track \"{}\": the scene has an instance of it, but the log has no box for it",
+        "cannot edit track \"{}\": the trained scene has this actor, but the log has no box with this track "
+        "id; expected the log that was used for training",
         track_id));
 }
 
@@ -124,12 +125,13 @@ void require_valid_trajectory(const PoseTrack& track, const std::string& track_i
                                     track_id, found, expected));
     };
     if (track.pose.size() < 2 || track.pose.size() != track.time_s.size())
-        fail(fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()),
-             "at least two poses, and as many times as poses");
+        fail(fmt::format("{} poses and {} times", track.pose.size(), track.time_s.size()),
+             "at least two poses, and exactly one time for each pose");
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         const glm::dvec3& p = track.pose[i].translation;
         if (!std::isfinite(track.time_s[i] + p.x + p.y + p.z + glm::length(track.pose[i].rotation)))
-            fail(fmt::format("values in entry {} that are not finite", i + 1), "finite numbers");
+            fail(fmt::format("a time, position or rotation in entry {} that is not finite", i + 1),
+                 "finite numbers");
         if (i > 0 && !(track.time_s[i] > track.time_s[i - 1]))
             fail(fmt::format("the time {1} s in entry {0} after {2} s in the previous entry", i + 1,
                              track.time_s[i], track.time_s[i - 1]),

@@ -55,8 +55,10 @@ const NamedArray& require_array_with_columns(const std::vector<NamedArray>& arra
     const NamedArray* array = find_array(arrays, name);
     if (!array) throw DataError(fmt::format("{}: array {} is missing", file_name, name));
     if (array->dtype != dtype || array->shape.size() != 2 || array->shape[1] != n_columns)
-        throw DataError(fmt::format("{}: array {}: found {} [{}], expected {} [{}, {}]", file_name, name,
-                                    array->dtype, fmt::join(array->shape, ", "), dtype, row_unit, n_columns));
+        throw DataError(fmt::format(
+            "{}: the array {} has the type {} and the shape [{}], expected the type {} and the shape [number "
+            "of {}, {}]",
+            file_name, name, array->dtype, fmt::join(array->shape, ", "), dtype, row_unit, n_columns));
     return *array;
 }
 
@@ -136,8 +138,9 @@ SurfaceClassMap load_class_map(const std::filesystem::path& path) {
         std::uint16_t number;
         std::memcpy(&number, classes.bytes.data() + i * sizeof number, sizeof number);
         if (number >= kSurfaceClasses)
-            throw DataError(fmt::format("{}: class of cell {}: found {}, expected a number below {}", file, i,
-                                        number, kSurfaceClasses));
+            throw DataError(
+                fmt::format("{}: cell {} of the class map has the class {}, expected a number from 0 to {}",
+                            file, i, number, kSurfaceClasses - 1));
         map[i].surface = SurfaceClass(number);
     }
     return map;

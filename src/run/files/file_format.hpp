@@ -22,8 +22,10 @@ inline void require_format_and_version(const std::map<std::string, std::string>&
         return it == metadata.end() ? std::string() : it->second;
     };
     if (value("format") != expected_format)
-        throw DataError(fmt::format("{}: metadata format: found \"{}\", expected \"{}\"", file_name,
-                                    value("format"), expected_format));
+        throw DataError(fmt::format(
+            "{}: the entry \"format\" in the metadata of the file is \"{}\", expected \"{}\" as in a "
+            "file that relidar has written",
+            file_name, value("format"), expected_format));
     if (value("version") != expected_version)
         throw DataError(fmt::format(
             "{}: metadata version: found \"{}\", but relidar {} reads only version {}; train the run "

@@ -51,8 +51,10 @@ void read_parameter_group(const SurfelParameterGroup& group, const NamedArray& a
                           const std::string& file_name) {
     const std::vector<std::size_t> expected = group.get_array_shape(surfels.size());
     if (array.shape != expected || array.dtype != "f4") {
-        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [{}]", file_name, group.name,
-                                    array.dtype, fmt::join(array.shape, ", "), fmt::join(expected, ", ")));
+        throw DataError(fmt::format(
+            "{}: the array {} has the type {} and the shape [{}], expected the type f4 (32-bit float) and "
+            "the shape [{}]",
+            file_name, group.name, array.dtype, fmt::join(array.shape, ", "), fmt::join(expected, ", ")));
     }
     const std::vector<float> values = array.convert_to_floats();
     std::ranges::copy(values, group.mutable_values(surfels).begin());
@@ -140,8 +142,9 @@ void require_valid_model_metadata(const std::map<std::string, std::string>& meta
                                   const std::string& file_name) {
     run_detail::require_format_and_version(metadata, file_name, kModelFormat, kModelVersion);
     if (!metadata.contains("layout"))
-        throw DataError(fmt::format("{}: the metadata key \"layout\" is missing, expected a model of relidar",
-                                    file_name));
+        throw DataError(fmt::format(
+            "{}: the metadata has no entry \"layout\", expected a model file that relidar has written",
+            file_name));
 }
 
 constexpr const char* kBlocks = "blocks";
@@ -258,8 +261,10 @@ Scene load_scene_from_model_file(const std::filesystem::path& path) {
     require_valid_model_metadata(metadata, file);
     const NamedArray& mean = require_array_by_name(arrays, "mean", file);
     if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
-        throw DataError(fmt::format("{}: array mean: found shape [{}], expected [n, 3]", file,
-                                    fmt::join(mean.shape, ", ")));
+        throw DataError(
+            fmt::format("{}: the array \"mean\" (centres of the surfels) has the shape [{}], expected [n, 3] "
+                        "with n of at most {}",
+                        file, fmt::join(mean.shape, ", "), kMaxSurfels));
     const SurfelParameterSet parameters = read_parameter_set(
         metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
     // Checks the number of rows of every array before memory is allocated.

@@ -86,8 +86,9 @@ void save_run_config(const TrainedRun& run, const fs::path& folder) {
     write_text_file(path, to_toml(run.config));
     if (load_saved_config(path) != run.config)
         throw DataError(
-            fmt::format("cannot save {}: a value that the file cannot store differs from the preset {}; "
-                        "change only the settings that `relidar list settings --all` prints",
+            fmt::format("cannot save {}: the program changed a value of the preset {} that is not a setting, "
+                        "so the file cannot store it; change only the settings that `relidar list settings "
+                        "--all` prints",
                         (run.folder / kConfigFile).string(), run.config.preset));
 }
 
@@ -244,10 +245,11 @@ TrainedRun load_run(const fs::path& folder) {
                                     run.scene.surfels.size()));
     }
     if (run.scene.surfels.size() > 0 && run.scene.surfels.primitive != run.config.image.primitive)
-        throw DataError(fmt::format("{}: image.primitive is {}, but {} contains {}",
-                                    (folder / kConfigFile).string(),
-                                    get_primitive_kind(run.config.image.primitive).name, kModelFile,
-                                    get_primitive_kind(run.scene.surfels.primitive).label));
+        throw DataError(
+            fmt::format("{}: image.primitive is {}, but {} contains {}; change this setting to {}",
+                        (folder / kConfigFile).string(), get_primitive_kind(run.config.image.primitive).name,
+                        kModelFile, get_primitive_kind(run.scene.surfels.primitive).label,
+                        get_primitive_kind(run.scene.surfels.primitive).name));
     return run;
 }
 

@@ -95,17 +95,20 @@ struct ScatterArrays {
                        has_values =
                            first[i] >= 0.0 && count[i] > 0.0 && first[i] + count[i] <= double(values.size());
             if (!has_values || !(is_leaf || (has_feature && has_children)))
-                throw DataError(fmt::format(
-                    "{}: LiDAR {}: node {} of the intensity tree is invalid: feature {}, first child {}, "
-                    "first value {}, {} values",
-                    file, lidar, i, feature[i], child[i], first[i], count[i]));
+                throw DataError(
+                    fmt::format("{0}: node {2} of the decision tree for the intensities of LiDAR {1} is "
+                                "invalid (feature {3}, first child {4}, first value "
+                                "{5}, {6} values); expected a file that relidar has written",
+                                file, lidar, i, feature[i], child[i], first[i], count[i]));
             result.nodes.push_back({std::int32_t(feature[i]), float(at[i]), std::int32_t(child[i]),
                                     std::uint32_t(first[i]), std::uint32_t(count[i])});
         }
         result.step = read_finite_array("step", "f8", 1)[0];
         if (result.step < 0.0)
             throw DataError(
-                fmt::format("{}: array {}.step: found {}, expected 0 or more", file, lidar, result.step));
+                fmt::format("{0}: the array {1}.step (step between two intensities of LiDAR {1}) contains "
+                            "{2}, expected 0 or a positive number",
+                            file, lidar, result.step));
         return result;
     }
 };

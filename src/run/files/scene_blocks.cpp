@@ -15,7 +15,8 @@ Surfels load_block_surfels(const SceneBlock& block) {
     const SurfelModel& background = scene.models.front();
     if (background.count != block.count)
         throw DataError(
-            fmt::format("{}: the block has {} surfels of the background, expected {} as stored in the run",
+            fmt::format("{}: the block has {} background surfels, but model.safetensors of the run lists {}; "
+                        "expected the file that was saved with the run",
                         block.file.string(), background.count, block.count));
     return scene.surfels.slice(0, background.count);
 }

@@ -27,7 +27,8 @@ LidarFrame& get_frame_by_array_name(const std::string& array_name, LidarSequence
     if (error != std::errc{} || end != array_name.data() + array_name.size() ||
         position >= sequence.frames.size())
         throw DataError(
-            fmt::format("{}: the name of array {} is not a frame of the log, expected a number below {}",
+            fmt::format("{}: the array {} belongs to no frame of the log; expected the position of a frame "
+                        "as its name, a number below {}",
                         file_name, array_name, sequence.frames.size()));
     return sequence.frames[position];
 }
@@ -56,9 +57,10 @@ void load_azimuth_corrections(const std::filesystem::path& path, LidarSequence& 
         LidarFrame& frame = get_frame_by_array_name(array.name, sequence, file);
         const auto columns = std::size_t(sequence.get_lidar(frame).sensor.columns);
         if (array.dtype != "f4" || array.shape != std::vector<std::size_t>{columns})
-            throw DataError(fmt::format(
-                "{}: array {}: found {} [{}], expected f4 [{}] with one value per column of the LiDAR", file,
-                array.name, array.dtype, fmt::join(array.shape, ", "), columns));
+            throw DataError(
+                fmt::format("{}: the array {} has the type {} and the shape [{}], expected the type f4 "
+                            "(32-bit float) and the shape [{}], one value for each column of the LiDAR",
+                            file, array.name, array.dtype, fmt::join(array.shape, ", "), columns));
         frame.azimuth_shift_rad = array.convert_to_floats();
         for (const float shift : frame.azimuth_shift_rad)
             if (!(std::abs(shift) <= float(kPi)))

@@ -169,8 +169,9 @@ std::array<double, 5> Lpips::compute_lpips_layer_distances(const std::vector<flo
     const std::size_t n = 3 * std::size_t(rows) * std::size_t(columns);
     if (first_image.size() != n || second_image.size() != n)
         throw DataError(
-            fmt::format("cannot compute LPIPS: the images have {} and {} values, expected {} values each",
-                        first_image.size(), second_image.size(), n));
+            fmt::format("cannot compute LPIPS: the images have {} and {} values, expected {} values each, "
+                        "which is 3 for each of the {} x {} pixels",
+                        first_image.size(), second_image.size(), n, rows, columns));
     FeatureMap fa = normalise_colours(first_image, rows, columns),
                fb = normalise_colours(second_image, rows, columns);
     std::array<double, 5> distance{};

@@ -41,9 +41,9 @@ void require_finite_points(const std::vector<glm::dvec3>& points, const char* cl
     for (std::size_t i = 0; i < points.size(); ++i)
         if (!std::isfinite(points[i].x + points[i].y + points[i].z))
             throw DataError(fmt::format(
-                "cannot search nearest points: {} point {} is ({}, {}, {}), expected finite coordinates "
-                "in metres",
-                cloud_name, i, points[i].x, points[i].y, points[i].z));
+                "cannot search nearest points: point {} of the {} points is ({}, {}, {}), expected finite "
+                "coordinates in metres",
+                i, cloud_name, points[i].x, points[i].y, points[i].z));
 }
 
 }  // namespace

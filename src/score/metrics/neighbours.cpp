@@ -35,10 +35,10 @@ std::vector<int> find_neighbouring_training_frames(const LidarSequence& sequence
     for (const int p : {before, after})
         if (p >= 0) neighbours.push_back(p);
     if (neighbours.empty())
-        throw DataError(
-            fmt::format("cannot project neighbouring scans: the log has no training frame before or after "
-                        "position {}, expected at least one",
-                        frame_index));
+        throw DataError(fmt::format(
+            "cannot project neighbouring scans into frame {}: the log has no other training frame "
+            "of the same LiDAR, expected at least one",
+            sequence.frames[std::size_t(frame_index)].index));
     return neighbours;
 }
 

@@ -137,7 +137,8 @@ std::string get_only_actor_track(const TrainedRun& run) {
         if (!instance.track.empty()) tracks.push_back(instance.track);
     if (tracks.size() == 1) return tracks.front();
     throw UsageError(
-        fmt::format("{} is a run with {} actors, expected an asset, or RUN#TRACK to select an actor{}",
+        fmt::format("{} is a run with {} actors, expected an asset (a run with exactly one actor), or "
+                    "RUN#TRACK to select an actor{}",
                     run.folder.string(), tracks.size(),
                     tracks.empty() ? "" : fmt::format(" whose track is one of {}", fmt::join(tracks, ", "))));
 }

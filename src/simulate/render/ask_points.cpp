@@ -126,7 +126,7 @@ void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanReques
     if (s.pending.size() >= kScansInFlight)
         throw UsageError(
             fmt::format("cannot request the points of another scan: {} requested scans have not been read "
-                        "yet, expected fewer than {}; read one of them first",
+                        "yet, expected fewer than {}; call wait_for_points() first",
                         s.pending.size(), kScansInFlight));
     const SimulatedSweep sweep = s.sweeps.make_sweep_of_request(sensor, request);
     const Pose dataset_from_points = request.dataset_from_sensor.interpolate_pose(points_at_s);

@@ -33,8 +33,8 @@ constexpr int kSideBySide = 4;  // number of scans that a GPU renders in paralle
 void require_normals_for_channel(const Config& config, const ChannelInfo& channel, const char* error_prefix) {
     if (!channel.needs_normals || get_primitive_kind(config.image.primitive).has_normals) return;
     throw UsageError(
-        fmt::format("{}: the channel {} needs normals, but image.primitive={} has none; use surfels or other "
-                    "channels",
+        fmt::format("{}: the channel {} needs surface normals, but a scene that was trained with "
+                    "image.primitive={} has none; use a run with image.primitive=surfel, or other channels",
                     error_prefix, channel.name, get_primitive_kind(config.image.primitive).name));
 }
 

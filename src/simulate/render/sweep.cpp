@@ -19,13 +19,14 @@ constexpr double kFarthest = 1e10;  // limit for coordinates in metres and for t
 /// @throws DataError if poses or times are invalid
 void require_valid_track_poses_and_times(const PoseTrack& track, const std::string& object_name) {
     const auto fail = [&](const std::string& found, const char* expected) {
-        throw DataError(fmt::format("cannot render a scan: poses of {}: found {}, expected {}", object_name,
-                                    found, expected));
+        throw DataError(
+            fmt::format("cannot render a scan: the poses of {} are invalid: found {}, expected {}",
+                        object_name, found, expected));
     };
     const std::size_t n = track.pose.size();
     if (n == 0 || n != track.time_s.size())
         fail(fmt::format("{} poses and {} times", n, track.time_s.size()),
-             "the same number of poses and times, at least one of each");
+             "at least one pose, and exactly one time for each pose");
     for (std::size_t i = 0; i < n; ++i) {
         const auto& [q, t] = track.pose[i];
         bool is_pose = std::abs(glm::length(q) - 1.0) < 1e-3;
@@ -34,8 +35,9 @@ void require_valid_track_poses_and_times(const PoseTrack& track, const std::stri
             fail(fmt::format("an invalid pose at entry {}", i),
                  "a unit quaternion, and coordinates and times of at most 1e10");
         if (i > 0 && !(track.time_s[i] > track.time_s[i - 1])) {
-            fail(fmt::format("the time {} s after the time {} s", track.time_s[i], track.time_s[i - 1]),
-                 "increasing times");
+            fail(fmt::format("a pose at the time {} s after a pose at the time {} s", track.time_s[i],
+                             track.time_s[i - 1]),
+                 "times that increase from pose to pose");
         }
     }
 }
@@ -79,7 +81,8 @@ SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& 
 void SimulatedSweepBuilder::set_visible_instances(const std::vector<bool>& shown) {
     if (shown.size() != shown_.size())
         throw UsageError(fmt::format(
-            "cannot select the rendered instances: found {} values, expected {}, one for each instance",
+            "cannot select the objects to render: found {} values (true or false), expected {}, one for the "
+            "background and one for each actor",
             shown.size(), shown_.size()));
     shown_ = shown;
 }

@@ -53,8 +53,9 @@ std::string get_ply_field_name(const std::string& field_name) {
 void require_equal_point_array_lengths(const LidarPoints& points) {
     const auto check = [&](const char* name, std::size_t found, bool may_be_unknown = true) {
         if (found != points.size() && !(may_be_unknown && found == 0))
-            throw DataError(fmt::format("cannot write a point cloud: found {} values of {}, expected {}",
-                                        found, name, points.size()));
+            throw DataError(fmt::format(
+                "cannot write a point cloud: the array {} has {} values, expected {}, one for each point",
+                name, found, points.size()));
     };
     check("intensity", points.intensity.size(), false);
     check("ring", points.ring.size());

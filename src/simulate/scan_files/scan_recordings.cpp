@@ -55,8 +55,8 @@ void require_valid_topic_and_frame_names(const scan_files::RecordedRig& rig) {
         if (sensor.frame_id.empty() || sensor.frame_id.front() == '/' ||
             !used_frame_ids.insert(sensor.frame_id).second)
             throw UsageError(fmt::format(
-                "cannot write a recording: found frame id \"{}\" for the sensor with topic {}, expected "
-                "a name that does not begin with / and is none of {}",
+                "cannot write a recording: the sensor with topic {1} has the frame id \"{0}\"; expected a "
+                "name that is not empty, does not begin with / and is not used yet; used names: {2}",
                 sensor.frame_id, sensor.topic, fmt::join(used_frame_ids, ", ")));
     }
 }

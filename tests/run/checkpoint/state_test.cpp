@@ -48,12 +48,10 @@ TEST(State, WhatDoesNotFitIsNamed) {
     std::vector<double> wrong_type;
     EXPECT_THAT(get_data_error_message([&] { read("y", number); }),
                 test::Names("iteration 7 ... array \"y\""));
-    EXPECT_NE(
-        get_data_error_message([&] { read("x", number); }).find("array x: found f4 [2], expected f8 []"),
-        std::string::npos);
-    EXPECT_NE(
-        get_data_error_message([&] { read("x", wrong_type); }).find("array x: found f4 [2], expected f8 [2]"),
-        std::string::npos);
+    EXPECT_THAT(get_data_error_message([&] { read("x", number); }),
+                test::Names("array x ... f4 ... [2] ... f8 ... []"));
+    EXPECT_THAT(get_data_error_message([&] { read("x", wrong_type); }),
+                test::Names("array x ... f4 ... [2] ... f8 ... [2]"));
     EXPECT_THAT(get_data_error_message([&] { checkpoint.get_text("layout"); }),
                 test::Names("key \"layout\""));
 }
@@ -83,10 +81,8 @@ TEST_F(DeviceState, SurfelsAndArraysComeBack) {
         EXPECT_EQ(s->sh, surfels.sh);
     }
     EXPECT_EQ(statistics_back.download(), statistics.download());
-    EXPECT_NE(get_data_error_message([&] {
-                  read("parameters", smaller);
-              }).find("array parameters/mean: found f4 [5, 3], expected f4 [4, 3]"),
-              std::string::npos);
+    EXPECT_THAT(get_data_error_message([&] { read("parameters", smaller); }),
+                test::Names("array parameters/mean ... f4 ... [5, 3] ... f4 ... [4, 3]"));
     std::erase_if(checkpoint.arrays, [](const NamedArray& a) { return a.name == "parameters/rotation"; });
     EXPECT_THAT(get_data_error_message([&] { read.read_all_surfels("parameters"); }),
                 test::Names("array \"parameters/rotation\""));

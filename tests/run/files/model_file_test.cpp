@@ -206,7 +206,7 @@ TEST_F(ModelFile, ArraysAreChecked) {
     arrays = original_arrays;
     array("sh").shape = {4, 48};
     write_safetensors(path, arrays, metadata);
-    EXPECT_NE(load_error().find("array sh: found f4 [4, 48], expected f4 [4, 3, 16]"), std::string::npos);
+    EXPECT_THAT(load_error(), test::Names("array sh ... f4 ... [4, 48] ... f4 ... [4, 3, 16]"));
     arrays = original_arrays;
     const float one_row[4] = {1, 0, 0, 0};
     array("rotation") = make_array("rotation", {1, 4}, one_row, 4);
@@ -249,8 +249,7 @@ TEST_F(ModelFile, ModelsMustCoverTheSurfels) {
 
 TEST_F(ModelFile, OtherFilesAreRefused) {
     write_safetensors(path, arrays, {{"format", "pt"}});
-    EXPECT_NE(load_error().find("metadata format: found \"pt\", expected \"relidar model\""),
-              std::string::npos);
+    EXPECT_THAT(load_error(), test::Names("\"format\" ... \"pt\" ... \"relidar model\""));
     metadata["version"] = "9";
     write_safetensors(path, arrays, metadata);
     EXPECT_NE(load_error().find("metadata version: found \"9\""), std::string::npos);

@@ -259,18 +259,18 @@ void run_eval_command(const EvalOptions& command_options, const std::string& com
     options.target = options.targets.front();
     options.device = ranks.select_device_unless_user_chose(options.device);
     if (options.open && ranks.size() > 1)
-        throw UsageError(
-            fmt::format("--open: found {} MPI processes; expected one, because the page has pictures of all "
-                        "frames",
-                        ranks.size()));
+        throw UsageError(fmt::format(
+            "--open: found {} MPI processes; expected one, because the page shows all frames, but "
+            "each of several processes renders only a part of them",
+            ranks.size()));
     // Throws an error if the baseline is unknown. This is checked before the log is
     // loaded, because loading takes a long time.
     if (!options.baseline.empty()) (void)parse_baseline_motion(options.baseline);
     if (!options.baseline.empty() && !is_run_folder(options.target)) {
         if (options.open)
             throw UsageError(
-                "--open: the argument is a log; expected a run, because --baseline on a log writes no "
-                "page");
+                "--open: the argument is a log; expected a run, because only the scores of a run are written "
+                "as a page");
         return evaluate_baseline_on_log(options, ranks);
     }
     if (!options.part.frames.empty() || !options.part.sequence.empty())

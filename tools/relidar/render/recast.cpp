@@ -32,8 +32,8 @@ std::size_t get_synthetic_car_number_of_model(const SurfelModel& model,
     const auto [end, error] = std::from_chars(model.name.data(), model.name.data() + model.name.size(), car);
     if (error != std::errc() || end != model.name.data() + model.name.size())
         throw DataError(fmt::format(
-            "cannot render the edited street: track {} has the model \"{}\"; expected the number of "
-            "a car of the synthetic street",
+            "cannot render the edited street: the model of track {} has the name \"{}\"; expected a whole "
+            "number, because the models of a synthetic street are named by the numbers of its cars",
             track_id_for_errors, model.name));
     return car;
 }

@@ -204,8 +204,9 @@ std::vector<NumberedScanTime> list_sweeps_of_frames(const TrainedRun& run, const
         if (frame.lidar == lidar_index) sweeps.push_back({frame.index, frame.time_s});
     }
     if (sweeps.empty())
-        throw UsageError(fmt::format("--lidar {}: this LiDAR has none of the selected frames of {}",
-                                     options.lidar, run.folder.string()));
+        throw UsageError(fmt::format(
+            "--lidar {}: this LiDAR recorded none of the selected frames of the run {}; change --frames",
+            options.lidar, run.folder.string()));
     return sweeps;
 }
 

@@ -28,8 +28,9 @@ void print_note_if_drop_network_is_unused(const TrainedRun& run, const ScanRende
     if (!run.config.refine.enabled || run.drop_network.empty() || renderer.has_drop_network_for(sensor))
         return;
     print_note(fmt::format(
-        "the ray-drop network of run {} needs {} images of at least {} x {} pixels; for scans of "
-        "the sensor {} the surfels alone therefore decide which rays drop",
+        "the ray-drop network of run {} needs range images of type {} with at least {} x {} pixels; "
+        "scans of the sensor {} do not have this format, so the surfels alone decide which of their rays "
+        "have no return",
         run.folder.string(), run.drop_network.image, run.drop_network.compute_min_image_rows_and_columns(),
         run.drop_network.compute_min_image_rows_and_columns(), sensor.name));
 }
@@ -83,7 +84,8 @@ void print_unobserved_sides_note(const std::vector<nlohmann::json>& scans, const
         texts.push_back(fmt::format("{} in {} scans ({} rays)", name, sum.scans, sum.rays));
     if (texts.empty()) return;
     print_note(fmt::format(
-        "{}: rays reach sides of actors that the log did not observe, and {}: {} (see \"{}\" in scans.json)",
+        "{}: some rays reach sides of actors that the log did not observe; these rays {}: {} (see \"{}\" in "
+        "scans.json)",
         folder, effect_text, fmt::join(texts, ", "), sides_json_key));
 }
 
@@ -113,8 +115,8 @@ void print_note_on_unseen_space(const std::vector<std::string>& scan_json_entrie
     if (n_unseen == 0) return;
     print_note(fmt::format(
         "{}: in {} of {} scans, more than {:.0f} % of the rays cross space that the log has not "
-        "observed (scan {} has the most, {:.1f} %); surfaces there are extrapolated; see "
-        "\"unseen\" in scans.json, or use --channels seen for a value per ray",
+        "observed, so the surfaces there are guessed; scan {} has the largest share, {:.1f} %; see "
+        "\"unseen\" in scans.json for each scan, or use --channels seen for each ray",
         scan_folder, n_unseen, n_scans_with_value, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
 }
 

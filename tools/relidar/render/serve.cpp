@@ -100,10 +100,10 @@ public:
     void send_or_queue_packets_of_scan(const TrainedRun& run, const SimulatedSensor& sensor,
                                        const std::string& sensor_name, const RenderedScan& scan) {
         if (sensor_name.empty() && !sensor.is_log_lidar)
-            throw UsageError(
-                fmt::format("cannot write packets of a sensor that the request describes; expected "
-                            "sensor.name with one of {}",
-                            format_packet_sensor_names()));
+            throw UsageError(fmt::format(
+                "cannot write packets of a sensor that is given by sensor.spec or sensor.handle; expected "
+                "sensor.name to be one of {}",
+                format_packet_sensor_names()));
         const std::lock_guard lock(mutex_);
         const std::string key =
             fmt::format("{} {} {} {}", run.folder.string(), sensor.lidar, sensor.returns, sensor_name);

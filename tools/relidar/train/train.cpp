@@ -301,7 +301,8 @@ std::optional<Checkpoint> load_matching_network_checkpoint(const TrainedRun& run
         if (start) require_network_training_is_resumable(*start, run);
         return start;
     } catch (const Error& error) {
-        print_note(fmt::format("{}; the network is therefore trained from the beginning", error.what()));
+        print_note(fmt::format("{}; therefore the training of the ray-drop network starts from the beginning",
+                               error.what()));
         return std::nullopt;
     }
 }

@@ -292,8 +292,9 @@ void replace_moving_cars(street::SyntheticStreet& street, const std::vector<Synt
     for (const SyntheticCar& car : edited_cars) {
         if (car.shapes_of >= original_cars.size())
             throw DataError(fmt::format(
-                "cannot cast rays into the edited street: track {} has the shape of car {}, expected the "
-                "index of one of its {} cars",
+                "cannot cast rays into the edited street: track {} refers to car {} of the street, but the "
+                "street has only {} cars, which are numbered from 0; expected the street that the run was "
+                "trained with",
                 car.track.id, car.shapes_of, original_cars.size()));
         if (!car.track.is_observed_at_time(time_s)) continue;
         street::MovingStreetActor& moved = street.cars.emplace_back(original_cars[car.shapes_of]);

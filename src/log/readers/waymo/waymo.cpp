@@ -77,10 +77,11 @@ RequestedSegment choose_segment(const fs::path& file_or_folder, const DatasetOpt
         if (name.starts_with(part.drive) || name.starts_with("segment-" + part.drive))
             return {file, part.frames, part.is_benchmark, part.test_frames};
     }
-    throw UsageError(
-        fmt::format("dataset.sequence: found '{}', expected the beginning of the name of one of the {} "
-                    "segments in {}, or ws1 to ws4, or wd1 to wd4",
-                    shorten_for_error_message(options.sequence), files.size(), file_or_folder.string()));
+    throw UsageError(fmt::format(
+        "dataset.sequence: found '{}', which selects none of the {} segments in {}; expected "
+        "the beginning of a segment's name, or a part that the LiDAR-RT paper uses (ws1 to ws4 or "
+        "wd1 to wd4) and whose segment is there",
+        shorten_for_error_message(options.sequence), files.size(), file_or_folder.string()));
 }
 
 /// Returns the records [begin, end) that contain the requested frames.
@@ -89,10 +90,10 @@ std::pair<int, int> get_requested_record_range(const TfRecordReader& records,
     const int n = static_cast<int>(std::min<std::size_t>(records.size(), 1 << 30));
     const int end = requested_frames.end < 0 ? n : std::min(requested_frames.end, n);
     if (requested_frames.begin >= end)
-        throw UsageError(fmt::format("frames {}:{} select no record of {}, expected numbers in [0, {}]",
-                                     requested_frames.begin,
-                                     requested_frames.end < 0 ? "" : std::to_string(requested_frames.end),
-                                     records.get_file_path().string(), n - 1));
+        throw UsageError(fmt::format(
+            "the frame range {}:{} selects no frame of {}, expected frame numbers from 0 to {}",
+            requested_frames.begin, requested_frames.end < 0 ? "" : std::to_string(requested_frames.end),
+            records.get_file_path().string(), n - 1));
     return {requested_frames.begin, end};
 }
 

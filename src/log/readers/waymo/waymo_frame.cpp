@@ -220,8 +220,8 @@ void parse_label_into_frame(pbf_reader reader, WaymoFrameRecord& frame_record,
     label.category = category;
     if (label.id.empty() || !(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) > 0.0))
         throw DataError(fmt::format(
-            "{}: found a {} with id '{}' and size {} x {} x {} m, expected an id and three lengths "
-            "above 0",
+            "{}: found an object of the class {} with the id '{}' and the size {} x {} x {} m; expected an "
+            "id that is not empty, and a length, width and height above 0",
             error_location, category, shorten_for_error_message(label.id), label.size_m.x, label.size_m.y,
             label.size_m.z));
     frame_record.labels.push_back(std::move(label));
@@ -326,8 +326,10 @@ WaymoFrameRecord parse_frame_record(std::string_view record_bytes, const std::st
         }
     });
     if (!has_pose)
-        throw DataError(
-            fmt::format("{}: the pose is missing, expected a Frame of Waymo Open", error_location));
+        throw DataError(fmt::format(
+            "{}: the pose of the vehicle is missing, expected a frame of the Waymo Open Dataset, which "
+            "has one",
+            error_location));
     const auto by_laser = [](const auto& first, const auto& second) { return first.laser < second.laser; };
     std::stable_sort(frame.lasers.begin(), frame.lasers.end(), by_laser);
     std::stable_sort(frame.images.begin(), frame.images.end(), by_laser);
@@ -348,10 +350,12 @@ DecompressedImage inflate_image(std::string_view compressed_image, int n_channel
         dims[2] == n_channels &&
         image.values.size() == std::size_t(dims[0]) * std::size_t(dims[1]) * std::size_t(n_channels);
     if (!fits)
-        throw DataError(fmt::format(
-            "{}: found {} values in {} dimensions{}, expected rows x columns x {} values", error_location,
-            image.values.size(), dims.size(),
-            dims.size() == 3 ? fmt::format(" {} x {} x {}", dims[0], dims[1], dims[2]) : "", n_channels));
+        throw DataError(
+            fmt::format("{}: found an image with {} values and {} dimensions{}; expected rows x columns x {} "
+                        "values, with at most {} rows and {} columns",
+                        error_location, image.values.size(), dims.size(),
+                        dims.size() == 3 ? fmt::format(" ({} x {} x {})", dims[0], dims[1], dims[2]) : "",
+                        n_channels, kMostRows, kMostColumns));
     image.rows = dims[0];
     image.columns = dims[1];
     image.channels = n_channels;

@@ -279,7 +279,7 @@ TEST(Waymo, DamagedFramesAreRefused) {
            [&](auto& frame) { with_top(frame, image(h, w, 4, 5.0f).substr(0, 40)); });
     expect("record 1: TOP ... malformed",
            [&](auto& frame) { with_top(frame, test::deflate_bytes("\x0a\x7f")); });
-    expect("record 1: TOP: found 4 values in 3 dimensions 1000000 x 1000000 x 4", [&](auto& frame) {
+    expect("record 1: TOP ... 4 values ... 3 dimensions ... 1000000 x 1000000 x 4", [&](auto& frame) {
         with_top(frame, test::make_waymo_matrix({1, 2, 3, 4}, {1000000, 1000000, 4}));
     });
     expect("record 1: TOP ... 32000 values ... 16 x 400 x 5",
