@@ -113,8 +113,9 @@ void write_geometry_gradients(uint surfel, Gait gait, vec3 d_mean, float row[16]
     for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = d_gait[k];
 }
 
-/// Computes the gradients of a surfel's parameters from the gradient of its record. If
-/// STAGED is set, every thread of the workgroup must call this function.
+/// Converts the gradient of a surfel's record, which tracing kernels read, to gradients
+/// of its parameters, which the optimizer changes. If STAGED is set, threads share data,
+/// so that all threads of the workgroup must call this function.
 void apply_chain_rule(uint surfel, bool is_surfel) {
     uint model = find_model(params.models, params.n_models, surfel);
     float row[16];

@@ -19,9 +19,9 @@ const uint kChannelPitch = 17u;
 shared float staged_channel[gl_WorkGroupSize.x * kChannelPitch];
 shared bool staged_loads[gl_WorkGroupSize.x], staged_stores[gl_WorkGroupSize.x];
 
-/// Sets whether this thread loads and stores the spherical-harmonic coefficients of its
-/// surfel. All threads of the workgroup copy the coefficients together. Therefore every
-/// thread must call this function, load_channel() and store_channel().
+/// Sets whether the spherical-harmonic coefficients of this thread's surfel are loaded
+/// and stored. All threads of the workgroup copy coefficients together. Therefore even a
+/// thread that sets false must call this function, load_channel() and store_channel().
 void set_sh_transfers(bool loads, bool stores) {
     if (!STAGED) return;
     staged_loads[gl_LocalInvocationIndex] = loads;
@@ -58,7 +58,7 @@ void store_channel(Floats sh, uint surfel, uint channel, uint count) {
     }
 }
 
-/// Returns SH coefficient `index` of the channel that was loaded last.
+/// Returns SH coefficient `index`. The last call of load_channel() must be for `channel`.
 float load_coefficient(Floats sh, uint surfel, uint channel, uint index) {
     return STAGED ? staged_channel[gl_LocalInvocationIndex * kChannelPitch + index]
                   : sh.at[surfel * RELIDAR_SH_FLOATS + channel * 16u + index];

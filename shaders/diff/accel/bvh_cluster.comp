@@ -38,9 +38,9 @@ struct Cluster {
 shared vec3 low_of[ROOM], high_of[ROOM];
 shared uint root_of[ROOM], spare_of[ROOM];
 shared uint nearest[ROOM];
-// Two neighbouring ranges of sorted surfels that the subgroup joins: x to y, and y + 1 to
-// z. If both ranges together are a complete model, w is the index of this model.
-// Otherwise w is -1.
+// Two neighbouring ranges of sorted surfels whose subtrees are merged next: surfels
+// task.x to task.y, and task.y + 1 to task.z. task.w is the index of a model if both
+// ranges together are the complete model, otherwise -1.
 shared ivec4 task;
 
 /// Waits until all lanes of the subgroup see each other's writes to shared memory.
@@ -79,8 +79,8 @@ Cluster load_cluster(uint root) {
                    SharedUints(uvec2(params.tree.spares)).at[root]);
 }
 
-/// Loads the subtrees (clusters) of the surfels `from` to `to`. Appends them to the
-/// `count` clusters in shared memory. Returns the new number of clusters.
+/// Appends the clusters (subtrees) of the sorted surfels `from` to `to` to the clusters
+/// in shared memory, of which there are `count`. Returns the new number of clusters.
 uint load_clusters(int from, int to, uint count) {
     SharedUints roots = SharedUints(uvec2(params.clusters));
     uint n_range = min(uint(to - from) + 1u, KEPT);
@@ -95,8 +95,8 @@ uint load_clusters(int from, int to, uint count) {
 }
 
 /// Returns the cluster whose joint bounding box with cluster `index` has the smallest
-/// surface area. If several areas are equal, returns the first of these clusters. So at
-/// least two clusters are the nearest neighbours of each other.
+/// surface area. If several areas are equal, returns the first of these clusters. This
+/// rule guarantees that at least two clusters choose each other and can be merged.
 uint find_nearest_cluster(uint index, uint count) {
     Box own = get_box(index);
     float least = BOX_HUGE;
@@ -148,9 +148,9 @@ uint merge_mutual_nearest_clusters(uint count) {
     return n_kept;
 }
 
-/// Joins the two ranges of surfels in `task`: merges their subtrees until at most KEPT
-/// remain, or one if the joined range is a complete model. All threads of the subgroup
-/// must call this function.
+/// Merges the subtrees of the two surfel ranges in `task` until at most KEPT = 16
+/// subtrees remain. If the ranges are a complete model, continues until one subtree
+/// remains. All threads of the subgroup must call this function.
 void join_task_ranges() {
     uint n = load_clusters(task.x, task.y, 0u);
     n = load_clusters(task.y + 1, task.z, n);
@@ -166,9 +166,9 @@ void join_task_ranges() {
     if (n < KEPT && gl_SubgroupInvocationID == 0u) roots.at[task.x + n] = RELIDAR_BVH_NO_NODE;
 }
 
-/// Each thread starts with one range of surfels. Two threads with neighbouring ranges
-/// call this function for the same boundary. The thread that calls it first stops. The
-/// thread that calls it second continues with the joined range.
+/// Two threads with neighbouring ranges of surfels call this function for the boundary
+/// behind surfel `split`. The first caller stops. The second caller continues with the
+/// joined range. `first` and `last` are the first and last surfel of the model.
 /// @return true if this thread continues. `from` and `to` are then the joined range
 bool join_with_neighbour_range(inout int from, inout int to, out int split, int first, int last) {
     bool leftward = count_common_bits(from - 1, first, last) > count_common_bits(to, first, last);

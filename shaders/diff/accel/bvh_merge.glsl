@@ -10,17 +10,17 @@ struct Subtree {
     float area;
 };
 
-/// Loads the traversal costs of a subtree. costs[k] is the cost if the subtree may use at
-/// most k of the eight child entries of its parent.
+/// Loads the traversal costs of a subtree below a wide node, which has eight child slots.
+/// costs[k] is the cost if the subtree gets at most k of these slots.
 void load_costs(BvhBinary tree, Subtree subtree, out float costs[RELIDAR_BVH_WIDTH]) {
     for (uint k = 1u; k < RELIDAR_BVH_WIDTH; ++k)
         costs[k] = is_leaf(subtree.root) ? subtree.area * SURFEL_COST
                                          : SharedFloats(uvec2(tree.costs)).at[7u * subtree.root + k - 1u];
 }
 
-/// Computes the traversal costs of a binary node from the costs of its two children. The
-/// children will share child entries of a wide node. Also stores how many of k entries
-/// the left child should get, for each possible k.
+/// Computes the traversal costs of a binary node from the costs of its two children. If
+/// the binary node gets k child slots of a wide node, its children share these k slots.
+/// Also stores, for each k, how many of the k slots the left child should get.
 void write_node_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float area) {
     float in_left[RELIDAR_BVH_WIDTH], in_right[RELIDAR_BVH_WIDTH];
     load_costs(tree, left, in_left);

@@ -92,13 +92,13 @@ bool count_finished_child(bool arrives, uint node, uint expected) {
     return broadcast_from_first_lane(last);
 }
 
-/// Computes the boxes of a node without inner children. Then continues with each ancestor
-/// whose children are all finished.
+/// Computes the boxes of a node whose children are all leaves, and then of its ancestors.
+/// Stops at an ancestor if another child of this ancestor has no new box yet.
 void refit_ancestors(bool has_node, uint node) {
     uint inner_mask = has_node ? params.wide.nodes.at[node].exponents >> 24 : 1u;
     uvec2 link = has_node ? params.wide.links.at[node] : uvec2(RELIDAR_BVH_NO_NODE);
-    // This group of lanes starts only at a node without child nodes. Other nodes wait for
-    // their children. The host selects models by their first surfel (link.y).
+    // Starts at nodes without child nodes. link.y is the first surfel of the node's
+    // model. The host selects the models to process by a range of first surfels.
     has_node = inner_mask == 0u && link.y >= params.first_surfel && link.y <= params.last_surfel;
     while (subgroupAny(has_node)) {
         refit_node(has_node, node, link.y, inner_mask);

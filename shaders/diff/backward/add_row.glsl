@@ -45,8 +45,8 @@ void add_row(Floats array, uint row, uint is_needed) {
     if (!are_rows_exchanged()) return;
     shared_targets[get_shared_row_index()] = row;
     subgroupBarrier();
-    // A group of n threads adds one row after another. Neighbouring threads add
-    // neighbouring floats of the row.
+    // Each group of n threads adds the n rows of its threads one by one. Neighbouring
+    // threads add neighbouring floats of a row.
     uint n = min(16u, gl_SubgroupSize), lane = gl_SubgroupInvocationID % n;
     uint first = get_shared_row_index() - lane;
     for (uint from = first; from < first + n; ++from) {

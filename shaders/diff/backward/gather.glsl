@@ -8,13 +8,12 @@ float sums[16];
 float sh_sums[RELIDAR_SH_FLOATS];
 
 uint get_partial_sum_width() { return SH_PER_SURFEL != 0u ? 16u : 16u + RELIDAR_SH_FLOATS; }
-// Hits are sorted by surfel and split into blocks. Returns the index in `parts` of the
-// partial gradient sum over the first hits of a block. This sum is stored if the previous
-// block has hits on the same surfel. Kernel gather_heads adds it later.
+// Hits are sorted by surfel and split into blocks. If a surfel has hits in several
+// blocks, kernel gather_heads adds the partial gradient sums of these blocks. Returns the
+// index in `parts` of the sum for the surfel that continues from the previous block.
 uint get_head_index(uint block) { return 2u * block * get_partial_sum_width(); }
-// Returns the index in `parts` of the partial gradient sum over the last hits of a block,
-// which are on one surfel. This sum is stored if the next block has hits on the same
-// surfel.
+// Returns the index in `parts` of a block's gradient sum for the surfel whose hits begin
+// in this block and continue in the next block.
 uint get_tail_index(uint block) { return get_head_index(block) + get_partial_sum_width(); }
 uint n_sorted() { return min(params.n_hits.at[0], params.capacity); }
 uint get_block_end(uint block) { return min((block + 1u) * RELIDAR_GATHER_BLOCK, n_sorted()); }

@@ -13,9 +13,9 @@ RELIDAR_PARAMS(PoseBlocksParams);
 
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1], array.at[row + 2]); }
 
-/// Returns the gradient of the loss with respect to a small rotation of the viewing
-/// direction. It is stored in elements 7, 11 and 15 of the 16 gradient floats of a
-/// surfel.
+/// Returns dL/dw of one surfel, where the rotation vector w rotates the viewing direction
+/// by a small angle. The surfel has 16 gradient floats, which start at index `row`.
+/// Elements 7, 11 and 15 of these floats are dL/dw.
 vec3 load_direction_rotation_gradient(uint row) {
     return vec3(params.d_records.at[row + 7], params.d_records.at[row + 11], params.d_records.at[row + 15]);
 }

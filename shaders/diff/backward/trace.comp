@@ -47,7 +47,7 @@ void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient gradient)
     }
 }
 
-/// A hit of the ray, with its intermediate results of blending.
+/// A hit of a ray, with its blending weight and other values that blending computes.
 struct BlendedHit {
     uint slot;  // index of the hit's record in `hits`
     uint instance;
@@ -55,8 +55,8 @@ struct BlendedHit {
     float alpha;          // Opacity at the hit (sigma G) before it is clamped.
     float transmittance;  // transmittance before the hit
     float w;              // alpha times transmittance
-    // dL/dw of this hit minus dL/dw of the ray's nearest hit, where L is the loss. The
-    // difference is small, which reduces rounding errors.
+    // dL/dw of this hit minus dL/dw of the ray's nearest hit, where L is the loss. Sums
+    // of these small differences have smaller rounding errors than sums of dL/dw.
     float shade;
     float behind;  // Sum of weight times `shade` over all hits behind this hit, including the background.
 };
@@ -98,11 +98,11 @@ void load_kept_hits(uint first, uint count) {
         append_hit(params.kept.at[get_list_entry(params.n_kept, list, first + i)]);
 }
 
-/// Adds the gradients of the first `count` hits in the buffer, from far to near. If
-/// are_rows_exchanged() is true, threads add gradients together. All threads of the
-/// subgroup must then call this function.
-/// @param slot index of the first hit in `hits`
-/// @param behind sum of w * shade over everything behind these hits, with the background
+/// Adds the gradients of the first `count` hits in the hit buffer, from far to near. If
+/// are_rows_exchanged() is true, threads exchange gradients, so that all threads of the
+/// subgroup must call this function.
+/// @param slot index in `hits` of the record of the first hit
+/// @param behind sum of w * shade (see BlendedHit) over all farther hits and background
 void add_buffered_hit_gradients(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, uint slot,
                                 uint count, float behind) {
     for (uint k = are_rows_exchanged() ? subgroupMax(count) : count; k > 0u; --k) {
@@ -121,8 +121,8 @@ void add_buffered_hit_gradients(TraceScene scene, Ray ray, uint ray_index, RayGr
     }
 }
 
-/// Returns the state of the blending at the start of a ray. `remaining` is the sum of all
-/// blended values of the ray, each multiplied by its gradient.
+/// Returns the state in which the backward pass starts to blend the hits of a ray again.
+/// `remaining` is the sum of value * dL/d(value) over all blended values of the ray.
 BlendState start_blending(RenderedRay final, RayGradient gradient) {
 #define RELIDAR_REMAINS(name, built, value, input, slope, meaning) +gradient.name* final.name
     precise float remaining = RELIDAR_CHANNEL_VALUES(RELIDAR_REMAINS);
@@ -136,8 +136,8 @@ BlendState start_blending(RenderedRay final, RayGradient gradient) {
     return state;
 }
 
-/// Subtracts the value of the nearest hit from the values of all hits, which reduces
-/// rounding errors. The gradients stay the same, because all weights sum to 1.
+/// Subtracts dL/dw of the nearest hit from dL/dw of all hits, which reduces rounding
+/// errors. The blending weights w sum to 1, so a common offset changes no gradient.
 void shift_blend_origin(TraceScene scene, Ray ray, RenderedRay final, RayGradient gradient,
                         inout BlendState state) {
     state.shift = compute_weight_gradient(scene, ray, gradient, load_hit(0u));
@@ -148,8 +148,8 @@ void shift_blend_origin(TraceScene scene, Ray ray, RenderedRay final, RayGradien
 /// Computes the gradients of a ray.
 /// @param going true if this thread has a ray with a non-zero gradient. If
 /// are_rows_exchanged() is true, the other threads must call this function too
-/// @return number of hits with a gradient. Below final.n_hits if hits were not found
-/// again
+/// @return number of hits whose gradients were computed. Less than final.n_hits if this
+/// pass did not find all hits of the forward pass again
 uint backpropagate_ray(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient gradient,
                        bool going) {
     BlendState state = start_blending(final, gradient);
@@ -161,8 +161,8 @@ uint backpropagate_ray(TraceScene scene, Ray ray, uint ray_index, RenderedRay fi
         uint n = 0u, slot = start + blended;
         float behind = 0.0;
         if (going) {
-            // Loads stored hits only in complete chunks, so that rounding errors do not
-            // depend on the number of stored hits.
+            // True if all hits of the next chunk are stored. Partial chunks are not
+            // loaded, so that n_kept affects neither the split into chunks nor rounding.
             bool kept = min(blended + CHUNK, final.n_hits) <= params.n_kept;
             if (kept) load_kept_hits(blended, final.n_hits - blended);
             else find_next_hits(scene, ray, after, compute_min_transmittance(scene, state.transmittance));

@@ -26,9 +26,9 @@ uint divide_64_by_32(uint high, uint low, uint divisor) {
     return quotient;
 }
 
-/// Returns how many of the n_new copies the first surfels get together, if the sum of
-/// their weights is `weight`: weight * n_new / total_weight, rounded to an integer. The
-/// random offset `phase` determines the rounding.
+/// Returns floor((weight * n_new + phase) / total_weight). This is the number of copies
+/// that the first surfels of the scene receive together. `weight` is the sum of their
+/// weights. The random `phase` decides between rounding up and down.
 uint sum_earlier_weights(uint weight) {
     if (params.total_weight == 0u) return 0u;
     uint high, low, carry;

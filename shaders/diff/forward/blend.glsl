@@ -71,8 +71,8 @@ void keep_hit(uint index, Hit hit) {
 /// Adds the background to the blended values and writes the result of the ray.
 void finish_blending(uint ray_index, inout Blended blended) {
     if (params.n_kept > 0u && blended.ray.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
-    // The background has the drop logit 1, and 0 for all other blended values. Its weight
-    // is the remaining transmittance of the ray.
+    // Blends the background like a hit with the drop logit 1 and all other values 0. Its
+    // weight is the remaining transmittance of the ray.
     add_with_compensation(blended.ray.drop_logit, blended.lost.drop_logit, blended.ray.transmittance);
     keep_heavier_surface(blended.surfaces);
     if (NORMAL != 0u || MODE != 0u)

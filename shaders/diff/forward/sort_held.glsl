@@ -9,8 +9,8 @@
         if (place[h] < n) t[h] = load_list_hit(list, place[h]).t; \
     }
 
-// A step of the bitonic sort sorts runs of `run` hits, in turn in ascending and
-// descending order. True if hit number h of this lane is in an ascending run.
+// Each stage of the bitonic sort sorts blocks of `run` hits: even blocks in ascending
+// order, odd blocks in descending order. True if hit h of this lane is in an even block.
 #define IS_UPWARD(h) (((lane * HELD + h) & run) == 0u)
 
 #define EXCHANGE_BETWEEN_LANES(h)                                                       \

@@ -13,14 +13,14 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(ChannelSumsParams);
 
-/// Returns the first pixel of a part. The pixels of an image are divided into `of_image`
-/// parts of nearly equal size. The next part starts at get_part_begin(part + 1).
+/// Returns the first pixel of part number `part` of an image. Each image is divided into
+/// `of_image` parts of nearly equal size.
 uint get_part_begin(uint part, uint of_image) {
     return params.n_pixels / of_image * part + min(part, params.n_pixels % of_image);
 }
 
-/// Returns what one pixel adds to the gradients of the normalisation's beta and gamma.
-/// @param plane,d_plane index of the channel's first pixel in `from` and in `d_to`
+/// Returns one pixel's contribution to dL/d(beta) and dL/d(gamma) of the normalisation.
+/// @param plane,d_plane index of the channel's first pixel in params.from and params.d_to
 /// @param place index of the channel's first pixel in the dropout mask
 /// @param affine,moments (scale, shift) and (mean, 1 / deviation) of the channel
 vec2 compute_gradients_at(uint pixel, uint plane, uint d_plane, uint place, vec2 affine, vec2 moments) {

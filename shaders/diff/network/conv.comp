@@ -34,9 +34,9 @@ const uint kOut = RELIDAR_CONV_OUT, kIn = RELIDAR_CONV_IN, kLines = TAPS == 1u ?
 const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;
 shared float tile[kIn * 9 * kOut];  // weights of a tile, indexed [in, tap, out]
 
-/// Copies the weights from kIn input channels to kOut output channels to shared memory,
-/// starting at channels first_in and first_out. Near the last channel there may be fewer
-/// channels. The weights of the last channel then fill the tile and are not used.
+/// Copies the weights of kIn input channels (from first_in) and kOut output channels
+/// (from first_out) to shared memory. If fewer channels remain, weights of the last
+/// channel fill the other entries, which are not used.
 void load_weight_tile(uint first_out, uint first_in) {
     for (uint k = gl_LocalInvocationIndex; k < kIn * TAPS * kOut; k += gl_WorkGroupSize.x) {
         uint o = min(first_out + k % kOut, params.n_out - 1u),

@@ -22,9 +22,9 @@ RELIDAR_PARAMS(ConvWeightsParams);
 const uint kOut = RELIDAR_CONV_OUT, kIn = TAPS == 1u ? RELIDAR_CONV_IN : 1u, kLines = TAPS == 1u ? 1u : 3u;
 
 float sum[kOut * kIn * TAPS];  // partial sums of this lane, indexed [out, in, tap]
-// Input pixels of two neighbouring blocks of LANES columns, indexed [input channel,
-// kernel row]. Each thread holds one column per block. For a 3x3 kernel, it reads the two
-// columns to the right from other threads.
+// Input pixels of this lane in two neighbouring blocks of LANES columns, one column per
+// block, indexed [input channel, kernel row]. A 3x3 kernel needs three columns. Each lane
+// reads the two columns to the right of its column from other lanes.
 float before[kIn * kLines], next[kIn * kLines];
 float d_out[kOut];  // d_to of the lane's column
 
@@ -53,8 +53,8 @@ void main() {
         bool inside[kIn * kLines];
         uint column = (lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
         [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) {
-            // In row 0, y - 1 wraps to a large unsigned number, so that `inside` is
-            // false.
+            // A 3x3 kernel at y = 0 needs row -1, which is zero padding. `row` then wraps
+            // to a large unsigned number, so that inside[k] is false.
             uint row = TAPS == 1u ? y : y + k % kLines - 1u, i = min(first_in + k / kLines, params.n_in - 1u);
             inside[k] = row < params.rows;
             row_at[k] = (image * params.from.channels + params.from.first + i) * n_pixels +

@@ -4,9 +4,8 @@
 #ifndef RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 #define RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 
-/// Treats the arguments of all lanes as one array of 2 LANES values: `first` of every
-/// lane, then `second` of every lane. Returns array[k + index], where k is the number of
-/// this lane.
+/// Returns `first` of lane number n = (number of this lane + index). If n is at least
+/// LANES, returns `second` of lane n - LANES instead.
 float read_from_lane(float first, float second, uint index) {
     uint lane = gl_SubgroupInvocationID + index;
     float of_a = subgroupShuffle(first, lane % LANES), of_b = subgroupShuffle(second, lane % LANES);

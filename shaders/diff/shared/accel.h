@@ -18,9 +18,9 @@ struct ProxyParams {
     // Output [n,6] in m: lower and upper corners of the boxes around surfels. Written
     // only if the shapes are boxes.
     RELIDAR_OF(Floats, SurfelBoxes) boxes;
-    // Output [1] in m, as float bits: largest possible distance from a hit on a 3D
-    // Gaussian to a corner of the icosahedron around this Gaussian. Written only for
-    // icosahedra.
+    // Output: one distance in m, as the bits of a float. It is the largest possible
+    // distance between a hit on a 3D Gaussian and a corner of the icosahedron around this
+    // Gaussian. Written only for icosahedra.
     Uints reach;
     float alpha_min;  // Opacity threshold. The proxy encloses all points with sigma G >= alpha_min.
     // Margin in m that is added to the shape around each surfel, so that rounding errors

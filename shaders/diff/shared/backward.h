@@ -51,9 +51,9 @@ struct BackwardParams {
     // atomics.
     uint capacity;
     uint n_rows;
-    // 1: writes the gradient with respect to a rotation of the viewing direction to
-    // elements 7, 11 and 15 of each row of `d_records`. Pose gradients need it. Used only
-    // if spherical harmonics are evaluated per hit.
+    // 1: adds dL/d(small rotation of the viewing direction) of each surfel to floats 7,
+    // 11 and 15 of its row in `d_records`. Gradients of poses need it. Used only if
+    // spherical harmonics are evaluated per hit.
     uint with_turn;
 };
 
@@ -67,10 +67,10 @@ struct GatherParams {
     RELIDAR_OF(Uints, HitRows) rows;     // input [capacity] ascending
     RELIDAR_OF(Uints, HitSlots) slots;   // Input [capacity]: indices into `hits`, sorted by row.
     RELIDAR_OF(Uints, HitCount) n_hits;  // input [1], may exceed capacity
-    // Partial gradient sums [blocks,2,k] of surfels with hits in several blocks of
-    // RELIDAR_GATHER_BLOCK hits. k = 16, or 64 if SH are evaluated per hit. Sum 0: first
-    // surfel of the block, if it continues from the previous block. Sum 1: last surfel,
-    // if it begins in this block and continues in the next block.
+    // Partial gradient sums [n_blocks,2,k] of surfels with hits in several blocks of
+    // RELIDAR_GATHER_BLOCK hits. k is 16, or 64 if SH are evaluated per hit. Entry [b,0]:
+    // surfel that continues from block b - 1 to block b. Entry [b,1]: surfel whose hits
+    // begin in block b and continue in block b + 1.
     RELIDAR_OF(Floats, RowParts) parts;
     RELIDAR_OF(Floats, RecordGradients) d_records;  // accumulated [n_rows,16]
     RELIDAR_OF(Floats, Harmonics) d_sh;             // accumulated [n,3,16], if SH are evaluated per hit

@@ -29,8 +29,8 @@ struct BvhBoundsParams {
     // box.
     RELIDAR_OF(Floats, SurfelBoxes) boxes;
     Models models;  // input [n_models]
-    // Bounds [n_models,6] of the centres of the surfel boxes: minima of x, y, z, -x, -y
-    // and -z. Floats are stored as integers with the same order, for atomicMin().
+    // Bounds [n_models,6] of the box centres of each model's surfels: minima and negative
+    // maxima of x, y, z. Floats are mapped to integers in the same order for atomicMin().
     RELIDAR_OF(Uints, ModelBounds) bounds;
     uint n_surfels;
     uint n_models;
@@ -53,15 +53,15 @@ struct BvhKeysParams {
 struct BvhBinary {
     RELIDAR_OF(Uvec2s, BinaryChildren) children;  // [n]
     RELIDAR_OF(Floats, BinaryBoxes) boxes;        // [n,6] m
-    // Traversal costs [n,7] in m^2 of each node's subtree. Entry k - 1 is the cost if the
-    // subtree may use at most k of the eight child entries of a wide parent node.
+    // Traversal costs [n,7] of each node's subtree: weighted box areas, m^2. Entry k - 1
+    // is the cost if the subtree gets at most k of the eight child slots of a wide node.
     RELIDAR_OF(Floats, BinaryCosts) costs;
-    // Bit fields [n], one word per node: number of surfels below the node, and how many
-    // child entries of a wide node its left child gets. See bvh_binary.glsl.
+    // One word per node [n]: number of surfels below the node, and how its two children
+    // divide the child slots of a wide node. See bvh_binary.glsl.
     RELIDAR_OF(Uints, BinaryDecisions) decisions;
-    // For each node [n]: an unused node index, which a later parent can get. Indices of
-    // nodes are positions of surfels below them, and one of these positions is always
-    // unused.
+    // For each node [n]: a free index for a later parent node. A node is numbered by the
+    // position of a surfel below it. k surfels have k positions but only k - 1 nodes
+    // above them, so that one position is always free.
     RELIDAR_OF(Uints, SpareNodes) spares;
 };
 
@@ -73,9 +73,9 @@ struct BvhClusterParams {
     RELIDAR_OF(Uvec2s, MortonKeys) keys;       // input [n] sorted
     RELIDAR_OF(Uints, SortedSurfels) surfels;  // input [n] surfel at each sorted position
     Models models;                             // input [n_models]
-    // Scratch [n]: entry i belongs to the boundary between sorted surfel i and the next
-    // one. Two threads reach a boundary, one from each side. The first one stores the far
-    // end of its range here, and the second one reads it. Initially RELIDAR_BVH_NO_NODE.
+    // Scratch [n]: entry i is for two ranges of sorted surfels that meet between surfels
+    // i and i + 1. The first of their two threads stores the outer end of its range. The
+    // other one reads it and joins the ranges. Initially RELIDAR_BVH_NO_NODE.
     RELIDAR_OF(Uints, OtherEnds) other_ends;
     // Scratch [n]: for each range of sorted surfels, a list of the roots of its subtrees.
     // The list starts at the index of the range's first surfel. RELIDAR_BVH_NO_NODE marks
@@ -93,8 +93,8 @@ struct BvhWide {
     RELIDAR_OF(Uints, LeafOrder) order;   // [n]
     RELIDAR_OF(Uvec2s, WideLinks) links;  // [bound] parent or NO_NODE, first surfel of the model
     RELIDAR_OF(Floats, WideBoxes) boxes;  // [bound,6] m: box of the node before quantisation
-    // Counter of each node, at most `bound` nodes: number of its child nodes whose boxes
-    // are up to date. Always 0 between launches.
+    // For each node [bound]: number of its child nodes whose boxes are up to date. Always
+    // 0 between launches. `bound` is the maximum number of nodes.
     RELIDAR_OF(Uints, Arrivals) arrivals;
     RELIDAR_OF(Uints, WideCount) count;  // [1] number of nodes in use
 };
@@ -107,18 +107,18 @@ struct BvhWideParams {
     // Binary nodes [bound] that are converted to wide nodes (up to eight children),
     // sorted by tree level. The first entries are the roots.
     RELIDAR_OF(Uints, BinaryRoots) queue;
-    // Children of the wide nodes, [bound,8], where `bound` is the maximum number of
-    // nodes. Row i holds up to eight children of queue[i]. Unused entries are
-    // RELIDAR_BVH_NO_NODE.
+    // Children of each wide node, [bound,8]. Row i belongs to the wide node that replaces
+    // binary node queue[i]. Unused entries are RELIDAR_BVH_NO_NODE. `bound` is the
+    // maximum number of wide nodes.
     RELIDAR_OF(Uints, WideSlots) slots;
     // Entry k: number of nodes in `queue` on level k of the tree, [levels + 1]. Entry 0
     // stays 0, because the roots are not counted. All entries are initially 0.
     RELIDAR_OF(Uints, LevelSizes) level_sizes;
-    // For the wide node that replaces each binary node [n]: number of child nodes + 256 *
-    // number of surfels in leaves. 0 if no wide node replaces the binary node.
+    // For each binary node [n] that becomes a wide node: number of the wide node's child
+    // nodes + 256 * number of surfels in its leaves. 0 for all other binary nodes.
     RELIDAR_OF(Uints, SlotDemands) demands;
-    // Prefix sums [n] of the two numbers in `demands`: child nodes, and surfels in
-    // leaves. The sums start again every RELIDAR_BVH_TILE binary nodes.
+    // For each binary node [n]: sums of child nodes and of surfels in leaves (see
+    // `demands`) over all earlier nodes of its tile. A tile has RELIDAR_BVH_TILE nodes.
     RELIDAR_OF(Uvec2s, TileOffsets) offsets;
     RELIDAR_OF(Uvec2s, SumsOfTiles) tiles;     // [n_tiles] the same sums over all earlier tiles
     RELIDAR_OF(Uints, WidePlaces) places;      // [n] wide node that replaces a binary node

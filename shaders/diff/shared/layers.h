@@ -73,8 +73,8 @@ struct ChannelSumsParams {
     float dropout;
 };
 #ifdef __cplusplus
-// Values of ChannelSumsParams::kind, which selects the sums. kSums_moments: mean and sum
-// of squared deviations over each part of an image, for batch normalisation.
+// Values of ChannelSumsParams::kind. kSums_moments selects, for batch normalisation, the
+// mean and the sum of squared deviations of the pixels in each part of an image.
 constexpr uint kSums_moments = 0;
 constexpr uint kSums_norm_vjp = 1;  // selects the gradients dL/d(beta), dL/d(gamma)
 constexpr uint kSums_plain = 2;     // selects plain sums, which are the gradient of a bias
@@ -85,8 +85,8 @@ const uint kSums_moments = 0u, kSums_norm_vjp = 1u, kSums_plain = 2u;
 struct NormFinishParams {
     RELIDAR_OF(Floats, PartSums) partial;     // input [n_parts, channels, 2] of kSums_moments
     RELIDAR_OF(Vec2s, BetaGamma) beta_gamma;  // input [channels]
-    // In place [channels]: running mean and variance. Training updates them. Evaluation
-    // (`training` is 0) uses them.
+    // In-place array [channels]: running mean and variance of each channel. Each training
+    // batch updates them. Evaluation (`training` is 0) normalises with them.
     RELIDAR_OF(Vec2s, RunningMoments) running;
     RELIDAR_OF(Vec2s, NormMoments) moments;  // output [channels] mean and 1 / deviation
     // Output [channels]: factors that replace normalisation, gamma and beta by one

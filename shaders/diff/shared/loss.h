@@ -131,9 +131,9 @@ struct ChamferParams {
     // input [n_rays] index, per measured point
     RELIDAR_OF(Uints, NearestSimulated) nearest_simulated;
     RELIDAR_OF(Floats, PointCounts) counts;  // input [2]
-    // Gradient of each simulated point's range in m, from all measured points whose
-    // nearest point it is. [n_rays,2], two words per fixed-point number. Kernel chamfer
-    // adds to these numbers, and chamfer_vjp reads them.
+    // Each measured point is paired with its nearest simulated point. For each simulated
+    // point [n_rays,2]: derivative of its pairs' squared distances with respect to its
+    // range, m. Two words per fixed-point number. chamfer adds, and chamfer_vjp reads.
     RELIDAR_OF(Uints, FoundGradients) d_found;
     RayGradients upstream;                // accumulated [n_rays] by chamfer_vjp
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated by chamfer

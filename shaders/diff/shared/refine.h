@@ -38,8 +38,8 @@ struct SoftmaxParams {
     // In place [n_rows, n]: input values, replaced by the softmax of each row. The
     // derivative reads the softmax from this array.
     RELIDAR_OF(Floats, SoftmaxValues) values;
-    // In place [n_rows, n]: dL/d(output of the softmax), which the kernel replaces by
-    // dL/d(input of the softmax). If the address is 0, it computes the softmax instead.
+    // [n_rows, n]: dL/d(softmax output), replaced in place by dL/d(softmax input). If the
+    // address is 0, the kernel computes the softmax of `values` instead.
     RELIDAR_OF(Floats, SoftmaxGradients) d_values;
     uint n_rows;
     uint n;

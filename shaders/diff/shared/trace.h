@@ -14,9 +14,9 @@ RELIDAR_SHARED_BEGIN
 /// * ray_stride of `rays`.
 struct TraceScene {
     TlasHandle tlas;  // acceleration structure (ray query)
-    // Input [1] in m: largest possible distance from a hit on a 3D Gaussian to a corner
-    // of the icosahedron around this Gaussian. The address is 0 if no icosahedra are
-    // used.
+    // Input: one distance in m, the largest possible one between a hit on a 3D Gaussian
+    // and a corner of the icosahedron around this Gaussian. Ray queries search this far
+    // behind the last hit. Address 0 if no icosahedra are used.
     RELIDAR_OF(Floats, ProxyReach) proxy_reach;
     MovingInstances moving;  // input [n_moving] (ray query)
     // Input [n_models] in m: radius of each model's bounding sphere, whose centre is the
@@ -80,8 +80,8 @@ struct ForwardParams {
     // complete list. Then forward/trace renders the remaining rays.
     HitLists lists;
     RenderedRays rendered;  // output [n_rays]
-    // Output [ceil(n/2),n_kept,2]: nearest n_kept hits of each of n rays, for the
-    // backward pass. The hits of two rays alternate in memory.
+    // Output, for the backward pass: nearest n_kept hits of each of n threads (one ray
+    // per thread), [ceil(n/2),n_kept,2]. Hit k of thread i is element [i/2,k,i%2].
     Hits kept;
     // Counter [1]: number of rays with more than n_kept hits. Stays unchanged if n_kept
     // is 0.
@@ -99,7 +99,7 @@ struct ForwardParams {
 struct AppendParams {
     TraceScene scene;
     HitLists lists;  // output: unordered hits
-    // Number of rays [1] with more hits than fit into a hit list. The kernel adds to it.
+    // Counter [1]: number of rays that have more hits than a hit list can hold.
     RELIDAR_OF(Uints, OverflowCount) n_overflows;
 };
 

@@ -19,14 +19,14 @@ uint list_index;
 uint n_hits;       // Number of hits of the ray so far, including hits that do not fit into the list.
 bool hits_closed;  // True if hits behind the distance end_t cannot contribute.
 float end_t;
-// Product of 1 - alpha over the hits since end_t (the end of the ray) was last set.
+// Product of 1 - alpha over the hits since insert() last set the end of the ray (end_t).
 float set_transmittance;
-// If set_transmittance falls below this limit, the ray ends at its farthest hit so far.
+// Limit for the transmittance over the hits. Below it, the ray ends at the farthest hit.
 float least_transmittance;
 float farthest_t;  // Distance of the farthest hit since end_t was last set.
 
-/// Returns the distance at which the ray ends. Valid only if hits_closed is true, which
-/// means that hits behind this distance cannot contribute.
+/// Returns the distance `end_t` at which insert() has ended the ray. Farther hits cannot
+/// contribute. Valid only if hits_closed is true, otherwise the ray has no end yet.
 float get_last_hit_t() { return end_t; }
 
 /// Returns true if a hit is behind the end of the ray, so that it cannot contribute.

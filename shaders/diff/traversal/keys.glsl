@@ -15,8 +15,8 @@ bool is_key_before(Key first, Key second) {
     return first.surfel < second.surfel;
 }
 
-/// Returns the memory index of hit `index` in a ray's hit list. The hits of
-/// RELIDAR_SIDE_BY_SIDE rays alternate in memory, for faster access.
+/// Returns the array index of hit `index` in a ray's hit list, which has the number
+/// `list`. The hits of RELIDAR_SIDE_BY_SIDE (2) lists alternate in memory, for speed.
 /// @param capacity maximum number of hits in a list
 uint get_list_entry(uint capacity, uint list, uint index) {
     return ((list / RELIDAR_SIDE_BY_SIDE) * capacity + index) * RELIDAR_SIDE_BY_SIDE +

@@ -11,14 +11,14 @@ struct Ray {
 
 Ray make_ray(DeviceRay entry) { return Ray(entry.origin, entry.direction, entry.time_s); }
 
-// Instance of the cached ray. entered_origin and entered_direction are this thread's ray
-// in the model frame of this instance.
+// enter_instance() transforms this thread's ray into the model frame of an instance and
+// stores it in the variables below. This is the index of that instance.
 uint entered_instance = 0xffffffffu;
 uint entered_first_surfel;
 vec3 entered_origin;
 vec3 entered_direction;
-// Rotation of the current model from the stored pose to the pose at the ray's firing
-// time, in the model frame. Stored as axis times tangent of half the angle.
+// Rotation of instance entered_instance from its pose in InstanceEntry to its pose at the
+// ray's firing time, in the model frame. Axis times tangent of half the angle.
 vec3 entered_turn = vec3(0.0);
 
 /// Returns the index of this thread's ray in the batch. The index is at least n_rays if

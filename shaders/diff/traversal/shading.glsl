@@ -43,7 +43,7 @@ vec3 evaluate_channels(TraceScene scene, uint surfel) {
     return value;
 }
 
-/// Returns the intensity (at least 0) of a hit, and two logits: return and ray drop.
+/// Returns a hit's intensity (at least 0), logit of a return, logit of a dropped return.
 vec3 evaluate_hit_channels(TraceScene scene, Ray ray, uint instance, uint surfel, SurfelRecord record) {
     if (SH_PER_SURFEL != 0u)
         return vec3(record.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : record.hit_logit, record.drop_logit);

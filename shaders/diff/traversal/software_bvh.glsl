@@ -64,8 +64,8 @@ const float kSlack = 5e-7;
 const float kLeastSlope = 1e-12;
 
 uint stack_entry[SLOTS];  // Traversal stack. SLOTS is one larger than the number of used entries.
-// Distance at which the ray enters the node of a stack entry, or kNever if it misses the
-// node.
+// For each element of stack_entry: distance at which this ray enters the box of the node.
+// kNever if the ray misses the box.
 float stack_t[SLOTS];
 uint stack_size;
 bool stack_full;
@@ -319,8 +319,8 @@ void find_hits(TraceScene scene, Ray ray, Key after_key) {
             uint lane_entry = entry;
             entry = subgroupBroadcastFirst(entry);
             tree = subgroupBroadcastFirst(tree);
-            // The subgroup now visits the next node of its first active ray. A ray with a
-            // different next node waits.
+            // The subgroup visits the next node of its first active lane. A lane whose
+            // own next node (lane_entry) is a different one waits.
             if (lane_entry != entry || instance != tree) continue;
         }
         --stack_size;

@@ -49,17 +49,17 @@ void test_instance_surfel(TraceScene scene, Ray ray, Key after_key, uint instanc
     test_surfel(scene, after_key, instance, entered_first_surfel + local_surfel);
 }
 
-/// Returns the key at which the search for hits starts. All hits at t <= near_m come
-/// before this key. They are skipped, because they are too close to the sensor.
+/// Returns the sort key (t, instance, surfel) after which the search for hits starts.
+/// Hits at t <= near_m are skipped, because they are too close to the sensor.
 Key get_first_key(TraceScene scene) { return Key(scene.near_m, 0xffffffffu, 0xffffffffu); }
 
 /// Returns the distance at which the search for the hits behind a known hit starts. It is
 /// slightly nearer than the known hit because of rounding errors.
 float compute_search_start(Key after_key) { return max(after_key.t - (1e-4 + 1e-5 * after_key.t), 0.0); }
 
-/// Returns the lower limit for the product of 1 - alpha over the next hits of a ray. The
-/// ray ends where the product falls below this limit. The factor 0.99 allows for rounding
-/// errors.
+/// Returns the smallest product of 1 - alpha over the next hits at which the ray
+/// continues. The ray ends where its total transmittance falls below transmittance_min.
+/// The factor 0.99 allows for rounding errors.
 /// @param transmittance transmittance of the ray before these hits
 float compute_min_transmittance(TraceScene scene, float transmittance) {
     return 0.99 * scene.transmittance_min / transmittance;

@@ -16,9 +16,9 @@ RELIDAR_SHARED_BEGIN
 /// Parameters of an exclusive prefix sum (gpu/scan_sums.comp, gpu/scan_write.comp).
 struct ScanParams {
     RELIDAR_OF(Uints, ScanCounts) counts;  // Input: element i is counts[offset + i * stride].
-    // Sum of each tile [tiles]. Kernel scan_sums writes these sums. They are then
-    // replaced by their prefix sums, which kernel scan_write reads. Address 0 = the input
-    // has only one tile.
+    // Sum of the counts in each tile [tiles], written by kernel scan_sums. The sums are
+    // then replaced by their prefix sums, which kernel scan_write reads. The address is 0
+    // if the input has only one tile.
     RELIDAR_OF(Uints, ScanTileSums) tile_sums;
     // Output [n]: prefix sums. May be the same array as `counts` if `stride` is 1.
     RELIDAR_OF(Uints, ScanPrefix) prefix;

@@ -30,8 +30,8 @@ Gait evaluate_gait(Floats gaits, uint surfel, float phase) {
     // Reduces the phase difference to at most half a cycle, where sine and cosine are
     // most accurate.
     off = kTurn * (off - round(off));
-    // `less` is cos(off) - 1. The subtraction would have a rounding error, which a large
-    // sharpness would multiply. Therefore computes -2 sin^2(off / 2) instead.
+    // `less` is cos(off) - 1 = -2 sin^2(off / 2). The second form has a smaller rounding
+    // error, which matters because a large sharpness multiplies the error.
     float sharpness = gaits.at[i + 1u], half_sine = sin(0.5 * off), less = -2.0 * half_sine * half_sine;
     return Gait(sharpness, vec3(gaits.at[i + 2u], gaits.at[i + 3u], gaits.at[i + 4u]), sin(off), cos(off),
                 less, exp(sharpness * sharpness * less));

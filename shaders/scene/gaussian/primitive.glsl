@@ -16,10 +16,10 @@ bool intersect(SurfelRecord record, vec3 origin, vec3 direction, out SurfelHit h
     return intersect_surfel(record, origin, direction, hit);
 }
 
-/// Derivative of intersect(): gradients of the surfel record and of the ray.
-/// @param d_t dL/dt, where t is the distance of the hit
-/// @param d_alpha dL/d(sigma G), where sigma G is alpha before clamping. Must be 0 if
-/// alpha was clamped
+/// Derivative of intersect(): returns gradients of the surfel's record and of the ray.
+/// @param d_t dL/dt, where L is the loss and t is the distance of the hit
+/// @param d_alpha dL/d(hit.alpha). hit.alpha is alpha before clamping. The caller must
+/// pass 0 if it has clamped alpha
 SurfelHitGradient backpropagate_intersection(SurfelRecord record, vec3 origin, vec3 direction, SurfelHit hit,
                                              float d_t, float d_alpha) {
     if (PRIMITIVE == kPrimitive_gaussian)

@@ -39,7 +39,7 @@ bool intersect_surfel(SurfelRecord record, vec3 origin, vec3 direction, out Surf
     return facing != 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
 
-/// Gradients of the floats of a surfel's record, in the same order, and of the ray.
+/// Gradient of the loss with respect to a surfel's record and to the ray that hits it.
 struct SurfelHitGradient {
     vec3 d_mean;
     vec3 d_axis_u;

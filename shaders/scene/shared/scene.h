@@ -50,9 +50,8 @@ struct ActivateVjpParams {
     SurfelPointers surfels;                         // input
     RELIDAR_OF(Floats, RecordGradients) d_records;  // input [n_rows,16] in the layout of SurfelRecord
     Models models;                                  // input [n_models]
-    // Input: first row in `d_records` of every instance except the first instance of each
-    // model, sorted by model. The first instance needs no entry, because its row numbers
-    // are its surfel numbers.
+    // Input: first row in `d_records` of each instance, sorted by model. Omits the first
+    // instance of each model, because its row numbers equal its surfel numbers.
     RELIDAR_OF(Uints, FurtherRows) more_rows;
     Vec3s view_origins;                     // input [n_models] same as for the activation
     RELIDAR_OF(Floats, GaitPhases) phases;  // input [n_models] same as for the activation

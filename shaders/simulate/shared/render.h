@@ -135,8 +135,8 @@ struct MarkReturnsParams {
     RELIDAR_OF(Uints, ReturnMarks) marks;  // output [n_rays] 1 for rays with a return, otherwise 0
     uint n_rays;
     uint refined;
-    // Selects at which range of its ray a point is placed. 1: MeasuredRay::range_m, as in
-    // the range image. 0: MeasuredRay::median_range_m.
+    // Selects the distance of a returned point along its ray. 1: MeasuredRay::range_m, as
+    // in the range image. 0: MeasuredRay::median_range_m.
     uint of_image;
     // A ray has no return if its drop probability reaches this threshold.
     float drop_threshold;

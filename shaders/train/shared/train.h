@@ -56,9 +56,9 @@ struct MoveRaysParams {
 #define RELIDAR_KNOT_WORKGROUP 256
 
 /// Parameters of train/knot_gradients.comp, which converts gradients of rays to gradients
-/// of pose corrections. Ray k of the batch is moved[first_ray + k * ray_stride]. Its
-/// entry in `places` has the same index if `columns` is 0. Otherwise the batch was copied
-/// from columns of a frame, and `places` is indexed by the ray's index in the frame.
+/// of sensor pose corrections. Ray k of the batch is moved[first_ray + k * ray_stride].
+/// `places` is indexed by the ray's index in the frame. `moved` has the same index if
+/// `columns` is 0. Otherwise `moved` holds only copied columns of the frame.
 struct KnotGradientsParams {
     Rays moved;        // input
     RayPlaces places;  // Input: position of each ray of the frame between two sensor poses.
