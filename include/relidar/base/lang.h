@@ -42,8 +42,8 @@ public:
 
     Address() = default;
     friend bool operator==(const Address&, const Address&) = default;
-    /// Returns the same device address, but with another name for the content of the
-    /// array (Meaning). Only this function changes the name.
+    /// Returns the same address, but with `Other` as the tag type that names the content
+    /// of the array. Only this function changes the tag type.
     template <class Other>
     Of<Other> cast_meaning() const {
         return Of<Other>(value_);

@@ -47,9 +47,9 @@ struct AccelOptions {
 /// queries or with the software tree. The addresses of the unused method are null.
 struct AccelAddresses {
     shared::TlasHandle tlas;  ///< Top-level acceleration structure, for ray queries.
-    /// Upper limit, in metres, of how far the icosahedron around a 3D Gaussian extends
-    /// behind a hit on this Gaussian. One value for all Gaussians. A ray query must
-    /// search this far behind the last hit that it needs.
+    /// A ray query finds a 3D Gaussian where the ray crosses the icosahedron around it.
+    /// This crossing is at most this distance (metres, maximum over all Gaussians) behind
+    /// the hit. So a ray query must search this far behind the last hit that it needs.
     Address<float, shared::ProxyReach> proxy_reach;
     /// Instances that move during the sweep, [n_moving]. Used by ray queries.
     Address<shared::MovingInstance> moving;

@@ -99,9 +99,9 @@ enum class GradientReduction { automatic, atomics, gather };
 
 struct BackwardOptions {
     GradientReduction reduction = GradientReduction::automatic;
-    /// Used only with GradientReduction::atomics. If true, threads exchange their
-    /// gradients, so that neighbouring threads add to neighbouring floats in memory.
-    /// Default: true on a GPU.
+    /// Used only with GradientReduction::atomics. If true, threads first collect
+    /// gradients in shared memory, so that neighbouring threads then add to neighbouring
+    /// floats. Default: true on GPUs that guarantee the reconvergence of subgroups.
     std::optional<bool> coalesced_atomics = std::nullopt;
     /// Used only with GradientReduction::gather. Memory is allocated for this number of
     /// hits per ray of the largest batch. A hit needs 38 bytes (50 with

@@ -27,8 +27,8 @@
     VALUE(hit_logit, true, channels.y, d_channel.y, 1.0, "sum of w times hit logit") \
     VALUE(drop_logit, true, channels.z, d_channel.z, 1.0, "sum of w times drop logit, + transmittance")
 
-// Blended values that are copied to the host as arrays with one value per ray. A loss on
-// the host can provide their gradients.
+// Values that are blended from the hits of each ray and then copied to the host. A loss
+// that is computed on the host can provide the gradients dL/d(value).
 #define RELIDAR_IMAGE_VALUES(VALUE)                                                        \
     VALUE(depth, true, hit.t, d_t, 1.0, "sum of w times distance, not normalised, metres") \
     RELIDAR_CHANNEL_VALUES(VALUE)

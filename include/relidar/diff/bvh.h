@@ -20,16 +20,16 @@ RELIDAR_SHARED_BEGIN
 /// 0).
 struct BvhNode {
     vec3 origin;  // Lower corner of the node's box, metres.
-    // Exponents e of the quantisation steps 2^(e - 127): x in bits 0-7, y in bits 8-15, z
-    // in bits 16-23. Bits 24-31 are inner_mask: bit 24 + k is set if child k is an inner
-    // node.
+    // Four packed bytes, lowest first. Bytes 0-2 are the exponents e of the axes x, y, z:
+    // child boxes are quantised in steps of 2^(e - 127) metres. Byte 3 is inner_mask: its
+    // bit k is set if child k is an inner node.
     uint exponents;
     // Index of the first child that is an inner node, in the array of all tree nodes. The
     // other inner children follow directly after it, in the order of their slots.
     uint first_child;
-    // The surfels in the leaves of this node are listed in the array BvhPointers::order,
-    // starting at index first_leaf. (Top-level tree: instances, in top_order.) For each
-    // leaf, `leaves` stores where its surfels start, relative to first_leaf.
+    // Index of the first surfel of this node's leaves in the array BvhPointers::order.
+    // The field `leaves` has the offset of each leaf from this index. In the top-level
+    // tree, whose leaves hold instances, the array is BvhPointers::top_order.
     uint first_leaf;
     // One byte per child slot. For a leaf, bits 0-4 hold the offset of its first entry,
     // and bits 5-7 hold its number of entries. The byte is 0 if the slot holds no leaf.
@@ -52,9 +52,9 @@ RELIDAR_HANDLE(TlasHandle);  // Handle of the driver's top-level acceleration st
 #define RELIDAR_STANDING_MASK 1u
 #define RELIDAR_MOVING_MASKS 7u  // Number of cull mask bits for moving models.
 
-/// Instance that moves during a sweep. The driver's acceleration structure stores the
-/// instance at one pose only. A separate ray query searches this instance, with a ray
-/// that is moved to compensate for the motion.
+/// Instance that moves during a sweep. The driver's acceleration structure stores only
+/// one pose of an instance. Therefore a separate ray query tests this instance. In this
+/// query, the ray is moved instead of the instance.
 struct MovingInstance {
     uint instance;
     uint model;

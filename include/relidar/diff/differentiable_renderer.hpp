@@ -40,8 +40,8 @@ struct RenderedGradients {
 /// Gradients as host arrays, with the same meaning as the device arrays in
 /// `DeviceGradients`. Gradients that were not selected have empty arrays.
 struct HostGradients {
-    /// dL/d(parameter), [n], in the field of each parameter. It is 0 for a surfel that no
-    /// ray has hit.
+    /// Gradients of a loss L instead of parameters: `mean` holds dL/d(mean) of each
+    /// surfel, and so on. They are 0 for a surfel that no ray has hit.
     Surfels surfels;
     std::vector<std::uint32_t> touched;  ///< Flags, [n]: 1 for each surfel with a gradient.
     /// Pose gradients of the instances, [instances, 6]: dL/d(v, w), metres and radians,

@@ -18,8 +18,8 @@ namespace relidar {
 
 /// Rendered values, one entry per ray.
 struct RenderedRayValues {
-    /// Depth, weight, intensity, hit logit and drop logit of each ray, [n].
-    /// <relidar/diff/blended_values.h> explains each value.
+    /// Sums over the hits of a ray, [n]: depth, weight, intensity, hit_logit, drop_logit.
+    /// The softmax of the logits is the drop probability. See blended_values.h.
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) std::vector<float> name;
     RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
@@ -36,8 +36,8 @@ struct RenderedRayValues {
     /// Sum of w n over the hits, world frame. w is the weight of a hit, and n is the unit
     /// normal that faces the sensor. Empty if TraceOptions::normals is false.
     std::vector<glm::vec3> normal;
-    /// Mean distance of the surface with the largest total weight along the ray, metres.
-    /// 0 without hits. Empty if TraceOptions::mode_gap_m is not set.
+    /// Mean distance, metres, of the surface (hits at most mode_gap_m apart) with the
+    /// most weight. 0 without hits. Empty if TraceOptions::mode_gap_m is not set.
     std::vector<float> mode_depth;
     std::size_t size() const { return depth.size(); }
 };

@@ -32,8 +32,8 @@ struct RayDropNetworkOptions {
     /// Type of the input image. "native" has one pixel per ray of the sensor. "grid" has
     /// one pixel per cell of config.sensor.grid.
     std::string image = "native";
-    /// Information about each ray that the input image additionally contains: "none",
-    /// "direction" (the elevation) or "origin,direction".
+    /// Data of each ray that is added to the input image: "none", "direction" (only the
+    /// ray's elevation), or "origin,direction" (elevation and x, y, z of the ray origin).
     std::string rays = "direction";
     int frames = 64;  ///< Maximum number of training frames, spread evenly over the log. 0 = all frames.
     int epochs = 4;   ///< Number of times that each training frame is used.

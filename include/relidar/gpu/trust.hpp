@@ -32,7 +32,7 @@ struct DeviceOpenCallbacks {
     /// pipeline cache. If null, no device is tested and relidar assumes that all of these
     /// work.
     std::function<DeviceTestResults(const DeviceOptions&)> check;
-    /// Receives a one-line message for each method that gave wrong results in this test,
+    /// Receives a one-line message for each GPU feature that failed the test by `check`,
     /// for example float atomics. The message says what relidar does instead.
     std::function<void(const std::string&)> note;
 };

@@ -18,17 +18,17 @@ namespace relidar {
 /// cases: sub-rays sample the same laser beam, or points fall into the same cell of a
 /// range image.
 enum class ChannelMergeRule {
-    /// Sub-rays of a beam are merged to the value of one of them: the sub-ray nearest to
-    /// the beam axis that belongs to the strongest return. Points in one image cell are
-    /// merged to the value of the returned point nearest to the sensor.
+    /// For sub-rays that sample one laser beam: the value of the sub-ray nearest to the
+    /// beam axis. Only sub-rays that hit the surface of the strongest return count. For
+    /// points in one image cell: the value of the returned point nearest to the sensor.
     nearest,
-    /// Sub-rays of a beam are merged to the mean over the sub-rays that belong to the
-    /// strongest return, weighted by their intensities. Points in one image cell are
-    /// merged to the distance of the nearest returned point from the image origin.
+    /// For sub-rays that sample one laser beam: the mean, weighted by intensity. Only
+    /// sub-rays that hit the surface of the strongest return count. For points in one
+    /// image cell: the distance of the nearest returned point from the image origin.
     range,
-    /// Sub-rays of a beam are merged to the sum over the sub-rays that belong to the
-    /// strongest return, divided by the number of all sub-rays. Points in one image cell
-    /// are merged to the value of the returned point nearest to the sensor.
+    /// For sub-rays that sample one laser beam: adds the values of the sub-rays that hit
+    /// the surface of the strongest return. Divides by the number of all sub-rays. For
+    /// points in one image cell: the value of the returned point nearest to the sensor.
     intensity,
     drop,  ///< Beam: mean over all sub-rays. Cell: minimum over all rays in the cell.
 };

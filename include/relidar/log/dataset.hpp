@@ -92,8 +92,8 @@ std::string detect_dataset_kind(const std::filesystem::path& path);
 
 /// Options of save_folder().
 struct LogFolderOptions {
-    /// True: a plain folder that already exists at this path is replaced. The replacement
-    /// happens only after the new folder is complete.
+    /// True: replaces an existing log folder (dataset kind "folder") at this path. The
+    /// old folder is kept until the new folder is complete.
     bool overwrite = false;
     /// False: no poses are written. Used for logs that were read without poses
     /// (kNoPoses).

@@ -24,8 +24,8 @@ struct RegistrationOptions {
     bool use_pose_motion = true;
     std::vector<BoxTrack> movers;  ///< Boxes of moving objects. Points inside these boxes are ignored.
     double mover_margin_m = kMoverMargin_m;  ///< boxes are enlarged by this margin
-    /// Polled before every scan and every round of the adjustment. If the callback
-    /// returns true, registration stops and leaves the poses unchanged.
+    /// Polled before each scan and each round of the joint optimisation of all poses. If
+    /// it returns true, registration stops and leaves the poses unchanged.
     std::function<bool()> stop;
     ProgressReporter progress = {};  ///< receives the progress of both parts
     ProcessGroup group = {};         ///< processes that register the same log together

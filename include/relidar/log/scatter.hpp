@@ -65,13 +65,12 @@ struct IntensityScatterModel {
     float quantise_intensity(float intensity) const;
 };
 
-/// Returns the number of features that a node of the tree can compare.
+/// Returns how many features of a ray, for example its range, the decision tree can use.
 std::size_t count_intensity_features();
 
-/// Returns the quantisation step: the largest number of which all values are multiples.
-/// Rounding errors of up to 1e-6 of the largest value are allowed. Returns 0 if the step
-/// would be below 1e-5 of the largest value. Also returns 0 if there are fewer than eight
-/// distinct values.
+/// Returns the quantisation step of intensities: the largest number of which all values
+/// are multiples, with errors up to 1e-6 M. M is the largest value. Returns 0 if no such
+/// step exists, if it is below 1e-5 M, or if fewer than eight values are distinct.
 /// @param values  >= 0, in any order
 double find_quantisation_step(std::vector<float> values);
 

@@ -115,12 +115,12 @@ std::vector<glm::dvec2> make_footprint_offsets(int n_sub_rays);
 /// Returns a new table with the selected rays of a table, without image order (rows = 1).
 RayTable select_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices);
 
-/// A beam of a spinning LiDAR. If the head is at azimuth theta (counter-clockwise), the
-/// ray has elevation e = elevation_rad and azimuth a = theta + azimuth_offset_rad. It
-/// starts at
+/// A beam of a spinning LiDAR. When the rotating head is at azimuth theta
+/// (counter-clockwise), the ray has elevation e = elevation_rad and azimuth a = theta +
+/// azimuth_offset_rad. It starts at
 ///   R_z(theta) * (origin_offset_m, 0, 0)
-///   + R_z(a) * (-origin_up_m * sin(e), origin_left_m, origin_up_m * cos(e))
-/// where R_z is a rotation about the z axis.
+///   + R_z(a) * (-origin_up_m * sin(e), origin_left_m, origin_up_m * cos(e)).
+/// R_z is a rotation about the z axis. The second term is perpendicular to the ray.
 struct Beam {
     double elevation_rad = 0.0;
     double azimuth_offset_rad = 0.0;
@@ -198,10 +198,10 @@ BeamRay compute_beam_ray(const Beam& beam, double head_azimuth_rad);
 /// @return radians, not wrapped to a range
 double compute_head_azimuth_facing_point_rad(const Beam& beam, const glm::dvec3& point_m);
 
-/// Returns the azimuth offset of a beam in image columns, rounded. All pixels of an image
-/// column should have the same azimuth, but beams that fire at the same time have
-/// different azimuths. Therefore column j of the image holds firing (j + offset) mod
-/// n_columns of the beam.
+/// Returns a beam's azimuth offset in image columns, rounded. Beams that fire together
+/// have different azimuths. Therefore the image row of each beam is shifted by its
+/// offset, so that all pixels of a column have the same azimuth. Column j holds the
+/// beam's firing number (j + offset) mod n_columns.
 int compute_beam_azimuth_offset_columns(const Beam& beam, int n_columns);
 
 /// Returns the rays of a sweep. At time 0 the head faces forward (azimuth 0). A head that

@@ -88,7 +88,7 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningS
 struct LidarFrame {
     /// Frame number in the dataset. LiDARs that sweep at the same time share this number.
     int index = 0;
-    /// Reference time. The head faces forward at this time unless `start` is set.
+    /// Reference time. A spinning LiDAR faces forward at this time if `start` is empty.
     double time_s = 0.0;
     Scan scan;
     int lidar = 0;  ///< index into LidarSequence::lidars
@@ -115,8 +115,8 @@ inline SweepTiming get_sweep_timing_of_frame(const LidarFrame& frame) {
 }
 
 struct Lidar;
-/// Computes the start of a sweep of any LiDAR. If it does not spin, returns nothing if
-/// its pattern is unknown, or if scans start half a period before time 0 (the default).
+/// Returns the start of a sweep of any LiDAR. Returns nothing if it is the default (half
+/// a period before the reference time) or unknown (no scan pattern, or equal ray times).
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar);
 
 /// Standard deviation of measured ranges, as a table over range and incidence angle.
@@ -290,9 +290,9 @@ PoseTrack compute_mounted_track(PoseTrack carrier_track, const Pose& carrier_fro
 /// Returns the same motion with additional poses where the object turns. A mounted object
 /// then moves on a curve instead of straight lines between the poses.
 PoseTrack subdivide_turning_segments(const PoseTrack& track);
-/// Returns the same poses in a world frame with another origin.
-/// @param offset_m  vector that is added to every position. LidarSequence::world_offset_m
-/// converts to the dataset's world frame. Its negative converts back.
+/// Moves a track to a world frame with another origin: adds a vector to all positions.
+/// @param offset_m  LidarSequence::world_offset_m converts from relidar's world frame to
+/// the dataset's world frame. -world_offset_m converts back.
 PoseTrack add_offset_to_track_positions(PoseTrack track, const glm::dvec3& offset_m);
 
 /// Replaces the poses of the vehicle. The times must stay the same. Each labelled box
@@ -366,7 +366,7 @@ struct RangeCalibrationResult {
 /// Result of fit_and_set_intensity_calibration(): errors before and after it.
 struct IntensityCalibrationResult {
     std::size_t returns = 0;  ///< number of returns that were compared
-    /// RMS difference of intensities from the mean at their surface point, uncorrected.
+    /// RMS of intensity minus mean intensity of its surface point, before correction.
     double rms_before = 0.0;
     double rms_after = 0.0;  ///< The same difference with the corrections that were adopted.
     bool shared = false;     ///< True if the log now has an IntensityResponse.

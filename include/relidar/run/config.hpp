@@ -191,9 +191,9 @@ struct RenderConfig {
 
 struct TraceConfig {
     int chunk = 16;
-    /// Initial number of hits per ray that the forward pass stores for the backward pass.
-    /// The number is doubled up to 256 while any ray has more hits. 0 = the backward pass
-    /// traces every ray again (paper).
+    /// Initial number of hits per ray that the forward pass can store for the backward
+    /// pass. If a ray has more hits, later iterations use twice this number, up to 256.
+    /// With 0, the backward pass traces every ray again, as in the paper.
     int keep_hits = 64;
     bool operator==(const TraceConfig&) const = default;
 };

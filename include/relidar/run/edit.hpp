@@ -29,8 +29,8 @@ struct NewActorMotion {
     /// Poses of the box centre at the times of the log's frames, in the dataset's world
     /// frame. If the path is empty, the actor moves straight ahead.
     PoseTrack dataset_path = {};
-    /// Length of the path, metres, on which the log has observed no ground. There the
-    /// height of the actor follows the mean slope of its path.
+    /// Total length, metres, of path sections whose ground the log has not observed.
+    /// There, the height of the actor follows the mean slope of its path.
     double unseen_m = 0.0;
 };
 
@@ -115,13 +115,13 @@ SceneWithLog copy_track(SceneWithLog scene_and_log, const std::string& track, co
 SceneWithLog insert_track(SceneWithLog scene_and_log, const SceneWithLog& source_scene,
                           const std::string& track, const NewActorMotion& start);
 
-/// Removes all actors. remove_background() does the opposite: it removes all background
-/// surfels and keeps the background as a model without surfels.
+/// Removes all actors, so that only the background is left. The next function,
+/// remove_background(), keeps the actors and leaves a background without surfels.
 SceneWithLog remove_all_actors(SceneWithLog scene_and_log);
 SceneWithLog remove_background(SceneWithLog scene_and_log);
 
-/// Resolution of an actor's model: the number of its surfels, compared with the number of
-/// LiDAR rays that hit the actor at the smallest distance.
+/// Resolution of an actor's model: its number of surfels, and the number of LiDAR rays
+/// that hit the actor in the sweep in which it was nearest to the LiDAR.
 struct ActorModelResolution {
     /// Smallest distance between the LiDAR and the box centre, over all frames that have
     /// both, metres.

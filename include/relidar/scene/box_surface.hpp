@@ -85,9 +85,9 @@ public:
     /// also counts unobserved patches that were filled with mirrored surfels of the other
     /// half.
     ObservedSideFractions compute_covered_fraction_of_each_side() const;
-    /// Returns the side of the box that contains a point, if no ray observed the point's
-    /// patch and the patch was filled with mirrored surfels. Returns nothing for other
-    /// points.
+    /// Parts (patches) of the box surface that no ray observed can be filled with surfels
+    /// mirrored from the other half of the box. If the point is in such a patch, returns
+    /// the side of the box. Otherwise returns nothing.
     std::optional<BoxSide> find_mirror_completed_side(const glm::dvec3& point_m) const;
     /// Measures how much the left and right half of an object differ. Compares each patch
     /// with its mirror patch on the other half if both were observed.
@@ -128,9 +128,9 @@ private:
     /// of all its patches. If `mirrored` is true, the first area is instead that of
     /// unobserved patches whose mirror patch on the other half of the box was observed.
     std::array<double, 2> compute_patch_areas(BoxSide side, bool mirrored) const;
-    /// Returns the observed fraction of the box surface, by area. If the argument is
-    /// true, returns the fraction that was not observed, but whose mirror image on the
-    /// other half of the box was.
+    /// Returns the observed fraction of the box surface, by area. If is_mirrored_area is
+    /// true, returns another fraction: the area that was not observed itself, but whose
+    /// mirror image on the other half of the box was observed.
     double compute_observed_or_mirrored_fraction(bool is_mirrored_area) const;
 };
 

@@ -94,8 +94,8 @@ struct LearningRates {
     /// Learning rate of the intensity coefficients, relative to the rate of the drop
     /// logits.
     double intensity_factor = 1.0;
-    /// Table of models, DeviceScene::get_model_table(). Required if `mean_factors` is not
-    /// empty.
+    /// Surfel range of each model (background or actor): DeviceScene::get_model_table().
+    /// Required if `mean_factors`, which has one factor per model, is not empty.
     const Array<shared::ModelEntry>* models = nullptr;
     /// Factor for the learning rate of the mean positions of each model, [models]. Empty
     /// = 1.
@@ -113,8 +113,8 @@ struct SurfelParameterGroup {
     double LearningRates::*rate;
     bool harmonics;  ///< True if the last dimension holds spherical harmonics (SH) coefficients.
     bool scales;     ///< True if the group holds standard deviations, which may have upper bounds.
-    /// Scenes that have this group: every scene (`all`), scenes of 3D Gaussians
-    /// (`third_scale`), or scenes with actors that change their shape (`bends`).
+    /// Scenes that have these parameters: all scenes, scenes of 3D Gaussians (only these
+    /// have a third scale), or scenes with actors that change their shape (`bends`).
     enum class SceneRequirement { all, third_scale, bends } of;
     const Array<float>& (*device)(const SurfelArrays&);  ///< Returns the device array, [n, count_floats()].
     /// Returns the device array for writing, [n, count_floats()].
@@ -252,24 +252,24 @@ private:
 InstancePose compute_box_pose_in_sweep(const LidarSequence& sequence, const PoseTrack& world_from_box,
                                        const glm::dvec3& half_size_m, const SweepTiming& sweep);
 
-/// Inputs and outputs of record_surfel_record_backpropagation(). Tracing kernels read
-/// each surfel as a SurfelRecord. The function converts gradients with respect to these
-/// records to gradients with respect to the trained parameters.
+/// Inputs and outputs of DeviceScene::record_surfel_record_backpropagation(). Tracing
+/// kernels read SurfelRecords, which are computed from the trained parameters. The
+/// function applies the chain rule: from dL/d(SurfelRecord) to dL/d(parameters).
 struct ActivationGradients {
     /// Input: gradients with respect to the surfel records, [count_gradient_rows,16].
     const Array<float, shared::RecordGradients>* d_records = nullptr;
     SurfelArrays* d_surfels = nullptr;  ///< Output: gradients with respect to the surfel parameters.
     /// Output: flags, [n]. 1 for each surfel whose record has a nonzero gradient.
     Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
-    /// Output: dL/d(sensor position) from each surfel, [n,3], model frame. Used only with
-    /// ShDirection::surfel. Null if not needed.
+    /// Output: each surfel's share of dL/d(sensor position), [n,3], model frame. Null if
+    /// not needed. Used only if ShDirection::surfel evaluates SH per surfel.
     Array<float, shared::ViewGradients>* d_view = nullptr;
     bool zero_untouched =
         true;  ///< If true, record_surfel_record_backpropagation() writes zeros for surfels without a gradient.
-    /// If true, the array `touched` is also an input, in which 0 marks surfels that
-    /// cannot have a gradient. These surfels are skipped if zero_untouched is false and
-    /// can_skip_untouched_surfels() is true. Then their entries of d_view are not
-    /// written.
+    /// If true, the caller has filled `touched`: 0 for each surfel that no ray has hit,
+    /// which therefore has no gradient, otherwise 1. Surfels with 0 are skipped if
+    /// zero_untouched is false and can_skip_untouched_surfels() returns true. Nothing is
+    /// written for a skipped surfel, not even to d_view.
     bool touched_is_marked = false;
 };
 
@@ -310,9 +310,9 @@ public:
     /// @throws UsageError if `model` has another primitive than the scene
     void record_surfel_record_computation(Stream& stream, const ImageFormationModel& model,
                                           const glm::vec3& view_origin_m);
-    /// Returns true if record_surfel_record_backpropagation() can skip surfels without a
-    /// gradient. This works only on CPU devices. On a GPU, all threads copy SH
-    /// coefficients through shared memory together.
+    /// Returns true if record_surfel_record_backpropagation() can skip surfels that have
+    /// no gradient. This is the case on CPU devices. On a GPU, no thread can be left out,
+    /// because all threads copy SH coefficients through shared memory together.
     bool can_skip_untouched_surfels() const;
     /// Records the kernel that converts gradients with respect to the SurfelRecords to
     /// gradients with respect to the parameters (chain rule). With ShDirection::surfel,
@@ -325,19 +325,18 @@ public:
     /// Enlarges the arrays of parameters and records to at least `capacity` surfels.
     /// Existing values are kept.
     void reserve(Device& device, std::uint32_t capacity);
-    /// Sets which range of the surfel arrays belongs to each model. Call this function
-    /// after the arrays were rearranged, and then compute the surfel records again. The
-    /// next record_upload_of_instance_poses() or upload_instance_poses_and_wait() updates
-    /// the instance table.
+    /// Sets the range of each model in the surfel arrays, after the arrays were
+    /// rearranged. Two calls must follow. record_surfel_record_computation() updates the
+    /// surfel records. record_upload_of_instance_poses() or
+    /// upload_instance_poses_and_wait() updates the instance table.
     void set_models(const std::vector<SurfelModel>& models);
 
     const Scene& get_scene_layout() const;  ///< Models and instances of the scene, without surfels.
     SurfelArrays& get_surfel_parameters();
     const SurfelArrays& get_surfel_parameters() const;
     const Array<shared::SurfelRecord>& get_surfel_records() const;  ///< Surfel records, [n].
-    /// Minimum opacity (alpha_min) for which record_surfel_record_computation() last
-    /// computed the surfel records. Rays hit a surfel only where its opacity exceeds this
-    /// value.
+    /// ImageFormationModel::alpha_min of the last record_surfel_record_computation().
+    /// Rays skip hits with a smaller alpha (opacity of the surfel times its Gaussian).
     float alpha_min() const;
     /// Table of models, [models], in the order of their surfel ranges.
     const Array<shared::ModelEntry>& get_model_table() const;

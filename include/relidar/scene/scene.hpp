@@ -72,7 +72,8 @@ constexpr const PrimitiveProperties& get_primitive_kind(PrimitiveType primitive)
 /// For a large sharpness, the window is a Gaussian with a standard deviation of 1 / (2 pi
 /// sharpness). If all fields are zero, the surfel is always visible and does not move.
 struct GaitPhaseWindow {
-    /// Phase of the walking cycle with maximum opacity and zero displacement, 0..1.
+    /// Different surfels are visible at different phases of an actor's walking cycle.
+    /// This surfel is most opaque, and is not displaced, at this phase, 0..1.
     float phase = 0.0f;
     /// How quickly the surfel fades as the walking cycle departs from `phase`. With a
     /// larger value, the surfel is visible for a shorter time. 0 = always visible.
@@ -137,8 +138,8 @@ struct SurfelModel {
     /// Half size of the box that contains the model's surfels, metres. The box is centred
     /// at the origin. 0 = the model has no box.
     glm::vec3 half_size_m{0.0f};
-    /// Distance after which a walking actor repeats its motion, metres: the distance that
-    /// it walks in the log plus that of about three frames. 0 = rigid model.
+    /// A walking actor repeats its motion after this distance: metres walked in the log
+    /// plus metres walked in about three frames. 0 = rigid model.
     float stride_m = 0.0f;
     std::optional<ObservedBoxSurface> surface = {};  ///< observed parts of the box; empty: unknown
 };
@@ -152,7 +153,7 @@ struct ModelInstance {
 /// Part of the background that was trained on one section of a road. Its surfels are
 /// loaded from a file when a sensor is near.
 struct SceneBlock {
-    /// Model file with the surfels of the block. They are the first model in the file.
+    /// Model file whose first model holds the surfels of the block.
     std::filesystem::path file;
     std::uint32_t count = 0;  ///< Number of surfels in the block.
     /// Corners of the bounding box of the surfels, [3] metres, world frame. The box
@@ -184,8 +185,8 @@ struct Scene {
 /// in files.
 std::size_t count_surfels(const Scene& scene);
 
-/// Scene together with its log, which contains the tracks of the actors. An instance has
-/// the name of its track. The scans of the log are not used.
+/// Scene together with its log. The log has the tracks (poses over time) that move the
+/// actors: ModelInstance::track is a track id. The scans of the log are not used.
 struct SceneWithLog {
     Scene scene;
     LidarSequence sequence;
@@ -223,8 +224,8 @@ struct ImageFormationModel {
     float transmittance_min = 1e-4f;
     int sh_degree = 3;  ///< Active SH degree, 0..3.
     ShDirection sh_direction = ShDirection::ray;
-    /// If true, hit logits stay 0. The drop probability, a softmax of hit and drop logit
-    /// (docs/method.md M6), is then a sigmoid of the drop logit. For ablation studies.
+    /// The drop probability is a softmax of hit and drop logits (docs/method.md M6). If
+    /// true, hit logits stay 0 (ablation), so only the drop logits matter.
     bool single_drop_logit = false;
     PrimitiveType primitive = PrimitiveType::surfel;  ///< Primitive of the scene (ablation).
     bool operator==(const ImageFormationModel&) const = default;
@@ -268,20 +269,19 @@ struct SceneInitialisationOptions {
     /// position and normal of their points (paper).
     double flatness = 1.0;
     double opacity = 0.1;
-    /// Initial hit logit minus initial drop logit of surfels. The mean of the two logits
-    /// is 0.5. The initial drop probability of a surface is 1 / (1 + exp(hit_margin)).
+    /// Initial hit logit minus initial drop logit of a surfel. Their mean is 0.5. The
+    /// initial drop probability (softmax of both) is 1 / (1 + exp(hit_margin)).
     double hit_margin = 1.0;
-    /// If true, hit logits start at 0 and drop logits at -hit_margin. For training with
-    /// ImageFormationModel::single_drop_logit, which keeps all hit logits at 0.
+    /// If true, surfels start with hit logit 0 and drop logit -hit_margin. Training sets
+    /// this if it keeps all hit logits at 0 (ImageFormationModel::single_drop_logit).
     bool one_logit = false;
     /// Upper bound of the initial standard deviations, metres. Surfels that are stretched
     /// over gaps between scan lines (max_gap_m) may be larger.
     double max_scale_m = 1000.0;
     /// Initial standard deviation divided by the mean distance to the 3 nearest points.
     double scale_factor = 1.0;
-    /// Largest gap between scan lines that a surfel may cover, metres. A surfel is
-    /// stretched if this gap is much wider than the distance between points of a scan
-    /// line. 0 = off (paper).
+    /// Surfels are stretched across gaps between scan lines if a gap is narrower than
+    /// this, metres, but much wider than the point distance in a line. 0 = off (paper).
     double max_gap_m = 0.0;
     /// Initial scale of 3D Gaussians along the normal, relative to the scale in the
     /// plane. 1 = spheres, as in 3D Gaussian splatting.

@@ -26,7 +26,7 @@ struct RangeErrorCounts {
     /// limits of the bins of the real range
     static constexpr std::array<double, 7> kRangeEdges_m{0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0};
     static constexpr std::array<double, 3> kErrorEdges_m{0.05, 0.2, 1.0};
-    /// Number of error bins. The last bin counts rays that have no rendered return.
+    /// Number of error bins: edges + 1, plus a last bin for rays without rendered return.
     static constexpr std::size_t kBands = kErrorEdges_m.size() + 2;
 
     std::array<std::array<double, kBands>, kRangeEdges_m.size() - 1> rays{};
@@ -142,10 +142,10 @@ EvaluationResult summarise_evaluation(std::vector<ScoredFrame> scored_frames,
 /// Returns the mean time of a kernel launch in milliseconds, by kernel name.
 MetricValues compute_mean_kernel_ms(const KernelTimes& kernel_times);
 
-/// Converts the name of a baseline to its motion of points in moving boxes. A baseline
+/// Returns how the baseline with this name moves points in moving boxes. A baseline
 /// predicts a scan from the points of the neighbouring training scans. "nearest" keeps
-/// the positions at which points were measured. "nearest-actors" moves points in boxes
-/// together with their boxes.
+/// points where they were measured. "nearest-actors" moves points in a box together with
+/// the box.
 /// @throws UsageError for another name
 BoxPointMotion parse_baseline_motion(const std::string& name);
 /// Computes the metrics of a baseline on the held-out frames of a log.

@@ -107,9 +107,9 @@ std::vector<bool> mask_returns_in_labelled_movers(const LidarSequence& sequence,
 std::vector<bool> mask_returns_in_discovered_movers(const LidarSequence& sequence, const LidarFrame& frame,
                                                     const Pose& sensor_offset = {});
 
-/// Computes the metrics strict/{depth_*,cd_*,f_*} of evaluate() for the points that are
-/// written to point cloud files, and names them points/*. The ranges of these points can
-/// differ from the ranges of the image.
+/// Scores the points that are written to point cloud files. Their ranges can differ from
+/// the ranges of the image. Computes the metrics strict/depth_*, strict/cd_* and
+/// strict/f_* of evaluate(), but each name begins with points/ instead of strict/.
 /// @throws DataError like evaluate()
 MetricValues evaluate_points(const RangeImage& rendered, const RangeImage& real,
                              const MetricOptions& options = {});

@@ -27,8 +27,8 @@ namespace relidar {
 struct TrainedRun;
 struct MountedSensor;
 
-/// Side of an actor that lies on the path of rays of the simulated scan, although the log
-/// has not observed this side. n_rays is the number of these rays.
+/// Side of an actor that the log has not observed, but that rays of the simulated scan
+/// hit or pass through. n_rays is the number of these simulated rays.
 struct UnobservedActorSide {
     std::string track;
     BoxSide side;
@@ -52,9 +52,9 @@ struct ActorVisibility {
 /// frame at their own firing times.
 struct RenderedScan {
     /// Range image. The setting `render.range` selects how its ranges are computed.
-    /// `drop_prob` combines the surfels' drop probability (from hit and drop logits) with
-    /// the probability that the sensor itself drops the ray. It is 1 if the ray hit
-    /// nothing within the sensor's range limits.
+    /// `drop_prob` combines two probabilities: that the hit surfels drop the ray, and
+    /// that the sensor itself drops the ray. `drop_prob` is 1 if the ray hit nothing
+    /// within the sensor's range limits.
     RangeImage image;
     /// [n] Median range along the ray, in metres: the distance at which the transmittance
     /// T falls below 0.5. If T never falls below 0.5, the ray's `image.range_m`.
@@ -196,9 +196,9 @@ struct SimulatedSensor {
     /// True for a LiDAR of the log. Only for these LiDARs, training has estimated how
     /// often the sensor itself drops a ray (Scene::sensor_drop).
     bool is_log_lidar = false;
-    /// True if `rays` are the nominal rays of a LiDAR of the log. A scan at the time of a
-    /// recorded sweep then uses the azimuths that were measured in this sweep. A scan for
-    /// a ScanRequest uses the nominal azimuths.
+    /// If true, `rays` are nominal rays of a LiDAR of the log. Then a scan at the time of
+    /// a recorded sweep uses the azimuths that were measured in this sweep. A scan for a
+    /// ScanRequest (scan at given poses) keeps the nominal azimuths.
     bool follows_sweeps = false;
     /// Calibration of the beams: range offsets, intensity gains and offsets. Empty =
     /// ranges and intensities are not changed.
@@ -248,7 +248,7 @@ SimulatedSensor find_or_load_sensor(const std::string& name_or_file, const Confi
 
 /// Creates a SimulatedSensor for a sensor that replaces a LiDAR of the log.
 SimulatedSensor make_simulated_sensor(const SensorModel& sensor, int lidar = 0);
-/// Creates a SimulatedSensor for a sensor of a rig, with its number of returns.
+/// Creates a SimulatedSensor for a sensor of a rig. Copies its number of returns per ray.
 SimulatedSensor make_simulated_sensor(const MountedSensor& mounted, int lidar = 0);
 
 /// Merges scans of all sensors of a rig into one scan without image order. Rays are in
@@ -309,19 +309,19 @@ public:
     /// following scans. The renderer then traces the rays near each actor a second time,
     /// in a scene that contains only this actor.
     void enable_actor_visibility(bool enabled = true);
-    /// Sets the space that the log observed. All following scans are compared with this
-    /// space to set RenderedScan::unseen_share. An empty coverage switches the
-    /// comparison off.
+    /// Sets the voxels that the log observed. For each following scan, the renderer
+    /// computes how many rays pass mostly outside these voxels
+    /// (RenderedScan::unseen_share). An empty set switches this off.
     void set_observed_voxels(const ObservedVoxelSet& observed_voxels);
     /// Sets the classes of the background for the channel `class` of all following scans.
     /// With an empty map, the class of the background is `unknown`.
     void set_background_classes(const SurfaceClassMap& class_map);
     bool has_background_classes() const;  ///< true if the classes of the background are known
-    /// Sets the statistical intensity model of each LiDAR of the log, for all following
-    /// scans. If a scan is sampled, its intensities are drawn from this model. Otherwise,
-    /// they are rounded to the quantisation steps of the log.
-    /// @param scatter [lidars] if an entry is missing or empty, intensities are as
-    /// rendered
+    /// Sets the random intensity model of each LiDAR of the log, for all following scans.
+    /// A scan that render() computes with the random seed `sample` draws intensities from
+    /// this model. Other scans round intensities to the quantisation steps of the log.
+    /// @param scatter [lidars] if the model of a LiDAR is missing or empty, its
+    /// intensities are as rendered
     void set_intensity_scatter(const std::vector<IntensityScatterModel>& scatter);
     /// Sets the weather of all following scans. Its random numbers use the seed that is
     /// passed to render() as `sample`, or the seed 0 if none is passed. Scans with

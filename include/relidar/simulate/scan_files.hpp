@@ -89,10 +89,10 @@ struct ScanOutputOptions {
 /// Returns the default format for scans of a run: npz files with rays in the sensor
 /// frame. The simulated sensor has the same poses as the log's sensor.
 ScanOutputOptions make_default_output_options(const TrainedRun& run, const SimulatedSensor& sensor);
-/// Returns true if all points of a written scan are in one coordinate frame: the world
-/// frame, or the sensor frame at a single time (in recordings, the time stamp of the
-/// message). This is the case if `output_options` require a conversion to such a frame,
-/// or if all rays are fired at the same time.
+/// Returns true if all points of a written scan share one coordinate frame, false if each
+/// point is in the sensor frame at its firing time. Points share a frame in three cases:
+/// world frame, `deskew` (sensor frame at one time, in recordings the time stamp of the
+/// message), or rays that are all fired at the same time.
 bool are_points_in_one_frame(const ScanOutputOptions& output_options);
 /// Sets the topic and the frame id of a sensor in recordings to /lidar/NAME/points and
 /// NAME. In the topic, NAME is converted by make_valid_topic_name(). An empty name gives

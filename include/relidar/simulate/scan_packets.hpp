@@ -19,7 +19,7 @@ Scan convert_rendered_to_measured_scan(const RenderedScan& scan, const Config& c
 /// that these sensors send.
 class ScanPacketEncoder {
 public:
-    /// @param sensors  one format per sensor. Its `packets` field describes the sensor
+    /// @param sensors  one entry per sensor, with the sensor's properties in `packets`
     /// @throws UsageError if packets of a sensor cannot be written
     explicit ScanPacketEncoder(std::vector<ScanOutputOptions> sensors);
     ~ScanPacketEncoder();

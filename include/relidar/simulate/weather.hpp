@@ -35,10 +35,9 @@ struct Weather {
     double snow_mm_h = 0.0;  ///< snow rate in millimetres of melted water per hour
     double wet_mm = 0.0;     ///< depth of the water on level ground
     Sun sun = {};
-    /// Strength of blooming: stray light of a retro-reflector that the receivers of
-    /// neighbouring rays detect. The value is the reflectivity that the sensor reports
-    /// for such a ray, if the retro-reflector covers one square degree and is one degree
-    /// away from the ray (median over the beams).
+    /// Strength of blooming. A retro-reflector is so bright that neighbouring rays report
+    /// a false return of its stray light. `bloom` is the reflectivity of this return, one
+    /// degree away from a reflector of one square degree (median over the beams).
     double bloom = 0.0;
 
     bool is_clear() const { return *this == Weather{}; }
@@ -83,10 +82,10 @@ struct WeatherSensorProperties {
     /// Returns the minimum power that is detected: the power of the darkest surface at
     /// the maximum range.
     double compute_min_detectable_power() const { return darkest / (max_range_m * max_range_m); }
-    /// Returns the minimum power that the sensor detects at a range. Combines the
-    /// thresholds of `darkest` and `weakest_reflectivity`. Applies to surfaces, fog,
-    /// particles and noise. For mirrored and stray light, only
-    /// compute_min_detectable_power() applies.
+    /// Returns the larger of two powers: compute_min_detectable_power(), and the power
+    /// that a surface with `weakest_reflectivity` returns from this range. Returns from
+    /// surfaces, fog, particles and noise must reach this power. Mirrored and stray light
+    /// must only reach compute_min_detectable_power().
     double compute_min_detected_power_at_range(double range_m) const;
 };
 
@@ -97,8 +96,8 @@ enum class ReturnCause : std::int32_t {
     fog = 1,
     rain = 2,
     snow = 3,
-    /// A surface that appears as a mirror image in wet ground. Its point is below the
-    /// ground, at the total path length of the light.
+    /// Mirror image of an object in wet ground. The point is below the ground, because
+    /// its range is the full length of the light's path via the ground to the object.
     mirror = 4,
     noise = 5,    ///< Sunlight that the receiver detects as a return, without an object.
     blooming = 6  ///< stray light of a retro-reflector in another direction
@@ -107,8 +106,8 @@ enum class ReturnCause : std::int32_t {
 /// A possible return of a ray.
 struct LidarEcho {
     double range_m = 0.0;  ///< Range along the ray. It is 0 if the ray has no return.
-    /// Reflectivity of a surface that would return the same power from this range in
-    /// clear air. It is limited to 0..1 only if a surface caused the return.
+    /// Received power as a reflectivity: a surface with this reflectivity would return
+    /// the same power from range_m in clear air. Limited to 0..1 only for surfaces.
     double reflectivity = 0.0;
     ReturnCause source = ReturnCause::nothing;
 };
@@ -185,7 +184,7 @@ extern const WeatherEffectEntry kFog, kRain, kSnow, kWetGround, kBlooming, kSunl
 /// All effects, in the order in which they act on a ray.
 inline constexpr const WeatherEffectEntry* kWeatherEffects[] = {&kFog,       &kRain,     &kSnow,
                                                                 &kWetGround, &kBlooming, &kSunlight};
-/// Lists the words of all effects and their meanings, for help texts.
+/// Returns a help text: the keyword of each weather effect and its meaning.
 std::string make_weather_help();
 
 }  // namespace relidar

@@ -67,8 +67,8 @@ struct RefinedPoses {
 /// cover all sessions since the start.
 struct TrainResult {
     Scene scene;
-    /// Poses that training has corrected, and with which scans should be rendered.
-    /// nullopt if training used the poses of the log unchanged.
+    /// Poses that training has corrected. Render scans with these poses, not with the
+    /// poses of the log. nullopt if training used the log's poses unchanged.
     std::optional<RefinedPoses> poses;
     ObservedVoxelSet coverage;  ///< Space that the training frames have observed.
     SurfaceClassMap classes;    ///< Classes of the background. Empty if the log has no labelled points.
@@ -156,8 +156,8 @@ TrainResult train(Device& device, const LidarSequence& sequence, const TrainTest
 /// scans.
 struct HeldOutPoseCallbacks {
     ProgressReporter progress = {};
-    /// Callback before each scan. It returns true to stop the correction of poses. No
-    /// pose is then changed.
+    /// Called before each scan. If it returns true, the correction stops and changes no
+    /// pose, not even the poses of earlier scans.
     std::function<bool()> stop = {};
 };
 
