@@ -9,8 +9,8 @@
 namespace relidar {
 namespace {
 
-// Maximum angle in radians between the azimuth of a beam and the azimuth that the LiDAR
-// head faces.
+// Assumed maximum difference, in radians, between the azimuth of a beam and the azimuth
+// that the rotating LiDAR head faces.
 constexpr double kBeside_rad = 0.17;
 // A box covers a range of azimuths in the view of the sensor. The range is widened on
 // each side by this share of its half width, because the sensor and the box move during

@@ -197,8 +197,9 @@ void sample_random_scales_and_opacities(bool smaller_scales_for_more_surfels, Nu
     }
 }
 
-/// Draws random spherical harmonics. Rounds the coefficients to multiples of 1/4096
-/// (degree 0) or 1/256 (other degrees). Rounds half to even like numpy does.
+/// Draws random spherical harmonics. Rounds them to multiples of 1/4096 (degree 0) or
+/// 1/256 (other degrees), and half to even. The Python generator scene_gen.py rounds in
+/// the same way, so both make the same surfels.
 void sample_random_spherical_harmonics(const std::vector<Rectangle>& rectangles,
                                        const std::vector<std::uint16_t>& rectangle_index,
                                        NumpyRandomState& random, Surfels& surfels) {

@@ -21,8 +21,8 @@ constexpr double kHiddenHeight = 0.2;
 // Minimum number of mirrored pairs of surface patches. With fewer pairs, the symmetry of
 // an actor is not measured.
 constexpr std::size_t kFewestPairs = 3;
-// Maximum number of patches along an axis of a box, divided by 2. With patches of 0.3 m,
-// this is enough for a box of 120 m.
+// Maximum number of pairs of patches along an axis of a box. Patches are counted in
+// pairs, because their number is even. 200 pairs of 0.3 m patches cover a box of 120 m.
 constexpr double kMostPairs = 200.0;
 
 /// Returns the number of patches along a length. The number is even, so that the symmetry

@@ -36,9 +36,9 @@ constexpr std::size_t kFewestChanging = 3;
 // An actor that walks less than kFewestWalked_m in the log is modelled as rigid.
 // kSmallestSpacing_m is a lower limit for the distance that it walks per frame.
 constexpr double kFewestWalked_m = 0.5, kSmallestSpacing_m = 0.02;
-// The recorded motion of an actor is repeated. This is the gap between its last frame and
-// the repeated first frame, so that both are never visible together. Its unit is the mean
-// distance that the actor walks per frame.
+// The recorded walk of an actor is repeated in a loop. Its last frame and the repeated
+// first frame must not be visible simultaneously. Between them, the actor therefore walks
+// this many times its mean distance per frame.
 constexpr double kFramesBetween = 3.0;
 
 /// Samples of one frame.
@@ -129,8 +129,8 @@ std::vector<glm::vec3> smooth_shifts_by_median(const std::vector<LidarSample>& s
     return medians;
 }
 
-/// Makes one surfel for each sample. `gaits` contains for each surfel when it is visible
-/// and how it moves while the actor walks.
+/// Makes one surfel for each sample. `gaits[i]` defines in which phase of the walk the
+/// surfel of sample i is visible, and how it moves.
 Surfels make_surfels_with_gait(const std::vector<LidarSample>& samples,
                                const std::vector<GaitPhaseWindow>& gaits,
                                const SceneInitialisationOptions& options, double incidence_coefficient) {
@@ -141,7 +141,8 @@ Surfels make_surfels_with_gait(const std::vector<LidarSample>& samples,
     return surfels;
 }
 
-/// Returns true for each sample at a static position, where most frames have a point.
+/// Returns true for each sample near which most frames have a point. The shape of the
+/// walking actor does not change there.
 std::vector<char> mark_static_samples(const std::vector<LidarSample>& samples, const SamplesByFrame& frames) {
     std::vector<char> is_static(samples.size());
     const std::size_t step = frames.size() / kCompared + 1;

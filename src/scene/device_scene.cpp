@@ -66,19 +66,19 @@ std::vector<SpecialisationConstant> make_activation_kernel_constants(bool stage_
     return all;
 }
 
-/// Rows of the gradient array for each instance (a model with a pose). The first instance
-/// of a model uses the rows of the model's surfels. The rows of further instances follow
-/// at the end of the array, sorted by model.
+/// Gradient rows of each instance (a model with a pose), one row for each surfel. The
+/// first instance of a model uses the numbers of the model's surfels as rows. The rows of
+/// all other instances follow after the last surfel, sorted by model.
 struct InstanceGradientRows {
     std::vector<std::uint32_t> first_row;  ///< [instances] first gradient row of each instance
     /// [models] index of the first instance of each model, or -1 if the model has no
     /// instance
     std::vector<std::int64_t> first_instance;
-    /// first row in the gradient array of each instance that is not the first instance of
-    /// its model, sorted by model
+    /// first gradient row of each instance that is not the first of its model, sorted by
+    /// model
     std::vector<std::uint32_t> more;
-    /// [models + 1] model m has the entries first_more[m] to first_more[m + 1] - 1 of the
-    /// array `more`
+    /// [models + 1] start of each model in `more`. Model m has the entries first_more[m]
+    /// to first_more[m + 1] - 1.
     std::vector<std::uint32_t> first_more;
     std::uint32_t n_rows;
 
@@ -187,9 +187,9 @@ struct DeviceScene::Impl {
         return entries;
     }
 
-    /// Returns the view origin in the frame of each model. If a model has several
-    /// instances, uses the pose of the first instance.
-    /// @return [models], valid for the next submission
+    /// Uploads the view origin (sensor position) in the frame of each model. If a model
+    /// has several instances, uses the pose of the first instance.
+    /// @return [models] device array that only the next submission can read
     Address<glm::vec3> upload_view_origin_per_model(Stream& stream,
                                                     const glm::vec3& view_origin_world_m) const {
         std::vector<glm::vec3> origins;
@@ -304,8 +304,8 @@ void DeviceScene::set_models(const std::vector<SurfelModel>& models) {
     RELIDAR_ASSERT_LE(std::size_t(n), impl_->records.size());
     impl_->layout.models = models;
     impl_->parameters.n = n;
-    // Uploads the new tables into the existing buffers. They fit, because the number of
-    // instances does not change.
+    // Computes the gradient rows again, because the models have new surfel ranges. They
+    // fit into the existing arrays, because the number of instances does not change.
     impl_->placements = InstanceGradientRows(impl_->layout, n);
     impl_->models.upload(make_model_table(impl_->layout, impl_->placements));
     impl_->more_rows.upload(impl_->placements.more);

@@ -46,9 +46,9 @@ using ShRotation = std::array<std::array<double, kShCoefficients>, kShCoefficien
 
 /// Returns the matrix that rotates SH coefficients from the model frame to the world
 /// frame. Element (i, j) is the integral of Y_i(R d) Y_j(d) over all directions d. R is
-/// the rotation, and Y_i are the SH basis functions. Sums over four heights
-/// (Gauss-Legendre) times eight azimuths. This sum is exact, because the integrands have
-/// degree 6.
+/// the rotation, and Y_i are the SH basis functions. Computes a weighted sum over 32
+/// directions: four heights z (Gauss-Legendre) with eight azimuths each. This sum is
+/// exact, because the integrands have degree 6.
 ShRotation make_harmonics_rotation_matrix(const glm::dquat& world_from_model) {
     constexpr std::array<std::array<double, 2>, 4> kHeights{{{-0.8611363115940526, 0.3478548451374538},
                                                              {-0.3399810435848563, 0.6521451548625461},

@@ -138,8 +138,8 @@ std::vector<double> compute_top_heights_m(const MoverTrack& track) {
 }
 
 /// Returns the position of the object in each observation: its centre in x and y, and its
-/// top in z. The sensor sees only the end of the object that faces it. Therefore the
-/// centre is computed as half the size of the object behind this end.
+/// top in z. Only the end that faces the sensor is visible. Seen from the sensor, the
+/// centre is half the object's length (or width) behind this end.
 /// @param size_m length and width; if null, the visible size is used
 std::vector<glm::dvec3> estimate_positions_from_visible_end(const MoverTrack& track,
                                                             const std::vector<GroundPose>& ground_poses,
@@ -202,8 +202,8 @@ constexpr double kTruck_m = 2.5;  // objects taller than this are trucks
 // Maximum width and minimum height of an object that counts as a cyclist.
 constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;
 
-/// Returns the kind of an object of which only the rear, the front or a side is visible.
-/// Returns null if the object is too slow or too small to classify.
+/// Returns the kind (car, truck or cyclist) of an object of which only one side is
+/// visible. Returns null if it is too small, or so slow that it can be a pedestrian.
 const TypicalObjectSize* classify_object_by_size(const glm::dvec3& size_m, double speed_mps) {
     if (speed_mps < kDrives_mps) return nullptr;
     const bool cyclist =

@@ -24,9 +24,9 @@ constexpr double kCell_m = 0.2;
 // Edge length of a square on the ground. Points above neighbouring squares belong to the
 // same object.
 constexpr double kSquare_m = 0.3;
-// Returns above two grid squares belong to the same object if the squares are at most
-// this many squares apart along x and along y. The distance of such returns is less than
-// 0.9 m on each axis.
+// Two returns belong to the same object if their grid squares are at most this many
+// squares apart along x and along y. The returns are then less than 0.9 m apart on each
+// axis.
 constexpr int kReach = 2;
 constexpr double kMinPoints = 12;  // minimum number of moved returns in a cluster
 constexpr double kMaxLength_m = 14.0;

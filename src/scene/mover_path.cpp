@@ -23,13 +23,13 @@ constexpr double kJerk = 0.2;
 // path.
 constexpr double kFarFromPath_m = 0.3;
 constexpr int kPathRounds = 3;
-// The heading is the direction of a chord of the path. The chord connects the points at
-// this distance before and after a position. If both ends have an error of 3 cm, the
-// chord rotates by less than a degree.
+// The heading at a position is the direction of a chord of the path. The chord begins at
+// this distance before the position and ends at this distance after it. Errors of 3 cm at
+// both ends typically rotate the chord by less than a degree.
 constexpr double kChord_m = 1.5;
-// The heading at a position is the direction of a chord from a point before to a point
-// after it. If the chord is shorter than this share of the distance between the position
-// and the farther end, the path turns back. Then the chord ends at the position.
+// The heading at a position is the direction of a chord from an earlier to a later point.
+// If (chord length) / (distance from the position to the farther end) is below this
+// ratio, the path turns back at the position. Then the chord ends at the position.
 constexpr double kTurnsBack = 0.3;
 
 /// State of the Kalman filter. Each column is a world axis. The rows are position,

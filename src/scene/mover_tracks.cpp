@@ -28,9 +28,9 @@ constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that has
 // kAcceleration_mps for each second since its last observation. The object may
 // accelerate, but the prediction assumes a constant velocity.
 constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;
-// Two tracks with a gap in time between them can be joined. The first track predicts a
-// position at the end of the gap, the second track one at its start. The maximum error of
-// each prediction is kAcceleration_m plus this many metres per second of the gap.
+// Two tracks can be joined across a gap in time. The velocities before and after the gap
+// must both predict the motion across the gap. The maximum error is kAcceleration_m plus
+// this many metres for each second of the gap.
 constexpr double kOverGap_mps = 0.8;
 // maximum difference between the speeds before and after a gap
 constexpr double kOtherSpeed_mps = 2.0;

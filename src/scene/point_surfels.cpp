@@ -123,9 +123,8 @@ ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
                                   const glm::dvec3& normal) {
     // number of nearest neighbours that lie on the same scan line as the point
     constexpr std::size_t kOnLine = 4;
-    // `gap.across` is the direction in the surface perpendicular to the scan line. If the
-    // cosine between it and the direction to a neighbour is below this value, the
-    // neighbour is not a point of the next scan line.
+    // Cosine of 45 degrees. A neighbour is on the next scan line only if its direction is
+    // within 45 degrees of `gap.across`, the perpendicular to the point's scan line.
     constexpr double kAcross = 0.7071;
     // Maximum distance of a neighbour from the surface plane: kSlope times the distance
     // between the neighbour and the sample, plus kNoise_m.
@@ -206,10 +205,10 @@ struct SurfelPlacement {
     ScanLineGap gap;
 };
 
-/// Finds the surface plane at a sample, and the distances to the scan lines on both sides
-/// of the sample. Uses the nearest samples. Uses more of them if all lie on one scan
-/// line, because the plane could then rotate about this line. Also uses more if none of
-/// them lies on the next scan line of one side.
+/// Finds the surface plane at a sample, and the distances to the scan lines on both
+/// sides. Uses the nearest samples. If all lie on one scan line, searches more samples,
+/// because the plane could rotate about this line. Also searches more samples if none
+/// lies on the next scan line on one of the sides.
 SurfelPlacement estimate_surface_at_sample(const Tree& tree, const std::vector<LidarSample>& samples,
                                            std::size_t sample_index, std::vector<std::size_t> nearest_indices,
                                            const SceneInitialisationOptions& options) {
@@ -227,8 +226,8 @@ SurfelPlacement estimate_surface_at_sample(const Tree& tree, const std::vector<L
         widen();
         const NeighbourPlane wider =
             fit_plane_to_neighbours(samples, nearest_indices, samples[sample_index].view, options.flatness);
-        // Uses the normal of the plane through more neighbours, but keeps the position of
-        // the sample, because this plane is too coarse for positions.
+        // `wider` is a plane through more samples. Uses its normal, but not its position,
+        // which is too coarse. The new plane passes through the sample.
         if (wider.is_surface) placement.plane = {samples[sample_index].position, wider.normal, true, true};
     }
     if (!placement.plane.is_surface) return placement;

@@ -38,8 +38,8 @@ constexpr std::size_t kMaxModels = 1u << 24;
 
 const auto& [kGait, kMean, kRotation, kLogScale, kOpacityLogit, kSh, kLogScaleW] = kParameterGroups;
 
-/// A property of the PLY file: a surfel parameter, or a value that only other tools need.
-/// The second and the third colour repeat the values of the first colour.
+/// A property (column) of the PLY file: a surfel parameter, or a value that only other
+/// tools need. These tools expect red, green and blue, so all three hold the intensity.
 struct PlyProperty {
     std::string name;
     const SurfelParameterGroup* group = nullptr;  ///< parameter group of the property, or null

@@ -23,7 +23,7 @@ constexpr bool are_primitives_in_order() {
 }
 static_assert(are_primitives_in_order(), "the numbers of primitives count up from 0");
 
-/// Returns true if surfels of this kind need the parameter group.
+/// Returns true if surfels with this parameter set have the parameters of `group`.
 bool has_parameter_group(SurfelParameterSet parameter_set, const SurfelParameterGroup& group) {
     switch (group.of) {
         case SurfelParameterGroup::SceneRequirement::third_scale:

@@ -8,9 +8,9 @@ namespace {
 // An object without a class counts as a vehicle if it is at least this long. Cyclists are
 // shorter.
 constexpr double kShortestVehicle_m = 3.0;
-// Maximum difference between the left and the right side of a symmetric object. The
-// difference is not zero if the box is too large, because the middle of the box is then
-// not the plane of symmetry.
+// An object is symmetric if its left surface and its mirrored right surface are at most
+// this far apart. A small distance can remain, because the middle of a too large box is
+// not the symmetry plane of the object.
 constexpr double kMostAsymmetry_m = 0.15;
 /// Indices of the spherical harmonics that are odd in y, which means that they have a
 /// negative order.

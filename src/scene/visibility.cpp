@@ -17,9 +17,9 @@ namespace relidar {
 namespace {
 
 constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns = 1024;
-// Number of columns of a range image / number of rays in a row of the scan. A point is
-// tested with 2 x 3 cells of the range image. With this ratio, the six cells contain four
-// or five returns.
+// Ratio (columns of a range image per turn) / (rays per turn in a row of the scan). A
+// point is tested with 2 rows x 3 columns of cells. Three columns contain 3 / (4/3) =
+// 2.25 rays of a row, so the six cells contain four or five returns.
 constexpr double kCellsPerRay = 4.0 / 3.0;
 constexpr double kBeyond_rad = 0.002;  // margin at the outermost beams, about the width of a beam
 constexpr int kMinReturns = 3;  // the 2 x 3 cells around a point must contain at least this many returns
@@ -32,11 +32,12 @@ constexpr double kBehind = 1.5;
 // Edge length of a square tile of the ground. The program selects frames per tile. All
 // points above a tile are tested with the range images of these frames.
 constexpr double kTile_m = 8.0;
-// Maximum distance between the sensor and a tile of the ground. At a larger distance, a
-// person has only one or two returns.
+// A frame is used for points above a ground tile only if its sensor is at most this far
+// from the tile. At a larger distance, even a person has only one or two returns.
 constexpr double kMaxTileDistance_m = 40.0;
-// Frames beyond kMaxTileDistance_m are used if their sensor is at most this many times as
-// far from the tile as the nearest sensor. Otherwise distant tiles would have no frames.
+// Frames beyond kMaxTileDistance_m are used if (distance from sensor to tile) / (smallest
+// such distance of all frames) is at most this ratio. Otherwise distant tiles would have
+// no frames.
 constexpr double kHardlyFarther = 1.25;
 constexpr std::size_t kMostViews = 64;
 

@@ -59,8 +59,9 @@ private:
 /// only the images that the given points need.
 class VisibilityChecker {
 public:
-    /// Selects the frames that observe each tile of the ground. Creates no range images
-    /// yet. Keeps a reference to `sequence`, so `sequence` must not change.
+    /// Divides the ground into tiles, and selects the frames that can observe each tile.
+    /// Creates no range images yet. `sequence` is not copied and must not change.
+    /// @param positions indices of the frames to use, in `sequence.frames`
     VisibilityChecker(const LidarSequence& sequence, const std::vector<int>& positions);
 
     /// Creates the range images that these points need. After this call, only these
@@ -107,8 +108,8 @@ private:
     struct VisibilityImage {
         double time_s;
         int lidar;
-        /// One pose for each azimuth sector of the sweep, at the time when the LiDAR head
-        /// faces the middle of the sector. Empty until the image is created.
+        /// [azimuth sectors of the sweep] sensor pose at the time when the LiDAR head
+        /// faces the middle of the sector. Empty until make_range_image() is called.
         std::vector<Pose> sensor_from_world;
         /// [rows * columns] range of the nearest return, or 0 if a cell has no return
         std::vector<float> range_m;

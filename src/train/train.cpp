@@ -29,9 +29,10 @@ Scene make_initial_scene(const LidarSequence& sequence, const TrainTestSplit& sp
                          const TrainSession& session) {
     SceneInitialisationOptions options = config.init;
     options.seed = config.train.seed;
-    // Usually, the ray-drop probability (docs/method.md M6) depends on a hit logit and a
-    // drop logit. A single drop logit starts with their difference, drop logit - hit
-    // logit, so that the initial probability is the same.
+    // Usually, the ray-drop probability is a softmax of a hit logit and a drop logit
+    // (docs/method.md M6). With `one_logit`, the hit logit is 0. The drop logit then
+    // starts at their usual difference, drop - hit, which gives the same initial
+    // probability.
     options.one_logit = config.image.single_drop_logit;
     std::vector<std::string> notes;
     Scene scene = initialise_scene(sequence, split.train, options, session.progress, &notes);
@@ -41,8 +42,8 @@ Scene make_initial_scene(const LidarSequence& sequence, const TrainTestSplit& sp
     return scene;
 }
 
-/// Prints the moving boxes without surfels. Training ignores the returns inside these
-/// boxes.
+/// Prints which boxes of moving objects have no surfels in the scene. Training ignores
+/// the returns inside these boxes.
 void report_ignored_moving_boxes(const Scene& scene, const LidarSequence& sequence, const Config& config,
                                  const TrainSession& session) {
     const std::vector<BoxTrack> masked = find_boxes_without_model(scene, sequence, config.init);

@@ -22,14 +22,15 @@ namespace {
 constexpr double kBeside_m = 0.5;
 constexpr double kSweep_m = 0.2;  // maximum distance that a sensor moves while its beam crosses an actor
 constexpr double kAlong_m = 2.0;  // maximum distance that a sensor moves during half a sweep
-// Radius of a surfel in standard deviations. At a larger distance, the surfel is nearly
-// transparent.
+// Radius of a surfel in standard deviations. Farther from its centre, the surfel is
+// nearly transparent.
 constexpr double kReach_sigmas = 3.5;
-// Maximum number of surfels in the blocks (parts of the background) that are loaded to
-// train the actors in one section of the log. Only the surfels near actors are then used.
+// The actors are trained in one section of the log after another. Maximum number of
+// surfels in the scene blocks (parts of the background) that are loaded for a section.
+// Training uses only those loaded surfels that rays to actors can hit.
 constexpr std::size_t kTogether = 1'500'000;
-// Maximum probability that the sensor itself drops a ray. Rays with a higher probability
-// are skipped, because they carry no information about actors.
+// Maximum drop probability of a beam at an azimuth, independent of the scene. Rays with a
+// higher probability are skipped, because they carry no information about actors.
 constexpr float kBlind = 0.5f;
 
 /// An actor in one sweep, and the sensor position at the time when the LiDAR head faces
@@ -206,9 +207,9 @@ Surfels select_surfels_on_rays_to_actors(const Surfels& surfels,
     return surfels.reorder(order);
 }
 
-/// Scene in which the actors of one section of the log are trained. `extent_m` is
-/// compute_robust_background_extent_m() of a scene block, averaged over the blocks of the
-/// section.
+/// Scene for training the actors of one section of the log. `extent_m` is the mean of
+/// compute_robust_background_extent_m() over the scene blocks (parts of the background)
+/// that rays of the section can reach.
 struct SectionScene {
     Scene scene;
     double extent_m = 1.0;

@@ -52,8 +52,8 @@ namespace {
 /// few views observe how the intensity depends on the direction.
 constexpr double kShRestFactor = 0.05;
 
-// Number of iterations between two measurements of how much the acceleration structure
-// has grown.
+// Number of iterations between two measurements of the traversal cost of the acceleration
+// structure. If the cost has grown too much, the structure is rebuilt.
 constexpr int kGrowthEvery = 32;
 
 LearningRates compute_learning_rates(const TrainConfig& config, double extent_m, int step) {
@@ -114,9 +114,9 @@ TreeRefitSchedule choose_tree_refit_options(const Config& config, std::uint32_t 
 /// refitted in every step while the learning rate is so high that surfels could outgrow
 /// the margin.
 bool should_refit_tree(const TreeRefitSchedule& refit_options, const TrainConfig& config, int step) {
-    // The box of a surfel in the tree has a margin. Until the next refit, the surfel's
-    // scale may grow by this share of the margin. The rest is needed because a surfel
-    // with a higher opacity also needs a larger box.
+    // The box of a surfel in the tree has a margin, so that the surfel can grow until the
+    // next refit. Its scale may use this share of the margin. The remainder is for its
+    // opacity, because a more opaque surfel also needs a larger box.
     constexpr double kShare = 0.9;
     const double growth = (refit_options.every - 1) * compute_learning_rates(config, 1.0, step).log_scale;
     return growth > kShare * std::log(refit_options.accel.margin_scale) ||
@@ -338,8 +338,8 @@ void TrainLoop::increase_hit_capacity_if_needed(const IterationReports::Iteratio
             "{} hits, expected at most {}; use fewer rays per iteration (train.rays_per_iteration)",
             report.first_step, report.last_step, report.most_hits, report.hit_capacity));
     if (report.most_hits <= differentiable_.backward_pass().get_hit_capacity() / 2) return;
-    // Each report has only one value of `hit_capacity`. Therefore requests a report of
-    // the steps so far, which used the old capacity.
+    // The value of `hit_capacity` changes below, but a report can contain only one value.
+    // Therefore requests a report of the steps so far before the change.
     request_report(last_step_, false);
     // Reserves memory for twice the reported number of hits, so that later steps can have
     // more hits.
@@ -352,8 +352,8 @@ void TrainLoop::increase_stored_hits_per_ray_if_needed(const IterationReports::I
     if (report.stored_hits_per_ray != renderer_.get_stored_hits_per_ray() || hit_memory_exhausted_) return;
     const std::uint32_t n_hits = recommend_stored_hits_per_ray(report.stored_hits_per_ray, report.overfull);
     if (n_hits == report.stored_hits_per_ray) return;
-    // Each report has only one value of `stored_hits_per_ray`. Therefore requests a
-    // report of the steps so far, which used the old value.
+    // The value of `stored_hits_per_ray` changes below, but a report can contain only one
+    // value. Therefore requests a report of the steps so far before the change.
     request_report(last_step_, false);
     try {
         renderer_.set_stored_hits_per_ray(n_hits);
@@ -397,16 +397,16 @@ void TrainLoop::restore_training_state_from_checkpoint(const Checkpoint& checkpo
 }
 
 RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSequence& sequence) {
-    // Number of rays in a batch. With one batch per frame, a full log gives hundreds of
-    // rays to each bin of the drop table (drop rates by beam and azimuth).
+    // Number of rays in a batch. In a full log, one batch of each frame is enough: each
+    // bin of the drop table (a beam and an azimuth interval) then gets hundreds of rays.
     constexpr std::uint32_t kRays = 20000;
-    // Minimum number of rays per bin of the drop table. A short log needs several batches
-    // per frame to reach it, at most all rays of a frame.
+    // Minimum number of rays per bin of the drop table. In a short log, several batches
+    // of each frame are used to reach this number, or all rays of the frame.
     constexpr std::size_t kRaysPerBin = 20;
     Config some_rays = config_;
     some_rays.train.rays_per_iteration = kRays;
-    // Turns the image loss off, because it would restrict a batch to a window of columns.
-    // A batch without windows has rays of all directions.
+    // The image loss would restrict a batch to a window of neighbouring columns. It is
+    // turned off, so that each batch has rays of all directions.
     some_rays.loss.intensity_ssim = 0.0f;
     BatchSampler batches(device, some_rays, frames_.get_all_frames());
     RayDropCounts counts(sequence);
@@ -434,9 +434,9 @@ RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSe
 
 void TrainLoop::add_batch_to_drop_counts(RayDropCounts& counts, const LidarSequence& sequence,
                                          const TrainingFrameData& frame, const SampledBatch& batch) {
-    // A ray is counted in the drop statistics if its blending weight is above this value,
-    // because it then hits a solid surface. This limit does not apply to directions in
-    // which nearly all measured rays drop, because no surface was trained there.
+    // Minimum blending weight of a ray that hits a solid surface. The drop statistics
+    // count only such rays, except in sectors where nearly all measured rays drop.
+    // Training ignores these rays, so the scene has no surfaces there.
     constexpr float kSolid = 0.9f;
     const LidarFrame& sweep = sequence.frames[std::size_t(frame.position)];
     const RayDropTable& observed = frames_.get_mask_rules().observed_drops;

@@ -25,7 +25,7 @@ std::map<std::string, std::string> list_settings_and_hashes_for_resume(const Lid
 /// @param training_time_s  seconds since training started
 void write_training_log_and_times(CheckpointWriter& writer, const TrainResult& result,
                                   double training_time_s);
-/// Reads the same log and times from a checkpoint into `result`.
+/// Reads the values of write_training_log_and_times() from a checkpoint into `result`.
 void read_training_log_and_times(const Checkpoint& checkpoint, const Config& config, TrainResult& result);
 
 /// Returns the scene in a checkpoint.

@@ -25,8 +25,9 @@ bool should_use_range_grid(const Config& config) {
     return config.refine.image == "grid" && config.sensor.grid != "native";
 }
 
-/// Returns the rays of a frame's LiDAR. If the setting refine.image is "grid", returns
-/// one ray for each grid cell, because the network then corrects grid images.
+/// Returns the rays along which a frame is rendered to train the ray-drop network. These
+/// are the rays of the frame's LiDAR. If the network corrects range images (setting
+/// refine.image is "grid"), returns one ray for each cell of the range image instead.
 SimulatedSensor choose_drop_training_sensor(const Config& config, const LidarSequence& sequence,
                                             const LidarFrame& frame) {
     if (!should_use_range_grid(config)) return choose_nominal_sensor_of_frame(config, sequence, frame);
@@ -42,8 +43,8 @@ SimulatedSensor choose_drop_training_sensor(const Config& config, const LidarSeq
 /// the rotated rays are as accurate as images of frames that were not used for training.
 RayTable rotate_rays_by_column_fraction(RayTable rays, float column_fraction) {
     const RayTable original = rays;
-    // Minimum cosine of the angle between neighbouring columns. If the field of view is
-    // not a full turn, the last and the first column are not neighbours.
+    // Minimum cosine of the angle between two neighbouring columns. Excludes the last and
+    // the first column if the field of view is less than a full turn.
     constexpr float kMinNeighbourCosine = 0.9f;
     for (std::size_t i = 0; i < original.size(); ++i) {
         const std::size_t row = i / std::size_t(original.columns),
@@ -57,7 +58,7 @@ RayTable rotate_rays_by_column_fraction(RayTable rays, float column_fraction) {
 }
 
 /// Returns the state of each cell of the range image: 0 returned, 1 dropped, -1 unknown.
-/// A cell is unknown if the ray of one of its returns is unknown (negative) in
+/// A cell is unknown if one of its returns belongs to a ray with a negative value in
 /// `ray_drops`.
 std::vector<float> convert_ray_drops_to_grid(const Config& config, const LidarFrame& frame,
                                              const std::vector<float>& ray_drops) {
@@ -72,9 +73,9 @@ std::vector<float> convert_ray_drops_to_grid(const Config& config, const LidarFr
     return cells;
 }
 
-/// Returns the training frames that the network can read as images. With a range grid,
-/// these are all frames. Otherwise the rays must be ordered in rows and columns, and only
-/// the frames with the most frequent numbers of rows and columns are returned.
+/// Returns the training frames that the ray-drop network can read as images. These are
+/// all frames if refine.image is "grid". Otherwise the rays must be ordered in rows and
+/// columns, and only frames with the most common image size are returned.
 std::vector<int> select_frames_with_image_rays(const Config& config, const LidarSequence& sequence,
                                                const std::vector<int>& train_frame_indices) {
     if (should_use_range_grid(config)) return train_frame_indices;

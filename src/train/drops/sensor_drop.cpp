@@ -161,9 +161,9 @@ void mark_unobserved_sectors_as_dropped(RayDropTable& drop_table, const RayDropT
             },
             [&](int first, int count) {
                 for (const std::size_t row : rows) {
-                    // All beams are blind in these `count` bins. A single beam can be
-                    // blind in a few more bins on each side, because the beams have
-                    // different azimuth offsets. Adds these bins.
+                    // All beams are blind in these `count` bins. Because the beams have
+                    // different azimuth offsets, one beam can be blind in a few more bins
+                    // on each side. Extends the range begin..end by these bins.
                     int begin = first, end = first + count;
                     while (first - begin < spread && is_blind_at(row, begin - 1)) --begin;
                     while (end - first - count < spread && is_blind_at(row, end)) ++end;

@@ -29,9 +29,9 @@ public:
     /// than 60 rays in total, its drop rate is 0. The drop rate is 1 in a sector of at
     /// least 10 degrees in which the beam never fires.
     RayDropTable estimate_persistent_drop_rates() const;
-    /// Returns the drop rate of each bin, (drops + 8 * local rate) / (rays + 8). The
-    /// local rate is drops / (rays + 8), summed over the bin and its neighbours. The 8
-    /// virtual rays give a stable rate even if a short log has few rays per bin.
+    /// Returns the drop rate of each bin, (drops + 8 * local rate) / (rays + 8). The 8
+    /// virtual rays give a stable rate even if a short log has few rays per bin. The
+    /// local rate is (sum of drops) / (8 + sum of rays) over the bin and its neighbours.
     RayDropTable estimate_smoothed_drop_rates() const;
     std::size_t get_bin_count() const { return rays_.size(); }
 

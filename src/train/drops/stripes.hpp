@@ -12,9 +12,8 @@
 
 namespace relidar {
 
-/// Returns the number n for which every n-th stripe of the image is used. The used
-/// stripes then have about 32,768 pixels in total. If n is below 2, the full image is
-/// used.
+/// Returns an interval n. If every n-th stripe of the image is used, the used stripes
+/// have about 32,768 pixels in total. If n is below 2, the full image is used.
 inline int choose_stripe_interval(const RayTable& rays) { return int(rays.size()) / 32768; }
 
 /// Some vertical stripes of an image. The image covers a full turn, so its last column is

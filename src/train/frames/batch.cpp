@@ -152,9 +152,9 @@ SampledBatch BatchSampler::gather_nth_batch(Stream& stream, const TrainingFrameD
              .first_column = first_column,
              .column_stride = columns.stride,
              .n_columns = columns.n});
-        // The loss is divided by a number of rays, for example the returned rays. Uses
-        // the number in the full frame times `share`, so that the loss is unbiased. With
-        // the number in the batch, a sector with few returns would get a higher weight.
+        // Divides each loss by an expected number of returned or known rays: the number
+        // in the full frame times `share`. The actual number in the batch would bias the
+        // loss, because a sector with few returns would get a higher weight.
         const double share = double(n) / frame.n_rays;
         return {{&b.rays, 0, 1, n, columns.n, &b.targets},
                 {&b.targets,

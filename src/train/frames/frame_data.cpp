@@ -93,8 +93,8 @@ std::uint32_t find_max_rays_per_frame(std::span<const TrainingFrameData> frames)
 }
 
 RayBatch TrainingFrameData::make_strided_batch(std::uint32_t first_ray, std::uint32_t stride) const {
-    // True if the rays form complete columns of the image. The number of columns must be
-    // a multiple of the stride.
+    // The batch has every stride-th ray of the image. If the number of columns is a
+    // multiple of the stride, these rays form complete columns of the image.
     const bool is_column_subset = image.columns % stride == 0 && first_ray < stride;
     return {&get_device_rays(),
             first_ray,

@@ -23,8 +23,8 @@ namespace relidar {
 struct FrameArrays {
     Array<DeviceRay> rays;        ///< [n] rays, computed from the poses at the start of training
     Array<DeviceTarget> targets;  ///< [n] measurements
-    /// [n] The firing time of each ray, as a position between two vehicle poses: the
-    /// index of the earlier pose, relative to TrainingFrameData::first_knot, and the
+    /// [n] Each ray is fired between two vehicle poses. RayPlace::left is the index of
+    /// the earlier pose, counted from TrainingFrameData::first_knot. RayPlace::s is the
     /// fraction of the time to the next pose. Empty if poses are not corrected.
     Array<shared::RayPlace> track_positions;
 };

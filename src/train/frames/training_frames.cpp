@@ -26,8 +26,9 @@ double compute_absolute_firing_time(const LidarSequence& sequence, const LidarFr
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
 
-/// A frame that is used for training. `frame` is a frame of the log. If a grid is given,
-/// `frame` is instead its copy `binned` with one ray for each cell of the grid.
+/// A training frame. If training uses a grid, `binned` is a copy of the log frame with
+/// one ray for each cell, and `frame` refers to this copy. Otherwise `frame` refers to
+/// the log frame.
 struct GriddedFrame {
     std::optional<LidarFrame> binned;
     const LidarFrame& frame;

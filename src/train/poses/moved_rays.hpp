@@ -38,9 +38,9 @@ public:
     /// a constant.
     void record_pose_gradient_sums(Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
                                    const Array<float, shared::DeviceRayGradients>& ray_gradients);
-    /// Returns the gradients that record_pose_gradient_sums() computed. `kRows`
-    /// workgroups share the work for one pose, and each has a row of partial sums:
-    /// [kRows, maximum poses of a frame, 6].
+    /// Returns the partial sums of the pose gradients that record_pose_gradient_sums()
+    /// computed: [kRows, maximum number of poses in a frame, 6]. `kRows` workgroups share
+    /// the work for each pose, and each workgroup computes one row.
     const Array<float>& get_partial_gradient_sums() const { return rows_; }
     /// Adds up the partial sums. Returns one gradient for each pose of a frame.
     std::vector<PoseGradient> sum_pose_gradients(std::span<const float> partial_sums,

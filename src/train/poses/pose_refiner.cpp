@@ -162,7 +162,7 @@ void PoseRefiner::apply_oldest_pose_update(Stream& stream) {
         // at which a sweep observes it. Each of these two poses gets half of the
         // gradient.
         for (double& g : twist) g *= 0.5;
-        // This loop needs no check for an absent actor. Its gradient is zero, and
+        // The actor may be absent from the frame. Its gradient is then zero, and
         // add_pose_gradient() ignores zero gradients.
         for (std::size_t end = 0; end < 2; ++end)
             actors_[k].correction.add_pose_gradient(pending_iterations_.actor_time_s[2 * k + end], twist);
