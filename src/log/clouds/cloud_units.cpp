@@ -10,8 +10,8 @@
 namespace relidar::bag {
 namespace {
 
-// A time unit is plausible only if the duration of a cloud, divided by the time between
-// clouds, is within these limits.
+// A unit of point times (such as ms) is accepted only if (cloud duration / time between
+// clouds) is within these limits.
 constexpr double kLeastSpan = 0.05, kMostSpan = 3.0;
 // Maximum difference between the time of a point and the time stamp of its cloud message.
 constexpr double kBesideStamp_s = 2.0;

@@ -15,8 +15,8 @@ enum class PointTimeReference {
     none,   ///< unknown, because the points have no usable times
     stamp,  ///< offsets from the cloud's stamp
     epoch,  ///< zero of the clock that also gives the message stamps
-    /// unknown start of the sensor's own clock; the first point of each cloud gets the
-    /// time stamp of its message
+    /// Point times count from an unknown moment at which the sensor's clock started. So
+    /// the first point of each cloud gets the time stamp of the cloud's message.
     sensor_clock
 };
 

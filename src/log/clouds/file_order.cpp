@@ -24,9 +24,9 @@ constexpr std::size_t kFewestRings = 4, kMostOrderedRings = 256;
 // If the rings are sorted by elevation, at least this share of the steps from ring to
 // ring has the same sign.
 constexpr double kSorted = 0.9;
-// If the rings are correct, a / b is below this value. a: median difference between the
-// elevation of a point and the elevation of its ring. b: median elevation step from ring
-// to ring.
+// Points are in the correct rings if the median elevation difference between a point and
+// its ring is small: below this fraction of the median elevation step between
+// neighbouring rings.
 constexpr double kInRing = 0.5;
 
 double compute_point_azimuth_rad(const glm::vec3& point) {
@@ -71,9 +71,9 @@ std::vector<double> unwrap_point_azimuths(const LidarPoints& points, double rota
     return turned;
 }
 
-/// Returns for each point the number of the revolution in which the file stores it. If
-/// the file stores ring after ring, each ring is one revolution of the azimuth.
-/// Revolutions start at the azimuth `start_azimuth_rad`.
+/// Returns the revolution number of each point, from 0: how often the azimuth has passed
+/// `start_azimuth_rad` before this point. In files that store one ring after another,
+/// this is the number of the ring.
 std::vector<std::uint16_t> compute_revolution_numbers(const std::vector<double>& unwrapped_azimuths_rad,
                                                       double start_azimuth_rad) {
     std::vector<std::uint16_t> revolution_numbers;

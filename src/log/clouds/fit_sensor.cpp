@@ -26,8 +26,8 @@ constexpr double kColumnSearchMargin = 0.03;
 // Minimum coherence of the azimuths: 1 if the points of each ring are on a regular
 // azimuth grid, near 0 if they are not.
 constexpr double kCoherent = 0.5;
-// Maximum factor by which the estimated number of columns is raised if one ring has more
-// points than columns.
+// A ring (row of points) can have more points than the estimated number of columns. The
+// estimate is then raised to the number of points, but at most by this factor.
 constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;

@@ -20,8 +20,8 @@ namespace relidar::folder {
 namespace {
 
 constexpr float kFarthestCoordinate_m = 1e6f;
-// If the directions of two points differ by less, they can be returns of the same ray.
-// The value is 1 - cos(1.4 mrad), because coordinates in files are rounded.
+// Two points can be returns of the same ray if 1 - cos(angle between their directions) is
+// below this (1.4 mrad). The limit is not 0, because file coordinates are rounded.
 constexpr float kOneRay = 1e-6f;
 
 /// Returns true if a return is the strongest of its ray. `return_type` is a number of the

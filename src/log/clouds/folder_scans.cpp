@@ -323,7 +323,7 @@ private:
     /// Sets ring numbers of points that have none, from their elevations or from their
     /// order. Returns false if both methods fail.
     bool try_to_assign_ring_numbers(std::size_t lidar_index, std::vector<LidarPoints>& sample_scans) {
-        // First tries to recognise the rings by their elevations. The order of the points
+        // Assigns rings by elevation if it can. The fallback, the order of the points,
         // fails for Ouster LiDARs, because their rings begin at different azimuths.
         if (const std::vector<Beam> beams = estimate_beams(sample_scans); !beams.empty()) {
             for (LidarPoints& sample : sample_scans) assign_points_to_rings(sample, beams);

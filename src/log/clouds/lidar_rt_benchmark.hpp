@@ -41,12 +41,12 @@ struct RequestedDriveFrames {
     /// Requested drive (a recording of the dataset): its name, or a unique part of its
     /// name.
     std::string drive;
-    /// Requested frames. The user can request a sequence of the LiDAR-RT paper, which is
-    /// a part of a drive. Then this range contains only frames of that part.
+    /// Range of frames that the user requested. If the user named a sequence of the
+    /// LiDAR-RT paper (part of a drive), the range is limited to that sequence.
     FrameRange frames;
     bool is_benchmark = false;
-    /// Requested frames that the LiDAR-RT paper uses for testing. Empty if the user did
-    /// not request a sequence of this paper.
+    /// Test frames that the LiDAR-RT paper defines, if they are in the range `frames`.
+    /// Empty unless the user requested a sequence of that paper by its name.
     std::vector<int> test_frames = {};
 };
 /// Returns the drive (a recording of the dataset) and the frames that the user requested.

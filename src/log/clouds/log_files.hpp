@@ -50,10 +50,10 @@ std::string describe_mistaken_kitti_folder(const std::filesystem::path& folder,
                                            const std::string& expected_subfolder);
 
 /// Reads the times of some frames, in seconds after the first time in the file. Line i
-/// contains the time of frame i. It is empty if the scan is missing. Times can cross
-/// midnight.
-/// @throws DataError if a line is not a time, if a frame has no time, or if times do not
-/// increase
+/// contains the time of frame i. The line is empty if the frame has no scan. Times can
+/// cross midnight.
+/// @throws DataError if a line is not a time, if a requested frame has no time, or if
+/// times do not increase
 std::vector<double> read_relative_frame_times_s(const std::filesystem::path& time_file,
                                                 const std::vector<int>& frame_numbers);
 

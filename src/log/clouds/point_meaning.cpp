@@ -18,8 +18,8 @@ namespace {
 // Largest values of the usual intensity scales: percent, 8 bits and 16 bits.
 constexpr double kPercent = 100.0, kByte = 255.0, kTwoBytes = 65535.0;
 constexpr double kFewBrighter = 0.995;  // minimum share of the intensities that must be within the scale
-// Measured points almost never have exactly the same position. If the share of points at
-// one position is between these limits, the position marks rays without a return.
+// Measured points rarely have identical positions. So a position is a marker for "no
+// return" if (points at this position / all points) is between these limits.
 constexpr double kLeastMarked = 0.01, kMostMarked = 0.95;
 constexpr std::size_t kFewestMarked = 16;
 constexpr std::size_t kLooks = 1024;  // maximum number of points that are tested for repeated positions

@@ -16,10 +16,10 @@ namespace {
 // A vehicle drives forward if the mean x component of its unit motion vectors is above
 // this value. The vectors are in the vehicle frame.
 constexpr double kForward = 0.9;
-// The numbers of a pose file can have another meaning than documented. relidar accepts
-// another meaning only if two values increase by at least these amounts. kMoreForward:
-// mean x component of the unit motion vectors. kMoreOverlap: points that overlap with the
-// other scan of a pair / all points.
+// A pose file can deviate from its documented convention. relidar uses another convention
+// only if two values are larger than with the documented one, by at least these amounts.
+// kMoreForward: mean x component of the unit motion vectors. kMoreOverlap: points that
+// overlap with the other scan of a pair / all points.
 constexpr double kMoreForward = 0.3, kMoreOverlap = 0.02;
 // Minimum number of motions between poses for estimating the driving direction.
 constexpr std::size_t kFewestSteps = 3;

@@ -17,9 +17,9 @@ namespace relidar::folder {
 struct PoseInterpretation {
     std::string about;             ///< description for notes
     PoseTrack world_from_vehicle;  ///< poses according to this meaning
-    /// True if this meaning of the numbers is used only if scans overlap better with it.
-    /// The test for forward motion is not enough, because vehicles can also drive
-    /// backwards.
+    /// True if this interpretation of the pose file is used only if it also makes scans
+    /// overlap better. A test of forward motion alone is not enough, because vehicles can
+    /// also drive backwards.
     bool needs_scans = false;
 };
 

@@ -165,9 +165,9 @@ private:
         RayPointIndices& cells = get_or_add_image_of_return_number(number);
         int point = static_cast<int>(point_index);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
-            // A ray stores only one point. If a first return finds its ray occupied, the
-            // code tries the same ring in the two neighbouring firings. Later returns
-            // (number > 0) must stay on the ray of their first return.
+            // A ray (ring, firing) stores only one point. If the ray of a first return is
+            // occupied, tries the same ring in the two neighbouring firings. A later
+            // return (number > 0) can only use the ray of its measured firing.
             if (cells.get_point_index(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
             std::swap(cells.get_point_index(ring, f), point);
             break;

@@ -242,9 +242,9 @@ DrivingDirection estimate_driving_direction(const PoseTrack& world_from_sensor) 
         const glm::dvec3 step = poses[to].translation - poses[from].translation;
         const bool is_late = world_from_sensor.time_s[to] - world_from_sensor.time_s[from] > kLongestStep_s;
         if (!is_late && glm::length(step) < kStep_m) continue;
-        // If the two poses are close in time, adds the direction of motion in the sensor
-        // frame. In a curve, the sensor rotates between the poses. So this uses the mean
-        // of the directions in both sensor frames.
+        // Adds the direction of motion to `driving.mean`, unless the two poses are too
+        // far apart in time. Uses the mean of the directions in both sensor frames,
+        // because the sensor rotates between the poses in a curve.
         if (!is_late) {
             const glm::dvec3 d = glm::normalize(step);
             const glm::dvec3 direction_in_sensor =
@@ -336,8 +336,8 @@ void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& 
                 "point is assigned to the nominal beam with the nearest elevation",
                 sensor.beams.size(), sensor.columns));
         } else {
-            // The beams do not match this LiDAR. Without beams, points are read without
-            // rings.
+            // The beams (laser angles) of the data sheet do not match this LiDAR. Without
+            // them, points are read without ring numbers (laser rows).
             format.beams.clear();
         }
     }

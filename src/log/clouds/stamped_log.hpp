@@ -108,9 +108,9 @@ struct PointFileFormat {
 void read_scans_of_frames(LidarSequence& sequence, const std::vector<std::filesystem::path>& scan_files,
                           PointFileFormat format, const DatasetOptions& options);
 
-/// Scale of the intensities in the files of a dataset. The value `most` in a file is
-/// converted to intensity 1. `most` is 1 or 255 if no value is larger. Otherwise, only a
-/// few values are larger than `most`.
+/// Intensity scale of the files of a dataset: intensity = value in a file / `most`.
+/// `most` is 1 if no value exceeds 1, otherwise 255 if no value exceeds 255, otherwise a
+/// value that only a few values exceed.
 struct DatasetIntensityScale {
     double most = 1.0;
     std::string about;  ///< text for a note, used if larger intensities are clamped to 1

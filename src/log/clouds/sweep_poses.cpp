@@ -16,7 +16,7 @@ namespace {
 constexpr double kStep_s = 1e-3;
 // Smaller corrections are skipped. The range errors of sensors are ten times larger.
 constexpr double kLeast_m = 1e-3;
-// The size of a rotation is measured as the shift of a point at this distance.
+// A rotation is measured in metres: how far it moves a point at this distance.
 constexpr double kReach_m = 50.0;
 
 /// Returns how far a pose correction can move a point that is kReach_m from the sensor,
@@ -27,9 +27,9 @@ double compute_max_displacement_m(const Pose& pose_correction) {
     return glm::length(pose_correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
 }
 
-/// The log interpolates between the poses of its frames, so its sensor frame differs from
-/// the true sensor frame. Returns transforms from the true to the interpolated sensor
-/// frame at several times during a sweep. Times are relative to the time of `frame`.
+/// Returns the errors of interpolated sensor poses during a sweep, as transforms from
+/// true to interpolated sensor coordinates. The errors exist because the log has only one
+/// pose per `frame` (sweep). Times are relative to the time of `frame`.
 PoseTrack compute_pose_corrections(const LidarSequence& sequence, const LidarFrame& frame,
                                    const PoseLookup& find_vehicle_pose) {
     const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;

@@ -46,9 +46,9 @@ void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, 
     const glm::ivec3 end(glm::floor(a + displacement));
     const double length_m = glm::distance(start_m, end_m);
     glm::ivec3 step;
-    // Positions on the line segment are fractions of its length, from 0 to 1. For each
-    // axis, `next` is the position at which the segment crosses the next cell border.
-    // `pace` is the distance from one border to the next, as a fraction of the length.
+    // Positions on the line segment are fractions of its length, from 0 at its start to 1
+    // at its end. Per axis: `next` is the position where it crosses the next cell border.
+    // `pace` is the difference in position between two consecutive borders.
     glm::dvec3 next, pace;
     int n_borders = 0;
     for (int axis = 0; axis < 3; ++axis) {

@@ -73,9 +73,9 @@ BlockWriter::BlockWriter(const PacketLayout& layout, const SpinningSensor& senso
       start_ns_(options.start_ns),
       sequence_deg_(360e-6 * layout.cycle_us / sensor.period_s),
       beams_(list_beams_of_packet_layout(layout)) {
-    // Beams (rows) that the scan must have. If the scan stores the two firing sequences
-    // of the sensor in separate columns, a laser that fires in both needs only one row.
-    // Then std::unique() removes its second row.
+    // Expected beams (rows) of the scan. In `beams_`, a laser that fires in both firing
+    // sequences of the sensor has two beams. If the scan stores each sequence in a
+    // separate column, it has one row per laser. So the second beam is removed.
     std::vector<PacketBeam> fired = beams_;
     const auto is_repeat = [](const PacketBeam& one, const PacketBeam& other) {
         return one.line == other.line;

@@ -144,8 +144,8 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
             fmt::format("cannot write packets of {}: the rays of a scan were fired within {:.3g} s, expected "
                         "the {:.3g} s of one revolution; motion-compensated scans have no firing times",
                         sensor.name, last - first, sensor.period_s));
-    // In a recorded scan, lasers that fire together have different delays. In a rendered
-    // scan, all delays are 0. Checks which case fits this scan better.
+    // In a recorded scan, ray times include the firing delay of each laser. In a rendered
+    // scan, all lasers fire simultaneously. Checks which case fits this scan better.
     const std::vector<double> no_offset(beam_delays_us.size(), 0.0);
     const bool has_laser_times = compute_firing_time_spread_us(scan, image, beam_delays_us) <
                                  compute_firing_time_spread_us(scan, image, no_offset);

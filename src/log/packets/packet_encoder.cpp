@@ -23,8 +23,8 @@ using packets::PacketFormat;
 // Maximum relative difference between the time per column of a simulated sensor and of
 // the real product.
 constexpr double kMostStepError = 0.02;
-// Only for sensors that fire at fixed azimuths: maximum difference between the azimuth of
-// a firing and the nearest fixed azimuth / azimuth step between two columns.
+// Some sensors fire only at fixed azimuths. Limit for |azimuth of a firing - nearest
+// fixed azimuth| / step between two fixed azimuths.
 constexpr double kMostColumnError = 0.1;
 constexpr double kJump_us = 1.0;
 constexpr double kBehindSensor_deg = 180.0;
@@ -110,9 +110,9 @@ struct PacketEncoder::Impl {
         return std::round((turned_deg + 360.0 * turns) / get_firing_step_deg());
     }
 
-    /// Returns the number of firing periods from the last firing to `firing`. The result
-    /// 0 means that the caller must skip `firing`, because it has no returns and is not
-    /// later than the last firing.
+    /// Returns the number of firing periods from the last firing to `firing`. Returns 0
+    /// if `firing` is not later than the last firing and has no returns, so that the
+    /// caller can skip it.
     /// @throws UsageError if a firing with returns is not later than the last firing
     std::int64_t count_firing_steps_from_last(const FiringColumn& firing) const {
         const double steps = count_firing_steps_between(*last, firing);
@@ -145,10 +145,10 @@ struct PacketEncoder::Impl {
         return get_firings_per_packet() - start;
     }
 
-    /// Returns the maximum number of consecutive missing firings that the encoder
-    /// replaces with firings without returns. Firings are missing if a log leaves out
-    /// firings without returns at the end of a revolution. They are also missing if two
-    /// scans are more than a revolution apart.
+    /// Returns how many consecutive missing firings the encoder fills with empty firings
+    /// (firings without returns). Firings are missing if a log leaves out empty firings
+    /// at the end of a revolution. They are also missing if two scans are more than a
+    /// revolution apart.
     std::int64_t compute_max_missing_firings_to_fill() const {
         return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / get_firing_period_s());
     }
@@ -169,8 +169,8 @@ struct PacketEncoder::Impl {
 
     /// Stores a firing in its packet. First writes all earlier packets.
     void store_firing_in_packet(FiringColumn firing, std::int64_t firing_index) {
-        // Sensor drivers need a firing before the first revolution of the head. If a
-        // packet holds only one firing, an extra packet without returns is written first.
+        // Sensor drivers need a firing that precedes the first revolution. If each packet
+        // holds only one firing, first writes an extra packet without returns.
         const bool needs_packet = get_firings_per_packet() == 1 && !has_fixed_columns();
         if (pending.empty())
             start_packet(needs_packet ? firing_index - 1 : firing_index / get_firings_per_packet());

@@ -61,9 +61,9 @@ public:
     /// the lasers fire in two sequences and the scan stores each as a column, otherwise
     /// 1.
     virtual int get_scan_columns_per_firing() const { return 1; }
-    /// The scan can store the two firing sequences of a sensor in separate columns. If
-    /// so, joins each pair of columns to one firing. Removes simulated rays of lasers
-    /// that do not fire in the sequence of their column.
+    /// Converts scan columns to firings. If the sensor fires two sequences per azimuth
+    /// and the scan stores them in two columns, joins both to one firing. Then also
+    /// removes simulated rays of lasers that are not in the sequence of their column.
     virtual std::vector<FiringColumn> join_scan_columns_to_firings(
         std::vector<FiringColumn> scan_columns) const {
         return scan_columns;

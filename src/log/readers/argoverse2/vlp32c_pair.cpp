@@ -20,8 +20,8 @@ namespace {
 constexpr double kCycle_ns = 55296.0, kRate_hz = 10.0;
 constexpr const char* kName = "VLP-32C";
 
-/// [channels of a VLP-32C] laser number in the files of Argoverse 2, modulo 32. The files
-/// count the lasers of two LiDARs from 0 to 63. Derived from a published sweep.
+/// [VLP-32C channels] Laser number of each channel in Argoverse 2 files, modulo 32. The
+/// files number the lasers of two LiDARs 0 to 63. Derived from a published sweep.
 constexpr std::array<int, kLasers> kNumbers = {31, 13, 1,  17, 29, 9, 3,  21, 27, 12, 5,  16, 25, 8, 7,  20,
                                                22, 2,  10, 28, 23, 6, 11, 24, 18, 0,  14, 30, 19, 4, 15, 26};
 

@@ -53,9 +53,8 @@ private:
     std::vector<PoseTrack> links_;
 };
 
-/// Pose of a source frame in a target frame as a function of time. Stores the poses of
-/// both frames in their nearest common ancestor `above`: `above_from_to` for the target
-/// frame, `above_from_from` for the source frame.
+/// Pose of coordinate frame "from" in coordinate frame "to" as a function of time. Stores
+/// the poses of both in "above", their nearest common ancestor in the frame tree.
 struct RelativeFramePose {
     TransformChain above_from_to, above_from_from;
 

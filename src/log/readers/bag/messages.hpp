@@ -62,8 +62,8 @@ struct BoxListMessage {
     std::size_t n_left_out = 0;
 };
 
-/// What the messages of a topic are used for. Boxes without a track id (nameless_boxes)
-/// cannot be joined to tracks, so they are not loaded.
+/// How the messages of a topic are used. `nameless_boxes` are object boxes without a
+/// track id. They are ignored, because they cannot be assigned to tracked objects.
 enum class MessagePurpose { nothing, cloud, packets, metadata, transforms, pose, boxes, nameless_boxes };
 MessagePurpose get_message_purpose_of_topic(const BagTopic& topic);
 

@@ -285,9 +285,9 @@ private:
         const packets::LidarProduct* product = nullptr;
         std::string run;
         std::size_t n = 0;
-        /// `first_at`: byte offset of the first datagram of the current message. `at`:
-        /// byte offset from which the file must be read to get all datagrams of the
-        /// message. `at` < `first_at` if the first IP fragment of a later datagram is
+        /// Byte offsets in the capture file. A message consists of datagrams. `first_at`:
+        /// start of its first datagram. `at`: where to start reading to get all its
+        /// datagrams. `at` < `first_at` if the first IP fragment of a later datagram is
         /// stored before the first datagram.
         std::uint64_t at = 0, first_at = 0;
         std::int64_t log_ns = 0;

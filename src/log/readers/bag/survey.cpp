@@ -196,8 +196,8 @@ void add_missing_ouster_transforms(const BagRecording& bag, BagIndex& bag_index)
     }
 }
 
-/// Joins clouds that are parts of a revolution. The revolution gets the time of its
-/// middle part, because the head then faces forward.
+/// Joins clouds that are parts of a revolution. A revolution begins at the rear, so the
+/// head faces forward in its middle part. The revolution gets the time of this part.
 void join_partial_clouds_of_topic(CloudTopic& cloud_topic) {
     const JoinedRevolutions joined = join_partial_clouds_to_revolutions(std::exchange(cloud_topic.arcs, {}));
     if (joined.revolutions.empty()) return;

@@ -34,8 +34,8 @@ struct CloudIndexEntry {
     std::uint32_t n_points = 0;
     MessagePosition message_position;
     std::size_t revolution_index = 0;  ///< index in CloudTopic::revolutions; used only for a topic of packets
-    /// Clouds that are joined to this revolution. Empty if the cloud is a full
-    /// revolution.
+    /// Partial clouds from which this cloud was composed. Empty if the recorded cloud was
+    /// already a full revolution.
     std::vector<RevolutionPart> parts = {};
 
     std::int64_t get_time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }

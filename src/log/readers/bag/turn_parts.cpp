@@ -21,9 +21,9 @@ constexpr double kMostOfPart = 300.0 * kPi / 180.0;
 // If the clouds together leave an azimuth gap that is wider than this, the LiDAR does not
 // rotate. It scans only a limited sector.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// Clouds are parts of a revolution if their azimuths advance by similar steps. kTogether:
-// minimum length of the mean of the unit vectors (cos step, sin step); 1 if all steps are
-// equal. kAbut: maximum of |mean step - median azimuth width of a cloud| / mean step.
+// Clouds are slices of a revolution if the azimuth steps between them are about equal,
+// and about as wide as a cloud (median width w). kTogether: least |mean of exp(i step)|;
+// 1 if all are equal. kAbut: largest |mean step - min(w, 2 pi - w)| / mean step.
 constexpr double kTogether = 0.8, kAbut = 0.4;
 // If a time step is longer than this multiple of the usual step, a part of a revolution
 // is missing.
@@ -82,12 +82,12 @@ double compute_widest_azimuth_gap_rad(const std::vector<RevolutionPart>& partial
 
 /// How a revolution of the LiDAR is split into several clouds (parts).
 struct RevolutionPartition {
-    /// Median azimuth width of a part, and mean azimuth step to the next part. The step
-    /// is negative if the LiDAR rotates clockwise. If parts are half revolutions, the
-    /// direction is unknown, and the step is also negative.
+    /// extent_rad: median azimuth width of a part (cloud). step_rad: mean azimuth step to
+    /// the next part; negative if the LiDAR rotates clockwise. It is also negative if
+    /// parts are half revolutions, because these do not show the direction.
     double extent_rad, step_rad;
     double step_s;
-    /// Azimuth at which a revolution begins. It is the border between two parts (clouds)
+    /// Azimuth at which a revolution begins: the border between two consecutive clouds
     /// that is nearest to the rear of the LiDAR.
     double cut_rad;
 };

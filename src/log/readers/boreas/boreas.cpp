@@ -27,16 +27,16 @@ constexpr std::size_t kPoseNumbers = 12;
 constexpr std::size_t kFirstAngle = 6;
 constexpr double kMicrosecond = 1e-6;
 constexpr double kMostGap_s = 0.5;  // maximum time between two poses; the dataset has one pose per scan
-// Another convention for roll, pitch and yaw is preferred if it increases the score of
-// forward motion by more than this. The score is 1 if the vehicle always drives exactly
-// forward.
+// relidar tests several conventions for the roll, pitch and yaw of the poses. A
+// convention replaces the previous best if its forward-motion score is higher by more
+// than this. The score is 1 if the vehicle always drives exactly forward.
 constexpr double kClearlyForward = 0.05;
-// Another convention for roll, pitch and yaw with a similar score is preferred if the
-// vehicle then moves less up and down. Upper limit for the ratio of the standard
-// deviations of this vertical motion, new / old.
+// With a similar forward-motion score, a convention for the angles also replaces the
+// previous best if the vehicle then moves less up and down: new / previous standard
+// deviation of the vertical motion is below this.
 constexpr double kClearlyLevel = 0.7;
-// Minimum number of steps (position changes of at least one metre) in a pose file. With
-// fewer steps, the vertical motions under two angle conventions are not compared.
+// Angle conventions are compared by vertical motion only if a pose file has at least this
+// many steps (position changes of at least a metre).
 constexpr std::size_t kFewestSteps = 50;
 constexpr double kBrightest = 255.0;
 
@@ -107,8 +107,8 @@ double compute_forward_motion_score(const stamped::DrivingDirection& driving,
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
-/// Reads the poses of the LiDAR. Uses the documented convention for roll, pitch and yaw,
-/// unless the vehicle drives clearly more forward or more level with another convention.
+/// Reads the LiDAR poses. Uses the documented convention for roll, pitch and yaw, unless
+/// the vehicle drives more exactly forward or moves less up and down with another one.
 PoseTrack read_boreas_poses(const fs::path& pose_file, const stamped::StampedLog& log,
                             const ForwardDirection& forward_direction, std::vector<std::string>& notes) {
     const std::vector<stamped::StampedPoseRow> rows =

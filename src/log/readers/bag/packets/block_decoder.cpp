@@ -147,8 +147,8 @@ private:
     /// text for the user that names the source of the angles
     std::string angles_about_ = "beam angles from the data sheet";
     std::vector<PacketBeam> beams_;  ///< [rings]
-    /// [sets of lasers that fire together, lasers] row of each laser in the range image;
-    /// kNoRing if the laser is not in the set
+    /// ring_of_[firing sequence][laser]: row of the laser in the range image; kNoRing if
+    /// the laser does not fire in this sequence (set of lasers that fire together)
     std::vector<std::vector<int>> ring_of_;
 
     /// Selects the angle correction file with the right number of lasers. Uses no file if

@@ -16,9 +16,9 @@ namespace relidar::packets {
 /// the laser does not fire in this block
 using LaserFiringTimes = std::array<std::int32_t, 128>;
 
-// Firing times of the QT128, which alternates between two firing sequences. Lasers 65 to
-// 128 fire in both sequences. The values are from Hesai's manual, as in tier4/nebula
-// 606ac41f1f13.
+// Firing times of the lasers of the Hesai QT128. The sensor alternates between two firing
+// sequences, kQt128Loop1 and kQt128Loop2. Lasers 65 to 128 fire in both. Values from
+// Hesai's manual, as used in tier4/nebula (commit 606ac41f1f13).
 inline constexpr LaserFiringTimes kQt128Loop1 = {
     -1,     -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,
     -1,     -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,
@@ -111,8 +111,8 @@ struct PacketLayout {
     /// True if the time stamp of a packet refers to its last firing, false if to its
     /// first firing.
     bool at_end = true;
-    /// time from the packet's time stamp to the start of this firing (last or first, see
-    /// `at_end`)
+    /// Time from the packet's time stamp to the start of its last firing if `at_end` is
+    /// true, otherwise to the start of its first firing.
     double shift_us = 0.0;
     double forward_deg = 90.0;        ///< azimuth of the sensor's x axis in the angles of the packet
     int first_channel = 1;            ///< number of the first channel in the beam table

@@ -66,9 +66,9 @@ struct FiringTiming {
     /// True if the head azimuth of each beam is interpolated between consecutive firings.
     /// False if the rotation rate is assumed to be constant.
     bool interpolates = false;
-    /// [columns per revolution] true if the sensor fires at this column, for sensors with
-    /// fixed firing azimuths. Column 0 is at 180 degrees. For all other sensors, this is
-    /// empty, and times are from the packets' time stamps instead of the sensor's clock.
+    /// [columns per revolution] True if the sensor fires at this column. Column 0 is at
+    /// 180 degrees. Empty for sensors without fixed firing azimuths. Then times are from
+    /// the packets' time stamps, otherwise from the sensor's clock.
     std::vector<bool> fires = {};
     /// True if the packets of this sensor can contain intensities above 1. If they do,
     /// all intensities are divided by the 99.5th percentile of the intensities of the

@@ -8,8 +8,8 @@
 namespace relidar::packets {
 namespace {
 
-// If more consecutive columns than this have no measurement, their rays count as rays
-// without a return.
+// If more consecutive columns than this have no measurement, their rays become rays
+// without a return. In a shorter gap, the scan repeats neighbouring columns.
 constexpr std::size_t kMostUnmeasured = 8;
 
 /// Finds long runs of columns without measurements and sets `column_has_fired` to true.

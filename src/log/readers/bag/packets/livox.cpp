@@ -114,8 +114,8 @@ std::string make_livox_cloud_message(std::string_view packed_packets, std::strin
             first_stamp_ns = stamp_ns;
             first_clock_ns = clock_ns;
         }
-        // If the sensor's clock has jumped, uses the receive times of the packets
-        // instead.
+        // Time since the first packet: by the sensor's clock (passed_clock_ns), or by the
+        // receive times (passed_ns) if the sensor's clock has jumped.
         const std::int64_t passed_ns = compute_clamped_time_between_ns(first_stamp_ns, stamp_ns);
         const std::int64_t passed_clock_ns = compute_clamped_time_between_ns(first_clock_ns, clock_ns);
         const bool has_jumped = std::abs(passed_clock_ns - passed_ns) > kLargestDrift_ns;

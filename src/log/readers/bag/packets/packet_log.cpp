@@ -28,8 +28,8 @@ constexpr double kBehind_deg = 180.0;
 constexpr double kMostBright = 65535.0;
 // A larger azimuth step between two firings means that the sensor skips a sector.
 constexpr double kJump_deg = 5.0;
-// If the recording begins or ends during a revolution, this revolution is skipped. The
-// user gets a note if its recorded part / a full revolution is above this value.
+// An incomplete revolution at the start or end of the recording is skipped. The user gets
+// a note only if more than this fraction of the revolution was recorded.
 constexpr double kCutOff = 0.02;
 
 // Returns true if the sensor fires at a column. A column beyond one end of the range
@@ -166,9 +166,9 @@ std::size_t PacketIndex::count_packets_since_previous(std::size_t packet_index) 
     return std::size_t(std::clamp(std::round(n), 1.0, 1e9));
 }
 
-/// Returns the number of firings that were lost before this packet, computed from the
-/// elapsed time. Subtracts the time in which the sensor passes azimuths where it never
-/// fires. Only for sensors without fixed firing azimuths.
+/// Computes from the elapsed time how many firings were lost before this packet. Excludes
+/// the time in which the head passes azimuths where the sensor never fires. Do not use it
+/// for sensors that fire only at fixed azimuths.
 double PacketIndex::count_lost_firings_before_packet(std::size_t packet_index) const {
     const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
     const double cycle_us = decoder_->get_laser_timing().cycle_us,
@@ -221,17 +221,17 @@ void PacketIndex::count_and_store_lost_packets(PacketRevolution& revolution) con
     revolution.has_gaps = n_missing > 0.0;
 }
 
-/// Returns the head azimuths at the start and the end of the recording. If the sensor
-/// never fires at the adjacent azimuths, includes them, because the recording misses no
-/// packets there.
+/// Returns the head azimuths at the start and the end of the recording. Includes adjacent
+/// azimuths (just before the start and just after the end) if the sensor never fires
+/// there, because no packets are missing there.
 std::pair<double, double> PacketIndex::find_recorded_azimuth_range_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
     if (fires.empty()) {
         if (!(skipped_.width_deg > 0.0)) return {first.azimuth_deg, last.azimuth_deg};
-        // The recording can begin or end at the edge of the sector in which the sensor
-        // never fires. Then the returned range includes this sector. `slack_deg`:
-        // tolerance for finding this edge, which is the rotation during one firing cycle.
+        // `skipped_` is the sector without firings. If the recording starts or ends at
+        // its edge, the returned range includes the sector. `slack_deg` is the tolerance
+        // of this test: the rotation during one firing cycle.
         const double slack_deg = deg_us_ * decoder_->get_laser_timing().cycle_us;
         const double last_deg = last.azimuth_deg + double(last.turned_deg);
         const double before_deg = skipped_.compute_sector_overlap_deg(first.azimuth_deg - slack_deg,
@@ -311,9 +311,9 @@ std::string PacketIndex::describe_problems() const {
     return fmt::format("{}", fmt::join(texts, "; "));
 }
 
-/// Sets `forward_ns`, the time at which the LiDAR's head faces forward, and `log_ns`. If
-/// the sensor fires at fixed azimuths, its clock defines the times. Then this also sets
-/// `stamp_less_clock_ns` (packet time stamp minus sensor clock).
+/// Sets `forward_ns` (when the LiDAR's head faces forward) and `log_ns` (when this moment
+/// was recorded). If the sensor fires at fixed azimuths, times follow its clock. Then
+/// also sets `stamp_less_clock_ns` (packet time stamp - sensor clock).
 void PacketIndex::set_revolution_times(PacketRevolution& revolution) const {
     const double forward = revolution.begin_deg + 180.0;
     const auto behind =
@@ -525,9 +525,9 @@ Scan PacketIndex::make_scan_of_revolution(const PacketRevolution& revolution,
                                                  find_lost_columns(revolution), sensor);
     const SweepFirings sweep = make_sweep_of_firings_by_azimuth(
         revolution_points.points, revolution_points.numbers, revolution_points.head_rad);
-    // The copy `scan_sensor` gets the number of columns of this scan. A complete
-    // revolution has no columns in the sector `skipped_`, in which the sensor never
-    // fires. If packets were lost, the scan has only the received columns.
+    // `scan_sensor` is a copy of the sensor with the number of columns of this scan. The
+    // sensor never fires in the sector `skipped_`, so a revolution has no columns there.
+    // If packets were lost, the scan has only the received columns.
     SpinningSensor scan_sensor = sensor;
     scan_sensor.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
     if (revolution.has_gaps) scan_sensor.columns = int(sweep.firings.size());

@@ -73,10 +73,10 @@ PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& pa
         faults.n_repeated += is_repeated && counts;
         if (is_repeated) continue;
         if (at < n) {
-            // This packet was received late, so its receive time stamp is wrong. Replaces
-            // it with the sensor time plus the clock offset (receiver - sensor) of a
-            // neighbouring packet. Uses at least this offset for later packets, so that
-            // their stamps are not earlier.
+            // This packet was received late, so its receive time (stamp_ns) is wrong.
+            // Replaces it with sensor time (clock_ns) + offset. The offset is stamp_ns -
+            // clock_ns of a neighbouring packet. Later packets get at least this offset,
+            // so that their stamps are not earlier than the stamp of this packet.
             const PacketIndexEntry& beside = packets[at > 0 ? at - 1 : at];
             const std::int64_t stamp_less_clock_ns = beside.stamp_ns - beside.clock_ns;
             entry.stamp_ns = entry.clock_ns + stamp_less_clock_ns;
@@ -111,9 +111,9 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
         PacketIndexEntry& entry = packets[p];
         if (entry.skipped_deg == 0.0f) continue;
-        // The time of `entry` does not include the rotation through the sector without
-        // firings. It is corrected with the next packet if the sector precedes `entry`,
-        // otherwise with the previous packet.
+        // The packet contains a sector without firings. The time of `entry` ignores the
+        // time to pass it. Corrects `entry` with a neighbour on the same side of the
+        // sector: the next entry if the sector precedes `entry`, otherwise the previous.
         const std::size_t beside = entry.skipped_deg > 0.0f ? p + 1 : p - 1;
         std::int64_t skipped_ns = std::llround(1e3 * skipped_us(entry));
         if (beside < packets.size())
@@ -126,9 +126,9 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
 }
 
 double SkippedSector::compute_sector_overlap_deg(double from_deg, double to_deg) const {
-    // Returns how much of the rotation from begin_deg to an azimuth is in the sector
-    // without firings, in degrees. A rotation of several revolutions crosses the sector
-    // several times.
+    // Returns how many degrees of the sector without firings the head passes while it
+    // turns from begin_deg (start of the sector) to an azimuth. In several revolutions,
+    // the head passes the sector several times.
     const auto until = [&](double azimuth_deg) {
         const double turns = std::floor((azimuth_deg - begin_deg) / 360.0);
         return turns * width_deg + std::min(azimuth_deg - begin_deg - 360.0 * turns, width_deg);
@@ -155,8 +155,8 @@ SkippedSector find_sector_without_firings(const std::vector<PacketIndexEntry>& p
     const double bin_deg = 360.0 / kBins;
     if (double(widest) * bin_deg < kLeastSector_deg || widest >= kBins) return {};
     const double inside_deg = (double(end) - 0.5 * double(widest)) * bin_deg;
-    // angles from the middle of the sector without firings to the nearest firing on each
-    // side
+    // Angles from the middle of the azimuth sector without firings to the last firing
+    // before it (before_deg) and to the first firing after it (behind_deg).
     double before_deg = 360.0, behind_deg = 360.0;
     std::size_t n_skips = 0;
     for (std::size_t p = 0; p < packets.size(); ++p) {

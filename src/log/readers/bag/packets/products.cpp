@@ -28,8 +28,8 @@ template <int product>
 bool is_packet_of_velodyne_model(string_view packet) {
     return is_velodyne_packet(packet) && has_byte_at(packet, kProductAt, product);
 }
-/// Returns true for packets of newer Hesai sensors. These packets begin with EE FF and
-/// the protocol version.
+/// Returns true if a packet has the header of newer Hesai sensors: the bytes EE FF and
+/// the protocol version (`major`, `minor`).
 template <int major, int minor>
 bool is_hesai_packet_of_version(string_view packet) {
     return packet.size() > 500 && packet.starts_with("\xee\xff") && has_byte_at(packet, 2, major) &&
@@ -53,8 +53,8 @@ bool is_packet_of_robosense_model(string_view packet) {
            has_byte_at(packet, has_byte_at(packet, 31, 0) ? 30 : 31, model);
 }
 constexpr auto is_rs16 = is_packet_of_robosense_model<1>;
-/// Returns true for packets of RoboSense's later spinning sensors. Their first two blocks
-/// begin with the byte `flag`.
+/// Returns true if a packet is from a RoboSense Ruby, Helios or Airy. The first two
+/// blocks of their packets begin with the byte `flag`.
 template <int flag, std::size_t first_block_at, std::size_t second_block_at>
 bool is_robosense_packet_with_flags(string_view packet) {
     return packet.starts_with("\x55\xaa\x05\x5a") && has_byte_at(packet, first_block_at, flag) &&
