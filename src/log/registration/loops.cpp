@@ -24,15 +24,15 @@ constexpr double kApart_m = 80.0;
 // grows by kLoopDistanceGrowth per metre of path between the poses, because odometry
 // drifts.
 constexpr double kLoopDistance_m = 4.0, kLoopDistanceGrowth = 0.01, kMaxLoopDistance_m = 15.0;
-// A loop closure aligns a scan with a map of an earlier pass over the same road. The map
-// consists of scans around the earlier pose that is nearest to the scan: up to this
-// driven distance before and after that pose.
+// Driven distance that a loop-closure map extends before and after its centre pose. A
+// loop closure aligns a scan with a map of an earlier pass over the same road. The centre
+// is the earlier pose that is nearest to the scan.
 constexpr double kMap_m = 14.0;
 // Registration tries a grid of start positions around the predicted pose. The values are
 // the spacing of the grid, and its largest horizontal and vertical distance.
 constexpr double kGrid_m = 1.5, kWidest_m = 6.0, kHighest_m = 4.5;
-// Score of a start position: share of points on planes of the map, minus this value for
-// each grid step away from the predicted position.
+// Penalty per grid step between a start position and the predicted position. The score of
+// a start position is the share of points on planes of the map, minus this penalty.
 constexpr double kGridPenalty = 0.01;
 constexpr std::size_t kGridPoints = 400;
 constexpr int kMostLoopSteps = 10;
@@ -237,8 +237,8 @@ private:
                                                                       get_key_pose(later_key_index))
                                    : find_best_start_pose(points, get_key_pose(later_key_index), reach_m);
         double share = refine_pose_and_get_plane_fraction(points, at);
-        // If too few points match from the pose that the previous loop closure predicts,
-        // searches for a better start pose and aligns the scan again.
+        // The start pose `at` was predicted from the previous loop closure. If too few
+        // points match, searches for a better start pose and aligns the scan again.
         if (previous_closure && share < kLeastShare) {
             at = find_best_start_pose(points, get_key_pose(later_key_index), reach_m);
             share = refine_pose_and_get_plane_fraction(points, at);

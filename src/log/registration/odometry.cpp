@@ -35,8 +35,8 @@ constexpr double kFewestShare = 0.1;
 // Otherwise odometry could match an earlier pass over the same road. close_loops() aligns
 // such passes later.
 constexpr double kMemory_m = 80.0;
-// Path length between two removals of old map cells. Removals are rare, because checking
-// all cells takes as long as adding a scan.
+// The vehicle drives this distance between two removals of old map cells. Removals are
+// rare, because checking all cells takes as long as adding a scan.
 constexpr double kForgotten_m = 5.0;
 // If two predicted poses of a scan are this close, only one is used as a start value.
 constexpr double kSame_m = 0.05;

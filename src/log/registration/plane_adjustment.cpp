@@ -14,8 +14,8 @@ namespace {
 // Sums are computed in this fixed number of parts, so that rounding does not depend on
 // the number of threads.
 constexpr int kChunks = 64;
-// Planes are fitted in grid cells. Number of optimisation rounds with shrinking cells,
-// and number of further rounds with the smallest cells.
+// Number of optimisation rounds in which the grid cells for fitting planes shrink, and
+// number of further rounds with the smallest cells.
 constexpr int kShrinking = 8, kLastRounds = 2;
 constexpr double kShift = 0.37;  // Shift of the cell grid from one round to the next, in cells.
 // Weight of a term that pulls pose corrections to zero, relative to the mean weight of
@@ -232,9 +232,9 @@ double PlanePoseAdjustment::compute_deviation_from_neighbours_m(std::size_t pose
     };
     const glm::dvec3 between =
         glm::mix(correction(before), correction(after), compute_time_fraction(before, pose_index, after));
-    // If the initial poses jump between this pose and one neighbour, their corrections
-    // differ although both are right. But the correction of the other neighbour is
-    // similar. So the smallest distance is used.
+    // If the initial track jumps between this pose and one neighbour, their corrections
+    // differ although both are right. The correction of the other neighbour is still
+    // similar. So this returns the smallest of three differences.
     double least = glm::distance(correction(pose_index), between);
     for (const std::size_t neighbour : {before, after})
         least = std::min(least, glm::distance(correction(pose_index), correction(neighbour)));

@@ -26,8 +26,8 @@ struct PlaneMap {
 /// weight of one measured point.
 struct PoseCorrectionPrior {
     Vector6 pull = Vector6::Zero();  ///< weight of the term that pulls each correction to zero
-    /// weight of the term that pulls consecutive corrections towards each other; valid
-    /// for poses 0.1 s apart, smaller for a longer time
+    /// weight of the term that makes the corrections of two consecutive poses similar;
+    /// it is multiplied by (0.1 s / time between the poses)
     Vector6 link = Vector6::Zero();
 };
 
@@ -73,10 +73,10 @@ public:
     /// Returns the share of a scan's points that lie on planes of a map.
     double compute_fraction_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
                                       double kernel_scale_m) const;
-    /// Returns how much the correction of a pose differs from the corrections of its two
-    /// neighbours, in metres. Uses the smallest of three differences: from the earlier
-    /// one, from the later one, and from the interpolation between both. Returns 0 if one
-    /// neighbour is missing.
+    /// Returns how much the correction of a pose (optimised minus initial position)
+    /// differs from the corrections of its two neighbours, in metres. Compares it with
+    /// the earlier one, the later one, and the interpolation between both. Returns the
+    /// smallest of the three differences, or 0 if one neighbour is missing.
     /// @param is_neighbour  [poses] true for the poses that are used as neighbours
     double compute_deviation_from_neighbours_m(std::size_t pose_index,
                                                const std::vector<bool>& is_neighbour) const;

@@ -124,9 +124,9 @@ void PoseEquations::add_plane_residuals_of_cell(const std::vector<SubsampledPoin
         return couplings_.emplace_back(
             PlanePoseCoupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
-    // Normal matrix for the unknowns of the plane: its offset and two tilts. It must use
-    // the same point weights as the equations of the poses. Otherwise the matrix that
-    // remains after eliminating the plane is not positive definite.
+    // Normal matrix of the plane's three unknowns (offset and two tilts), which a Schur
+    // complement eliminates. It must use the same point weights as the pose equations.
+    // Otherwise the Schur complement is not positive definite.
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : point_indices) {
@@ -241,8 +241,8 @@ public:
         factorise_matrix();
     }
 
-    /// Solves the group equations for `residual` (of the equations for all poses). Adds
-    /// the rigid motion of each group to its poses in `pose_steps`.
+    /// Solves for one rigid motion per group of poses. `residual` (6 values per pose) is
+    /// the right-hand side. Adds a group's motion to each of its poses in `pose_steps`.
     void add_group_motions_for_residual(const Eigen::VectorXd& residual, Eigen::VectorXd& pose_steps) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));

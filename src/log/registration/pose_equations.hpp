@@ -74,9 +74,9 @@ public:
     explicit PoseEquations(std::size_t n_poses);
 
     void add_plane_residual_of_point(const SubsampledPoint& point, const PlaneResidual& plane_residual);
-    /// Adds one residual for each point of a cell: its distance from `plane`. The offset
-    /// and the tilts of the plane are unknowns too. A Schur complement eliminates them,
-    /// so that only the poses remain as unknowns.
+    /// Adds one residual per point of a grid cell: its distance from the plane of the
+    /// cell. Changes of the plane (offset and two tilts relative to `plane`) are unknowns
+    /// too. A Schur complement eliminates them, so that only poses remain as unknowns.
     void add_plane_residuals_of_cell(const std::vector<SubsampledPoint>& points,
                                      const std::vector<WorldPointWithOrigin>& world_points,
                                      std::span<const std::uint32_t> point_indices, const LocalPlane& plane,
@@ -107,9 +107,9 @@ public:
     double compute_rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
-    /// Coupling of a pose with a plane: c = C L^-T. C is the 6x3 block of the normal
-    /// matrix for the six unknowns of the pose and the three of the plane. L is the
-    /// Cholesky factor of the 3x3 block for the plane.
+    /// Eliminating a plane subtracts c_i c_j^T from block (i, j) of the normal matrix,
+    /// for all poses i, j that observe it. c = C L^-T. C: 6x3 block of pose and plane
+    /// unknowns. L: Cholesky factor of the plane's 3x3 block.
     struct PlanePoseCoupling {
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;
@@ -122,7 +122,7 @@ private:
     double cost_ = 0.0, weight_ = 0.0;
 
     Eigen::VectorXd multiply_normal_matrix_by(const Eigen::VectorXd& input_vector) const;
-    /// Returns the diagonal matrix that pulls the correction of a pose to zero.
+    /// Returns the six weights of a quadratic penalty on the correction of each pose.
     Vector6 make_prior_diagonal(double prior_weight) const;
     friend class PoseGroupEquations;
 };

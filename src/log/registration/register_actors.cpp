@@ -23,8 +23,8 @@ constexpr double kSmallest_m = 1.2;
 constexpr double kAboveGround_m = 0.25;
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
 constexpr RegistrationRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
-// The corrected track of a box is used only if it increases the share of points that lie
-// on planes of the box by at least this value.
+// The corrected track of a box replaces the labelled track only if the share (0 to 1) of
+// the object's points on fitted planes grows by at least this value.
 constexpr double kGain = 0.02;
 // Larger corrections of a pose are rejected as errors of the registration.
 constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;

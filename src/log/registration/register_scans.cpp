@@ -22,14 +22,14 @@ namespace {
 // A grid keeps one point of a scan per cell. Largest and smallest cell size: cells of 0.5
 // m keep 12 thousand points of a 64-beam scan, cells of 0.1 m nearly all.
 constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
-// About this many scans usually hit the same grid cell. If a log has fewer scans, the
-// cells for thinning are smaller, and each scan keeps more points. So each cell still has
-// enough points for a plane.
+// A plane is fitted to the points of all scans in a grid cell, usually about this many
+// scans. In a shorter log, fewer scans hit a cell. So each of its scans keeps more points
+// (the thinning cells are smaller), and planes still get enough points.
 constexpr double kScansOnACell = 24.0;
 constexpr RegistrationRound kLast{0.5, 0.05};  // cell size and robust-kernel scale of the last rounds
-// Final cell size and robust-kernel scale of odometry, which aligns one scan after the
-// other with a map. This map is less accurate than jointly optimised poses, so the scale
-// is larger than in kLast.
+// Last cell size and robust-kernel scale of odometry, in metres. Odometry aligns one scan
+// after the other with a map. This is less accurate than optimising all poses together,
+// so the scale is larger than in kLast.
 constexpr RegistrationRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 

@@ -10,9 +10,9 @@
 
 namespace relidar {
 
-/// A sweep contains the frames of all LiDARs at one vehicle pose. Only sweeps with a
-/// frame of the LiDAR that has the most returns in the log are stored here and
-/// registered. For all other poses, the corrections are interpolated.
+/// Sweeps whose poses are registered. A sweep contains the frames of all LiDARs at one
+/// vehicle pose. Sweeps without a frame of the main LiDAR (the one with the most returns
+/// in the log) are not stored here. The corrections of their poses are interpolated.
 struct SweepsToRegister {
     PoseTrack track;                       ///< [sweeps] poses of the vehicle before registration
     std::vector<std::size_t> pose;         ///< [sweeps] index in LidarSequence::world_from_vehicle, ascending

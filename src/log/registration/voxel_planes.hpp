@@ -34,8 +34,8 @@ private:
     struct VoxelPlaneCell {
         PointMomentSums sums;  ///< sums relative to the centre of the cell
         double travelled_m = 0.0;
-        /// number of points when `plane` was fitted; stored only after `plane` is
-        /// complete
+        /// number of points in the cell when `plane` was fitted; stored last, so that
+        /// other threads never read an incomplete `plane`
         mutable std::atomic<double> n_fitted = 0.0;
         mutable std::optional<LocalPlane> plane;
 

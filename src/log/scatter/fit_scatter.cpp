@@ -29,9 +29,9 @@ using scatter_detail::RayFeatures;
 
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
-// A node of the decision tree is split only if the best split increases the
-// log-likelihood by at least this value. If intensities do not depend on the features,
-// the best split of about 1 in 100 nodes reaches it by chance.
+// A node of the decision tree is split only if the log-likelihood then grows by at least
+// this value. If intensities do not depend on the features, about 1 in 100 nodes is still
+// split by chance.
 constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
@@ -75,7 +75,7 @@ bool is_measured_and_rendered_return(const PairedIntensities& paired_image, std:
            paired_image.rendered.range_m[ray_index] > 0.0f;
 }
 
-/// Returns the measured returns whose rays also hit a rendered surface. If there are more
+/// Lists the measured points whose rays also hit a rendered surface. If there are more
 /// than `max_returns`, selects about `max_returns` of them at random.
 std::vector<ImageRayIndex> sample_return_locations(std::span<const PairedIntensities> images,
                                                    std::size_t max_returns) {

@@ -17,8 +17,8 @@ namespace {
 // firing has at least this number of returns.
 constexpr std::size_t kFewest = 3;
 constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding errors
-// Lasers that fire together must have the same azimuth error, up to this difference in
-// columns (median over all rays). Otherwise the lasers do not rotate together.
+// Lasers that fire together have the same azimuth error if they rotate together. No error
+// is estimated if they differ by more than this many columns (median over all rays).
 constexpr double kAgree_columns = 0.1;
 
 /// Returns the difference of two directions in azimuth, positive to the left.

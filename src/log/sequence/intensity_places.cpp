@@ -13,8 +13,8 @@
 namespace relidar {
 namespace {
 
-// Intensities of returns in the same grid cell of this size are compared. The cell is so
-// small that it contains one surface, but large enough to be hit several times.
+// Edge length of the grid cells in which intensities are compared. A cell is so small
+// that it contains one surface, but large enough to be hit several times.
 constexpr double kIntensityCell_m = 0.1;
 // Size of the grid cells in which planes are fitted. The normal of the plane gives the
 // angle of incidence of all returns in the cell.

@@ -19,8 +19,8 @@ struct CellReturn {
     float intensity;  ///< measured intensity
 };
 
-/// Returns in grid cells that were hit at least twice, sorted by cell. Cells have the
-/// indices 0 to n_cells - 1.
+/// LiDAR returns, sorted by grid cell. Cells with a single return are left out. Cell
+/// indices range from 0 to n_cells - 1, with gaps.
 struct RepeatedCellReturns {
     std::vector<CellReturn> sorted_returns;
     std::size_t n_cells = 0;

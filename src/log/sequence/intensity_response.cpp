@@ -30,8 +30,8 @@ constexpr std::size_t kReference = 3;  // index of the range at which the intens
 // weight of this number of returns.
 constexpr double kResponsePrior = 200.0;
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
-// A part of the intensity model is used only if it reduces the error to less than this
-// ratio.
+// The intensity model has two parts: range and incidence terms, and beam terms. A part is
+// used only if (RMS error with it / RMS error without it) is below this ratio.
 constexpr double kLeastResponseGain = 0.95;
 constexpr int kSteps = 12;
 constexpr double kDamping = 1e-3;
@@ -174,7 +174,7 @@ IntensityJacobianRow compute_intensity_jacobian_row(const IntensityFit& model,
 struct NormalEquations {
     Eigen::MatrixXd h;  ///< lower half only
     Eigen::VectorXd g;
-    /// mean and standard deviation of the expected intensities without beam offsets
+    /// mean and standard deviation of modelled intensities without BeamGainOffset::offset
     double mean = 0.0, spread = 0.0;
 };
 
@@ -182,9 +182,8 @@ struct NormalEquations {
 /// threads write to neighbouring elements.
 struct alignas(64) Sums {
     NormalEquations system;
-    // [unknowns] entry of the normal matrix in the row of the unknown and in the column
-    // of the albedo of the current grid cell. All entries are reset to zero after each
-    // cell.
+    // [unknowns] column of the normal matrix that belongs to the albedo of the current
+    // grid cell; reset to zero after each cell
     std::vector<double> coupling;
     std::vector<Eigen::Index> touched;  // unknowns with a nonzero entry in `coupling`
     double sum = 0.0, squares = 0.0;    // sum and sum of squares of the expected intensities
@@ -249,9 +248,9 @@ void add_intensity_priors_to_equations(NormalEquations& equations, const Intensi
     };
     const double prior =
         kResponsePrior * (equations.mean * equations.mean + equations.spread * equations.spread);
-    // Smooths the intensity factor over range. If few returns are near range kKnots_m[k],
-    // its factor moves towards the straight line between the factors at the previous and
-    // the next range.
+    // If the intensity factor over range is fitted (`shared`), a prior smooths it. It
+    // pulls the factor at range kKnots_m[k] towards linear interpolation between the
+    // factors k - 1 and k + 1. It matters only at ranges with few returns.
     for (std::size_t k = 1; unknown_indices.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),

@@ -17,21 +17,21 @@
 namespace relidar {
 namespace {
 
-// Size of the cells in which planes are fitted. It is large enough to distinguish a plane
-// from noise, and so small that the street in a cell is flat.
+// Edge length of the grid cells in which planes are fitted. In a smaller cell, noise
+// would hide the plane. In a larger cell, a street would not be flat.
 constexpr double kCell_m = 0.3;
 // Farther returns are ignored, because cells at this distance contain too few returns for
 // a plane.
 constexpr double kMaxRange_m = 40.0;
 constexpr std::size_t kMostOffsetReturns = 6000000;
 constexpr int kMinReturns = 20;  // minimum number of returns in a cell for fitting a plane
-// Points form a plane if their standard deviation along the normal is below this value,
-// and their standard deviations within the plane are above it.
+// This limit applies twice. Points form a plane if their standard deviation is at most
+// this along the normal, and at least this in both directions within the plane.
 constexpr double kMaxThickness_m = 0.05;
 // Points farther from the plane of their cell belong to another object and are ignored.
 constexpr double kMaxResidual_m = 0.15;
-// Weight of a term that pulls the range offset of each beam to zero. The term counts like
-// this number of returns at normal incidence.
+// A prior pulls the range offset of each beam to zero. It has the same weight as this
+// number of returns at normal incidence.
 constexpr double kPriorReturns = 20.0;
 // The range offsets are used only if they reduce the RMS distance of points from planes
 // to less than this ratio. Smaller improvements can be noise.
@@ -137,9 +137,9 @@ struct BeamResiduals {
         ++n;
         squares += residual * residual;
         fits[uncorrected_return.beam].weight += facing * facing;
-        // A prior pulls the range offset of a beam to zero. If `sum` contained the
-        // corrected distance `residual`, the prior would pull only the change of the
-        // offset to zero. So the correction is removed here.
+        // A prior pulls sum / weight, the total range offset, to zero. So `sum` needs the
+        // distance of the uncorrected return from the plane. `residual` is the distance
+        // after the current correction, which is therefore removed here.
         fits[uncorrected_return.beam].sum +=
             facing * (residual + beam_offsets_m[uncorrected_return.beam] * facing);
     }
@@ -154,8 +154,8 @@ struct BeamResiduals {
     }
 };
 
-/// Fits a plane in each cell, to points that are corrected by the current range offsets.
-/// For each beam, sums the distances of its returns from the planes, in a fixed order.
+/// Subtracts the current range offsets, fits a plane in each cell, and sums the distances
+/// of returns from planes by beam. The result does not depend on the number of threads.
 BeamResiduals sum_plane_residuals_by_beam(const ReturnsByCell& cells,
                                           const std::vector<double>& beam_offsets_m) {
     constexpr std::size_t kBlock = 2048;

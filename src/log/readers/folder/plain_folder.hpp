@@ -10,8 +10,8 @@
 
 namespace relidar {
 
-/// Loads a plain folder as a log.
-/// @throws DataError with file and field
+/// Loads a LiDAR log from a folder with sequence.json, poses.txt, boxes.json and scans.
+/// @throws DataError that names the file and the field
 LidarSequence load_plain_folder(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

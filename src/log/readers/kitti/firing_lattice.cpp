@@ -62,16 +62,16 @@ std::complex<double> compute_mean_tick_phasor(const BeamPolarPoints& polar, doub
     return n > 0 ? sum / static_cast<double>(n) : sum;
 }
 
-/// Fit of the point azimuths of one beam to a regular grid of head azimuths (ticks):
-/// azimuth = tick + phase_rad + left_m / distance of the point. left_m: distance of the
-/// beam from the spin axis, positive to the left. concentration: quality of the fit; 1 is
-/// perfect.
+/// Fit to one beam. The rotating head of the LiDAR fires at ticks (multiples of a fixed
+/// angle). So points have azimuth = tick + phase_rad + left_m / distance from spin axis.
+/// left_m: lateral distance of the beam from the spin axis, positive to the left.
+/// concentration: quality of the fit, from 0 to 1 (perfect).
 struct TickGridPhase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
 
-/// Refines the azimuth offset (phase) and the lateral offset (left) of a beam by least
-/// squares: azimuth = tick + phase + left / distance.
+/// Refines a beam's azimuth offset (phase_rad) and lateral offset (left_m). Least-squares
+/// model: azimuth = n * encoder_tick_rad + phase_rad + left_m / distance, n: an integer.
 void refine_phase_by_least_squares(TickGridPhase& phase, const BeamPolarPoints& polar,
                                    double encoder_tick_rad) {
     double n = 0, su = 0, se = 0, suu = 0, sue = 0;
@@ -102,11 +102,11 @@ TickGridPhase fit_azimuth_phase_of_beam(const BeamPolarPoints& polar, double enc
         const std::complex<double> mean =
             compute_mean_tick_phasor(polar, encoder_tick_rad, mm * 1e-3, stride);
         const double gain = std::abs(mean) - best.concentration;
-        // Keeps the lateral offset of the beam for which the azimuths fit the encoder
-        // ticks best. The code below prefers offset 0 if it is nearly as good.
+        // Keeps the lateral beam offset (-60 to 60 mm) that fits the encoder ticks best.
         if (mm == -60 || gain > 0.0)
             best = {mm * 1e-3, std::arg(mean) * encoder_tick_rad / (2.0 * kPi), std::abs(mean)};
     }
+    // Prefers offset 0 if it fits nearly as well.
     const std::complex<double> none = compute_mean_tick_phasor(polar, encoder_tick_rad, 0.0, stride);
     if (std::abs(none) > best.concentration - 0.02)
         best = {0.0, std::arg(none) * encoder_tick_rad / (2.0 * kPi), std::abs(none)};
@@ -179,10 +179,10 @@ EncoderTicksByBeam compute_encoder_ticks_per_beam(const ScanWithRings& scan,
     return ticks;
 }
 
-/// Returns a flag for each scan and each tick (step) of the head's encoder. The flag is
-/// true if at least `min_beams` beams have a return at the tick.
-/// @param tick_shift_of_each_beam  [beams] azimuth offset of each beam in ticks; it is
-/// subtracted from the ticks of the beam's returns
+/// Returns [scans][ticks] flags. A flag is true if at least `min_beams` beams have a
+/// return at the tick (azimuth step of the LiDAR's rotary encoder).
+/// @param tick_shift_of_each_beam  [beams] azimuth offset of each beam in ticks. It is
+/// subtracted from the tick of each return of the beam.
 std::vector<std::vector<char>> flag_ticks_with_returns_of_min_beams(
     const std::vector<EncoderTicksByBeam>& ticks_of_scans, const std::vector<int>& tick_shift_of_each_beam,
     int n_ticks, int min_beams) {
@@ -200,9 +200,9 @@ std::vector<std::vector<char>> flag_ticks_with_returns_of_min_beams(
     return pattern;
 }
 
-/// Returns the azimuth offset of a beam in encoder ticks. With this offset, most returns
-/// of the beam are at ticks where other beams have returns. Returns 0 if no offset is
-/// clearly better.
+/// Returns the azimuth offset of a beam in encoder ticks. The offset is subtracted from
+/// the tick of each return. The best offset moves the most returns to ticks with
+/// `is_tick_fired`. Returns 0 if no offset is clearly better than 0.
 /// @param is_tick_fired  [scans][ticks] true if other beams have returns at the tick
 int find_best_tick_shift(const std::vector<EncoderTicksByBeam>& ticks_of_scans, std::size_t ring,
                          const std::vector<std::vector<char>>& is_tick_fired, int n_ticks, int max_shift) {
@@ -246,9 +246,9 @@ std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBe
     }
     std::vector<int> shift(kRings, 0);
     auto pattern = flag_ticks_with_returns_of_min_beams(reference, shift, n_ticks, 1);
-    // The first pass aligns each beam in azimuth with the beam that has the most points.
-    // The second pass aligns it with all beams, which are shifted by the result of the
-    // first pass.
+    // Pass 1 aligns each beam in azimuth with the beam that has the most points. Pass 2
+    // aligns each beam with the ticks at which at least kMinLasers beams have returns
+    // after pass 1.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] =

@@ -17,21 +17,21 @@
 
 namespace relidar::kitti {
 
-/// Regular grid of the azimuths at which the LiDAR's head can fire. Also has the offsets
-/// of each beam from the head.
+/// Regular grid of azimuths at which the rotating head of a LiDAR can fire. For each
+/// beam: its azimuth relative to the head, and its distance from the spin axis.
 struct BeamFiringGrid {
     EncoderTickGrid head;
-    /// True if the point azimuths do not fit the steps (ticks) of the head's encoder.
-    /// `head` then has equal steps, and the sensor is assumed to fire at each of them.
+    /// True if the points do not fit the ticks of the rotary encoder. `head` then has
+    /// estimated equal steps instead, and the LiDAR is assumed to fire at every step.
     bool every_tick = false;
     /// azimuth of each beam relative to the head; the mean of all beams is 0
     std::array<double, kRings> offset_rad{};
     /// distance of each beam from the spin axis, positive to the left
     std::array<double, kRings> left_m{};
 
-    /// Returns the beams of the sensor. A rotating beam sweeps a cone; `cones` were
-    /// fitted to the points and give the elevations and heights. Azimuth and lateral
-    /// offsets are from this grid.
+    /// Returns the beams of the sensor. Uses the azimuth and lateral offsets of this
+    /// struct, and the elevations and heights of `cones`. Each cone was fitted to the
+    /// points of one rotating beam.
     std::vector<Beam> make_beams_with_elevations_of_cones(const BeamCones& cones) const;
 };
 

@@ -39,15 +39,15 @@ using BeamCones = std::array<BeamCone, kRings>;
 /// azimuth changes from the 4th to the 1st quadrant. Ring numbers are limited to 63.
 ScanWithRings split_points_into_rings(std::vector<glm::vec4> points);
 
-/// Fits a cone to the points of each ring in several scans, by robust least squares.
+/// Fits a cone to each ring by robust least squares. Uses all complete scans (64 rings).
 /// @param error_location  name of the log, for error messages
-/// @throws DataError if no scan has 64 rings
+/// @throws DataError if no scan is complete, or too few rings have enough returns
 BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
                                 const std::string& error_location);
 
-/// Corrects ring numbers of points that are nearer to the cone of another ring. Numbers
-/// by file order are wrong after a beam without returns, or if the last point of a ring
-/// was rounded to azimuth 0.
+/// Corrects the ring numbers of points that are nearer to the cone of another ring. Rings
+/// were counted in file order. This fails if a beam has no returns, or if the last point
+/// of a ring was rounded to azimuth 0, where the next ring starts.
 void correct_ring_numbers(ScanWithRings& scan, const BeamCones& cones);
 
 }  // namespace relidar::kitti

@@ -50,8 +50,8 @@ int read_integer_field(const pugi::xml_node& object, const char* field_name, std
     return static_cast<int>(*value);
 }
 
-/// Returns the class of an object, or null if such objects cannot move. In drive 0004,
-/// objects have text labels instead of class numbers.
+/// Returns the class of an object, or null for classes that cannot move, like buildings.
+/// Drive 0004 of KITTI-360 has text labels instead of class numbers.
 const MovableClass* find_movable_class(const pugi::xml_node& object, const std::string& error_location) {
     const bool has_number = !object.child("semanticId").empty();
     const int id = has_number ? read_integer_field(object, "semanticId", {}, error_location) : 0;

@@ -22,8 +22,8 @@
 namespace relidar::kitti {
 namespace {
 
-// Number of scans for fitting the beams (kFitScans) and the firing azimuths
-// (kLatticeScans).
+// Number of scans to which the beam elevations are fitted (kFitScans), and to which the
+// regular grid (lattice) of firing azimuths is fitted (kLatticeScans).
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 
 std::vector<const ScanWithRings*> select_evenly_spaced_scans(const std::vector<ScanWithRings>& scans,
@@ -139,8 +139,8 @@ private:
 std::string scale_byte_intensities_and_get_note(std::vector<ScanWithRings>& raw_scans,
                                                 const std::string& folder_name) {
     constexpr float kBytes = 255.0f;
-    // Intensities that are not whole numbers are rejected if the largest is above 1 and
-    // at most this value, because they could be percentages.
+    // Intensities with fractions are rejected if their maximum is above 1, but not above
+    // this value. They could be percentages.
     constexpr float kPercent = 100.0f;
     float lowest = 0.0f, highest = 0.0f;
     bool are_integers = true;

@@ -34,8 +34,8 @@ constexpr double kMostIntensity = 255.0;
 // Assumed duration of a revolution. LiDARs of this kind rotate ten times per second,
 // although the dataset has only five sweeps per second.
 constexpr double kLyftRevolution_s = 0.1;
-// If the points have no times, all LiDARs of a frame use one time. If their sweeps differ
-// by more than this, a note is added for the user.
+// If points have no time stamps, all LiDARs of a frame use the sweep time of the first
+// LiDAR. If the true time of a sweep differs by more than this, the user gets a note.
 constexpr double kStampsApart_s = 1e-3;
 
 /// One dataset format that uses the JSON tables of nuScenes. `ending` is the extension of

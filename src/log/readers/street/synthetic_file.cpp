@@ -32,8 +32,8 @@ void read_toml_value_if_present(const toml::table& table, const char* key, const
                                 const std::string& file_name, T& value) {
     const toml::node* node = table.get(key);
     if (!node) return;
-    // Checks the type first, because toml++ converts real numbers to integers without an
-    // error.
+    // toml++ converts real numbers to integers without an error. So a real number is
+    // rejected here (is_cut) if T is an integer type.
     const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
     const auto parsed_value = is_cut ? std::nullopt : node->value<T>();
     if (!parsed_value)

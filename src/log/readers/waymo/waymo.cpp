@@ -308,9 +308,9 @@ private:
         }
     }
 
-    /// Changes a ray in the sensor frame, so that the log's interpolated pose gives the
-    /// correct ray in the world. `world_from_vehicle` is the true vehicle pose for this
-    /// ray, which the dataset stores.
+    /// Changes a ray in the sensor frame, so that it is correct in the world although the
+    /// log interpolates vehicle poses. `world_from_vehicle` is the exact pose for this
+    /// ray. It is stored only in the dataset.
     void correct_ray_for_given_vehicle_pose(std::size_t ray_index, const Pose& world_from_vehicle) {
         const Pose moved = sensor_from_world_[ray_index % std::size_t(scan.rays.columns)] *
                            (world_from_vehicle * lidar_.vehicle_from_sensor);
