@@ -24,8 +24,8 @@ struct RangeImageRays {
     }
 };
 
-/// Distance in columns between a pixel and its left or right neighbour, with which
-/// compute_incidence_cosine() compares the pixel.
+/// compute_incidence_cosine() compares a pixel with two pixels in the same row, which are
+/// this many columns to the left and to the right.
 inline constexpr std::size_t kIncidenceColumns = 4;
 
 /// Returns the cosine of the angle of incidence at pixel `pixel_index`. Uses the points

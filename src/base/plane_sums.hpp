@@ -34,8 +34,8 @@ struct PointMomentSums {
                                point_relative_to_origin.x * point_relative_to_origin.y);
     }
 
-    /// Returns the least-squares plane of the points, relative to the origin of the added
-    /// points. Requires at least one point.
+    /// Returns the least-squares plane of the added points. The plane is relative to the
+    /// origin that the caller subtracted from the points. Requires at least one point.
     PlaneFit fit_plane() const {
         const glm::dvec3 mean = sum / n, s = squares / n - mean * mean,
                          p = products / n - glm::dvec3(mean.y * mean.z, mean.x * mean.z, mean.x * mean.y);

@@ -433,7 +433,7 @@ Device::Impl::~Impl() {
     for (const OrphanedBuffer& orphan : orphans) destroy_orphaned_buffer(orphan);
     memory.reset();
     for (const auto& [key, made] : pipelines.by_key) {
-        // A deferred pipeline was never created, because its kernel was never launched.
+        // Deferred: the kernel was never launched, so its pipeline does not exist.
         if (made.wait_for(std::chrono::seconds(0)) == std::future_status::deferred) continue;
         try {
             vkDestroyPipeline(device, made.get().pipeline, nullptr);

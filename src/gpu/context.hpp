@@ -76,8 +76,8 @@ struct Missing {
     }
 };
 
-/// Optional device features that guarantee the behaviour of subgroups. Kernels need this
-/// behaviour, and they also run on devices that do not guarantee it.
+/// Optional device features that guarantee how subgroups behave. Kernels rely on this
+/// behaviour. They also run on devices that behave in this way without a guarantee.
 struct OptionalFeatures {
     /// True if a kernel can request subgroups of exactly DeviceInfo::subgroup_size lanes.
     bool subgroup_size = false;

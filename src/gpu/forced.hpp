@@ -18,8 +18,8 @@ struct ForcedBehaviour {
     /// If true, each ray tests every surfel instead of searching an acceleration
     /// structure.
     bool brute_force = false;
-    /// True: neighbouring threads read neighbouring floats. False: each thread reads a
-    /// separate row. The default depends on the device.
+    /// True: neighbouring threads access neighbouring floats (coalesced). False: each
+    /// thread accesses consecutive floats. Default: false on a CPU, else true.
     std::optional<bool> coalesces = std::nullopt;
     /// Number of scans that a ScanRenderer renders concurrently.
     std::optional<int> side_by_side = std::nullopt;

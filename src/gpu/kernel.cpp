@@ -35,8 +35,8 @@ std::span<const std::uint32_t> get_embedded_kernel_spirv(std::string_view kernel
 constexpr std::array<std::string_view, 3> kReconverging{"diff/accel/bvh_cluster", "diff/backward/trace",
                                                         "gpu/check_subgroups"};
 
-/// Returns true for lavapipe up to version 25.0. In these versions, a load in a branch is
-/// skipped if no lane takes the branch.
+/// Returns true for lavapipe up to version 25.0, which skips a load in a branch that no
+/// lane takes. Later versions may execute this load, which may crash.
 bool skips_loads_in_untaken_branches(const std::string& driver_name) {
     int major = 0, minor = 0;
     const std::size_t version = driver_name.find("Mesa ");

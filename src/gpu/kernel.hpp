@@ -62,8 +62,8 @@ consteval std::string_view get_unqualified_struct_name() {
     return text.substr(text.rfind(':') + 1);
 }
 
-/// Compute pipeline on a device. Equal kernels (same name and constants) share one
-/// pipeline. If no constant sets the workgroup size, it is the device's default.
+/// Compute pipeline on a device. Kernels with the same name and constants share one
+/// pipeline. Uses the device's default workgroup size unless a constant sets the size.
 class KernelBase {
 public:
     /// Creates a kernel. On a GPU, another thread starts to compile the pipeline

@@ -14,9 +14,9 @@
 namespace relidar {
 namespace {
 
-// Number of threads of kernel gpu/radix_scan, in which one subgroup processes one of 256
-// digit values at a time. With 4 to 64 lanes per subgroup, there are 2048 to 128
-// subgroups.
+// Number of threads of kernel gpu/radix_scan. Each of the 256 digit values is processed
+// by one subgroup. With 4 lanes per subgroup, the kernel has 2048 subgroups. With 64
+// lanes, it has only 128 subgroups, so each of them processes two values.
 constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;
 
 }  // namespace

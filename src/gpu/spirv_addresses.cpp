@@ -22,8 +22,8 @@ public:
 
     std::uint32_t get_parameter_block_type_id() const { return block_; }
 
-    /// Finds all device addresses inside a value of type `type_id`. Appends their byte
-    /// offsets to `address_offsets`.
+    /// Appends the byte offsets of all device addresses in a value to `address_offsets`.
+    /// @param type_id SPIR-V id of the value's type, for example of a struct
     /// @param value_offset_bytes byte offset of the value, which is added to each offset
     void append_device_address_offsets(std::uint32_t type_id, std::uint32_t value_offset_bytes,
                                        std::vector<std::uint32_t>& address_offsets) const {

@@ -171,7 +171,7 @@ public:
 
 private:
     std::map<std::uint32_t, std::vector<std::uint32_t>> next_;
-    // Map from a block that ends or continues a loop to the header block of this loop.
+    // Merge block or continue block of a loop -> header block of the loop.
     std::map<std::uint32_t, std::uint32_t> header_of_;
     std::set<std::uint32_t> with_phi_;
 };

@@ -40,6 +40,7 @@ public:
 
 private:
     enum SpirvEnumerant : std::uint32_t {
+        // The first values are SPIR-V opcodes.
         entry_point = 15,
         type_int = 21,
         type_pointer = 32,
@@ -48,7 +49,6 @@ private:
         variable = 59,
         load = 61,
         store = 62,
-        // SPIR-V opcodes. Storage classes and decorations follow at the end.
         access_chain = 65,
         decorate = 71,
         iadd = 128,
@@ -59,9 +59,9 @@ private:
         input = 1,
         in_private = 6,
         push_constant = 9,
-        physical_storage = 5349,  // This value and the following values are storage classes.
+        physical_storage = 5349,  // Storage class, like the three values before it.
         built_in = 11,
-        local_invocation_index = 29  // This value and the previous value are decorations.
+        local_invocation_index = 29  // Value of the decoration `built_in`.
     };
 
     std::span<const std::uint32_t> words_;

@@ -60,8 +60,8 @@ struct SpirvModule {
     std::map<std::uint32_t, SpirvWords> types;         ///< Types by id.
     std::map<std::uint32_t, std::uint32_t> constants;  ///< 32-bit integer constants by id.
     std::set<std::uint32_t> addresses;  ///< Ids that contain the address of the parameter block.
-    /// Member indices of parameters. The key is the id of an OpAccessChain instruction,
-    /// whose result is a pointer to this parameter.
+    /// Path to each parameter, as member indices of nested structs. The key is the id of
+    /// an OpAccessChain instruction, which computes a pointer to the parameter.
     std::map<std::uint32_t, MemberPath> parameter_paths;
 
     explicit SpirvModule(std::span<const std::uint32_t> words) : bound(words[3]) {
@@ -111,8 +111,8 @@ class ParameterLoadHoister {
 public:
     explicit ParameterLoadHoister(const SpirvModule& module) : module_(module), next_(module.bound) {}
 
-    /// Returns true if a private variable can replace parameters of this type. This is
-    /// possible for numbers, vectors, addresses and structs of these.
+    /// Returns true if a parameter of this type can be copied to a Private SPIR-V
+    /// variable: a number, a vector, an address or a struct of these.
     bool can_store_in_private_variable(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
         if ((t[0] & 0xffffu) != kTypeStruct) return get_nonstruct_alignment_bytes(type_id).has_value();
@@ -145,9 +145,9 @@ public:
         append_spirv_instruction(instructions, construct);
     }
 
-    /// Returns the edited SPIR-V module.
-    /// @param function_code all functions of the module, in which loads of parameters
-    /// were already replaced
+    /// Returns the module with private variables, and with an entry point that copies the
+    /// parameters to these variables.
+    /// @param function_code all functions, which already load from these variables
     SpirvWords make_module_with_hoisted_loads(std::span<const std::uint32_t> spirv_words,
                                               const SpirvWords& function_code) {
         const SpirvWords first = make_parameter_copy_instructions();

@@ -66,15 +66,15 @@ struct Stream::Impl {
             /// be null.
             gpu::KernelSpeed* speed;
             std::uint32_t n_groups;  ///< Number of workgroups.
-            /// True if these commands and the previous entry belong to the same launch,
-            /// which was split.
+            /// True if a launch was split, and these commands continue the launch of the
+            /// previous entry of `launches`.
             bool continues;
         };
         std::vector<TimedCommands> launches;
         /// Memory blocks for values that the host sends to kernels. Their number grows
         /// until the largest submission fits.
         std::vector<std::unique_ptr<Buffer::Impl>> blocks;
-        /// Position for the next value from the host: index of the block and byte offset.
+        /// Where the host writes its next value: index in `blocks`, offset in bytes.
         std::size_t block = 0, block_bytes = 0;
         /// Buffers that stay allocated until the submission is complete.
         std::vector<std::shared_ptr<const Buffer::Impl>> retained_buffers;
@@ -135,8 +135,8 @@ struct Stream::Impl {
         record_barrier_unless_in_scope();
     }
     void end_concurrent_scope();
-    /// Records the stored commands of all lanes (concurrent sequences) and clears the
-    /// lanes. Step n of a lane may run concurrently with step n of the other lanes.
+    /// Moves the stored commands of all lanes (concurrent sequences) to the command
+    /// buffer. Step n of a lane may run concurrently with step n of the other lanes.
     void record_stored_commands_of_all_lanes();
     /// Where a value from the host is stored until the submission is complete.
     struct StagedValue {

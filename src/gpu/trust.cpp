@@ -26,8 +26,8 @@ std::string& get_injected_fault_names() {
 }
 
 /// Test results of devices, kept in memory because they could not be written to a file.
-/// The map key consists of the device, the driver and the faults that a test of relidar
-/// has injected.
+/// The map key consists of the device, the driver, and the errors that a test of relidar
+/// simulates (environment variable RELIDAR_FAULTS).
 struct UnsavedTestResults {
     std::mutex mutex;
     std::map<std::string, DeviceTestResults> by_device;
@@ -37,7 +37,7 @@ UnsavedTestResults& get_unsaved_device_test_results() {
     return results;
 }
 
-/// Test results that a ScopedDeviceTestResults object has set for this thread, or null.
+/// If not null, this thread uses these test results instead of testing a device.
 thread_local const DeviceTestResults* fixed_trust = nullptr;
 
 /// Returns the text of the file with a device's test results. A file is accepted only if

@@ -106,8 +106,8 @@ py::dict run_forward_pass(PythonDifferentiableRenderer& renderer, const py::obje
     return dict;
 }
 
-// RELIDAR_IMAGE_VALUES() calls these macros once for each rendered value, and joins the
-// texts for error messages and help: names only, or names with meanings.
+// Arguments of RELIDAR_IMAGE_VALUES(), which calls a macro once for each rendered value.
+// The results are lists for error messages and help: names, or names with meanings.
 #define RELIDAR_NAME(name, built, value, input, slope, meaning) #name ", "
 #define RELIDAR_MEANING(name, built, value, input, slope, meaning) #name " (" meaning "), "
 

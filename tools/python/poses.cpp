@@ -12,8 +12,8 @@
 namespace relidar::python {
 namespace {
 
-// Maximum difference between R^T R and the identity matrix. It is not smaller, because
-// rotations from text files have only six digits.
+// Maximum difference between R^T R and the identity matrix, for a rotation R. A smaller
+// limit would reject rotations from text files with six digits.
 constexpr double kRigid = 1e-4;
 
 /// Converts a 4x4 matrix to a pose. Throws an error unless the matrix is a rotation and a

@@ -54,9 +54,9 @@ void parse_and_apply_setting_texts(Config& config, const std::vector<std::string
 /// Returns the names of the settings that affect rendering. A name that ends in a dot
 /// means all settings of that group.
 std::vector<std::string> list_rendering_setting_names();
-/// Checks that each setting of --set has an effect in a command.
-/// @param names_and_prefixes_with_effect names and groups of settings that the command
-/// uses, as in list_rendering_setting_names()
+/// Checks that the command uses each setting that the user has changed with --set.
+/// @param names_and_prefixes_with_effect settings that the command uses; a name that ends
+/// in a dot means all settings of that group
 /// @param command_name name of the command
 /// @throws UsageError that names the first setting without effect
 void require_settings_with_effect(const std::vector<std::string>& setting_texts,

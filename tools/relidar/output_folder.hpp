@@ -73,8 +73,8 @@ public:
 
 private:
     OutputFolder folder_;
-    /// Declared last, so that the lock file is removed first. Then the folder can be
-    /// removed if it is empty.
+    /// Declared last, so that it is destroyed first and removes the lock file. The
+    /// destructor of `folder_` then removes the folder if it is empty.
     FolderLock lock_;
 };
 
@@ -104,8 +104,8 @@ public:
 
 private:
     std::optional<OutputFolder> folder_;
-    /// Declared last, so that the lock file is removed first. Then the folder can be
-    /// removed if it is empty.
+    /// Declared last, so that it is destroyed first and removes the lock file. The
+    /// destructor of `folder_` then removes the folder if it is empty.
     std::optional<FolderLock> lock_;
 };
 

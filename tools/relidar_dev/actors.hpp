@@ -15,8 +15,8 @@ namespace relidar::cli {
 /// actor. Each copy has kActorSurfels surfels. The sensor has 64 x 1024 rays.
 struct ActorBenchTimes {
     int n_actors = 0;
-    /// If true, each actor has its own model. If false, all actors share one model.
-    /// Spherical harmonics are evaluated per surfel if true, per ray if false.
+    /// True: each actor has its own model, and spherical harmonics (SH) are evaluated per
+    /// surfel. False: actors share one model, and SH are evaluated per ray.
     bool copy_shared_models = false;
     /// Wall time of building the complete acceleration structure: all bottom levels and
     /// the top level.

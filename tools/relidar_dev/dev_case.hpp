@@ -13,8 +13,8 @@ namespace relidar::cli {
 
 /// Options of the command line that describe the case.
 struct BenchCaseOptions {
-    /// Kind of benchmark street. In "A", all surfels have the same size for any number of
-    /// surfels. In "B", a larger number makes each surfel smaller. "C" is like "B", but
+    /// Kind of benchmark street. "A": the size of a surfel does not depend on
+    /// `n_surfels`. "B": surfels are smaller if `n_surfels` is larger. "C": like "B", but
     /// all surfels have opacity 0.1.
     std::string street = "A";
     long long n_surfels = 100000;
@@ -35,7 +35,7 @@ struct DevCase : BenchCase {
     BvhTraversalMode traversal_mode = BvhTraversalMode::automatic;
     HitSortMethod order = HitSortMethod::automatic;
     /// If true and many rays have more than config.trace.keep_hits hits, the forward pass
-    /// stores more hits per ray. Training does the same.
+    /// stores more hits per ray than this setting says. Training also does this.
     bool keeps_more_hits = true;
 };
 

@@ -82,9 +82,9 @@ struct KernelTraffic {
     double (*bytes)(const MemoryTrafficSizes&);
 };
 
-/// Minimum memory traffic of each kernel in bytes. A tracing kernel must load each hit
-/// surfel at least once. The number of hit surfels is `n_touched`, the number of surfels
-/// with a gradient.
+/// Minimum memory traffic of each kernel in bytes. A tracing kernel must load each surfel
+/// that any ray hits at least once. Only these surfels get a gradient, so their number is
+/// `n_touched`, the number of surfels with a gradient.
 constexpr KernelTraffic kFloorRows[] = {
     {"scene/activate", KernelCondition::always,
      [](const MemoryTrafficSizes& sizes) {
@@ -164,9 +164,9 @@ std::map<std::string, double> compute_cache_load_bytes_per_kernel(const MemoryTr
     // share of the hits that are not stored, so that the backward pass must search them
     // again
     const double searched_again = sizes.n_hits > 0.0 ? 1.0 - sizes.n_stored_hits_read / sizes.n_hits : 0.0;
-    // Bytes that the kernel writes for the gradients of a hit. With `gather`, it stores a
-    // record. Otherwise it adds 16 floats with atomics, and also spherical harmonics if
-    // they are evaluated per ray.
+    // Bytes that the kernel writes per hit. If `gather` is true, it stores the gradients
+    // of the hit. Otherwise it adds 16 floats with atomics, and the gradients of
+    // spherical harmonics if these are evaluated per ray.
     const double sums = sizes.gather ? kHitRecord + kRow : kRecord + get_sh_bytes_if_evaluated_per_ray(sizes);
     bytes["diff/backward/trace"] = searched_again * search + shading + sizes.n_hits * (kRecord + sums);
     return bytes;

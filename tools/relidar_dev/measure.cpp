@@ -119,8 +119,8 @@ public:
           allocated_before_(device.allocated_bytes()),
           rays_(device, std::span<const DeviceRay>(to_device_rays(bench_case.rays)), "rays") {}
 
-    /// Renders an image to count its hits. To measure training, also creates the training
-    /// step and its target values.
+    /// Renders an image to count its hits. If `includes_training` is true, also creates
+    /// the training step and its target values.
     void create_renderers_and_count_hits(bool includes_training) {
         memory_ = measure_gpu_memory_of_each_part(device_, case_, includes_training);
         image_ = std::make_unique<Renderer>(device_, case_.scene, case_.config.image,

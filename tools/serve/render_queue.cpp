@@ -104,11 +104,11 @@ QueuedRequest* RenderQueue::take_next_request(const std::optional<std::size_t>& 
     return nullptr;
 }
 
-/// Executes one step of a request: submits it to the device, or waits for the device and
-/// stores the response. A request with a scene needs both steps, other requests only the
-/// first. A failed request is done immediately.
-/// @param is_last_of_batch with a value, the request is submitted with this argument of
-/// submit_to_device(); without a value, waits for the device
+/// Executes one step of a request. Step 1 submits the request to the device. Step 2 waits
+/// for the device and stores the response. Only requests with a scene need step 2. If a
+/// step fails, the request is done.
+/// @param is_last_of_batch selects step 1, and is passed to submit_to_device(); no value
+/// selects step 2
 void RenderQueue::submit_request_or_store_response(QueuedRequest& request,
                                                    std::optional<bool> is_last_of_batch,
                                                    std::unique_lock<std::mutex>& lock) {

@@ -121,8 +121,8 @@ private:
                                                                 std::size_t scene_index, int lidar_index);
     std::vector<VisibleActor> list_actors_of_scene(std::size_t scene_index) const;
     /// Reads a scan request for one sensor.
-    /// @param rig_from_sensor pose of the sensor on its rig; `message` then has the path
-    /// of the rig. Without a value, `message` has the path of the sensor
+    /// @param rig_from_sensor pose of the sensor on its rig if `message` contains the
+    /// path of the rig; no value if `message` contains the path of the sensor
     RenderRequest read_request_of_one_sensor(const v1::RenderLidarRequest& message,
                                              const SensorRequest& sensor_request,
                                              const std::optional<Pose>& rig_from_sensor);

@@ -56,10 +56,10 @@ public:
     SceneLoadNumber load_scene_and_call_with_renderer(std::size_t scene_index,
                                                       const std::optional<Weather>& weather_or_default,
                                                       const std::function<void(ScanRenderer&)>& use_renderer);
-    /// Second step of a scan: calls `use_renderer` to read the results. In the first
-    /// step, load_scene_and_call_with_renderer() has submitted the scan. No other scene
-    /// may be used between the two steps.
-    /// @param expected_load_number return value of the first step
+    /// Reads the results of a scan, which load_scene_and_call_with_renderer() has
+    /// submitted: calls `use_renderer` with the same renderer. The caller must not use
+    /// another scene between the two calls.
+    /// @param expected_load_number return value of load_scene_and_call_with_renderer()
     /// @throws DeviceError if the device was lost, or if the scene was loaded again
     void call_if_scene_was_not_reloaded(std::size_t scene_index, SceneLoadNumber expected_load_number,
                                         const std::function<void(ScanRenderer&)>& use_renderer);

@@ -23,10 +23,9 @@ namespace sensorsim = nre::grpc::protos::sensorsim;
 /// Reads requests of sensorsim.proto. Several threads may use it at the same time.
 class SensorsimReader {
 public:
-    /// @param outlines the run of each scene of `reader`, without its surfels; `outlines`
-    /// and `reader` must outlive this object
-    /// @param order says whether the rotation or the translation of a pose is applied
-    /// first
+    /// @param outlines one trained run without surfels for each scene of `reader`;
+    /// `outlines` and `reader` must outlive this object
+    /// @param order says whether a pose applies its rotation or its translation first
     SensorsimReader(const std::vector<TrainedRun>& outlines, const RequestReader& reader,
                     PoseTransformOrder order)
         : outlines_(outlines), reader_(reader), order_(order) {}

@@ -143,8 +143,8 @@ void add_spawned_actors_to_run(TrainedRun& run, const std::vector<SpawnedActorRe
         else {
             const AssetCatalogue::CatalogueEntry& asset = *assets.find_asset(source.name);
             model = models[source.name] = add_asset_model(run.scene, asset.folder);
-            // The output channel "class" reads the kind of the actor, for example
-            // vehicle, from this box.
+            // Adds a box, from which the output channel "class" reads the kind of the
+            // actor, for example vehicle.
             run.sequence.boxes.push_back({.id = run.scene.models[model].name,
                                           .category = get_name(asset.facts.kind),
                                           .size_m = asset.facts.size_m,

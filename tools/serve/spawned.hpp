@@ -53,7 +53,7 @@ public:
     std::vector<SpawnSlot> list_occupied_slots(std::size_t scene_index) const;
 
     /// Assigns a slot (additional instance of a model) to each actor. If all slots of a
-    /// model are occupied, doubles their number, but adds at most 8 slots.
+    /// model are occupied, adds 1 to 8 slots: as many as the model already has.
     /// @return the slots in the order of `actors`
     /// @throws RejectedRequest if a name is in use or the maximum number of slots is
     /// reached; then nothing changes

@@ -39,8 +39,8 @@ struct ScanColumns {
     /// [n] ranges in metres. The range is 0 if the ray has no return.
     std::vector<float> range_m = {};
     std::vector<std::uint8_t> intensity = {};  ///< [n] intensities.
-    /// [n] probability that the ray has no return. In a measured scan, each value is
-    /// either 0 or 255.
+    /// [n] probability that the ray has no return, from 0 to 255 (= certain). A measured
+    /// scan contains only the values 0 and 255.
     std::vector<std::uint8_t> drop = {};
     /// [n] index of the object that each ray hits, in the object list of the message
     /// header; 65535 if the ray hits no object. May be empty.

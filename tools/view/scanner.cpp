@@ -34,9 +34,9 @@ std::vector<std::string> list_native_and_built_in_sensor_names() {
     return names;
 }
 
-/// Lists the edits that change which surfels the scene has: (run, track) of each copied
-/// actor, and (track, "") of each moved actor. Edits with the same list can share a
-/// renderer.
+/// Lists the edits that change the surfels of the scene. Scenes with equal lists can
+/// share a renderer. A copied actor is listed as (name of its run, name of its track). A
+/// moved actor is listed as (name of its track, "").
 std::vector<std::pair<std::string, std::string>> list_copied_and_moved_actors(const ActorEdits& edits) {
     std::vector<std::pair<std::string, std::string>> models;
     for (const ActorEdits::ActorCopy& copy : edits.copies) models.emplace_back(copy.from, copy.of);
@@ -278,9 +278,9 @@ RenderedScan BrowserScanRenderer::render_simulated_scan(const EditedTraffic& edi
     return renderer.render(sensor, request);
 }
 
-/// Returns the time in milliseconds of the last launch of each kernel that has run since
-/// the previous call. The list of launch times grows with each launch, up to kFull
-/// entries. Kernels with a full list are always included.
+/// Returns the duration in milliseconds of the last launch of each kernel that has run
+/// since the previous call. Detects a run by a longer list of launch times. A list with
+/// kFull entries does not grow any more, so its kernel is always included.
 Json BrowserScanRenderer::make_kernel_times_json() {
     constexpr std::size_t kFull = 4096;
     Json times = Json::array();

@@ -85,7 +85,7 @@ SceneWithLog copy_actors_from_this_or_other_run(
 
 void require_tracks_exist(const SceneWithLog& scene_with_log, const std::set<std::string>& track_names) {
     const std::vector<std::string> names(track_names.begin(), track_names.end());
-    // throws an error that suggests a similar name if a name is unknown
+    // Called only for its error, which suggests a similar name if a name is unknown.
     (void)mark_instances_with_names(scene_with_log.scene, names);
 }
 

@@ -215,8 +215,8 @@ ImageHeader parse_exr_header(const std::string& exr_file_bytes) {
         if (!attribute_names.insert(name).second)
             throw DataError(fmt::format("attribute '{}' occurs twice, expected it once",
                                         shorten_for_error_message(name)));
-        // Attributes of these types contain further sizes. They are rejected, because
-        // nothing checks these sizes.
+        // Values of these attribute types contain more sizes, for example of a preview
+        // image. Nothing checks these inner sizes, so such attributes are rejected.
         if (type == "idmanifest" || type == "preview" || type == "bytes")
             throw DataError(fmt::format("attribute '{}' has the type '{}', which is not supported",
                                         shorten_for_error_message(name), type));

@@ -24,8 +24,8 @@ using arrow::ArrowValueKind;
 using Batch = Feather::Batch;
 
 constexpr std::string_view kMagic = "ARROW1";
-// Limits per byte of the file: the maximum number of rows of a table, and of text bytes
-// of a column. They prevent huge allocations if the file is damaged.
+// A table may have at most (file bytes * kMostRows) rows. A column may have at most (file
+// bytes * kMostText) bytes of text. Prevents huge allocations if the file is damaged.
 constexpr std::size_t kMostRows = 64, kMostText = 1024;
 constexpr std::size_t kPadding = 64;  // Maximum number of padding bytes at the end of a buffer.
 
@@ -233,8 +233,8 @@ Feather::Feather(std::string name_for_errors, std::string file_bytes)
             at.node += 1;
             at.buffer += n_buffers;
         }
-        // Number of file bytes that the blocks read so far do not contain. Blocks do not
-        // overlap.
+        // Number of remaining file bytes. Blocks do not overlap, so their sizes must not
+        // add up to more than the file size.
         std::int64_t left = std::int64_t(bytes_.size());
         const auto read = [&](const std::vector<arrow::ArrowFileBlock>& blocks, std::vector<Batch>& batches) {
             for (const arrow::ArrowFileBlock& block : blocks) {

@@ -14,9 +14,9 @@
 namespace relidar {
 
 /// Feather file in memory. Each column is decompressed when it is requested. Every offset
-/// and length is checked against the size of the file. To limit memory, the number of
-/// rows may be at most 64 times the file size in bytes. The text of a column may have at
-/// most 1024 bytes per byte of the file.
+/// and length is checked against the size of the file. To limit memory, a table may have
+/// at most 64 * (file size in bytes) rows. A text column may have at most 1024 * (file
+/// size in bytes) bytes.
 class Feather {
 public:
     /// Reads a Feather file into memory.

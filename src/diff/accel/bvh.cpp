@@ -73,8 +73,8 @@ std::uint32_t count_top_level_nodes(std::uint32_t n_instances) {
 /// compute_node_boxes_of_models() processes all models.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
-/// Offsets of the arrays in the scratch memory of a build, in words per surfel. Arrays
-/// that are not needed at the same time share an offset.
+/// Offsets of arrays in the scratch memory of a build. Offset k is word k * n_surfels.
+/// Arrays that are not needed at the same time share an offset.
 constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5,
                         kBoxesAt = 7, kCostsAt = 13, kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22,
                         kScratchWords = 23;
@@ -101,8 +101,8 @@ struct Bvh::Impl {
     Array<glm::uvec2, shared::SumsOfTiles> tiles;
     Array<shared::BvhNode> nodes;                   ///< [bound] wide nodes of all models
     Array<std::uint32_t, shared::LeafOrder> order;  ///< [n] surfels in the order of the leaves
-    /// [bound] (maximum number of tree nodes) two values per node: its parent, and the
-    /// first surfel of its model
+    /// [bound = maximum number of nodes] index of each node's parent, and index of the
+    /// first surfel of the model that contains the node
     Array<glm::uvec2, shared::WideLinks> links;
     Array<float, shared::WideBoxes> node_boxes;  ///< [bound,6] boxes of the nodes before quantisation
     /// [bound] number of children whose boxes are finished

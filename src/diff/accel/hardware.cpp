@@ -130,9 +130,9 @@ struct RayQueryAccel::Impl {
     const ProxyTriangleMesh& mesh;
     Kernel<shared::ProxyParams> proxies;
     Array<float> geometry;  ///< vertices [n,corners,3] or boxes [n,6]
-    /// [1] in metres, as float bits: maximum distance between a hit on a 3D Gaussian and
-    /// a corner of the icosahedron around it. Ray queries search this much farther than
-    /// the farthest hit.
+    /// [1] metres, stored as the bits of a float: maximum distance between a hit on a 3D
+    /// Gaussian and a corner of the icosahedron around it. A query may find only the far
+    /// side of an icosahedron, so it searches this far behind the farthest hit.
     Array<std::uint32_t> reach;
     /// Triangle indices for the largest model. Smaller models use the first indices, with
     /// an offset to their first vertex.
@@ -329,8 +329,8 @@ void RayQueryAccel::record_build_or_refit(Stream& stream, const DeviceScene& sce
     Impl& a = *impl_;
     std::uint32_t n = 0;
     for (const SurfelRange& range : ranges) n += range.count;
-    // `reach` is a maximum over all models, so it is reset only if all models are
-    // updated.
+    // `reach` is the maximum distance between a hit and a corner of its icosahedron, over
+    // all models. It is reset only if all models are updated.
     if (a.reach.size() && n == scene.size()) stream.fill(a.reach);
     for (const SurfelRange& range : ranges) a.compute_proxy_shapes(stream, scene, options, range);
     // Resets the radii only if all models are updated.

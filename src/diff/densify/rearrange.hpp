@@ -43,9 +43,9 @@ public:
     // [n] action of each surfel, in the old order
     Array<std::uint32_t, shared::DensifyActions> action;
     Array<std::uint32_t, shared::GrowthWeights> weight;
-    /// [n] new array index of each surfel; copies of the surfel get the next indices.
-    /// compute_new_row_indices() also stores prefix sums of `weight` here, before it
-    /// computes the indices.
+    /// [n] index of each surfel after the densification. Copies of a surfel get the next
+    /// indices. Before compute_new_row_indices() computes these indices, it uses the
+    /// array for the prefix sums of `weight`.
     Array<std::uint32_t, shared::RowStarts> starts;
     Array<std::uint32_t, shared::RowCounts> n_rows;
 

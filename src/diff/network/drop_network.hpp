@@ -24,8 +24,8 @@ int get_batch_size(const RayDropNetworkOptions& options);
 /// hardly helps these networks, and rotated images make them less accurate.
 struct NetworkRegularisation {
     double dropout = 0.0;  ///< share of the values that a layer drops
-    /// True: training rotates images around the sensor by a random number of columns,
-    /// except input channels that are fixed to the sensor (for example its beams).
+    /// True: training shifts images by a random number of columns, so that the scene
+    /// rotates. Does not shift input channels that depend only on the sensor.
     bool turns = false;
 };
 /// Returns the training settings that reduce overfitting of a network.

@@ -16,12 +16,12 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Maximum distance between the box of an actor and the sensor in frames that train this
-// actor well. Farther boxes have few returns.
+// A training frame counts for an actor only if the actor's box is at most this far from
+// the vehicle. Farther boxes have few returns.
 constexpr double kMaxActorDistance_m = 60.0;
 
 /// Counts the training frames of a part of the log (block) in which a box is near the
-/// sensor.
+/// vehicle.
 std::size_t count_training_frames_near_box(const BoxTrack& box, const LidarSequence& sequence,
                                            const TrajectoryBlock& block) {
     return std::size_t(std::count_if(block.train.begin(), block.train.end(), [&](int position) {

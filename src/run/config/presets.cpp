@@ -122,8 +122,8 @@ Config make_quick_preset_config() {
     // A ray ends before the surfel that would reduce its transmittance below this value.
     // An opaque surfel leaves 0.01, so the value must be smaller.
     config.image.transmittance_min = 9e-3f;
-    // Larger than in `default`. Surfels become smaller, so that rays hit fewer surfels
-    // and training is faster.
+    // `alpha_min` is larger than in the preset `default`, so that more of the faint edge
+    // of each surfel is skipped. Rays then hit fewer surfels, and training is faster.
     config.image.alpha_min = 0.04f;
     config.image.sh_degree = 2;
     config.train.iterations = 540;

@@ -17,8 +17,8 @@ namespace relidar {
 namespace {
 
 enum ActorPathField { kTime, kX, kY, kZ, kYaw, kPitch, kRoll, kYawRad, kPitchRad, kRollRad, kFieldCount };
-// Maximum number of columns in a file without a header. They are the first names in
-// kNames, in this order.
+// Maximum number of columns in a file without a header. Column i of such a file contains
+// the field kNames[i].
 constexpr std::size_t kUnnamed = 7;
 constexpr std::size_t kNeeded = 5;
 // Largest accepted number. Valid coordinates in metres, angles in degrees and times in

@@ -140,8 +140,8 @@ void require_valid_trajectory(const PoseTrack& track, const std::string& track_i
 }
 
 /// Adds interpolated poses to a track, so that consecutive poses are at most `max_step_s`
-/// apart. A box exists from half a time step before its first pose to half a time step
-/// after its last pose. Short steps keep this extension short.
+/// apart. Reason: a box is also present up to half a time step before its first pose and
+/// after its last pose. Short steps keep this extra time short.
 PoseTrack insert_interpolated_poses(const PoseTrack& track, double max_step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {

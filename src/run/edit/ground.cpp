@@ -50,9 +50,9 @@ constexpr std::array kMargins_m{0.25, 0.5, 1.0};
 // measured in the small area below a pedestrian.
 constexpr double kSmallestBelow_m = 0.75;
 constexpr std::size_t kFewestOnPlane = 8;  // Minimum number of surfels on a ground plane.
-// A plane is rejected if the standard deviation of its surfels, in the narrower direction
-// of the plane, is below this value. For example, surfels of a single LiDAR ring form a
-// narrow strip, which does not determine the slope.
+// Minimum width of the area that the surfels of a ground plane cover: the standard
+// deviation of their positions along the narrow side of the area. A narrower strip, for
+// example the surfels of a single LiDAR ring, does not determine the slope.
 constexpr double kNarrowest_m = 0.15;
 constexpr int kDraws = 200;
 // Approximate number of positions along a track at which the height of an actor above the

@@ -156,9 +156,9 @@ bool is_file_content_equal_to(const fs::path& file, const std::string& expected_
     return does_path_exist(file) && read_file(file) == expected_bytes;
 }
 
-/// Moves the files of `staging_folder` to the run's folder. If config.toml is unchanged
-/// and `remove_old_files` is empty, the old config.toml stays in place. Training can then
-/// be resumed even if the process is killed during the move.
+/// Moves the files of `staging_folder` to the run's folder. First deletes the old
+/// config.toml if it differs or if `remove_old_files` is set. Otherwise config.toml
+/// stays, so that training can be resumed even if the process is killed during the move.
 void move_staged_files(const fs::path& staging_folder, const fs::path& run_folder,
                        const std::function<void()>& remove_old_files) {
     const bool same_config =

@@ -39,7 +39,7 @@ SimulatedSensor make_sensor_for_frame(const Config& config, const LidarSequence&
 }
 
 /// Converts one flag per return of a scan to one flag per image pixel. Stores the flags
-/// as intensities of the scan, and then projects the scan into the image.
+/// as intensities, because make_measured_image() projects intensities to pixels.
 std::vector<bool> convert_return_flags_to_pixels(const std::vector<bool>& return_flags, const Config& config,
                                                  const LidarFrame& frame) {
     Scan flags = frame.scan;

@@ -165,9 +165,9 @@ Scan predict_scan_from_neighbours(const LidarSequence& sequence, int predicted_f
                 w.direction;
             glm::dvec3 world_m = w.point_m;
             if (const BoxTrack* box = find_containing_box(moving, w.point_m, w.time_s)) {
-                // Time at which the predicted sweep (`sweep`) measures the box. Assumes
-                // that this time has the same offset from the frame time as in the
-                // measured sweep (`frame`).
+                // Time when the predicted sweep (`sweep`) measures the box. Assumes the
+                // same offset from the frame time as for `w`, a return in this box in
+                // `frame`.
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);
                 if (!box->is_observed_at_time(then_s)) continue;
                 world_m = box->world_from_box.interpolate_pose(then_s) *

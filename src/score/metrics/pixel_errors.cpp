@@ -12,8 +12,8 @@
 namespace relidar::metrics_detail {
 namespace {
 
-// Ranges and intensities are clamped to at least this value, as in the evaluation code of
-// published tables.
+// Lower limit of ranges and intensities. The published evaluation protocol
+// (docs/method.md section 8) clamps them to the same value.
 constexpr double kClampLow = 1e-6;
 
 double clamp_value(float value, double maximum) { return std::clamp(double(value), kClampLow, maximum); }

@@ -103,8 +103,8 @@ std::vector<bool> mask_returns_in_labelled_movers(const LidarSequence& sequence,
                                                   const Pose& sensor_offset) {
     std::vector<BoxTrack> labelled = sequence.boxes;
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
-    // Ignores poses that discover_tracks() has added to labelled boxes, so that the
-    // selected returns do not depend on these poses.
+    // discover_tracks() may have added poses before the first or after the last label of
+    // a box. Removes these poses, so that the result does not depend on them.
     for (BoxTrack& box : labelled) box = box.copy_track_of_labelled_poses();
     return mask_returns_in_moving_boxes(std::move(labelled), sequence, frame, sensor_offset);
 }

@@ -136,8 +136,8 @@ std::vector<std::size_t> select_drawn_point_indices(const ReportCurve& curve) {
     for (std::size_t first = 0; first < n; first += width) {
         std::size_t low = first, high = first;
         for (std::size_t i = first; i < std::min(n, first + width); ++i) {
-            // If a value cannot be drawn, selects it instead of the minimum and maximum
-            // of the interval. The curve then has a gap at this value.
+            // Selects a value that cannot be drawn (such as NaN) instead of the minimum
+            // `low` and maximum `high` of the interval. The curve then has a gap there.
             if (!is_curve_point_drawable(curve, i)) low = high = i;
             else if (is_curve_point_drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
             else if (is_curve_point_drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;

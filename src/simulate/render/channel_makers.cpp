@@ -52,9 +52,9 @@ glm::dvec3 compute_surface_velocity(const InstancePose& instance_pose, double ti
            glm::cross(instance_pose.motion.angular_velocity_radps, point_m - middle_m);
 }
 
-/// Returns the rate of change of each ray's range:
+/// Returns for each ray how fast its range changes, in m/s:
 ///   direction * (velocity of the surface - velocity of the ray's origin)
-/// The rotation of the LiDAR head is not a motion of the ray's origin.
+/// The origin moves with the sensor. The rotation of the LiDAR head does not move it.
 ChannelValues make_radial_velocity_channel(const RenderedScan& scan, const ChannelInputs& context) {
     constexpr double kStep_s = 0.005;
     std::vector<float> velocity(scan.median_range_m.size(), 0.0f);

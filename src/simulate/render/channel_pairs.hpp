@@ -27,9 +27,8 @@ void for_each_basic_channel_pair(const RenderedScan& source, RenderedScan& targe
     visit(basic.instance, source.instance, target.instance);
 }
 
-/// Calls visit(ChannelInfo, source values, target values) for the channels of
-/// for_each_basic_channel_pair(), and for the optional channels in
-/// RenderedScan::channels.
+/// Calls visit(ChannelInfo, source values, target values) for each channel: first for the
+/// channels that every scan has, then for the optional channels (RenderedScan::channels).
 /// @param target must have the channels of `source` in the same order;
 /// make_scan_without_measurements() creates such a scan
 template <class Visit>

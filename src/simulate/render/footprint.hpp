@@ -34,8 +34,8 @@ RenderedScan join_sub_rays_to_beam_returns(const RenderedScan& sub_ray_scan, con
                                            const SensorConfig& config);
 
 /// Number of sub-rays of a beam that hits several surfaces. A second return needs a tenth
-/// of the strongest intensity. With only nine sub-rays, a single one would reach a tenth,
-/// even if its surface covers a tiny part of the beam.
+/// of the strongest intensity. With only nine sub-rays, a surface in a tiny part of the
+/// beam would get more than a tenth if one sub-ray hits it.
 inline constexpr int kEdgeParts = 40;
 
 /// Returns the indices of the beams that hit several surfaces, so that their sub-rays

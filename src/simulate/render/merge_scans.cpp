@@ -53,8 +53,8 @@ void append_second_return_values(ScanChannel& merged_channel, const ScanChannel&
     std::visit(add, source_channel.second);
 }
 
-/// Returns a scan with the poses of the merged scan and the firing times of one sensor's
-/// scan.
+/// Combines the poses of a sensor rig (`merged_scan`) with the firing times of one of its
+/// sensors (`scan`). Used to interpolate the rig's pose at each firing time.
 RenderedScan make_scan_with_rig_poses(const RenderedScan& merged_scan, const RenderedScan& scan) {
     RenderedScan rig;
     rig.image.rows = scan.image.rows;

@@ -87,9 +87,8 @@ WeatherSensorProperties make_sensor_properties_for_weather(const Config& config,
     if (config.sensor.divergence_mrad > 0.0) result.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
     else if (divergence_rad > 0.0) result.divergence_rad = divergence_rad;
     if (intensity_step > 0.0) result.darkest = 0.5 * intensity_step;
-    // `darkest` is half a quantisation step. The sensor reports lower intensities as 0.
-    // The mean of these intensities, half of `darkest`, is used as the limit of
-    // detection.
+    // The sensor reports intensities from 0 to `darkest` (half a quantisation step) as 0.
+    // The mean of this interval is used as the limit of detection.
     result.weakest_reflectivity = 0.5 * result.darkest;
     result.separation_m = config.sensor.return_separation_m;
     result.min_range_m = limits.min_m;

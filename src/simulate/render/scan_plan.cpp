@@ -10,8 +10,8 @@
 namespace relidar {
 namespace {
 
-/// Value of RayDropNetwork::image if the network processes one pixel per ray of the
-/// sensor. Other values are names of grids, whose pixels are processed instead.
+/// Value of RayDropNetwork::image if the network's input image has one pixel per ray. Any
+/// other value is the name of a grid, whose cells are the pixels of the image.
 constexpr const char* kNative = "native";
 
 SensorConfig make_beam_config(const SimulatedSensor& sensor, const Config& config) {

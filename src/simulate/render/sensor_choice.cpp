@@ -99,8 +99,8 @@ void copy_ray_to_grid_cell(const RenderedScan& source_scan, std::size_t ray_inde
     target_scan.time_offset_s[cell_index] = source_scan.time_offset_s[ray_index];
 }
 
-/// Lowers the drop probability of a pixel (cell) to the value of a ray in this pixel. A
-/// pixel is filled if any of its rays returns.
+/// Updates a pixel (cell) with one of its rays. The pixel's drop probability is the
+/// minimum over its rays, because the pixel has a return if any ray returns.
 void merge_drop_probability_into_cell(const RenderedScan& source_scan, std::size_t ray_index,
                                       RenderedScan& target_scan, std::size_t cell_index) {
     for_each_channel_pair(

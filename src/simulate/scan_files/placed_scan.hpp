@@ -27,8 +27,8 @@ struct ScanInOutputFrame {
     /// file
     std::vector<ScanChannel> channels;
     FileMetadata notes;
-    /// pose of the points' coordinate frame in the world frame of the dataset; no value
-    /// if each point is in the sensor's frame at its firing time
+    /// pose of the points' coordinate frame in the dataset's world frame; no value if
+    /// each point is in the frame that the sensor had when it fired the point's ray
     std::optional<Pose> dataset_from_points;
 
     const RangeImage& get_image() const { return scan.image; }

@@ -6,9 +6,8 @@
 namespace relidar::scan_files {
 
 std::span<const RecordingFormat> list_recording_formats() {
-    // The format "rosbag" has an empty metadata value `serialized_metadata`. It makes
-    // rosbag2 read quality-of-service policies as numbers, which is how the topics store
-    // them.
+    // The topics of the format "rosbag" store quality-of-service policies as numbers. The
+    // empty metadata value `serialized_metadata` makes rosbag2 read them as numbers.
     static const RecordingFormat formats[] = {
         {"mcap", "scans.mcap", "", "protobuf", "protobuf", {}, list_foxglove_topics},
         {"rosbag",

@@ -49,9 +49,9 @@ WeatherRaySimulator::WeatherRaySimulator(const Weather& weather, const WeatherSe
                                          std::vector<std::unique_ptr<RayWeatherEffect>> effects)
     : sensor_(sensor), alpha_(compute_extinction_coefficient(weather)), effects_(std::move(effects)) {}
 
-/// Returns the reflectivity of a surface. If the reflectivity is below one quantisation
-/// step of the intensity, its exact value is unknown. Then draws a random value between
-/// the weakest detectable reflectivity and one step.
+/// Returns the reflectivity of a surface. A reflectivity below one quantisation step of
+/// the intensity is not known exactly. In this case, returns a random value between the
+/// weakest detectable reflectivity and one step.
 double WeatherRaySimulator::sample_surface_reflectivity(const LidarEcho& surface_echo, Random& random) const {
     const double step = 2.0 * sensor_.darkest;
     if (surface_echo.reflectivity >= step) return surface_echo.reflectivity;

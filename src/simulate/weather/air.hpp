@@ -97,10 +97,10 @@ public:
     /// Creates the simulation with a given list of weather effects.
     WeatherRaySimulator(const Weather& weather, const WeatherSensorProperties& sensor,
                         std::vector<std::unique_ptr<RayWeatherEffect>> effects);
-    /// Computes the returns that the sensor measures along a ray. The second return is
-    /// the last one, or the second strongest if the strongest return is also the last.
-    /// Both returns are at least WeatherSensorProperties::separation_m apart. Leaves out
-    /// returns below the detection threshold.
+    /// Computes the strongest and the second return that the sensor measures along a ray.
+    /// The second return is the last one. If the last return is also the strongest, the
+    /// second strongest is used. Both are at least WeatherSensorProperties::separation_m
+    /// apart. Leaves out returns below the detection threshold.
     EchoPair compute_echoes_in_weather(RayWeatherState ray, std::uint64_t seed) const;
 
 private:

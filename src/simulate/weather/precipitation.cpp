@@ -89,7 +89,7 @@ private:
     const double alpha_;
     const ParticleDistribution falling_;
     // Element k: expected number of raindrops or snowflakes that the sensor can detect
-    // along a ray, at most k * kParticleStep_m behind the minimum range.
+    // along a ray, from the minimum range to (minimum range + k * kParticleStep_m).
     std::vector<double> expected_;
 
     /// Returns the diameter in millimetres of the smallest particle that the sensor

@@ -183,8 +183,8 @@ struct MirroredRays {
 // Rays that the wet ground mirrors start at this height in metres, so that they do not
 // hit the rough ground itself.
 constexpr double kLift_m = 0.1;
-// Minimum height in metres above the wet ground of a point that the ground mirrors. If a
-// mirrored ray hits a lower point, the point is part of the ground and is ignored.
+// Minimum height in metres above the wet ground of a mirrored object. If a mirrored ray
+// hits a lower point, this point is part of the ground and is ignored.
 constexpr double kLowest_m = 0.3;
 
 // Computes the drop probability of a ray: the softmax of its drop logit and hit logit.
@@ -210,9 +210,9 @@ MirroredRays mirror_rays_in_wet_ground(const WeatherInput& input,
             scan.image.intensity[i] / input.response.compute_intensity_factor_at_range(range_m);
         wet_rays[i].through_water = 1.0 - share + share * compute_wet_reflectance_ratio(cosine, albedo);
         wet_rays[i].mirrors = share * std::pow(compute_water_reflectance(cosine), 2);
-        // If the sensor reports only one return, skips mirrored rays that return less
-        // light than the wet ground itself. `through_water` * albedo is the brightness of
-        // the wet ground.
+        // A sensor with one return reports the brighter of two: the wet ground
+        // (`through_water` * albedo) or the mirrored object (at most `mirrors`). Skips
+        // the mirrored ray if the object cannot be brighter.
         if (scan.second_returns.empty() && wet_rays[i].mirrors <= wet_rays[i].through_water * albedo)
             continue;
         wet_rays[i].mirrored.range_m = range_m;

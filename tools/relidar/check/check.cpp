@@ -109,8 +109,8 @@ std::vector<DeviceCheck> list_device_checks_and_run_checks(const std::string& ru
 }
 
 void run_device_checks(const CheckOptions& options) {
-    // Usually, relidar avoids methods that have failed its test of this device. The
-    // checks below must use all methods, so they assume that the driver has no errors.
+    // Normally, relidar avoids methods that have failed a test on the device. The checks
+    // below must use all methods, so default results (no failures) replace the real ones.
     const ScopedDeviceTestResults trusting(DeviceTestResults{});
     CheckedDevice checked(convert_to_device_options(options.device));
     const DeviceInfo& info = checked.get_default_device().info();

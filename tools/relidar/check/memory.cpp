@@ -19,7 +19,7 @@ namespace {
 
 constexpr std::uint64_t kMiB = std::uint64_t(1) << 20;
 
-/// Returns how many bytes of memory a check may allocate.
+/// Returns how many bytes of device memory each memory check in this file may allocate.
 std::uint64_t compute_memory_limit_of_check_bytes(const Device& device) {
     std::uint64_t n_free = gpu::query_memory_budget(device.impl().physical).get_free_device_memory_bytes();
     if (const std::uint64_t limit = device.impl().memory_limit_bytes; limit > 0)

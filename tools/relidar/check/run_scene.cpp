@@ -18,8 +18,8 @@ namespace relidar::cli {
 namespace {
 
 constexpr std::size_t kRunRays = 512;
-/// Maximum difference of a value between the device and double precision, relative to the
-/// value if it is greater than 1.
+/// Maximum difference between a value of the device and the exact value in double
+/// precision. Divided by the exact value if this value is greater than 1.
 constexpr double kValueTolerance = 1e-3;
 /// Maximum share of rays that exceed kValueTolerance. At the edge of a surfel, or between
 /// surfels at equal distances, rounding decides which surfels are blended.

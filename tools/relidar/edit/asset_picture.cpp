@@ -86,7 +86,7 @@ float find_95th_percentile_intensity(const std::vector<RenderedScan>& scans) {
 }
 
 /// Draws one view of the asset into the canvas.
-/// @param top_left_row, column position of the view's upper left pixel in the canvas
+/// @param top_left_row, top_left_column canvas position of the view's upper left pixel
 void draw_asset_view(Image& canvas, int top_left_row, int top_left_column, const RenderedScan& scan,
                      const std::vector<float>& pixel_brightness, const ObservedBoxSurface& surface) {
     for (int r = 0; r < scan.image.rows; ++r) {

@@ -114,9 +114,9 @@ Image draw_dots_in_side_by_side_panels(const std::vector<std::vector<PictureDot>
     return apply_colour_map(values, rows, columns, min_value, max_value, colour_map_name);
 }
 
-/// Projects the points of an actor to a picture that is seen along a horizontal
-/// direction. The value of each picture dot is the point's depth along this direction,
-/// relative to the box centre.
+/// Projects the points of an actor into a side view along `horizontal_view_direction`.
+/// The value of each dot is the point's depth along this direction, relative to the
+/// centre of the actor's box.
 std::vector<PictureDot> project_box_points_to_picture_dots(const std::vector<glm::dvec3>& points_m,
                                                            const glm::dvec2& horizontal_view_direction) {
     std::vector<PictureDot> dots;

@@ -31,7 +31,7 @@ std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, cons
 void write_comparison_pictures(const std::filesystem::path& folder, const ScoredFrame& frame,
                                double max_range_m);
 
-/// Draws the rendered range image below the real range image.
+/// Draws the real range image above the rendered range image.
 Image draw_real_above_rendered_range(const ScoredFrame& frame, double max_range_m);
 
 /// Draws the ray pattern of a sensor. Each ray is a dot whose colour shows its firing

@@ -56,8 +56,8 @@ void print_log_info(const InfoOptions& options) {
         summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
     const bool is_long = std::ranges::any_of(
         summary.lidars, [](const LidarSummary& lidar) { return lidar.n_frames > kMostScans; });
-    // `is_look` says that the summary is based on only a part of the scans. Some log
-    // readers read all scans, even if fewer are requested.
+    // Marks a summary that uses only a part of the scans. Compares `n_scans_read`,
+    // because some log readers read all scans even if fewer are requested.
     summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;
     print(options.json ? format_summary_as_json(summary) : format_summary_as_text(summary));
 }

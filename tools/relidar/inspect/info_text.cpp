@@ -42,9 +42,8 @@ std::string format_box_class_and_size_guess(const BoxSummary& box) {
     return box.size_guess.empty() ? box.category : fmt::format("{}, {}?", box.category, box.size_guess);
 }
 
-/// Returns notes about boxes whose tracks extend beyond their labels, and about boxes
-/// with guessed sizes. Each kind of note has one line. The text is empty if there are no
-/// notes.
+/// Returns up to two lines. One names the boxes with guessed sizes. The other names boxes
+/// that were also found in frames before their first or after their last label.
 std::string format_box_notes(const std::vector<BoxSummary>& boxes) {
     std::vector<std::string> guesses, continued;
     for (const BoxSummary& b : boxes) {

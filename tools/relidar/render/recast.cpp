@@ -24,8 +24,8 @@ std::filesystem::path get_synthetic_street_folder(const TrainedRun& run) {
     return path.starts_with(kKind) ? path.substr(std::string(kKind).size()) : path;
 }
 
-/// Returns the number of the synthetic car from which a model was trained. The name of
-/// the model is this number, even after an edit.
+/// Returns the number of the synthetic car from which a model was trained. The model's
+/// name is this number. Edits of the scene do not change the name.
 std::size_t get_synthetic_car_number_of_model(const SurfelModel& model,
                                               const std::string& track_id_for_errors) {
     std::size_t car = 0;

@@ -20,8 +20,8 @@ struct MountedSimulatedSensor {
     std::string folder;
     SimulatedSensor sensor;
     Pose mounting;
-    /// Model of a spinning sensor. Empty for the log's sensor, for a regular grid of
-    /// rays, and for a sensor that does not spin.
+    /// Model of the sensor if it is a spinning sensor, else no value. The log's sensor
+    /// and a regular grid of rays have no model.
     std::optional<SpinningSensor> spinning = {};
 };
 

@@ -93,8 +93,8 @@ void run_view_command(const ViewOptions& options) {
     if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path folder = get_save_folder(options, run);
     Device device(convert_to_device_options(options.device));
-    // `session` and `foxglove` send their results to the server through this pointer. The
-    // server calls both objects, so it is created after them and destroyed before them.
+    // The server calls `session` and `foxglove`. It is therefore created after them and
+    // destroyed before them. They send results to the server through this pointer.
     view::WebServer* out = nullptr;
     view::ViewerSession session(
         std::move(run), load_other_runs(options.inserts), device, folder,
