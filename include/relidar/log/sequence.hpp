@@ -110,10 +110,10 @@ struct SweepTiming {
     int lidar = 0;        ///< index into LidarSequence::lidars
     std::optional<SweepStart> start = {};
 };
+/// Returns the recorded timing of a frame.
 inline SweepTiming get_sweep_timing_of_frame(const LidarFrame& frame) {
     return {frame.time_s, frame.lidar, frame.start};
 }
-
 struct Lidar;
 /// Returns the start of a sweep of any LiDAR. Returns nothing if it is the default (half
 /// a period before the reference time) or unknown (no scan pattern, or equal ray times).

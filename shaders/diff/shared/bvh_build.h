@@ -78,8 +78,7 @@ struct BvhClusterParams {
     // other one reads it and joins the ranges. Initially RELIDAR_BVH_NO_NODE.
     RELIDAR_OF(Uints, OtherEnds) other_ends;
     // Scratch [n]: for each range of sorted surfels, a list of the roots of its subtrees.
-    // The list starts at the index of the range's first surfel. RELIDAR_BVH_NO_NODE marks
-    // its end.
+    // It starts at the index of the range's first surfel and ends with RELIDAR_BVH_NO_NODE.
     RELIDAR_OF(Uints, BinaryClusters) clusters;
     RELIDAR_OF(Uints, BinaryRoots) roots;  // output [n_models] root of each model
     uint n_surfels;
@@ -93,8 +92,8 @@ struct BvhWide {
     RELIDAR_OF(Uints, LeafOrder) order;   // [n]
     RELIDAR_OF(Uvec2s, WideLinks) links;  // [bound] parent or NO_NODE, first surfel of the model
     RELIDAR_OF(Floats, WideBoxes) boxes;  // [bound,6] m: box of the node before quantisation
-    // For each node [bound]: number of its child nodes whose boxes are up to date. Always
-    // 0 between launches. `bound` is the maximum number of nodes.
+    // For each of `bound` nodes: number of its child nodes whose boxes are up to date.
+    // Always 0 between launches.
     RELIDAR_OF(Uints, Arrivals) arrivals;
     RELIDAR_OF(Uints, WideCount) count;  // [1] number of nodes in use
 };

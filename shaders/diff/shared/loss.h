@@ -11,8 +11,7 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Defines one constant per loss term, for example kTerm_depth. Its value is the column of
-// the term in the rows of the array `terms`.
+// Defines kTerm_depth, kTerm_intensity, ...: columns of the loss terms in array `terms`.
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) const uint kTerm_##name = index;
 RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
@@ -36,9 +35,8 @@ struct ImageLossParams {
     uint normalised_depth;
 };
 
-// Number of floats per pixel in SsimParams::statistics: dL/d(mean), 2 dL/d(variance),
-// dL/d(covariance), and the means of the two images. All refer to the window around the
-// pixel. L is the loss.
+// Floats per pixel in SsimParams::statistics, for the window around the pixel: derivative
+// of the loss by mean, variance (times 2) and covariance, and the means of both images.
 #define RELIDAR_SSIM_FLOATS 5
 
 /// Parameters of the kernels loss/ssim and loss/ssim_vjp, which compute the structural

@@ -68,8 +68,7 @@ Config make_default_preset_config() {
     // KITTI labels only objects that its front camera sees.
     config.init.unlabelled_movers = UnlabelledMoverPolicy::actors;
     config.init.opacity = 0.8;
-    // The initial ray-drop probability, 1 / (1 + exp(hit_margin)), is 12 %. This is
-    // typical for sensors.
+    // Initial ray-drop probability: 1 / (1 + exp(hit_margin)) = 12 %, which is typical.
     config.init.hit_margin = 2.0;
     config.init.scale_factor = 0.4;
     config.init.max_scale_m = 0.3;
