@@ -78,7 +78,7 @@ struct BvhClusterParams {
     // other one reads it and joins the ranges. Initially RELIDAR_BVH_NO_NODE.
     RELIDAR_OF(Uints, OtherEnds) other_ends;
     // Scratch [n]: for each range of sorted surfels, a list of the roots of its subtrees.
-    // It starts at the index of the range's first surfel and ends with RELIDAR_BVH_NO_NODE.
+    // It starts at the index of the first surfel, and ends with RELIDAR_BVH_NO_NODE.
     RELIDAR_OF(Uints, BinaryClusters) clusters;
     RELIDAR_OF(Uints, BinaryRoots) roots;  // output [n_models] root of each model
     uint n_surfels;
