@@ -139,7 +139,7 @@ class Gradient(TestCase):
         self.assert_fails(relidar.DataError, "type list", forward, origins.tolist(), directions)
         self.assert_fails(relidar.DataError, ">f4", forward, origins.astype(">f4"), directions)
         self.assert_fails(relidar.DataError, "depth: found float32 [3] ... float32 [60]", backward, {"depth": three})
-        self.assert_fails(relidar.UsageError, 'found "range"', backward, {"range": np.zeros(60, np.float32)})
+        self.assert_fails(relidar.UsageError, 'd_rendered ... "range"', backward, {"range": np.zeros(60, np.float32)})
         self.assert_fails(relidar.DataError, "poses: found 1 entries, expected 3", case.renderer.place, np.eye(4)[None])
         self.assert_fails(relidar.DataError, "view_origin: found float32", case.renderer.place, None, three)
         overlapping = relidar.Scene(case.surfels, [{"name": "a", "first": 0, "count": 10**6}])
