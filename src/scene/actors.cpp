@@ -103,7 +103,8 @@ ObjectKind guess_object_kind(const BoxTrack& box) {
     if (box.category != kDiscoveredCategory) return parse_object_kind(box.category);
     const double length = std::max(box.size_m.x, box.size_m.y), width = std::min(box.size_m.x, box.size_m.y);
     if (width > 1.1 || box.size_m.z < 1.2) return ObjectKind::other;
-    return length < 1.3 ? ObjectKind::person : length < 2.2 ? ObjectKind::cyclist : ObjectKind::other;
+    if (length < 1.3) return ObjectKind::person;
+    return length < 2.2 ? ObjectKind::cyclist : ObjectKind::other;
 }
 
 bool is_deformable_object(const BoxTrack& box, const SceneInitialisationOptions& options) {

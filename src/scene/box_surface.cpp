@@ -9,6 +9,7 @@
 #include <map>
 #include <utility>
 
+#include "base/longest_axis.hpp"
 #include "base/median.hpp"
 
 namespace relidar {
@@ -59,10 +60,10 @@ ObservedBoxSurface::ObservedBoxSurface(const glm::dvec3& size_m) : half_m_(0.5 *
 std::optional<ObservedBoxSurface::BoxSurfacePatch> ObservedBoxSurface::find_patch_of_point(
     const glm::dvec3& point_m) const {
     const glm::dvec3 share = point_m / half_m_, size = glm::abs(share);
-    const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
+    const int axis = find_longest_axis(size);
     if (!(size[axis] > 0.0) || !std::isfinite(size[axis]) || (axis == 2 && share.z < 0.0))
         return std::nullopt;
-    const int side = axis == 2 ? int(BoxSide::top) : 2 * axis + (share[axis] < 0.0 ? 1 : 0);
+    const int side = axis == 2 ? int(BoxSide::top) : 2 * axis + int(share[axis] < 0.0);
     const BoxSideAxes& frame = kSideFrames[side];
     const glm::dvec3 on_surface = point_m / size[axis];
     const BoxSurfacePatch patch{

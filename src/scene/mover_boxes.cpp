@@ -113,9 +113,10 @@ std::vector<double> compute_object_centres_along_axes(const MoverTrack& track,
     for (std::size_t k = 0; k < axes.size(); ++k) {
         const auto [low, high] = compute_cluster_extent_along_axis(track.observations[k].cluster, axes[k]);
         const double sensor = glm::dot(axes[k], track.observations[k].sensor_m);
-        centres.push_back(sensor > high  ? high - half_size_m
-                          : sensor < low ? low + half_size_m
-                                         : 0.5 * (low + high));
+        double centre = 0.5 * (low + high);
+        if (sensor > high) centre = high - half_size_m;
+        else if (sensor < low) centre = low + half_size_m;
+        centres.push_back(centre);
     }
     return centres;
 }
@@ -208,7 +209,8 @@ const TypicalObjectSize* classify_object_by_size(const glm::dvec3& size_m, doubl
     if (speed_mps < kDrives_mps) return nullptr;
     const bool cyclist =
         size_m.y < kCyclistWidth_m && size_m.z > kCyclistTop_m && size_m.x < kCar.least_length_m;
-    const TypicalObjectSize* kind = cyclist ? &kCyclist : size_m.z > kTruck_m ? &kTruck : &kCar;
+    const TypicalObjectSize* kind = size_m.z > kTruck_m ? &kTruck : &kCar;
+    if (cyclist) kind = &kCyclist;
     return size_m.x < kind->least_length_m && size_m.y < kind->least_width_m ? nullptr : kind;
 }
 
@@ -221,7 +223,8 @@ double compute_sensor_side_sign(const BoxTrack& box, const MoverTrack& track, in
         low += at<-0.5 * box.size_m[axis] - kBeside_m, high += at> 0.5 * box.size_m[axis] + kBeside_m;
     }
     const auto most = std::ptrdiff_t(track.observations.size() * 3 / 4);
-    return low > most ? -1.0 : high > most ? 1.0 : 0.0;
+    if (low > most) return -1.0;
+    return high > most ? 1.0 : 0.0;
 }
 
 bool is_labelled(const MoverObservation& observation) { return observation.cluster.label != kNoLabel; }

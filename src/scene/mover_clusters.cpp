@@ -256,9 +256,9 @@ ClustersByFrame find_clusters_in_frames(const LidarSequence& sequence, std::span
     std::vector<CellMotionState> motion(cells.size());
     parallel_for_in_blocks(cells.size(), [&](std::size_t index) {
         const VisibilityChecker::VisibilityVotes votes = visibility.count_visibility_votes(cells[index]);
-        motion[index] = votes.is_empty_space(kMinEmptyShare) ? CellMotionState::moved
-                        : votes.n_occupied <= kTooFewFrames  ? CellMotionState::rarely_observed
-                                                             : CellMotionState::rests;
+        if (votes.is_empty_space(kMinEmptyShare)) motion[index] = CellMotionState::moved;
+        else if (votes.n_occupied <= kTooFewFrames) motion[index] = CellMotionState::rarely_observed;
+        else motion[index] = CellMotionState::rests;
     });
     ClustersByFrame clusters(frames.size());
     parallel_for(static_cast<int>(frames.size()), [&](int index) {

@@ -48,10 +48,9 @@ ObjectKind parse_object_kind(std::string_view category) {
     std::string word(category);
     std::ranges::transform(word, word.begin(),
                            [](unsigned char character) { return char(std::tolower(character)); });
-    return is_word_in_list(kVehicles, word)   ? ObjectKind::vehicle
-           : is_word_in_list(kCyclists, word) ? ObjectKind::cyclist
-           : is_word_in_list(kPersons, word)  ? ObjectKind::person
-                                              : ObjectKind::other;
+    if (is_word_in_list(kVehicles, word)) return ObjectKind::vehicle;
+    if (is_word_in_list(kCyclists, word)) return ObjectKind::cyclist;
+    return is_word_in_list(kPersons, word) ? ObjectKind::person : ObjectKind::other;
 }
 
 const char* get_name(ObjectKind kind) {

@@ -12,6 +12,8 @@
 #include <relidar/base/error.hpp>
 #include <relidar/scene/device_scene.hpp>
 
+#include "base/longest_axis.hpp"
+
 namespace relidar {
 
 namespace {
@@ -155,7 +157,7 @@ std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& p
             high = glm::max(high, points[order[i]]);
         }
         const glm::vec3 size = high - low;
-        const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
+        const int axis = find_longest_axis(size);
         const std::size_t middle = (first + last) / 2;
         std::nth_element(order.begin() + static_cast<std::ptrdiff_t>(first),
                          order.begin() + static_cast<std::ptrdiff_t>(middle),

@@ -92,6 +92,15 @@ std::vector<Out> require_numeric_and_convert_elements(const NamedArray& array) {
     return function(array);
 }
 
+/// Returns the number of bytes that follow the first byte of a UTF-8 sequence, or 4 if the
+/// byte cannot begin a sequence.
+std::size_t count_utf8_continuation_bytes(unsigned char first) {
+    if (first < 0x80) return 0;
+    if (first >> 5 == 6) return 1;
+    if (first >> 4 == 14) return 2;
+    return first >> 3 == 30 ? 3 : 4;
+}
+
 /// Converts UTF-8 to Unicode code points. Replaces each invalid byte with U+FFFD.
 std::u32string decode_utf8_code_points(std::string_view utf8) {
     // Smallest code point for each length of a UTF-8 sequence. A longer sequence for a
@@ -100,11 +109,7 @@ std::u32string decode_utf8_code_points(std::string_view utf8) {
     std::u32string points;
     for (std::size_t i = 0; i < utf8.size();) {
         const auto first = static_cast<unsigned char>(utf8[i]);
-        const std::size_t more = first < 0x80       ? 0
-                                 : first >> 5 == 6  ? 1
-                                 : first >> 4 == 14 ? 2
-                                 : first >> 3 == 30 ? 3
-                                                    : 4;
+        const std::size_t more = count_utf8_continuation_bytes(first);
         char32_t point = more == 0 ? first : first & (0x3Fu >> more);
         std::size_t n = 1;
         for (; more < 4 && n <= more && i + n < utf8.size() &&
@@ -128,9 +133,8 @@ std::size_t get_element_size_bytes(std::string_view numpy_type) {
         std::uint32_t length = 0;
         const auto [end, error] =
             std::from_chars(numpy_type.data() + 1, numpy_type.data() + numpy_type.size(), length);
-        return error == std::errc() && end == numpy_type.data() + numpy_type.size()
-                   ? length * (numpy_type[0] == 'U' ? sizeof(char32_t) : 1)
-                   : 0;
+        if (error != std::errc() || end != numpy_type.data() + numpy_type.size()) return 0;
+        return length * (numpy_type[0] == 'U' ? sizeof(char32_t) : 1);
     }
     if (!find_element_converter<float>(numpy_type)) return 0;
     return std::size_t(numpy_type[1] - '0');

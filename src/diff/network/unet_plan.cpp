@@ -64,9 +64,8 @@ std::uint32_t count_decoder_channels(const std::vector<std::uint32_t>& widths, s
 
 std::uint32_t count_upsampled_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
     const std::size_t n_levels = widths.size() - 1;
-    return level >= n_levels       ? 0
-           : level + 1 == n_levels ? widths[n_levels]
-                                   : count_decoder_channels(widths, level + 1);
+    if (level >= n_levels) return 0;
+    return level + 1 == n_levels ? widths[n_levels] : count_decoder_channels(widths, level + 1);
 }
 
 std::uint32_t count_concatenated_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {

@@ -64,6 +64,13 @@ PointTimeReference find_reference_of_point_times(const std::vector<TimeRange>& t
     return PointTimeReference::sensor_clock;
 }
 
+/// Returns a text for the user that names the zero of point times.
+const char* describe_point_time_reference(PointTimeReference reference) {
+    if (reference == PointTimeReference::stamp) return "relative to the stamp of the cloud";
+    if (reference == PointTimeReference::epoch) return "in the same clock as the stamps of clouds";
+    return "in the clock of the sensor; the first time in a cloud is set to the stamp of the cloud";
+}
+
 void set_point_time_unit_from_ranges(PointCloudUnits& units, const std::vector<TimeRange>& time_ranges,
                                      double cloud_interval_s) {
     if (time_ranges.empty()) return;
@@ -80,12 +87,7 @@ void set_point_time_unit_from_ranges(PointCloudUnits& units, const std::vector<T
         units.about = fmt::format(
             "the times of points are read in {}, {}; a cloud lasts {:.1f} ms from its first to its last "
             "point",
-            unit.name,
-            units.zero == PointTimeReference::stamp ? "relative to the stamp of the cloud"
-            : units.zero == PointTimeReference::epoch
-                ? "in the same clock as the stamps of clouds"
-                : "in the clock of the sensor; the first time in a cloud is set to the stamp of the cloud",
-            1e3 * span * unit.seconds);
+            unit.name, describe_point_time_reference(units.zero), 1e3 * span * unit.seconds);
         return;
     }
     units.about = units.is_deskewed

@@ -183,11 +183,10 @@ LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnit
                                     const std::string& error_location) {
     const auto *x = table.find_field(PointAttribute::x), *y = table.find_field(PointAttribute::y),
                *z = table.find_field(PointAttribute::z);
-    if (!x || !y || !z)
-        throw DataError(fmt::format("{}: the field {} is missing, expected x, y and z", error_location,
-                                    !x   ? "x"
-                                    : !y ? "y"
-                                         : "z"));
+    for (const auto& [field, name] : {std::pair(x, "x"), std::pair(y, "y"), std::pair(z, "z")})
+        if (!field)
+            throw DataError(
+                fmt::format("{}: the field {} is missing, expected x, y and z", error_location, name));
     LidarPoints points;
     PointFieldConverter convert{{}, error_location};
     std::tie(convert.selected_indices, points.position_m) = select_return_points(table, {x, y, z}, units);

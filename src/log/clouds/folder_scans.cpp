@@ -311,13 +311,12 @@ private:
         fitted_sensor->divergence_rad = sensor.divergence_rad;
         sensor = *fitted_sensor;
         plan.ordered = true;
+        const char* ring_note = "";
+        if (plan.order) ring_note = ", which have no rings; their order in the file shows the rings";
+        else if (!plan.has_rings) ring_note = ", which have no rings";
         add_note_once(lidar_index,
                       fmt::format("a sensor with {} beams and {} columns was fitted to the points{}",
-                                  fitted_sensor->beams.size(), fitted_sensor->columns,
-                                  plan.order ? ", which have no rings; their order in the file shows the "
-                                               "rings"
-                                  : !plan.has_rings ? ", which have no rings"
-                                                    : ""));
+                                  fitted_sensor->beams.size(), fitted_sensor->columns, ring_note));
     }
 
     /// Sets ring numbers of points that have none, from their elevations or from their

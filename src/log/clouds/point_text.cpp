@@ -136,7 +136,9 @@ private:
                                         shorten_for_error_message(field_name)));
         if (type_code[1] == 'V' || field_name.empty())
             return {std::string(kPadding), 'U', 1, std::size_t(*size)};
-        const char kind = type_code[1] == 'f' ? 'F' : type_code[1] == 'i' ? 'I' : 'U';
+        char kind = 'U';
+        if (type_code[1] == 'f') kind = 'F';
+        else if (type_code[1] == 'i') kind = 'I';
         return {field_name, kind, std::size_t(*size)};
     }
 };

@@ -35,6 +35,13 @@ bool is_in_supported_range(const glm::dvec3& point_m) {
            std::abs(point_m.z) < kFarthestPoint_m;
 }
 
+/// Returns the axis with the smallest component. If two components are equal, returns the
+/// first of their axes.
+int find_axis_of_next_border(const glm::dvec3& next) {
+    if (next.x <= next.y) return next.x <= next.z ? 0 : 2;
+    return next.y <= next.z ? 1 : 2;
+}
+
 /// Calls visit_cell(cell, length_m) for each cell that a line segment crosses, in order
 /// along the segment.
 template <class Visit>
@@ -62,7 +69,7 @@ void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, 
     }
     double at = 0.0;
     for (int border = 0; border < n_borders; ++border) {
-        const int axis = next.x <= next.y ? (next.x <= next.z ? 0 : 2) : (next.y <= next.z ? 1 : 2);
+        const int axis = find_axis_of_next_border(next);
         visit_cell(cell, std::max(next[axis] - at, 0.0) * length_m);
         at = std::max(next[axis], at);
         cell[axis] += step[axis];

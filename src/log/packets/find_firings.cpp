@@ -104,12 +104,14 @@ FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& firin
 void correct_times_of_empty_firings(std::vector<FiringColumn>& firings, double rotation_period_s) {
     const auto n = std::ptrdiff_t(firings.size());
     std::vector<std::ptrdiff_t> before(firings.size(), -1), after(firings.size(), -1);
-    for (std::ptrdiff_t i = 0; i < n; ++i)
-        before[std::size_t(i)] =
-            firings[std::size_t(i)].has_returns ? i : (i > 0 ? before[std::size_t(i - 1)] : -1);
-    for (std::ptrdiff_t i = n; i-- > 0;)
-        after[std::size_t(i)] =
-            firings[std::size_t(i)].has_returns ? i : (i + 1 < n ? after[std::size_t(i + 1)] : -1);
+    for (std::ptrdiff_t i = 0; i < n; ++i) {
+        if (firings[std::size_t(i)].has_returns) before[std::size_t(i)] = i;
+        else if (i > 0) before[std::size_t(i)] = before[std::size_t(i - 1)];
+    }
+    for (std::ptrdiff_t i = n; i-- > 0;) {
+        if (firings[std::size_t(i)].has_returns) after[std::size_t(i)] = i;
+        else if (i + 1 < n) after[std::size_t(i)] = after[std::size_t(i + 1)];
+    }
     for (std::ptrdiff_t i = 0; i < n; ++i) {
         const std::ptrdiff_t left = before[std::size_t(i)], right = after[std::size_t(i)];
         if (left == i || (left < 0 && right < 0)) continue;

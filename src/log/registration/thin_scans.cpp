@@ -114,9 +114,8 @@ WorldPointWithOrigin transform_point_to_world(const PoseTrack& track, const Subs
 }
 
 double get_interpolation_weight_of_pose(const SubsampledPoint& point, std::size_t pose_index) {
-    return point.left == pose_index       ? 1.0 - double(point.s)
-           : point.left + 1 == pose_index ? double(point.s)
-                                          : 0.0;
+    if (point.left == pose_index) return 1.0 - double(point.s);
+    return point.left + 1 == pose_index ? double(point.s) : 0.0;
 }
 
 std::vector<std::vector<SubsampledPoint>> downsample_selected_sweeps(

@@ -153,11 +153,10 @@ void append_value_of_one_return(ScanChannel& point_channel, const ScanChannel& r
         const auto* second = return_number_from_1 == 2 && count_channel_values(ray_channel.second) > 0
                                  ? std::get_if<std::vector<T>>(&ray_channel.second)
                                  : nullptr;
-        const T other = second           ? (*second)[index_of_ray]
-                        : channel.of_ray ? values[index_of_ray]
-                                         : get_value_of_rays_without_hit<T>(channel);
-        std::get<std::vector<T>>(point_channel.values)
-            .push_back(return_number_from_1 == 1 ? values[index_of_ray] : other);
+        auto& point_values = std::get<std::vector<T>>(point_channel.values);
+        if (second) point_values.push_back((*second)[index_of_ray]);
+        else if (return_number_from_1 == 1 || channel.of_ray) point_values.push_back(values[index_of_ray]);
+        else point_values.push_back(get_value_of_rays_without_hit<T>(channel));
     };
     std::visit(append_one, ray_channel.values);
 }

@@ -55,10 +55,10 @@ double read_optional_number(const Json* json, double default_value, const std::s
 RangeLimits get_ouster_range_limits(const Json& metadata) {
     const Json* line = find_json_value(metadata, "prod_line", {"sensor_info"});
     const std::string product = line && line->is_string() ? line->get<std::string>() : "";
-    const auto built_in_sensor = product.starts_with("OS-0")   ? find_built_in_sensor("OS0-128")
-                                 : product.starts_with("OS-2") ? find_built_in_sensor("OS2-128")
-                                                               : find_built_in_sensor("OS1-128");
-    return built_in_sensor->limits;
+    const char* sensor_name = "OS1-128";
+    if (product.starts_with("OS-0")) sensor_name = "OS0-128";
+    else if (product.starts_with("OS-2")) sensor_name = "OS2-128";
+    return find_built_in_sensor(sensor_name)->limits;
 }
 
 /// Reads the number of columns and the rate from the mode of an Ouster sensor. The mode

@@ -101,17 +101,24 @@ std::set<int> parse_test_frame_list(const std::string& frame_list_text,
     return held_out;
 }
 
+/// Selects the test frames of a log. The list of the user takes precedence over the
+/// published split, and the published split over every n-th frame.
+std::set<int> select_test_frames(const std::vector<int>& published_test_frames,
+                                 const std::vector<int>& log_frame_numbers, int test_every_nth_frame,
+                                 const std::string& test_frame_list) {
+    if (!test_frame_list.empty()) return parse_test_frame_list(test_frame_list, log_frame_numbers);
+    if (test_every_nth_frame == kPublishedEvery && !published_test_frames.empty())
+        return select_test_frames_in_log(published_test_frames, log_frame_numbers);
+    return select_every_nth_frame(test_every_nth_frame, log_frame_numbers);
+}
+
 }  // namespace
 
 TrainTestSplit split_frames_into_train_and_test(const LidarSequence& sequence, int test_every_nth_frame,
                                                 const std::string& test_frame_list) {
     const std::vector<int> sweeps = list_unique_frame_numbers(sequence);
-    const bool as_published =
-        test_frame_list.empty() && test_every_nth_frame == kPublishedEvery && !sequence.test_frames.empty();
-    const std::set<int> held_out = as_published ? select_test_frames_in_log(sequence.test_frames, sweeps)
-                                   : test_frame_list.empty()
-                                       ? select_every_nth_frame(test_every_nth_frame, sweeps)
-                                       : parse_test_frame_list(test_frame_list, sweeps);
+    const std::set<int> held_out =
+        select_test_frames(sequence.test_frames, sweeps, test_every_nth_frame, test_frame_list);
     TrainTestSplit split;
     for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i)
         (held_out.contains(sequence.frames[std::size_t(i)].index) ? split.test : split.train).push_back(i);

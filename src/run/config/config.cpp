@@ -64,7 +64,8 @@ void assign_setting_value(T& field, const std::string& key, const SettingValueRa
         parsed_value.quotes == (is_text<T> ? ParsedValue::QuotedState::no : ParsedValue::QuotedState::yes);
     const std::optional<T> parsed = parse_setting_value<T>(parsed_value.text, accepted_values);
     if (wrong_kind || !parsed) {
-        const char* hint = wrong_kind && is_text<T> ? " in quotes" : wrong_kind ? " without quotes" : "";
+        const char* hint = "";
+        if (wrong_kind) hint = is_text<T> ? " in quotes" : " without quotes";
         throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key,
                                      shorten_for_error_message(parsed_value.text),
                                      describe_accepted_values<T>(accepted_values), hint));

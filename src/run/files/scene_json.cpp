@@ -82,7 +82,9 @@ Json make_frames_json(const LidarSequence& sequence, const TrainTestSplit& split
         const auto in = [&](const std::vector<int>& positions) {
             return std::find(positions.begin(), positions.end(), static_cast<int>(i)) != positions.end();
         };
-        const char* part = in(split.train) ? "train" : in(split.test) ? "test" : "unused";
+        const char* part = "unused";
+        if (in(split.train)) part = "train";
+        else if (in(split.test)) part = "test";
         const LidarFrame& frame = sequence.frames[i];
         const Pose& pose = sequence.world_from_vehicle.pose[sequence.get_vehicle_pose_index_of_frame(frame)];
         frames.push_back({{"index", frame.index},

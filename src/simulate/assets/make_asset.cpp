@@ -23,7 +23,8 @@ std::string make_asset_name(const BoxTrack& box) {
     std::string name = box.category == kDiscoveredCategory ? box.id : box.category + "-" + box.id;
     for (char& c : name) {
         const auto byte = static_cast<unsigned char>(c);
-        c = byte < 0x80 && std::isalnum(byte) ? char(std::tolower(byte)) : c == '.' || c == '_' ? c : '-';
+        if (byte < 0x80 && std::isalnum(byte)) c = char(std::tolower(byte));
+        else if (c != '.' && c != '_') c = '-';
     }
     return name.front() == '.' ? "-" + name : name;
 }

@@ -192,7 +192,8 @@ RenderedScan project_points_into_grid_image(const RenderedScan& scan, const Rang
         merge_drop_probability_into_cell(scan, i, result, c);
         const bool returns = drop < kDropThreshold, winner_returns = winner_drop[c] < kDropThreshold;
         const bool is_nearer = glm::length(point) < result.median_range_m[c];
-        const bool wins = returns != winner_returns ? returns : returns ? is_nearer : drop < winner_drop[c];
+        bool wins = returns;
+        if (returns == winner_returns) wins = returns ? is_nearer : drop < winner_drop[c];
         if (!wins && winner_drop[c] < 1.5f) continue;
         winner_drop[c] = drop;
         copy_ray_to_grid_cell(scan, i, result, c);

@@ -73,6 +73,12 @@ void require_unique_topic_names(const std::vector<scan_files::RecordedTopic>& to
                 topic.name, fmt::join(topic_names, ", ")));
 }
 
+/// Returns the text for the frame of the points in the metadata of a recording.
+const char* describe_frame_of_points(const ScanOutputOptions& format) {
+    if (format.frame == PointCoordinateFrame::world) return "world";
+    return are_points_in_one_frame(format) ? "sensor at the stamp" : "sensor at each ray's firing time";
+}
+
 /// Returns the metadata of a recording.
 FileMetadata make_recording_metadata(const std::vector<ScanOutputOptions>& sensors) {
     const ScanOutputOptions& format = sensors.front();
@@ -84,9 +90,7 @@ FileMetadata make_recording_metadata(const std::vector<ScanOutputOptions>& senso
             {"dataset", format.config.dataset.path},
             {"sensor", fmt::format("{}", fmt::join(names, ", "))},
             {"trajectory", format.trajectory},
-            {"points_in", format.frame == PointCoordinateFrame::world ? "world"
-                          : are_points_in_one_frame(format)           ? "sensor at the stamp"
-                                                                      : "sensor at each ray's firing time"},
+            {"points_in", describe_frame_of_points(format)},
             {"units", "metres, seconds; intensity 0 to 1"}};
 }
 

@@ -30,8 +30,10 @@ std::vector<float> classify_measured_drops_per_ray(const LidarSequence& sequence
     std::vector<DeviceTarget> targets;
     compute_training_rays_and_targets(sequence, frame, mask_rules, rays, targets);
     std::vector<float> dropped;
-    for (std::size_t i = 0; i < targets.size(); ++i)
-        dropped.push_back(!(targets[i].weight > 0.0f) ? -1.0f : frame.scan.range_m[i] > 0.0f ? 0.0f : 1.0f);
+    for (std::size_t i = 0; i < targets.size(); ++i) {
+        if (!(targets[i].weight > 0.0f)) dropped.push_back(-1.0f);
+        else dropped.push_back(frame.scan.range_m[i] > 0.0f ? 0.0f : 1.0f);
+    }
     return dropped;
 }
 

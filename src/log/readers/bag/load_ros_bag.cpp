@@ -289,9 +289,8 @@ private:
         transform_context.vehicle =
             has_poses_ || clouds_.lidars.size() > 1 ? poses_.vehicle : get_main_cloud_topic().frame;
         transform_context.world_from_vehicle = [&](double t_s) {
-            return has_poses_            ? poses_.path->compute_pose_at(t_s)
-                   : sequence_.has_poses ? sequence_.world_from_vehicle.interpolate_pose(t_s)
-                                         : Pose{};
+            if (has_poses_) return poses_.path->compute_pose_at(t_s);
+            return sequence_.has_poses ? sequence_.world_from_vehicle.interpolate_pose(t_s) : Pose{};
         };
         const LoadedBoxTracks tracks = read_box_tracks_from_bag(bag_, *boxes_.topic, transform_context,
                                                                 sequence_.world_from_vehicle.time_s);
@@ -305,12 +304,12 @@ private:
         if (!options_.poses_file.empty() && options_.poses_file != kNoPoses)
             file_poses = read_user_poses_at_frame_times();
         sequence_.has_poses = has_poses_ || !file_poses.empty();
-        for (std::size_t i = 0; i < frames_.size(); ++i)
-            add_frame(sequence_, frames_[i].number, frames_[i].time_s,
-                      !file_poses.empty() ? file_poses[i]
-                      : has_poses_        ? compute_vehicle_pose_in_bag_world(frames_[i].time_s)
-                                          : Pose{},
-                      int(frames_[i].lidar));
+        for (std::size_t i = 0; i < frames_.size(); ++i) {
+            Pose pose;
+            if (!file_poses.empty()) pose = file_poses[i];
+            else if (has_poses_) pose = compute_vehicle_pose_in_bag_world(frames_[i].time_s);
+            add_frame(sequence_, frames_[i].number, frames_[i].time_s, pose, int(frames_[i].lidar));
+        }
         if (options_.poses_file == kNoPoses) add_note_if_not_empty(kitti::kNoPosesNote);
         else if (!sequence_.has_poses)
             add_note_if_not_empty(

@@ -37,6 +37,15 @@ void unpack_bz2(std::string_view source, std::span<char> target) {
             fmt::format("the bz2 data is damaged, expected {} bytes after unpacking", target.size()));
 }
 
+using ChunkUnpacker = void (*)(std::string_view, std::span<char>);
+
+/// Returns the function that unpacks a compression, or null if the compression is unknown.
+ChunkUnpacker find_chunk_unpacker(std::string_view compression) {
+    if (compression == "lz4") return decompress_lz4;
+    if (compression == "zstd") return decompress_zstd;
+    return compression == "bz2" ? unpack_bz2 : nullptr;
+}
+
 std::string get_system_error_text() { return std::error_code(errno, std::generic_category()).message(); }
 
 }  // namespace
@@ -101,10 +110,7 @@ SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& compre
                 fmt::format("found {} bytes of uncompressed data, expected {}", bytes.size(), unpacked_size));
         return compressed_chunk;
     }
-    const auto unpack = compression == "lz4"    ? decompress_lz4
-                        : compression == "zstd" ? decompress_zstd
-                        : compression == "bz2"  ? unpack_bz2
-                                                : nullptr;
+    const ChunkUnpacker unpack = find_chunk_unpacker(compression);
     if (!unpack)
         throw DataError(fmt::format("found the compression '{}', expected none, lz4, zstd or bz2",
                                     shorten_for_error_message(compression)));

@@ -117,11 +117,9 @@ PoseRows parse_pose_rows(const std::vector<std::string>& lines, const std::strin
             continue;
         }
         if (strip_comment(lines[i]).empty()) continue;
-        std::vector<double> row = parse_pose_row(lines[i],
-                                                 !at.empty()         ? at.size()
-                                                 : rows.rows.empty() ? 0
-                                                                     : rows.rows[0].size(),
-                                                 where);
+        std::size_t expected_count_or_zero = at.size();
+        if (at.empty() && !rows.rows.empty()) expected_count_or_zero = rows.rows[0].size();
+        std::vector<double> row = parse_pose_row(lines[i], expected_count_or_zero, where);
         if (const std::vector<double> read = row; !at.empty())
             for (std::size_t c = 0; c < row.size(); ++c) row[c] = read[static_cast<std::size_t>(at[c])];
         if (!rows.rows.empty() && !(row[0] > rows.rows.back()[0]))

@@ -200,6 +200,12 @@ std::vector<std::vector<char>> flag_ticks_with_returns_of_min_beams(
     return pattern;
 }
 
+/// Returns a tick in [0, n_ticks). The argument is at most one turn outside this range.
+int wrap_encoder_tick(int tick, int n_ticks) {
+    if (tick < 0) return tick + n_ticks;
+    return tick >= n_ticks ? tick - n_ticks : tick;
+}
+
 /// Returns the azimuth offset of a beam in encoder ticks. The offset is subtracted from
 /// the tick of each return. The best offset moves the most returns to ticks with
 /// `is_tick_fired`. Returns 0 if no offset is clearly better than 0.
@@ -215,11 +221,8 @@ int find_best_tick_shift(const std::vector<EncoderTicksByBeam>& ticks_of_scans, 
         std::size_t hits = 0;
         for (std::size_t s = 0; s < ticks_of_scans.size(); ++s) {
             for (const int t : ticks_of_scans[s][ring]) {
-                const int moved = t - shift;
-                hits += static_cast<std::size_t>(
-                    is_tick_fired[s][static_cast<std::size_t>(moved < 0          ? moved + n_ticks
-                                                              : moved >= n_ticks ? moved - n_ticks
-                                                                                 : moved)]);
+                const int moved = wrap_encoder_tick(t - shift, n_ticks);
+                hits += static_cast<std::size_t>(is_tick_fired[s][static_cast<std::size_t>(moved)]);
             }
         }
         if (i == 0) at_zero = hits;

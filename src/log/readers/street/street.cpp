@@ -116,9 +116,8 @@ StreetHit make_ground_hit(const glm::dvec3& point, double range_m, double incide
 }
 
 SurfaceClass get_class_of_category(std::string_view category) {
-    return category == "Pedestrian" ? SurfaceClass::person
-           : category == "Cyclist"  ? SurfaceClass::cyclist
-                                    : SurfaceClass::vehicle;
+    if (category == "Pedestrian") return SurfaceClass::person;
+    return category == "Cyclist" ? SurfaceClass::cyclist : SurfaceClass::vehicle;
 }
 
 /// Returns the bounding sphere of a shape, through the corners of its box.

@@ -190,10 +190,9 @@ void parse_box_into_label(pbf_reader reader, BoxLabel& label, const std::string&
 /// background because they cannot move.
 const char* get_object_category(int waymo_type) {
     constexpr int kVehicle = 1, kPedestrian = 2, kCyclist = 4;
-    return waymo_type == kVehicle      ? "vehicle"
-           : waymo_type == kPedestrian ? "pedestrian"
-           : waymo_type == kCyclist    ? "cyclist"
-                                       : nullptr;
+    if (waymo_type == kVehicle) return "vehicle";
+    if (waymo_type == kPedestrian) return "pedestrian";
+    return waymo_type == kCyclist ? "cyclist" : nullptr;
 }
 
 void parse_label_into_frame(pbf_reader reader, WaymoFrameRecord& frame_record,
