@@ -27,13 +27,19 @@ uint get_frame_ray(uint index) {
 
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1u], array.at[row + 2u]); }
 
+/// Returns the weight of sensor pose `knot` in the interpolated pose of a ray.
+float get_knot_share(RayPlace place, uint knot) {
+    if (knot == place.left) return 1.0 - place.s;
+    return knot == place.left + 1u ? place.s : 0.0;
+}
+
 /// Sums the gradients of sensor pose `knot` over every n_threads-th ray, starting with
 /// ray `thread`. `force` is dL/d(translation) and `torque` is dL/d(rotation).
 void sum_ray_gradients(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 torque) {
     force = torque = vec3(0.0);
     for (uint k = thread; k < params.n_rays; k += n_threads) {
         RayPlace place = params.places.at[get_frame_ray(k)];
-        float share = knot == place.left ? 1.0 - place.s : knot == place.left + 1u ? place.s : 0.0;
+        float share = get_knot_share(place, knot);
         if (share == 0.0) continue;
         PoseKnot here = interpolate_knot(params.knots, place);
         DeviceRay ray = params.moved.at[params.first_ray + k * params.ray_stride];

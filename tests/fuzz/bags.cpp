@@ -347,10 +347,9 @@ void read_message(std::string_view input, const fs::path&) {
     const unsigned kind = static_cast<unsigned char>(input[0]);
     const std::size_t type = kind / 2 % std::size(kMessages);
     const std::string topic_type = kMessages[type];
-    const bag::BagTopic topic{"/t", topic_type,
-                              topic_type.starts_with("foxglove.") ? "protobuf"
-                              : kind % 2                          ? "ros1"
-                                                                  : "cdr"};
+    const char* encoding = kind % 2 ? "ros1" : "cdr";
+    if (topic_type.starts_with("foxglove.")) encoding = "protobuf";
+    const bag::BagTopic topic{"/t", topic_type, encoding};
     const std::string_view bytes = input.substr(1);
     if (bag::get_message_purpose_of_topic(topic) == bag::MessagePurpose::cloud) {
         const SharedBytes message = make_shared_bytes(std::string(bytes));

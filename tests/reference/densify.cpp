@@ -50,7 +50,8 @@ Fate decide_fate(const DensifiedSurfel& surfel, double mean_gradient, const Dens
         }
         if (outside[0] && outside[1]) return Fate::outside;
     }
-    return splits ? Fate::split : grows ? Fate::clone : Fate::keep;
+    if (splits) return Fate::split;
+    return grows ? Fate::clone : Fate::keep;
 }
 
 std::vector<std::uint32_t> count_copies(const std::vector<std::uint32_t>& weight, std::uint32_t n_new,

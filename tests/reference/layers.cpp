@@ -182,7 +182,8 @@ NormGradient backpropagate_normalisation(const ImageBatch& from, const NormLayer
         const double deviation = std::sqrt(moments.variance[c] + layer.epsilon);
         x[index] = (from.values[index] - moments.mean[c]) / deviation;
         const bool on = layer.gamma[c] * x[index] + layer.beta[c] > 0.0;
-        const double g = on ? d_to.values[index] * (layer.gate.empty() ? 1.0 : layer.gate[index]) : 0.0;
+        const double gate = layer.gate.empty() ? 1.0 : layer.gate[index];
+        const double g = on ? d_to.values[index] * gate : 0.0;
         d.beta[c] += g;
         d.gamma[c] += g * x[index];
         d_x[index] = g * layer.gamma[c];

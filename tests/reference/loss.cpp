@@ -12,7 +12,11 @@
 namespace relidar::reference {
 namespace {
 
-double sign(double value) { return value > 0.0 ? 1.0 : value < 0.0 ? -1.0 : 0.0; }
+double sign(double value) {
+    if (value > 0.0) return 1.0;
+    return value < 0.0 ? -1.0 : 0.0;
+}
+
 double softplus(double value) { return std::max(value, 0.0) + std::log1p(std::exp(-std::abs(value))); }
 
 }  // namespace

@@ -207,7 +207,8 @@ std::regex make_pattern(const std::string& name) {
     std::string pattern = "(^|.*/)";
     for (const char c : name) {
         const bool plain = std::isalnum(static_cast<unsigned char>(c)) || c == '_' || c == '/';
-        pattern += c == '*' ? "[^/]*" : plain ? std::string(1, c) : std::string{'\\', c};
+        if (c == '*') pattern += "[^/]*";
+        else pattern += plain ? std::string(1, c) : std::string{'\\', c};
     }
     return std::regex(pattern + "$");
 }

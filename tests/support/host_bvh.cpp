@@ -24,6 +24,12 @@ struct Box {
 
 using Indices = std::vector<std::uint32_t>;
 
+/// Returns the index of the longest axis of a box, or the first of several equal ones.
+int find_longest_axis(const glm::vec3& size) {
+    if (size.x >= size.y && size.x >= size.z) return 0;
+    return size.y >= size.z ? 1 : 2;
+}
+
 /// Builds a single tree. Appends its nodes, and its primitives in the order of the
 /// leaves. The children of a node are contiguous.
 class Builder {
@@ -55,8 +61,7 @@ private:
         Box centres;
         for (const std::uint32_t p : primitives)
             centres.grow({boxes_[p].low + boxes_[p].high, boxes_[p].low + boxes_[p].high});
-        const glm::vec3 size = centres.high - centres.low;
-        const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
+        const int axis = find_longest_axis(centres.high - centres.low);
         const auto middle = primitives.begin() + std::ptrdiff_t(primitives.size() / 2);
         std::nth_element(primitives.begin(), middle, primitives.end(),
                          [&](std::uint32_t first, std::uint32_t second) {
@@ -113,8 +118,9 @@ private:
     /// arithmetic.
     void set_axis(shared::BvhNode& node, int axis, const std::vector<Indices>& parts,
                   const Box& whole) const {
-        shared::uint* const low = axis == 0 ? node.low_x : axis == 1 ? node.low_y : node.low_z;
-        shared::uint* const high = axis == 0 ? node.high_x : axis == 1 ? node.high_y : node.high_z;
+        shared::uint* const lows[] = {node.low_x, node.low_y, node.low_z};
+        shared::uint* const highs[] = {node.high_x, node.high_y, node.high_z};
+        shared::uint *const low = lows[axis], *const high = highs[axis];
         const double origin = double(node.origin[axis]),
                      extent = parts.empty() ? 0.0 : double(whole.high[axis]) - origin;
         const int exponent = extent > 0.0 ? std::max(1, 127 + int(std::ceil(std::log2(extent / 255.0)))) : 0;

@@ -70,10 +70,17 @@ int status_of(std::string_view answer) {
 std::string frame(std::uint8_t first, std::string_view payload, bool masked, std::uint64_t length) {
     std::string bytes(1, static_cast<char>(first));
     const auto mask_bit = static_cast<char>(masked ? 0x80 : 0);
-    const int n_extra = length < 126 ? 0 : length < 65536 ? 2 : 8;
-    bytes += static_cast<char>(mask_bit | static_cast<char>(n_extra == 0   ? length
-                                                            : n_extra == 2 ? 126u
-                                                                           : 127u));
+    // Short lengths fit into the second byte. Longer ones follow in 2 or 8 extra bytes.
+    std::uint64_t short_length = length;
+    int n_extra = 0;
+    if (length >= 65536) {
+        short_length = 127;
+        n_extra = 8;
+    } else if (length >= 126) {
+        short_length = 126;
+        n_extra = 2;
+    }
+    bytes += static_cast<char>(mask_bit | static_cast<char>(short_length));
     for (int i = n_extra - 1; i >= 0; --i) bytes += static_cast<char>((length >> (8 * i)) & 0xff);
     constexpr char kMask[4] = {0x12, 0x34, 0x56, 0x78};
     if (masked) bytes.append(kMask, 4);

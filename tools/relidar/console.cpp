@@ -122,10 +122,10 @@ TerminalProgress::TerminalProgress(bool quiet) : quiet_(quiet), terminal_(::isat
 
 void TerminalProgress::show_progress_text(const std::string& text, bool ignore_rate_limit) {
     const auto time = Clock::now();
-    const Clock::duration due = terminal_                      ? Clock::duration(kTerminalInterval)
-                                : last_ == Clock::time_point{} ? Clock::duration(kPlainFirst)
-                                                               : Clock::duration(kPlainInterval);
-    if (quiet_ || (!ignore_rate_limit && time - std::max(start_, last_) < due)) return;
+    Clock::duration interval = kPlainInterval;
+    if (terminal_) interval = kTerminalInterval;
+    else if (last_ == Clock::time_point{}) interval = kPlainFirst;
+    if (quiet_ || (!ignore_rate_limit && time - std::max(start_, last_) < interval)) return;
     last_ = time;
     std::fputs(
         terminal_ ? ("\r" + truncate_to_terminal_width(text) + "\x1b[K").c_str() : (text + "\n").c_str(),

@@ -18,7 +18,10 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 std::string format_milliseconds(double ms) {
-    return fmt::format("{:.{}f}", ms, ms < 1.0 ? 4 : ms < 100.0 ? 3 : 1);
+    int n_decimals = 1;
+    if (ms < 1.0) n_decimals = 4;
+    else if (ms < 100.0) n_decimals = 3;
+    return fmt::format("{:.{}f}", ms, n_decimals);
 }
 
 std::string format_phase_name(const std::string& phase_id, bool includes_training) {
@@ -30,9 +33,14 @@ std::string format_phase_name(const std::string& phase_id, bool includes_trainin
 }
 
 std::string get_bvh_traversal_mode_name(const DevCase& bench_case) {
-    return bench_case.traversal_mode == BvhTraversalMode::lane       ? "lane"
-           : bench_case.traversal_mode == BvhTraversalMode::subgroup ? "subgroup"
-                                                                     : "automatic";
+    switch (bench_case.traversal_mode) {
+        case BvhTraversalMode::lane:
+            return "lane";
+        case BvhTraversalMode::subgroup:
+            return "subgroup";
+        default:
+            return "automatic";
+    }
 }
 
 std::string get_device_backend_name(const Device& device) {
@@ -49,7 +57,8 @@ std::string get_sh_evaluation_direction_name(const DevCase& bench_case) {
     return bench_case.config.image.sh_direction == ShDirection::ray ? "ray" : "surfel";
 }
 std::string get_gradient_summation_method_name(const BenchResult& result) {
-    return !result.sizes.training ? "none" : result.sizes.gather ? "gather" : "atomics";
+    if (!result.sizes.training) return "none";
+    return result.sizes.gather ? "gather" : "atomics";
 }
 std::uint64_t sum_scene_bvh_and_training_bytes(const BenchMemory& memory) {
     return memory.scene + memory.accel + memory.training;

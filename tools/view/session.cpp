@@ -25,9 +25,14 @@ std::string dump_json_as_valid_utf8(const Json& json) {
 }
 
 const char* get_loading_state_name(RecordedScans::RecordedScansState state) {
-    return state == RecordedScans::RecordedScansState::ready     ? "ready"
-           : state == RecordedScans::RecordedScansState::missing ? "missing"
-                                                                 : "loading";
+    switch (state) {
+        case RecordedScans::RecordedScansState::ready:
+            return "ready";
+        case RecordedScans::RecordedScansState::missing:
+            return "missing";
+        default:
+            return "loading";
+    }
 }
 
 }  // namespace

@@ -39,12 +39,20 @@ vec3 compute_half_axis(vec3 axis, float factor) {
     return any(isnan(half_vector)) || any(isinf(half_vector)) ? vec3(0.0) : half_vector;
 }
 
+/// Returns corner `k` of an icosahedron around the origin. Corners are sqrt(1 + phi^2)
+/// away from the origin.
+vec3 get_icosahedron_corner(uint k) {
+    float one = (k & 1u) != 0u ? -1.0 : 1.0, phi = (k & 2u) != 0u ? -kPhi : kPhi;
+    if (k < 4u) return vec3(0.0, one, phi);
+    if (k < 8u) return vec3(one, phi, 0.0);
+    return vec3(phi, 0.0, one);
+}
+
 /// Writes the twelve corners of an icosahedron. Their order must match the triangles in
 /// src/diff/accel/hardware.cpp.
 void write_icosahedron(uint index, vec3 mean, vec3 axis_u, vec3 axis_v, vec3 axis_w) {
     for (uint k = 0u; k < 12u; ++k) {
-        float one = (k & 1u) != 0u ? -1.0 : 1.0, phi = (k & 2u) != 0u ? -kPhi : kPhi;
-        vec3 at = k < 4u ? vec3(0.0, one, phi) : k < 8u ? vec3(one, phi, 0.0) : vec3(phi, 0.0, one);
+        vec3 at = get_icosahedron_corner(k);
         vec3 corner = mean + kCircumscribed * (at.x * axis_u + at.y * axis_v + at.z * axis_w);
         for (uint c = 0u; c < 3u; ++c) params.vertices.at[36u * index + 3u * k + c] = corner[c];
     }

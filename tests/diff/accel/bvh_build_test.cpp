@@ -165,7 +165,11 @@ TEST_F(BvhBuild, SurfelsThatCannotBeHitAreEmptyAndHarmless) {
 TEST_F(BvhBuild, ManyModelsOfVeryDifferentSizes) {
     std::vector<std::uint32_t> sizes;
     std::mt19937 random(4);
-    for (int m = 0; m < 200; ++m) sizes.push_back(m % 17 == 0 ? 0 : m % 31 == 5 ? 3000 : random() % 12);
+    for (int m = 0; m < 200; ++m) {
+        if (m % 17 == 0) sizes.push_back(0);
+        else if (m % 31 == 5) sizes.push_back(3000);
+        else sizes.push_back(random() % 12);
+    }
     sizes.push_back(0);
     std::uint32_t n = 0;
     for (const std::uint32_t size : sizes) n += size;

@@ -121,16 +121,21 @@ TEST_F(ImageLossTest, MaskedRaysAreIgnoredAndStrideSelects) {
     EXPECT_GT(sums.download()[loss_term::drop], 0.0f);
 }
 
+/// Returns the name of the type of a loss.
+const char* get_loss_type_name(const Loss& loss) {
+    if (dynamic_cast<const ImageLoss*>(&loss)) return "image";
+    if (dynamic_cast<const LikelihoodLoss*>(&loss)) return "likelihood";
+    if (dynamic_cast<const ChamferLoss*>(&loss)) return "chamfer";
+    if (dynamic_cast<const ActorBoxLoss*>(&loss)) return "surfel";
+    return "another";
+}
+
 /// Returns the names of the losses that are created for the weights, derived from their
 /// types.
 std::vector<std::string> list_made_kernels(Device& device, const LossWeights& weights) {
     std::vector<std::string> names;
     for (const std::unique_ptr<Loss>& loss : make_losses(device, weights, 64))
-        names.push_back(dynamic_cast<ImageLoss*>(loss.get())        ? "image"
-                        : dynamic_cast<LikelihoodLoss*>(loss.get()) ? "likelihood"
-                        : dynamic_cast<ChamferLoss*>(loss.get())    ? "chamfer"
-                        : dynamic_cast<ActorBoxLoss*>(loss.get())   ? "surfel"
-                                                                    : "another");
+        names.push_back(get_loss_type_name(*loss));
     return names;
 }
 

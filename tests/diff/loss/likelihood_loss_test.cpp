@@ -31,9 +31,9 @@ TEST_F(LikelihoodTerm, AgreesWithReference) {
         const bool returned = unit(random) < 0.95;
         expected_targets[i] = {returned ? 5.0 : 0.0, 0.5};
         // a ray without a return is either dropped or unknown
-        measured[i * kStride] = returned ? DeviceTarget{5.0f, 0.5f, 1.0f}
-                                : i % 2  ? DeviceTarget{0.0f, 0.5f, 1.0f}
-                                         : DeviceTarget{5.0f, 0.5f, 0.0f};
+        DeviceTarget& target = measured[i * kStride];
+        target = i % 2 ? DeviceTarget{0.0f, 0.5f, 1.0f} : DeviceTarget{5.0f, 0.5f, 0.0f};
+        if (returned) target = {5.0f, 0.5f, 1.0f};
         n_returned += returned;
     }
     std::vector<reference::PixelGradient> expected;

@@ -51,9 +51,9 @@ Result compute_device_ssim(Device& device, const Image& image, float share, std:
         ray.depth = 10.0f;
         ray.weight = 1.0f;
         ray.intensity = image.is_known[i] ? float(image.x[i]) : 7.0f;
-        targets[i * stride] = image.is_known[i] ? DeviceTarget{10.0f, float(image.y[i]), 1.0f}
-                              : i % 2           ? DeviceTarget{0.0f, 5.0f, 1.0f}
-                                                : DeviceTarget{10.0f, 5.0f, 0.0f};
+        DeviceTarget& target = targets[i * stride];
+        target = i % 2 ? DeviceTarget{0.0f, 5.0f, 1.0f} : DeviceTarget{10.0f, 5.0f, 0.0f};
+        if (image.is_known[i]) target = {10.0f, float(image.y[i]), 1.0f};
     }
     LossWeights weights;
     weights.intensity = 1.0f;

@@ -30,7 +30,10 @@ Data make_random_data(std::size_t count) {
         if (i % 17 == 3) d.logit[i] = i % 2 ? 120.0 : -120.0;  // exp() overflows float
         d.sum.push_back(double(float(d.logit[i]) + float(d.start[i])));
         const double u = unit(random);
-        d.target.push_back(u < 0.2 ? -1.0 : u < 0.5 ? 1.0 : 0.0);
+        double target = 0.0;
+        if (u < 0.2) target = -1.0;
+        else if (u < 0.5) target = 1.0;
+        d.target.push_back(target);
         d.n_known_targets += d.target.back() >= 0.0;
     }
     return d;

@@ -123,9 +123,10 @@ TEST(HostProviders, TiesAreOrderedByInstanceAndSurfel) {
     const std::vector<Hit> hits =
         list_all_hits(EmbreeFilter(world, {}), test::to_reference(c.rays).back(), 4);
     ASSERT_EQ(hits.size(), 7u + 7u + 2u + 7u);
+    constexpr unsigned kInstances[] = {0, 2, 3};
     for (std::size_t i = 0; i < 16; ++i) {
         EXPECT_EQ(hits[i].t, 5.0);
-        EXPECT_EQ(hits[i].instance, i < 7 ? 0u : i < 14 ? 2u : 3u);
+        EXPECT_EQ(hits[i].instance, kInstances[i / 7]);
         EXPECT_EQ(hits[i].surfel, i < 14 ? i % 7 : i - 14 + 3);
     }
 }

@@ -54,7 +54,8 @@ Scan make_known_scan(const SpinningSensor& sensor, bool has_second_returns = fal
         scan.intensity.push_back(range_of(i) > 0.0f ? to_intensity(i) : 0.0f);
         if (!has_second_returns) continue;
         const bool is_split = i % 3 == 1 && range_of(i) > 0.0f;
-        scan.second_returns[0].range_m.push_back(is_split ? range_of(i) + (i % 2 ? 0.8f : -0.8f) : 0.0f);
+        const float offset_m = i % 2 ? 0.8f : -0.8f;
+        scan.second_returns[0].range_m.push_back(is_split ? range_of(i) + offset_m : 0.0f);
         scan.second_returns[0].intensity.push_back(0.0f);
     }
     return scan;

@@ -46,7 +46,9 @@ protected:
                 const double azimuth = kPi * (1.0 - (2.0 * k + 1.0) / kColumns),
                              elevation = kElevation_deg[ring] * kPi / 180.0;
                 const bool is_far = ring == 0 && k == 5 + scan, is_near = ring == 1 && k == 11 + scan;
-                const double range_m = is_far ? 149.25 : is_near ? 0.4 : 20.0;
+                double range_m = 20.0;
+                if (is_far) range_m = 149.25;
+                else if (is_near) range_m = 0.4;
                 points.push_back({glm::vec3(range_m * glm::dvec3(std::cos(elevation) * std::cos(azimuth),
                                                                  std::cos(elevation) * std::sin(azimuth),
                                                                  std::sin(elevation))),

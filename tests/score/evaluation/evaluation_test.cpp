@@ -113,6 +113,14 @@ TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
     EXPECT_EQ(evaluation.title, "baseline nearest");
 }
 
+/// Returns the index of the error bin that counts a ray. Bin 4 counts missed returns.
+std::size_t find_error_bin(bool is_missed, double error_m) {
+    if (is_missed) return 4;
+    if (error_m < 0.05) return 0;
+    if (error_m < 0.2) return 1;
+    return error_m < 1.0 ? 2 : 3;
+}
+
 /// Computes the errors by range from the images, ray by ray, and compares them with the
 /// evaluation.
 TEST_F(EvaluationOf, CountsErrorsByRange) {
@@ -130,7 +138,7 @@ TEST_F(EvaluationOf, CountsErrorsByRange) {
                 const double off_m = std::abs(rendered_m - real_m);
                 if (real_m <= kEdges_m[r] || real_m > kEdges_m[r + 1]) continue;
                 const bool is_missed = frame.rendered.image.drop_prob[i] >= 0.5f || rendered_m <= 0.0;
-                expected[is_missed ? 4 : off_m < 0.05 ? 0 : off_m < 0.2 ? 1 : off_m < 1.0 ? 2 : 3] += 1.0;
+                expected[find_error_bin(is_missed, off_m)] += 1.0;
                 all += 1.0;
             }
             EXPECT_EQ(frame.range_errors.rays[r], expected) << "range " << r;

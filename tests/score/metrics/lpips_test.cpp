@@ -198,13 +198,15 @@ TEST(LpipsNetwork, AgreesWithPublishedWeightsAndValues) {
         GTEST_SKIP() << file << " is not there; RELIDAR_SHARED names another folder";
     constexpr int n_rows = 64, n_columns = 96;
     const auto image = [](double y0, double y1, double k2) {
+        const auto compute_value = [&](int colour, int x, int y) {
+            if (colour == 0) return std::sin(0.1 * x + y0 * y);
+            if (colour == 1) return std::cos(0.07 * x - y1 * y);
+            return std::sin(k2 * (x + y));
+        };
         std::vector<float> values;
         for (int colour = 0; colour < 3; ++colour)
             for (int y = 0; y < n_rows; ++y)
-                for (int x = 0; x < n_columns; ++x)
-                    values.push_back(float(colour == 0   ? std::sin(0.1 * x + y0 * y)
-                                           : colour == 1 ? std::cos(0.07 * x - y1 * y)
-                                                         : std::sin(k2 * (x + y))));
+                for (int x = 0; x < n_columns; ++x) values.push_back(float(compute_value(colour, x, y)));
         return values;
     };
     const std::array<double, 5> layer_distances =

@@ -215,12 +215,8 @@ TEST_F(Render, ModeIsTheHeaviestSurface) {
         for (std::size_t i = 0; i < 4; ++i) {
             const bool ahead = sensor.rays.direction[i].x > 0.9f;
             const float at_wall = (w[2] * 10.0f + w[3] * 10.1f) / (w[2] + w[3]);
-            EXPECT_NEAR(scan.image.range_m[i],
-                        !ahead            ? 0.0f
-                        : range == "mode" ? at_wall
-                                          : 8.0f,
-                        1e-4f)
-                << range;
+            const float ahead_m = range == "mode" ? at_wall : 8.0f;
+            EXPECT_NEAR(scan.image.range_m[i], ahead ? ahead_m : 0.0f, 1e-4f) << range;
             EXPECT_NEAR(scan.median_range_m[i], ahead ? 8.0f : 0.0f, 1e-4f);
         }
     }

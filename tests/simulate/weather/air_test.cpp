@@ -361,7 +361,8 @@ TEST(Weather, FogReturnsAsItsIntegral) {
             double sum = 0.0;
             for (int i = 0; i <= kSteps; ++i) {
                 const double r = begin + i * step, pulse = std::cos(kPi * (r - range_m) / 6.0);
-                const double weight = i == 0 || i == kSteps ? 1.0 : i % 2 == 1 ? 4.0 : 2.0;
+                double weight = i % 2 == 1 ? 4.0 : 2.0;
+                if (i == 0 || i == kSteps) weight = 1.0;
                 sum += weight * pulse * pulse * std::exp(-2.0 * model.alpha() * r) / (r * r);
             }
             return kPi * 0.046 / visibility_m * sum * step / 3.0;

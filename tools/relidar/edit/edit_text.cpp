@@ -382,9 +382,9 @@ EditResult apply_openscenario_edit(SceneWithLog driving_scene, const EditArgumen
     for (const ScenarioEntity& entity : read_openscenario_entities(file)) {
         const auto role = roles.extract(entity.name);
         const bool follows = !entity.world_from_reference.pose.empty();
-        const std::string what = role                                                        ? role.mapped()
-                                 : is_track_in_scene_instances(applied.driving, entity.name) ? entity.name
-                                                                                             : "";
+        std::string what;
+        if (role) what = role.mapped();
+        else if (is_track_in_scene_instances(applied.driving, entity.name)) what = entity.name;
         if (role && what != "-" && !follows)
             throw_edit_error(
                 edit,

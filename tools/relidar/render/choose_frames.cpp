@@ -40,9 +40,9 @@ std::vector<int> select_frame_positions_by_text(const TrainedRun& run,
     }
     const std::string which = frames_text.value_or("test");
     const std::string name = find_name_ignoring_case(which, {"test", "train", "all"}).value_or("");
-    std::vector<int> positions = name == "all"     ? list_all_frame_positions(run)
-                                 : name == "train" ? run.split.train
-                                                   : run.split.test;
+    std::vector<int> positions;
+    if (name == "all") positions = list_all_frame_positions(run);
+    else positions = name == "train" ? run.split.train : run.split.test;
     const int last = run.sequence.frames.back().index;
     if (name.empty()) {
         const FrameRange range = parse_frame_range(which);

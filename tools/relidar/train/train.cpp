@@ -407,6 +407,12 @@ std::string format_training_is_finished(const std::string& run_folder, int n_ite
         run_folder, n_iterations);
 }
 
+/// Decides what happens to an existing run in the output folder.
+ExistingRunPolicy choose_existing_run_policy(const TrainOptions& options) {
+    if (options.force) return ExistingRunPolicy::replace;
+    return options.resume ? ExistingRunPolicy::keep : ExistingRunPolicy::refuse;
+}
+
 void run_train_command(const TrainOptions& command_options, const std::string& command_line) {
     const MpiProcessGroup ranks;
     TrainOptions options = assign_log_and_output_folder(command_options);
@@ -428,10 +434,7 @@ void run_train_command(const TrainOptions& command_options, const std::string& c
     const bool in_blocks = config.blocks.length_m > 0.0;
     require_blocks_for_multiple_ranks(ranks, in_blocks);
     std::optional<RunOutputFolder> folder;
-    if (ranks.is_first_mpi_process())
-        folder.emplace(options.out, resume          ? ExistingRunPolicy::keep
-                                    : options.force ? ExistingRunPolicy::replace
-                                                    : ExistingRunPolicy::refuse);
+    if (ranks.is_first_mpi_process()) folder.emplace(options.out, choose_existing_run_policy(options));
     if (resume && in_blocks) require_settings_of_trained_blocks(options.out, config);
     std::optional<Checkpoint> start =
         resume && !in_blocks ? load_newest_checkpoint_if_resuming(options) : std::nullopt;

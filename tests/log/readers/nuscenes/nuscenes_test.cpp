@@ -108,9 +108,9 @@ TEST(Nuscenes, ReadsTheClassesOfLidarseg) {
             const double turned = 1.0 + double(scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s;
             const std::size_t column = std::size_t(std::lround(turned * data.columns)),
                               point = column * 32 + 31u - scan.rays.channel[i];
-            const SurfaceClass expected = scan.range_m[i] == 0.0f || point % 3 == 0 ? SurfaceClass::unknown
-                                          : point % 3 == 1 ? SurfaceClass::other_actor
-                                                           : SurfaceClass::vehicle;
+            SurfaceClass expected = SurfaceClass::vehicle;
+            if (scan.range_m[i] == 0.0f || point % 3 == 0) expected = SurfaceClass::unknown;
+            else if (point % 3 == 1) expected = SurfaceClass::other_actor;
             ASSERT_EQ(scan.classes[i], expected) << i;
         }
     }
