@@ -52,6 +52,8 @@ Violations check_vulkan_names(const SourceTree& tree);
 /// Checks that no statement of C++ or GLSL joins an assignment, a call or a `return` with
 /// more work by a comma. Declarations may use commas, and so may the head of a loop.
 Violations check_comma_statements(const SourceTree& tree);
+/// Checks that no conditional operator `a ? b : c` is an operand of another one.
+Violations check_nested_conditionals(const SourceTree& tree);
 /// Checks that functions declared in include/relidar have comments.
 Violations check_face_comments(const SourceTree& tree);
 /// Checks that installed headers mention only documents and headers that are installed

@@ -211,6 +211,16 @@ TEST(Rules, CommaStatementIsFound) {
                                                           HasSubstr("a.cpp:8:"), HasSubstr("a.cpp:9:")));
 }
 
+TEST(Rules, NestedConditionalIsFound) {
+    const SourceTree tree = make_tree({{"src/a.cpp",
+                                        "int a = x ? 1 : 2, b = y ? 1 : 2;\n"
+                                        "f(x ? 1 : 2, y ? 1 : 2, \"? :\");\n"
+                                        "int c = x ? g(y ? 1 : 2) : 3;\n"
+                                        "int d = x ? 1 : y ? 2 : 3;\n"
+                                        "int e = x ? 1 : (y ? 2 : 3);\n"}});
+    EXPECT_THAT(check_nested_conditionals(tree), ElementsAre(HasSubstr("a.cpp:4:"), HasSubstr("a.cpp:5:")));
+}
+
 TEST(Rules, UncommentedFunctionIsFound) {
     const SourceTree tree =
         make_tree({{"include/relidar/a.hpp",

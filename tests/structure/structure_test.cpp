@@ -28,6 +28,7 @@ TEST(Structure, BudgetsAreKept) { expect_none(check_budgets(checkout())); }
 TEST(Structure, FileNamesTellRoomsApart) { expect_none(check_file_names(checkout())); }
 TEST(Structure, VulkanStaysInGpuAndAccel) { expect_none(check_vulkan_names(checkout())); }
 TEST(Structure, AStatementDoesOneThing) { expect_none(check_comma_statements(checkout())); }
+TEST(Structure, ConditionalsAreNotNested) { expect_none(check_nested_conditionals(checkout())); }
 TEST(Structure, FacesAreCommented) { expect_none(check_face_comments(checkout())); }
 TEST(Structure, TestFilesAreCompiled) { expect_none(check_test_suites(checkout())); }
 TEST(Structure, LicenceIsNamed) { expect_none(check_licence_lines(checkout())); }

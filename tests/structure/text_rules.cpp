@@ -2,6 +2,7 @@
 #include "rules.hpp"
 
 #include <algorithm>
+#include <cctype>
 #include <regex>
 #include <set>
 #include <sstream>
@@ -59,6 +60,16 @@ void check_face(const SourceFile& file, Violations& violations) {
     }
 }
 
+bool is_cpp_or_glsl(const std::string& path) {
+    return has_extension(path, {".cpp", ".hpp", ".h", ".comp", ".glsl"});
+}
+
+bool is_opening_bracket(char c) { return c == '(' || c == '[' || c == '{'; }
+bool is_closing_bracket(char c) { return c == ')' || c == ']' || c == '}'; }
+
+/// Returns 1 for an opening bracket, -1 for a closing bracket, 0 for other characters.
+int get_change_of_depth(char c) { return int(is_opening_bracket(c)) - int(is_closing_bracket(c)); }
+
 /// Removes `else`, and the heads of `if`, loops and `switch`, from the start of a
 /// statement.
 std::string_view remove_control_heads(std::string_view statement) {
@@ -70,7 +81,7 @@ std::string_view remove_control_heads(std::string_view statement) {
         std::size_t end = 0;
         int depth = 0;
         do {
-            depth += statement[end] == '(' ? 1 : statement[end] == ')' ? -1 : 0;
+            depth += get_change_of_depth(statement[end]);
             ++end;
         } while (depth > 0 && end < statement.size());
         statement.remove_prefix(end);
@@ -89,7 +100,7 @@ bool has_comma_operator(std::string_view statement) {
     int depth = 0;
     for (std::size_t i = 0; i < statement.size(); ++i) {
         const char c = statement[i];
-        depth += c == '(' || c == '[' || c == '{' ? 1 : c == ')' || c == ']' || c == '}' ? -1 : 0;
+        depth += get_change_of_depth(c);
         if (c != ',' || depth > 0) continue;
         const std::string first(statement.substr(0, i));
         if (!std::regex_search(first, kInTemplateArguments)) return std::regex_match(first, kExpression);
@@ -135,12 +146,12 @@ Violations check_comma_statements(const SourceTree& tree) {
     };
     Violations violations;
     for (const auto& [path, file] : tree) {
-        if (!has_extension(path, {".cpp", ".hpp", ".h", ".comp", ".glsl"})) continue;
+        if (!is_cpp_or_glsl(path)) continue;
         const std::string_view code = file.code;
         std::vector<Scope> scopes(1);
         for (std::size_t i = 0; i < code.size(); ++i) {
             const char c = code[i];
-            scopes.back().depth += c == '(' || c == '[' ? 1 : c == ')' || c == ']' ? -1 : 0;
+            if (c != '{' && c != '}') scopes.back().depth += get_change_of_depth(c);
             if (c == '{') scopes.push_back({i + 1, 0});
             if (c == '}' && scopes.size() > 1) scopes.pop_back();
             Scope& scope = scopes.back();
@@ -152,6 +163,40 @@ Violations check_comma_statements(const SourceTree& tree) {
                                      "a comma joins two statements");
             }
             scope.statement_begin = i + 1;
+        }
+    }
+    return violations;
+}
+
+Violations check_nested_conditionals(const SourceTree& tree) {
+    struct Scope {  // a pair of brackets
+        bool is_expression_in_parentheses = false;
+        bool has_conditional = false;  // in the current expression
+    };
+    Violations violations;
+    for (const auto& [path, file] : tree) {
+        if (!is_cpp_or_glsl(path)) continue;
+        std::vector<Scope> scopes(1);
+        char previous = ' ';  // ignores white space
+        std::size_t line = 1;
+        for (const char c : file.code) {
+            if (is_opening_bracket(c)) {
+                const bool is_call = std::isalnum(previous) ||
+                                     std::string_view("_>])").find(previous) != std::string_view::npos;
+                scopes.push_back({c == '(' && !is_call, false});
+            } else if (is_closing_bracket(c)) {
+                if (scopes.size() > 1) scopes.pop_back();
+            } else if (c == ',' || c == ';') {
+                scopes.back().has_conditional = false;
+            } else if (c == '?') {
+                const bool is_operand =
+                    scopes.back().is_expression_in_parentheses && scopes[scopes.size() - 2].has_conditional;
+                if (scopes.back().has_conditional || is_operand)
+                    violations.push_back(at(path, line) + "a conditional operator is nested in another one");
+                scopes.back().has_conditional = true;
+            }
+            if (c == '\n') ++line;
+            if (!std::isspace(static_cast<unsigned char>(c))) previous = c;
         }
     }
     return violations;
