@@ -6,6 +6,7 @@
 #include <limits>
 #include <numeric>
 
+#include "base/longest_axis.hpp"
 #include "diff/shared/accel.h"
 #include "gpu/stream.hpp"
 
@@ -23,12 +24,6 @@ struct Box {
 };
 
 using Indices = std::vector<std::uint32_t>;
-
-/// Returns the index of the longest axis of a box, or the first of several equal ones.
-int find_longest_axis(const glm::vec3& size) {
-    if (size.x >= size.y && size.x >= size.z) return 0;
-    return size.y >= size.z ? 1 : 2;
-}
 
 /// Builds a single tree. Appends its nodes, and its primitives in the order of the
 /// leaves. The children of a node are contiguous.
