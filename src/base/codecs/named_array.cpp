@@ -92,7 +92,7 @@ std::vector<Out> require_numeric_and_convert_elements(const NamedArray& array) {
     return function(array);
 }
 
-/// Returns the number of bytes that follow the first byte of a UTF-8 sequence, or 4 if the
+/// Returns the number of bytes after the first byte of a UTF-8 sequence, or 4 if the
 /// byte cannot begin a sequence.
 std::size_t count_utf8_continuation_bytes(unsigned char first) {
     if (first < 0x80) return 0;

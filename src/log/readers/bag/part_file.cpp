@@ -39,7 +39,7 @@ void unpack_bz2(std::string_view source, std::span<char> target) {
 
 using ChunkUnpacker = void (*)(std::string_view, std::span<char>);
 
-/// Returns the function that unpacks a compression, or null if the compression is unknown.
+/// Returns the function that unpacks a compression, or null for an unknown compression.
 ChunkUnpacker find_chunk_unpacker(std::string_view compression) {
     if (compression == "lz4") return decompress_lz4;
     if (compression == "zstd") return decompress_zstd;
