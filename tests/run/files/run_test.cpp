@@ -135,7 +135,7 @@ TEST_F(RunFolder, RefusesWhatIsNoTree) {
         save_run(run);
         return load_error();
     };
-    const auto is_no_tree = test::Names("intensity_scatter.safetensors: LiDAR 0: node");
+    const auto is_no_tree = test::Names("intensity_scatter.safetensors: ... node ... LiDAR 0 ... child");
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[0].child = 2; }), is_no_tree)
         << "its second child is not there";
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[0].child = 0; }), is_no_tree)
@@ -144,7 +144,7 @@ TEST_F(RunFolder, RefusesWhatIsNoTree) {
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[2].count = 4; }), is_no_tree);
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[1].count = 0; }), is_no_tree);
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.step = -1.0; }),
-                test::Names("array 0.step: found -1, expected 0 or more"));
+                test::Names("array 0.step ... -1"));
     EXPECT_THAT(
         error_of([](IntensityScatterModel& s) { s.values[1] = std::numeric_limits<float>::infinity(); }),
         test::Names("array 0.values ... finite"));
