@@ -184,7 +184,7 @@ std::unique_ptr<LoadedRun> load_run_with_settings(const fs::path& folder, const 
 
 std::unique_ptr<LoadedRun> copy_run_with_replaced_surfels(const LoadedRun& loaded_run,
                                                           const py::dict& surfel_arrays) {
-    auto changed = std::make_unique<LoadedRun>(loaded_run.run, loaded_run.device);
+    std::unique_ptr<LoadedRun> changed(new LoadedRun{loaded_run.run, loaded_run.device});
     Surfels surfels = read_surfels_from_arrays(surfel_arrays);
     Scene& scene = changed->run.scene;
     scene = copy_scene_with_all_blocks_loaded(scene);
