@@ -287,7 +287,7 @@ class Render(TestCase):
         self.assert_fails(relidar.DataError, "pose ... mirrored", render, time=time, pose=np.diag([1.0, 1.0, -1.0, 1.0]))
         self.assert_fails(relidar.DataError, "finite", render, time=time, pose=np.full((4, 4), np.nan))
         self.assert_fails(relidar.DataError, "2 times and 1 poses", render, time=time, pose=(np.zeros(2), np.eye(4)[None]))
-        self.assert_fails(relidar.DataError, "found a pose at the time 0 s", render, time=time, pose=(np.zeros(2), np.stack([np.eye(4)] * 2)))
+        self.assert_fails(relidar.DataError, "found a pose at the time 0 s ... expected times that increase", render, time=time, pose=(np.zeros(2), np.stack([np.eye(4)] * 2)))
         self.assert_fails(relidar.DataError, "time_s: found nan", render, time=float("nan"))
         self.assert_fails(relidar.UsageError, "nobody", render, time=time, actors={"nobody": np.eye(4)})
         self.assert_fails(relidar.UsageError, '"background"', render, time=time, only=["backgrund"])

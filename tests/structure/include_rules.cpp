@@ -174,10 +174,6 @@ private:
     Violations cycles_;
 };
 
-bool is_code(const std::string& path) {
-    return has_extension(path, {".cpp", ".hpp", ".h", ".comp", ".glsl"});
-}
-
 }  // namespace
 
 Violations check_library_headers(const SourceTree& tree) {

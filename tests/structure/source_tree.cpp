@@ -327,4 +327,8 @@ bool has_extension(const std::string& path, const std::vector<std::string>& exte
     return std::ranges::find(extensions, fs::path(path).extension().string()) != extensions.end();
 }
 
+bool is_code(const std::string& path) {
+    return has_extension(path, {".cpp", ".hpp", ".h", ".comp", ".glsl"});
+}
+
 }  // namespace relidar::structure

@@ -72,5 +72,7 @@ bool contains_word(const std::string& text, const std::string& word);
 std::string folder(const std::string& path, std::size_t depth);
 std::string stem(const std::string& path);
 bool has_extension(const std::string& path, const std::vector<std::string>& extensions);
+/// Returns true if the extension of a file is that of C++ or GLSL code.
+bool is_code(const std::string& path);
 
 }  // namespace relidar::structure

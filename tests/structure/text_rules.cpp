@@ -60,10 +60,6 @@ void check_face(const SourceFile& file, Violations& violations) {
     }
 }
 
-bool is_cpp_or_glsl(const std::string& path) {
-    return has_extension(path, {".cpp", ".hpp", ".h", ".comp", ".glsl"});
-}
-
 bool is_opening_bracket(char c) { return c == '(' || c == '[' || c == '{'; }
 bool is_closing_bracket(char c) { return c == ')' || c == ']' || c == '}'; }
 
@@ -146,7 +142,7 @@ Violations check_comma_statements(const SourceTree& tree) {
     };
     Violations violations;
     for (const auto& [path, file] : tree) {
-        if (!is_cpp_or_glsl(path)) continue;
+        if (!is_code(path)) continue;
         const std::string_view code = file.code;
         std::vector<Scope> scopes(1);
         for (std::size_t i = 0; i < code.size(); ++i) {
@@ -175,7 +171,7 @@ Violations check_nested_conditionals(const SourceTree& tree) {
     };
     Violations violations;
     for (const auto& [path, file] : tree) {
-        if (!is_cpp_or_glsl(path)) continue;
+        if (!is_code(path)) continue;
         std::vector<Scope> scopes(1);
         char previous = ' ';  // ignores white space
         std::size_t line = 1;

@@ -178,6 +178,7 @@ ranks() {
     mpi 2 ./record_process "$relidar" train street --out lost --blocks 30m "${settings[@]}" >out 2>err &
     local pid=$!
     wait_for lost/blocks/001/checkpoints
+    check "process 1 has not recorded its id" test -s process.1
     kill -KILL "$(cat process.1)"
     wait $pid
     check "mpirun ended with 0 though one process was killed" test $? != 0

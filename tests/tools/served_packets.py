@@ -104,6 +104,6 @@ request.sensor.name = "HDL-64E"
 expect_refusal(service.RenderLidar, request, invalid, "cannot write packets of the sensor")
 rays = v1.RayTable(direction=np.array([1, 0, 0], "<f4").tobytes())
 request.sensor.spec.CopyFrom(v1.SensorSpec(name="VLP-16", rays=rays))
-expect_refusal(service.RenderLidar, request, invalid, "expected sensor.name")
+expect_refusal(service.RenderLidar, request, invalid, "sensor.spec or sensor.handle; expected sensor.name")
 expect_refusal(service.RenderRig, v1.RenderRigRequest(), grpc.StatusCode.FAILED_PRECONDITION, "expected RenderLidar calls")
 print(f"{len(packets)} packets of {N_SCANS} scans")

@@ -58,9 +58,7 @@ struct RunBeingEdited {
         return *this;
     }
 
-    std::unique_ptr<LoadedRun> copy_as_loaded_run() const {
-        return std::unique_ptr<LoadedRun>(new LoadedRun{run, device});
-    }
+    std::unique_ptr<LoadedRun> copy_as_loaded_run() const { return std::make_unique<LoadedRun>(run, device); }
 };
 
 std::string format_vector(const glm::dvec3& vector) {

@@ -178,13 +178,12 @@ std::unique_ptr<LoadedRun> load_run_with_settings(const fs::path& folder, const 
                                                   const SharedDevice& device) {
     TrainedRun run = load_run(folder);
     set_config_values_from_python(run.config, settings);
-    // Clang before 16 cannot call make_unique() for a struct without a constructor.
-    return std::unique_ptr<LoadedRun>(new LoadedRun{std::move(run), device});
+    return std::make_unique<LoadedRun>(std::move(run), device);
 }
 
 std::unique_ptr<LoadedRun> copy_run_with_replaced_surfels(const LoadedRun& loaded_run,
                                                           const py::dict& surfel_arrays) {
-    std::unique_ptr<LoadedRun> changed(new LoadedRun{loaded_run.run, loaded_run.device});
+    auto changed = std::make_unique<LoadedRun>(loaded_run.run, loaded_run.device);
     Surfels surfels = read_surfels_from_arrays(surfel_arrays);
     Scene& scene = changed->run.scene;
     scene = copy_scene_with_all_blocks_loaded(scene);

@@ -16,6 +16,10 @@ struct LoadedRun {
     SharedDevice device;  ///< Device of the run. If the pointer is null, the default device is used.
     DeviceObject<ScanRenderer> renderer{};
 
+    // Clang before 16 needs the constructor for make_unique().
+    LoadedRun(TrainedRun trained_run, SharedDevice device_or_null)
+        : run(std::move(trained_run)), device(std::move(device_or_null)) {}
+
     /// Returns the renderer of this run. Creates the renderer at the first call. No other
     /// object uses this renderer.
     DeviceObject<ScanRenderer>& get_renderer();

@@ -148,7 +148,7 @@ std::unique_ptr<LoadedRun> train_run(const LoadedLog& log, const TrainArguments&
     if (!result.interrupted) fit_intensity_noise(*device, run, python);
     if (config.refine.enabled && !result.interrupted) train_ray_drop_network(*device, run, arguments, python);
     for (LidarFrame& frame : run.sequence.frames) frame.scan = {};
-    return std::unique_ptr<LoadedRun>(new LoadedRun{std::move(run), device});
+    return std::make_unique<LoadedRun>(std::move(run), device);
 }
 
 py::dict convert_loss_terms_to_dict(const TrainProgress& progress) {

@@ -144,7 +144,7 @@ TEST_F(RunFolder, RefusesWhatIsNoTree) {
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[2].count = 4; }), is_no_tree);
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[1].count = 0; }), is_no_tree);
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.step = -1.0; }),
-                test::Names("array 0.step ... -1"));
+                test::Names("array 0.step ... -1, expected 0 or a positive number"));
     EXPECT_THAT(
         error_of([](IntensityScatterModel& s) { s.values[1] = std::numeric_limits<float>::infinity(); }),
         test::Names("array 0.values ... finite"));
