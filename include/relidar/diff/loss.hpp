@@ -170,10 +170,11 @@ private:
 /// Penalises actor surfels that extend beyond the box of their actor. The loss is the
 /// mean over all surfels of actors of
 ///
-///   sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)
+///   sum_xyz max(0, |mu| / h - 1) + sum_s max(0, s / (box_scale_share |h|) - 1)
 ///
 /// mu is the centre of the surfel in the box frame. h is the half size of the box
-/// (SurfelModel::half_size_m). s is the standard deviation along an axis of the surfel.
+/// (SurfelModel::half_size_m). s is the standard deviation along an axis: two axes of a
+/// 2D Gaussian, three of a 3D Gaussian.
 class ActorBoxLoss final : public Loss {
 public:
     ActorBoxLoss(Device& device, const LossWeights& weights);

@@ -107,7 +107,7 @@ public:
         const std::lock_guard lock(mutex_);
         const std::string key =
             fmt::format("{} {} {} {}", run.folder.string(), sensor.lidar, sensor.returns, sensor_name);
-        if (key != key_ || scan.time_s <= last_s_) send_remaining_packets_and_reset();
+        if (key != key_ || scan.time_s <= last_s_) finish_stream();
         if (!sender_) {
             ScanOutputOptions format = make_default_output_options(run, sensor);
             if (!sensor_name.empty())
@@ -128,11 +128,17 @@ public:
 
     /// Sends the packets that wait for the next scan.
     void send_remaining_packets_and_reset() {
+        const std::lock_guard lock(mutex_);
+        finish_stream();
+    }
+
+private:
+    /// Requires that the caller holds `mutex_`.
+    void finish_stream() {
         if (sender_) (void)sender_->send_remaining_and_describe_result();
         sender_.reset();
     }
 
-private:
     PacketDestination target_;
     std::mutex mutex_;
     std::optional<PacketSender> sender_;
