@@ -38,9 +38,6 @@ public:
     /// @return the set that contains the sorted keys
     SortBuffers run(Stream& stream, SortBuffers input, SortBuffers scratch, std::uint32_t key_bits,
                     Address<std::uint32_t, shared::SortCount> n_keys = {}) const;
-    std::uint64_t memory_bytes() const {
-        return counts_.buffer().size_bytes() + totals_.buffer().size_bytes();
-    }
 
 private:
     std::uint32_t capacity_;

@@ -50,8 +50,6 @@ public:
     /// Path of the temporary folder. Write files to this path before
     /// move_folder_and_replace_existing().
     const std::filesystem::path& path() const { return path_; }
-    /// Absolute path that the folder gets when it is complete.
-    const std::filesystem::path& get_final_path() const { return final_path_; }
     /// Renames the temporary folder to its final name and replaces an existing folder.
     /// @throws DataError if the folder cannot be renamed. An existing folder is then
     /// kept.

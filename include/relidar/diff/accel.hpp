@@ -90,9 +90,6 @@ public:
 
     AccelAddresses get_device_addresses() const;
     ProxyShape get_proxy_shape_of_surfels() const;
-    /// Device memory of the trees, of the shapes around surfels and of scratch buffers,
-    /// bytes.
-    std::uint64_t get_device_memory_bytes() const;
     std::uint64_t get_build_and_refit_count() const;  ///< Number of builds and refits recorded so far.
     int count_refits_since_build() const;             ///< Number of refits recorded since the last build.
 

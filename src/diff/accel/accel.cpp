@@ -124,9 +124,5 @@ AccelAddresses AccelerationStructure::get_device_addresses() const {
 ProxyShape AccelerationStructure::get_proxy_shape_of_surfels() const { return impl_->proxy; }
 std::uint64_t AccelerationStructure::get_build_and_refit_count() const { return impl_->n_updates; }
 int AccelerationStructure::count_refits_since_build() const { return impl_->refits; }
-std::uint64_t AccelerationStructure::get_device_memory_bytes() const {
-    return impl_->hardware ? impl_->hardware->get_accel_memory_bytes()
-                           : impl_->software->get_bvh_memory_bytes();
-}
 
 }  // namespace relidar

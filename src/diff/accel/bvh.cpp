@@ -369,19 +369,6 @@ shared::BvhPointers Bvh::get_bvh_gpu_addresses() const {
             .top_order = b.top_order.address()};
 }
 
-std::uint64_t Bvh::get_bvh_memory_bytes() const {
-    const Impl& b = *impl_;
-    std::uint64_t bytes = b.sort.memory_bytes();
-    for (const Buffer* buffer :
-         {&b.model_of.buffer(), &b.boxes.buffer(), &b.bounds.buffer(), &b.scratch.buffer(), &b.queue.buffer(),
-          &b.level_sizes.buffer(), &b.tiles.buffer(), &b.nodes.buffer(), &b.order.buffer(), &b.links.buffer(),
-          &b.node_boxes.buffer(), &b.arrivals.buffer(), &b.count.buffer(), &b.roots.buffer(),
-          &b.top_order.buffer(), &b.top_node_array.buffer(), &b.top_boxes.buffer(), &b.top_keys.buffer(),
-          &b.cost_sums.buffer()})
-        bytes += buffer->size_bytes();
-    return bytes;
-}
-
 HostBvhCopy Bvh::download_bvh() const {
     const Impl& b = *impl_;
     HostBvhCopy host{b.nodes.download(),          b.order.download(),     b.roots.download(),

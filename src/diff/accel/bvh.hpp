@@ -55,7 +55,6 @@ public:
     void rebuild_top_level_tree(Stream& stream, const DeviceScene& scene);
 
     shared::BvhPointers get_bvh_gpu_addresses() const;
-    std::uint64_t get_bvh_memory_bytes() const;
     /// Submits a kernel that computes the traversal cost of all trees (surface area
     /// heuristic, m^2). read_tree_cost() waits for the cost and returns it. It returns
     /// nothing if no measurement was recorded. A rebuild is useful if the cost is much

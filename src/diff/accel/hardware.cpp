@@ -370,12 +370,4 @@ void RayQueryAccel::write_ray_query_gpu_addresses(AccelAddresses& addresses) con
     addresses.n_moving = a.n_moving;
 }
 
-std::uint64_t RayQueryAccel::get_accel_memory_bytes() const {
-    std::uint64_t bytes = impl_->geometry.buffer().size_bytes() + impl_->indices.buffer().size_bytes() +
-                          impl_->scratch.size_bytes() + impl_->tlas->storage->size_bytes();
-    for (const auto& structure : impl_->blas)
-        if (structure) bytes += structure->storage->size_bytes();
-    return bytes;
-}
-
 }  // namespace relidar

@@ -33,7 +33,6 @@ public:
 
     /// Writes the addresses that ray queries need into `addresses`.
     void write_ray_query_gpu_addresses(AccelAddresses& addresses) const;
-    std::uint64_t get_accel_memory_bytes() const;
 
 private:
     struct Impl;

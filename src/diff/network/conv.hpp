@@ -45,8 +45,6 @@ public:
         partial_.reserve(device, n_floats, "partial sums of weights");
     }
 
-    std::uint32_t get_kernel_taps() const { return taps_; }
-
 private:
     std::uint32_t taps_, pixels_, lanes_;
     Kernel<shared::ConvParams> conv_;

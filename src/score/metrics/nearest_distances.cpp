@@ -8,34 +8,14 @@
 #include <cmath>
 
 #include <fmt/format.h>
-#include <nanoflann.hpp>
 
 #include <relidar/base/error.hpp>
 
+#include "base/nearest_place.hpp"
 #include "base/parallel.hpp"
 
 namespace relidar {
 namespace {
-
-/// Adapter that gives nanoflann access to a list of points. The names of the members must
-/// be those that nanoflann calls.
-struct KdTreeTargetCloud {
-    const std::vector<glm::dvec3>& points;
-
-    std::size_t kdtree_get_point_count() const { return points.size(); }
-    double kdtree_get_pt(std::size_t index, std::size_t axis) const {
-        return points[index][glm::length_t(axis)];
-    }
-    template <class Box>
-    bool kdtree_get_bbox(Box&) const {
-        return false;
-    }
-};
-
-using Metric = nanoflann::L2_Simple_Adaptor<double, KdTreeTargetCloud>;
-using Tree = nanoflann::KDTreeSingleIndexAdaptor<Metric, KdTreeTargetCloud, 3, std::uint32_t>;
-
-constexpr std::size_t kLeafSize = 16;
 
 void require_finite_points(const std::vector<glm::dvec3>& points, const char* cloud_name) {
     for (std::size_t i = 0; i < points.size(); ++i)
@@ -59,13 +39,9 @@ std::vector<double> compute_nearest_distances(const std::vector<glm::dvec3>& que
     require_finite_points(query_points, "query");
     require_finite_points(target_points, "target");
 
-    const KdTreeTargetCloud cloud{target_points};
-    const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(kLeafSize));
+    const NearestPointFinder<double> targets(target_points);
     parallel_for_in_blocks(query_points.size(), [&](std::size_t i) {
-        std::uint32_t index = 0;
-        double squared = 0.0;
-        tree.knnSearch(&query_points[i].x, 1, &index, &squared);
-        distance[i] = std::sqrt(squared);
+        distance[i] = std::sqrt(targets.compute_nearest_squared_distance(query_points[i]));
     });
     return distance;
 }

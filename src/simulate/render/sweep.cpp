@@ -92,10 +92,6 @@ SimulatedSensor SimulatedSweepBuilder::align_azimuths_with_log(const SimulatedSe
     return copy_sensor_with_azimuths_of_sweep(sensor, shifted_, log_.lidars, time_s);
 }
 
-PoseTrack SimulatedSweepBuilder::convert_track_to_dataset_frame(const PoseTrack& world_from_object) const {
-    return add_offset_to_track_positions(world_from_object, log_.world_offset_m);
-}
-
 /// Makes a sweep for a sensor on a given track. Sets the vehicle track of the log so that
 /// the sensor follows `world_from_sensor`.
 /// @param world_from_actor poses of the actors; if null, uses the tracks of the run

@@ -57,9 +57,6 @@ public:
     /// Returns the range limits of a sensor. If the sensor has no maximum range, returns
     /// the maximum range of the log.
     RangeLimits get_range_limits(const SimulatedSensor& sensor) const;
-    /// Converts a track from the world frame of the scene to the world frame of the
-    /// dataset.
-    PoseTrack convert_track_to_dataset_frame(const PoseTrack& world_from_object) const;
 
 private:
     const Config& config_;

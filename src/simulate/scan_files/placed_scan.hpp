@@ -30,8 +30,6 @@ struct ScanInOutputFrame {
     /// pose of the points' coordinate frame in the dataset's world frame; no value if
     /// each point is in the frame that the sensor had when it fired the point's ray
     std::optional<Pose> dataset_from_points;
-
-    const RangeImage& get_image() const { return scan.image; }
 };
 
 /// Calls visit(info, values) for each channel of the output files, in the order of the

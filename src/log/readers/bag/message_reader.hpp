@@ -78,7 +78,6 @@ public:
         at_ += n_bytes;
         return bytes_.substr(at_ - n_bytes, n_bytes);
     }
-    std::size_t get_byte_offset() const { return at_; }
     std::size_t count_remaining_bytes() const { return bytes_.size() - at_; }
 
 private:
