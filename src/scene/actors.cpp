@@ -107,11 +107,6 @@ ObjectKind guess_object_kind(const BoxTrack& box) {
     return length < 2.2 ? ObjectKind::cyclist : ObjectKind::other;
 }
 
-bool is_deformable_object(const BoxTrack& box, const SceneInitialisationOptions& options) {
-    return options.deform == kEveryClass || contains_word_in_list(options.deform, box.category) ||
-           contains_word_in_list(options.deform, get_name(guess_object_kind(box)));
-}
-
 /// Checks that the size of a box is positive and that all its poses are finite.
 /// @throws DataError if a size or a pose is invalid
 void require_valid_box_size_and_poses(const BoxTrack& box) {
@@ -147,33 +142,14 @@ void pad_with_random_samples(std::vector<LidarSample>& samples, std::size_t min_
     for (const LidarSample& s : samples) intensity += s.intensity / double(samples.size());
     Random random(hash_integer_pair(seed, hash_integer(std::hash<std::string>{}(box.id))));
     while (samples.size() < min_count) {
-        const glm::dvec3 p =
-            box.size_m * (glm::dvec3(random.sample_uniform_number(), random.sample_uniform_number(),
-                                     random.sample_uniform_number()) -
-                          0.5);
+        // Draws one number per statement, because the compiler chooses the order of
+        // arguments.
+        glm::dvec3 fraction;
+        for (int axis = 2; axis >= 0; --axis) fraction[axis] = random.sample_uniform_number();
+        const glm::dvec3 p = box.size_m * (fraction - 0.5);
         samples.push_back(
             {glm::vec3(p), static_cast<float>(intensity), glm::vec3(-p / std::max(glm::length(p), 1e-9))});
     }
-}
-
-/// Selects at most `actor_points` samples of an actor from the points in its box. If
-/// there are fewer, adds random points. Adds no random points if the box has fewer than
-/// `actor_min_points` points.
-std::vector<LidarSample> limit_and_pad_samples(std::vector<LidarSample> samples, const BoxTrack& box,
-                                               const SceneInitialisationOptions& options) {
-    samples = select_one_sample_per_voxel(samples, std::size_t(options.actor_points));
-    if (samples.size() >= std::size_t(options.actor_min_points))
-        pad_with_random_samples(samples, std::size_t(std::min(options.actor_pad_to, options.actor_points)),
-                                box, options.seed);
-    return samples;
-}
-
-/// Returns the parts of a box's surface that LiDAR rays have hit from outside.
-ObservedBoxSurface find_observed_box_surface(const BoxTrack& box, const std::vector<LidarSample>& samples) {
-    ObservedBoxSurface surface(box.size_m);
-    for (const LidarSample& s : samples)
-        surface.mark_patch_of_point_as_observed(glm::dvec3(s.position), glm::dvec3(s.view));
-    return surface;
 }
 
 struct ActorInitContext {
@@ -187,10 +163,15 @@ struct ActorInitContext {
 void append_actor_to_scene(Scene& scene, const BoxTrack& box, const std::vector<LidarSample>& samples,
                            const ActorInitContext& settings) {
     const auto& [options, incidence, notes, progress] = settings;
-    std::vector<LidarSample> rigid = limit_and_pad_samples(samples, box, options);
+    std::vector<LidarSample> rigid = select_one_sample_per_voxel(samples, std::size_t(options.actor_points));
     if (rigid.size() < std::size_t(options.actor_min_points)) return;
+    pad_with_random_samples(rigid, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box,
+                            options.seed);
+    const bool is_deformable = options.deform == kEveryClass ||
+                               contains_word_in_list(options.deform, box.category) ||
+                               contains_word_in_list(options.deform, get_name(guess_object_kind(box)));
     DeformingActorSurfels changing;
-    if (is_deformable_object(box, options)) {
+    if (is_deformable) {
         changing = make_surfels_of_deforming_actor(samples, options, incidence,
                                                    std::size_t(options.actor_points), progress);
         const bool is_rigid = !changing.why_rigid.empty();
@@ -202,11 +183,15 @@ void append_actor_to_scene(Scene& scene, const BoxTrack& box, const std::vector<
     }
     const Surfels surfels = changing.period_m > 0.0 ? std::move(changing.surfels)
                                                     : make_surfels_from_points(rigid, options, incidence);
+    // parts of the box's surface that LiDAR rays have hit from outside
+    ObservedBoxSurface observed_surface(box.size_m);
+    for (const LidarSample& s : samples)
+        observed_surface.mark_patch_of_point_as_observed(glm::dvec3(s.position), glm::dvec3(s.view));
     scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
     scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()),
                             static_cast<std::uint32_t>(surfels.size()),
                             glm::vec3(0.5 * box.size_m + kPointMargin_m),
-                            static_cast<float>(changing.period_m), find_observed_box_surface(box, samples)});
+                            static_cast<float>(changing.period_m), std::move(observed_surface)});
     scene.surfels.append_surfels(surfels);
 }
 

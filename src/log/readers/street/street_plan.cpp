@@ -182,10 +182,12 @@ void add_yard(SyntheticStreet& street, Random& random) {
                                  Material::wall,
                                  0.4,
                                  SurfaceClass::fence});
-    for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.sample_uniform_number(2.6, 4.0))
-        add_parked_car(street, x, fence_y + random.sample_uniform_number(3.0, 4.0),
-                       0.5 * kPi + random.sample_uniform_number(-0.05, 0.05),
-                       make_glazed_car_shapes(random.sample_uniform_number(0.15, 0.8)));
+    for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.sample_uniform_number(2.6, 4.0)) {
+        const double paint_reflectance = random.sample_uniform_number(0.15, 0.8);
+        const double yaw_rad = 0.5 * kPi + random.sample_uniform_number(-0.05, 0.05);
+        const double y_m = fence_y + random.sample_uniform_number(3.0, 4.0);
+        add_parked_car(street, x, y_m, yaw_rad, make_glazed_car_shapes(paint_reflectance));
+    }
     street.shapes.push_back({StreetShape::Kind::box,
                              {0.5 * (kYardBegin_m + kYardEnd_m), fence_y + 12.0, 3.0},
                              {0.5 * (kYardEnd_m - kYardBegin_m), 1.0, 3.0},
@@ -224,12 +226,13 @@ void add_oncoming_cars(SyntheticStreet& street, Random& random, const SyntheticO
 /// Adds a bush of leaves and twigs, through which most rays pass.
 void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& position_m) {
     for (int leaf = 0; leaf < 60; ++leaf) {
-        const glm::dvec3 leaf_centre_m(position_m + glm::dvec2(random.sample_uniform_number(-1.0, 1.0),
-                                                               random.sample_uniform_number(-0.5, 0.5)),
-                                       random.sample_uniform_number(0.1, 1.6));
-        street.shapes.push_back(
-            {StreetShape::Kind::box, leaf_centre_m, glm::dvec3(random.sample_uniform_number(0.03, 0.08)),
-             random.sample_uniform_number(0.0, 1.5), Material::leaves, 0.4, SurfaceClass::vegetation});
+        const double z_m = random.sample_uniform_number(0.1, 1.6);
+        const double y_m = position_m.y + random.sample_uniform_number(-0.5, 0.5);
+        const double x_m = position_m.x + random.sample_uniform_number(-1.0, 1.0);
+        street.shapes.push_back({StreetShape::Kind::box, glm::dvec3(x_m, y_m, z_m),
+                                 glm::dvec3(random.sample_uniform_number(0.03, 0.08)),
+                                 random.sample_uniform_number(0.0, 1.5), Material::leaves, 0.4,
+                                 SurfaceClass::vegetation});
     }
 }
 
@@ -300,19 +303,21 @@ MovingStreetActor make_cyclist(const SyntheticOptions& options, const glm::dvec2
 
 void add_people(SyntheticStreet& street, Random& random, const SyntheticOptions& options) {
     const std::size_t first = street.cars.size();
-    street.cars.push_back(make_pedestrian(options,
-                                          {random.sample_uniform_number(4.0, 16.0), kRightKerb_m - 1.6}, 0.0,
-                                          random.sample_uniform_number(1.0, 1.6)));
-    street.cars.push_back(make_pedestrian(options,
-                                          {random.sample_uniform_number(4.0, 16.0), kLeftKerb_m + 1.7}, kPi,
-                                          random.sample_uniform_number(1.0, 1.6)));
-    street.cars.push_back(make_pedestrian(options, {random.sample_uniform_number(24.0, 30.0), 4.5},
-                                          -0.5 * kPi, random.sample_uniform_number(1.0, 1.6)));
+    struct Walk {
+        double min_x_m, max_x_m, y_m, yaw_rad;
+    };
+    for (const Walk& walk : {Walk{4.0, 16.0, kRightKerb_m - 1.6, 0.0},
+                             Walk{4.0, 16.0, kLeftKerb_m + 1.7, kPi}, Walk{24.0, 30.0, 4.5, -0.5 * kPi}}) {
+        const double speed_mps = random.sample_uniform_number(1.0, 1.6);
+        const double x_m = random.sample_uniform_number(walk.min_x_m, walk.max_x_m);
+        street.cars.push_back(make_pedestrian(options, {x_m, walk.y_m}, walk.yaw_rad, speed_mps));
+    }
     if (options.gait)
         for (std::size_t i = first; i < street.cars.size(); ++i)
             replace_legs_by_swinging_limbs(street.cars[i]);
-    street.cars.push_back(make_cyclist(options, {random.sample_uniform_number(6.0, 9.0), kRightKerb_m + 2.7},
-                                       random.sample_uniform_number(4.0, 6.0)));
+    const double cyclist_speed_mps = random.sample_uniform_number(4.0, 6.0);
+    const double cyclist_x_m = random.sample_uniform_number(6.0, 9.0);
+    street.cars.push_back(make_cyclist(options, {cyclist_x_m, kRightKerb_m + 2.7}, cyclist_speed_mps));
 }
 
 }  // namespace
