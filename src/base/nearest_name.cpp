@@ -44,14 +44,6 @@ bool contains_ignoring_case(std::string_view text, std::string_view substring) {
                                                 is_same_letter_ignoring_case) != text.end();
 }
 
-/// Returns true if one name contains the other, or if few letters differ. The edit
-/// distance may be at most 2/5 of the length of the longer name.
-bool is_similar_name(std::string_view query, std::string_view name) {
-    const std::size_t most = std::max<std::size_t>(1, 2 * std::max(query.size(), name.size()) / 5);
-    return compute_edit_distance(query, name) <= most || contains_ignoring_case(query, name) ||
-           contains_ignoring_case(name, query);
-}
-
 }  // namespace
 
 std::string find_most_similar_name(std::string_view query, const std::vector<std::string>& valid_names) {
@@ -65,8 +57,15 @@ std::string find_most_similar_name(std::string_view query, const std::vector<std
 std::string format_name_suggestion(std::string_view query, const std::vector<std::string>& valid_names,
                                    std::string_view quote_mark, std::string_view text_if_none) {
     std::vector<std::string> similar_names;
-    for (const std::string& name : valid_names)
-        if (is_similar_name(query, name)) similar_names.push_back(name);
+    for (const std::string& name : valid_names) {
+        // Names are similar if one contains the other, or if few letters differ: at most
+        // 2/5 of the length of the longer name.
+        const std::size_t max_distance =
+            std::max<std::size_t>(1, 2 * std::max(query.size(), name.size()) / 5);
+        if (compute_edit_distance(query, name) <= max_distance || contains_ignoring_case(query, name) ||
+            contains_ignoring_case(name, query))
+            similar_names.push_back(name);
+    }
     if (similar_names.empty()) return std::string(text_if_none);
     return fmt::format(", did you mean {}{}{}?", quote_mark, find_most_similar_name(query, similar_names),
                        quote_mark);

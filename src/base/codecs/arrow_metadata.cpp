@@ -34,18 +34,11 @@ struct AlignedFlatbuffer {
     flatbuffers::Verifier verifier;
 
     explicit AlignedFlatbuffer(std::string_view bytes)
-        : words(bytes.size() / 8 + 1), verifier(data(), bytes.size(), make_verifier_options()) {
+        : words(bytes.size() / 8 + 1), verifier(data(), bytes.size(), {.max_tables = kMostTables}) {
         if (bytes.size() >= FLATBUFFERS_MAX_BUFFER_SIZE) throw_malformed_arrow_error("size of the metadata");
         std::memcpy(words.data(), bytes.data(), bytes.size());
     }
     const std::uint8_t* data() const { return reinterpret_cast<const std::uint8_t*>(words.data()); }
-
-private:
-    static flatbuffers::Verifier::Options make_verifier_options() {
-        flatbuffers::Verifier::Options limits;
-        limits.max_tables = kMostTables;
-        return limits;
-    }
 };
 
 /// Table in a flatbuffer. Each field is checked when it is read.

@@ -42,14 +42,6 @@ constexpr Colour kNoValue{44, 44, 48};    // Dark gray for pixels without a valu
 constexpr std::uint8_t kSeparator = 128;  // Gray value of the line between images.
 constexpr int kSeparatorRows = 2;
 
-std::span<const Colour> get_stops_of_colour_map(const std::string& colour_map_name) {
-    if (colour_map_name == "turbo") return kTurbo;
-    if (colour_map_name == "gray") return kGray;
-    if (colour_map_name == "heat") return kHeat;
-    throw UsageError(
-        fmt::format("the colour map '{}' is unknown, expected turbo, gray or heat", colour_map_name));
-}
-
 /// Returns the interpolated colour at a position of a colour map.
 /// @param stops colours of the map, evenly spaced
 /// @param fraction position in the map, [0, 1]
@@ -83,7 +75,13 @@ Image apply_colour_map(const std::vector<float>& values, int rows, int columns, 
         throw DataError(
             fmt::format("cannot colour an image: the colour scale goes from {} to {}, expected finite limits",
                         min_value, max_value));
-    const std::span<const Colour> stops = get_stops_of_colour_map(colour_map_name);
+    std::span<const Colour> stops;
+    if (colour_map_name == "turbo") stops = kTurbo;
+    else if (colour_map_name == "gray") stops = kGray;
+    else if (colour_map_name == "heat") stops = kHeat;
+    else
+        throw UsageError(
+            fmt::format("the colour map '{}' is unknown, expected turbo, gray or heat", colour_map_name));
     // Avoids a division by zero. A constant image gets the lowest colour.
     const double span = max_value > min_value ? double(max_value) - double(min_value) : 1.0;
 

@@ -125,12 +125,6 @@ std::string parse_little_endian_numpy_type(const std::string& numpy_type_with_by
     return std::string(type);
 }
 
-std::uint32_t read_little_endian_uint32(const std::byte* bytes, std::size_t n_bytes) {
-    std::uint32_t value = 0;
-    std::memcpy(&value, bytes, n_bytes);
-    return value;
-}
-
 }  // namespace
 
 std::string make_npy_header(const NamedArray& array) {
@@ -162,7 +156,8 @@ NamedArray parse_npy(const std::string& array_name, const std::vector<std::byte>
     if (version < 1 || version > 3)
         throw DataError(fmt::format("the file has npy version {}, expected 1 to 3", version));
     const std::size_t n_length = version == 1 ? 2 : 4, start = 8 + n_length;
-    const std::size_t length = read_little_endian_uint32(bytes.data() + 8, n_length);
+    std::size_t length = 0;  // size of the header, stored in little-endian order
+    std::memcpy(&length, bytes.data() + 8, n_length);
     if (length > bytes.size() - start)
         throw DataError(fmt::format("the npy header should have {} bytes, but only {} bytes are left", length,
                                     bytes.size() - start));
