@@ -162,14 +162,6 @@ std::vector<DeviceInfo> describe_physical_devices(const std::vector<VkPhysicalDe
     return infos;
 }
 
-/// Returns true if a device supports a traversal method. For `automatic`, the device must
-/// support at least one method.
-bool can_run_ray_tracing_backend(const DeviceInfo& info, RayTracingBackend traversal) {
-    if (traversal == RayTracingBackend::ray_query) return info.ray_query;
-    if (traversal == RayTracingBackend::software) return info.software;
-    return choose_best_ray_tracing_backend(info) != RayTracingBackend::automatic;
-}
-
 /// Returns the index of the requested device. If none is requested, prefers GPUs to CPU
 /// devices, and GPUs with ray queries to GPUs without them.
 int choose_device_index(const std::vector<DeviceInfo>& device_infos, const DeviceOptions& options) {
@@ -185,7 +177,10 @@ int choose_device_index(const std::vector<DeviceInfo>& device_infos, const Devic
     if (options.index >= 0) return options.index;
     int best = 0, best_score = -1;
     for (const DeviceInfo& d : device_infos) {
-        const bool runs = can_run_ray_tracing_backend(d, options.traversal);
+        // For `automatic`, the device must support at least one traversal method.
+        bool runs = choose_best_ray_tracing_backend(d) != RayTracingBackend::automatic;
+        if (options.traversal == RayTracingBackend::ray_query) runs = d.ray_query;
+        if (options.traversal == RayTracingBackend::software) runs = d.software;
         const int score = (d.why_not_usable.empty() ? 8 : 0) + (runs ? 4 : 0) + (d.type != "CPU" ? 2 : 0) +
                           (d.ray_query ? 1 : 0);
         if (score > best_score) {

@@ -51,11 +51,6 @@ std::uint64_t get_largest_device_local_heap_bytes(VkPhysicalDevice physical_devi
     return largest;
 }
 
-std::string format_vulkan_version(std::uint32_t packed_version) {
-    return fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(packed_version), VK_API_VERSION_MINOR(packed_version),
-                       VK_API_VERSION_PATCH(packed_version));
-}
-
 constexpr VkSubgroupFeatureFlags kSubgroupOperations =
     VK_SUBGROUP_FEATURE_BASIC_BIT | VK_SUBGROUP_FEATURE_ARITHMETIC_BIT | VK_SUBGROUP_FEATURE_BALLOT_BIT;
 
@@ -104,16 +99,6 @@ bool can_request_full_subgroups_of_one_size(
     const OptionalFeatures& optional_features) {
     return size_control_properties.minSubgroupSize == size_control_properties.maxSubgroupSize ||
            (optional_features.subgroup_size && optional_features.full_subgroups);
-}
-
-/// Returns true for Mesa's CPU driver lavapipe before version 24.1. On some CPUs, its
-/// compiler terminates the process when it compiles relidar's kernels
-/// (docs/debugging.md).
-bool is_lavapipe_that_may_crash(const VkPhysicalDeviceDriverProperties& driver_properties) {
-    int major = 0, minor = 0;
-    return driver_properties.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&
-           std::sscanf(driver_properties.driverInfo, "Mesa %d.%d", &major, &minor) == 2 &&
-           std::pair(major, minor) < std::pair(24, 1);
 }
 
 /// Returns true for lavapipe on arm64 if its compiler is LLVM 19 or older. On a CPU
@@ -187,8 +172,14 @@ std::string list_missing_kernel_features(const VkPhysicalDeviceProperties& prope
                                          const VkPhysicalDeviceSubgroupProperties& subgroup_properties) {
     Missing base;
     base.add_name_if_feature_missing(properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
-    base.add_name_if_feature_missing(!is_lavapipe_that_may_crash(driver_properties),
-                                     "lavapipe from Mesa 24.1 or newer");
+    // On some CPUs, the compiler of lavapipe (Mesa's CPU driver) before version 24.1
+    // terminates the process when it compiles relidar's kernels (docs/debugging.md).
+    int mesa_major = 0, mesa_minor = 0;
+    const bool is_old_lavapipe =
+        driver_properties.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&
+        std::sscanf(driver_properties.driverInfo, "Mesa %d.%d", &mesa_major, &mesa_minor) == 2 &&
+        std::pair(mesa_major, mesa_minor) < std::pair(24, 1);
+    base.add_name_if_feature_missing(!is_old_lavapipe, "lavapipe from Mesa 24.1 or newer");
     base.add_name_if_feature_missing(vulkan_1_2_features.bufferDeviceAddress, "bufferDeviceAddress");
     base.add_name_if_feature_missing(vulkan_1_2_features.scalarBlockLayout, "scalarBlockLayout");
     base.add_name_if_feature_missing(vulkan_1_2_features.timelineSemaphore, "timelineSemaphore");
@@ -249,7 +240,10 @@ DeviceInfo make_device_info(VkPhysicalDevice physical_device, int device_index) 
     info.name = properties.properties.deviceName;
     info.type = get_device_type_name(properties.properties.deviceType);
     info.driver = fmt::format("{} {}", driver.driverName, driver.driverInfo);
-    info.api_version = format_vulkan_version(properties.properties.apiVersion);
+    const std::uint32_t packed_version = properties.properties.apiVersion;
+    info.api_version =
+        fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(packed_version), VK_API_VERSION_MINOR(packed_version),
+                    VK_API_VERSION_PATCH(packed_version));
     info.memory_bytes = get_largest_device_local_heap_bytes(physical_device);
     info.subgroup_size = static_cast<int>(subgroup.subgroupSize);
     info.timestamps = properties.properties.limits.timestampComputeAndGraphics != 0;

@@ -117,15 +117,6 @@ gpu::ComputePipelines::CompiledPipeline create_compute_pipeline(
     return made;
 }
 
-std::string make_pipeline_key(std::string_view kernel_name,
-                              const std::vector<SpecialisationConstant>& constants,
-                              SubgroupRequirement subgroup_requirement) {
-    std::string key = fmt::format("{} {}", kernel_name, subgroup_requirement == SubgroupRequirement::full);
-    for (const SpecialisationConstant& c : constants)
-        key += fmt::format(" {}={}", static_cast<std::uint32_t>(c.id), c.value);
-    return key;
-}
-
 /// Limits the number of pipelines that are compiled at the same time. Each object of this
 /// class occupies one slot. The constructor waits until a slot is free.
 class CompilerSlot {
@@ -163,8 +154,10 @@ std::string format_constants_of_kernel(std::span<const std::uint32_t> spirv_word
 std::shared_future<gpu::ComputePipelines::CompiledPipeline> find_or_start_pipeline_build(
     Device::Impl& device, const KernelBase::Impl& kernel, std::launch launch_mode) {
     const std::scoped_lock lock(device.pipelines.mutex);
-    std::shared_future<gpu::ComputePipelines::CompiledPipeline>& made =
-        device.pipelines.by_key[make_pipeline_key(kernel.module, kernel.constants, kernel.subgroups)];
+    std::string key = fmt::format("{} {}", kernel.module, kernel.subgroups == SubgroupRequirement::full);
+    for (const SpecialisationConstant& c : kernel.constants)
+        key += fmt::format(" {}={}", static_cast<std::uint32_t>(c.id), c.value);
+    std::shared_future<gpu::ComputePipelines::CompiledPipeline>& made = device.pipelines.by_key[key];
     if (!made.valid())
         made = std::async(launch_mode, [&device, module = kernel.module, stem = kernel.name,
                                         constants = kernel.constants, subgroups = kernel.subgroups] {

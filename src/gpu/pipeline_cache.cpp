@@ -26,18 +26,14 @@ struct PipelineCacheHeader {
     std::uint64_t hash = 0;
 };
 
-/// Returns a hash (FNV-1a) that detects damaged cache files. A damaged file could crash
-/// the driver, because drivers check only the header of their data.
-std::uint64_t compute_fnv1a_hash(std::string_view bytes) {
-    std::uint64_t hash = 0xcbf29ce484222325u;
-    for (const char byte : bytes) hash = (hash ^ static_cast<unsigned char>(byte)) * 0x100000001b3u;
-    return hash;
-}
-
 PipelineCacheHeader make_pipeline_cache_header(std::string_view cache_data) {
     PipelineCacheHeader header;
     header.n_bytes = cache_data.size();
-    header.hash = compute_fnv1a_hash(cache_data);
+    // The hash (FNV-1a) detects damaged cache files. A damaged file could crash the
+    // driver, because drivers check only the header of their data.
+    header.hash = 0xcbf29ce484222325u;
+    for (const char byte : cache_data)
+        header.hash = (header.hash ^ static_cast<unsigned char>(byte)) * 0x100000001b3u;
     return header;
 }
 

@@ -14,23 +14,21 @@ namespace {
 constexpr std::uint32_t kOpMemberDecorate = 72, kOffset = 35, kNonWritable = 24;
 constexpr std::uint32_t kOpExtension = 10, kOpEntryPoint = 15, kOpExecutionMode = 16, kOpCapability = 17;
 
-std::vector<std::uint32_t> make_extension_instruction(std::string_view extension_name) {
-    // The name ends with a zero byte, which may need another word.
-    std::vector<std::uint32_t> words(1 + extension_name.size() / 4 + 1, 0u);
-    std::memcpy(words.data() + 1, extension_name.data(), extension_name.size());
-    words[0] = static_cast<std::uint32_t>(words.size()) << 16 | kOpExtension;
-    return words;
-}
-
 }  // namespace
 
 std::vector<std::uint32_t> add_execution_mode_to_spirv(std::span<const std::uint32_t> spirv_words,
                                                        const ExecutionMode& execution_mode) {
+    // The name of the extension ends with a zero byte, which may need another word.
+    const std::string_view extension_name = execution_mode.extension;
+    std::vector<std::uint32_t> extension_words(1 + extension_name.size() / 4 + 1, 0u);
+    std::memcpy(extension_words.data() + 1, extension_name.data(), extension_name.size());
+    extension_words[0] = static_cast<std::uint32_t>(extension_words.size()) << 16 | kOpExtension;
+
     std::vector<std::uint32_t> result(spirv_words.begin(), spirv_words.begin() + kHeaderWords), modes;
     bool extended = false;
     for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         if (!extended && opcode != kOpCapability && opcode != kOpExtension) {
-            append_spirv_instruction(result, make_extension_instruction(execution_mode.extension));
+            append_spirv_instruction(result, extension_words);
             extended = true;
         }
         if (opcode == kOpEntryPoint) {

@@ -159,9 +159,12 @@ public:
             if (functions) return;
             if (opcode == kDecorate && !decorated) append_spirv_instruction(result, decorations_);
             decorated = decorated || opcode == kDecorate;
-            append_spirv_instruction(result, opcode == kEntryPoint
-                                                 ? add_variables_to_entry_point(instruction)
-                                                 : SpirvWords(instruction.begin(), instruction.end()));
+            SpirvWords words(instruction.begin(), instruction.end());
+            if (opcode == kEntryPoint) {
+                for (const auto& [path, v] : variables_) words.push_back(v.id);
+                words[0] = std::uint32_t(words.size()) << 16 | kEntryPoint;
+            }
+            append_spirv_instruction(result, words);
         });
         append_functions_with_prologue(result, function_code, first);
         result[3] = next_;
@@ -250,12 +253,6 @@ private:
             append_spirv_instruction(code, make_spirv_instruction(kStore, {v.id, value}));
         }
         return code;
-    }
-    SpirvWords add_variables_to_entry_point(SpirvInstruction entry_point_instruction) const {
-        SpirvWords words(entry_point_instruction.begin(), entry_point_instruction.end());
-        for (const auto& [path, v] : variables_) words.push_back(v.id);
-        words[0] = std::uint32_t(words.size()) << 16 | kEntryPoint;
-        return words;
     }
     /// Appends all functions to the SPIR-V module. In the entry point, inserts the
     /// instructions `prologue_instructions` after the variable declarations.
