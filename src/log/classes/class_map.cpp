@@ -18,13 +18,6 @@ std::uint64_t make_class_cell_key(const SurfaceClassCell& cell) {
     return compute_grid_cell_key(glm::dvec3(cell.grid_index), 1.0);
 }
 
-std::vector<glm::vec3> compute_cell_centres(const SurfaceClassMap& map) {
-    std::vector<glm::vec3> centres;
-    for (const SurfaceClassCell& cell : map)
-        centres.emplace_back((glm::dvec3(cell.grid_index) + 0.5) * kClassCell_m);
-    return centres;
-}
-
 }  // namespace
 
 void add_missing_cells_of_class_map(SurfaceClassMap& target_map, const SurfaceClassMap& source_map) {
@@ -39,9 +32,14 @@ struct SurfaceClassLookup::Impl {
     std::vector<SurfaceClass> classes;
 };
 
-SurfaceClassLookup::SurfaceClassLookup(const SurfaceClassMap& map)
-    : impl_(new Impl{NearestPointFinder<float>(compute_cell_centres(map)), {}}) {
-    for (const SurfaceClassCell& cell : map) impl_->classes.push_back(cell.surface);
+SurfaceClassLookup::SurfaceClassLookup(const SurfaceClassMap& map) {
+    std::vector<glm::vec3> centres_m;
+    std::vector<SurfaceClass> classes;
+    for (const SurfaceClassCell& cell : map) {
+        centres_m.emplace_back((glm::dvec3(cell.grid_index) + 0.5) * kClassCell_m);
+        classes.push_back(cell.surface);
+    }
+    impl_.reset(new Impl{NearestPointFinder<float>(std::move(centres_m)), std::move(classes)});
 }
 
 SurfaceClassLookup::~SurfaceClassLookup() = default;

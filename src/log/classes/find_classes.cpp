@@ -38,14 +38,6 @@ std::vector<SurfaceClassCell> collect_class_votes(const LidarSequence& sequence,
     return votes;
 }
 
-/// Returns the class with most votes. In a tie, returns the class with the higher number.
-SurfaceClass choose_majority_class(const std::array<std::uint32_t, kSurfaceClasses>& votes_per_class) {
-    std::size_t best = 0;
-    for (std::size_t k = 1; k < votes_per_class.size(); ++k)
-        if (votes_per_class[k] >= votes_per_class[best] && votes_per_class[k] > 0) best = k;
-    return SurfaceClass(best);
-}
-
 }  // namespace
 
 SurfaceClassMap compute_map_of_surface_classes(const LidarSequence& sequence,
@@ -77,8 +69,15 @@ SurfaceClassMap compute_map_of_surface_classes(const LidarSequence& sequence,
         map[cells.of[i]].grid_index = votes[i].grid_index;
         ++counts[cells.of[i]][std::size_t(votes[i].surface)];
     }
-    for (std::size_t cell = 0; cell < map.size(); ++cell)
-        map[cell].surface = choose_majority_class(counts[cell]);
+    // A cell has the class with most votes. In a tie, it has the class with the higher
+    // number.
+    for (std::size_t cell = 0; cell < map.size(); ++cell) {
+        const std::array<std::uint32_t, kSurfaceClasses>& votes_per_class = counts[cell];
+        std::size_t best = 0;
+        for (std::size_t k = 1; k < votes_per_class.size(); ++k)
+            if (votes_per_class[k] >= votes_per_class[best] && votes_per_class[k] > 0) best = k;
+        map[cell].surface = SurfaceClass(best);
+    }
     return map;
 }
 

@@ -50,21 +50,17 @@ MaxRangeReturns find_max_range_returns(const LidarSequence& sequence, int lidar_
     return far;
 }
 
-bool do_max_range_returns_mark_drops(const MaxRangeReturns& max_range_returns) {
-    const double share =
-        double(max_range_returns.n) / double(std::max<std::size_t>(max_range_returns.n_all, 1));
-    return max_range_returns.n >= kFewest && max_range_returns.rows.size() >= kFewestRows &&
-           share >= kLeastShare && share <= kMostShare &&
-           are_ranges_nearly_equal(max_range_returns.range_m,
-                                   round_range_to_half_metre(max_range_returns.range_m));
-}
-
 }  // namespace
 
 void remove_returns_that_mark_dropped_rays(LidarSequence& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         const MaxRangeReturns far = find_max_range_returns(sequence, int(l));
-        if (!do_max_range_returns_mark_drops(far)) continue;
+        const double share = double(far.n) / double(std::max<std::size_t>(far.n_all, 1));
+        const bool marks_dropped_rays =
+            far.n >= kFewest && far.rows.size() >= kFewestRows && share >= kLeastShare &&
+            share <= kMostShare &&
+            are_ranges_nearly_equal(far.range_m, round_range_to_half_metre(far.range_m));
+        if (!marks_dropped_rays) continue;
         for (LidarFrame& frame : sequence.frames)
             if (frame.lidar == int(l))
                 remove_returns_outside_limits(frame.scan,

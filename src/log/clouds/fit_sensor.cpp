@@ -32,8 +32,6 @@ constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
 
-double compute_azimuth(const glm::vec3& point) { return std::atan2(double(point.y), double(point.x)); }
-
 double compute_quantile_and_reorder(std::vector<double>& values, double fraction) {
     const auto at = values.begin() + std::ptrdiff_t(fraction * double(values.size() - 1));
     std::nth_element(values.begin(), at, values.end());
@@ -52,7 +50,8 @@ RingPointLists group_points_by_ring(const LidarPoints& scan, std::size_t n_rings
     for (std::size_t i = 0; i < scan.size(); ++i) {
         if (!scan.return_number.empty() && scan.return_number[i] != 1) continue;
         rings[scan.ring[i]].point.push_back(i);
-        rings[scan.ring[i]].azimuth_rad.push_back(compute_azimuth(scan.position_m[i]));
+        const glm::vec3& position_m = scan.position_m[i];
+        rings[scan.ring[i]].azimuth_rad.push_back(std::atan2(double(position_m.y), double(position_m.x)));
     }
     return rings;
 }

@@ -185,12 +185,6 @@ std::vector<SequenceHeaderFrame> read_listed_frames(const JsonField& frame_list,
     return frames;
 }
 
-/// Returns true for a CSV file directly in the folder of the log. This file may be a
-/// table of beams and not a scan.
-bool can_be_beam_table(const fs::path& file, const fs::path& log_folder) {
-    return file.extension() == ".csv" && file.parent_path() == log_folder;
-}
-
 /// Returns true if the extension of a file means that it contains points as text.
 bool is_text_point_file(const fs::path& file) {
     return file.extension() == ".csv" || file.extension() == ".xyz";
@@ -211,13 +205,16 @@ std::vector<SequenceHeaderFrame> list_frames_in_scan_folders(double rate_hz,
         const bool has_scans = std::ranges::any_of(files, [](const fs::path& f) {
             return !is_text_point_file(f) && (is_point_file(f) || is_image_file(f));
         });
-        for (const fs::path& file : files)
-            if ((is_point_file(file) && !can_be_beam_table(file, log_folder) &&
-                 !(has_scans && is_text_point_file(file))) ||
+        for (const fs::path& file : files) {
+            // A CSV file directly in the folder of the log may be a table of beams and
+            // not a scan.
+            const bool can_be_beam_table = file.extension() == ".csv" && file.parent_path() == log_folder;
+            if ((is_point_file(file) && !can_be_beam_table && !(has_scans && is_text_point_file(file))) ||
                 is_image_file(file)) {
                 frames.push_back({number, number / rate_hz, int(l), file});
                 ++number;
             }
+        }
         const std::string other =
             number == 0 ? describe_unsupported_file_in(log_folder / lidars[l].scans) : "";
         if (number == 0)

@@ -24,12 +24,6 @@ constexpr float kFarthestCoordinate_m = 1e6f;
 // below this (1.4 mrad). The limit is not 0, because file coordinates are rounded.
 constexpr float kOneRay = 1e-6f;
 
-/// Returns true if a return is the strongest of its ray. `return_type` is a number of the
-/// ROS package Nebula: 3 strongest, 6 identical, 9 and 10 strongest and first or last.
-bool is_strongest_return_type(double return_type) {
-    return return_type == 3.0 || return_type == 6.0 || return_type == 9.0 || return_type == 10.0;
-}
-
 /// Returns true if the values of a field are the distances of the points from the sensor,
 /// in any unit. A field with the name of a range can also contain something else, such as
 /// the distance from a plane.
@@ -150,7 +144,11 @@ void sort_points_and_set_return_numbers(LidarPoints& points, const std::vector<d
         return std::pair(points.ring[index], points.time_offset_s[index]);
     };
     const auto strength = [&](std::size_t index) {
-        return std::pair(is_strongest_return_type(return_types[index]), points.intensity[index]);
+        // numbers of the ROS package Nebula: 3 strongest, 6 identical, 9 and 10 strongest
+        // and first or last
+        const double type = return_types[index];
+        const bool is_strongest = type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0;
+        return std::pair(is_strongest, points.intensity[index]);
     };
     std::stable_sort(order.begin(), order.end(), [&](std::size_t first, std::size_t second) {
         return ray(first) != ray(second) ? ray(first) < ray(second) : strength(first) > strength(second);
@@ -168,13 +166,6 @@ void sort_points_and_set_return_numbers(LidarPoints& points, const std::vector<d
     reorder_values(points.ring, order);
     reorder_values(points.time_offset_s, order);
     reorder_values(points.return_number, order);
-}
-
-std::uint8_t convert_return_number(double file_value, const std::string& error_location) {
-    if (!(file_value >= 0.0 && file_value < 8.0))
-        throw DataError(fmt::format("{}: the return number is {}, expected 0 (the strongest return) to 7",
-                                    error_location, file_value));
-    return std::uint8_t(file_value);
 }
 
 }  // namespace
@@ -215,7 +206,12 @@ LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnit
     if (number) {
         const double first = find_number_used_for_first_returns(*number, table.n);
         convert.convert_field_into(points.return_number, number, [&](double value) {
-            return std::uint8_t(1 + convert_return_number(value - first, of_point));
+            const double return_number = value - first;
+            if (!(return_number >= 0.0 && return_number < 8.0))
+                throw DataError(
+                    fmt::format("{}: the return number is {}, expected 0 (the strongest return) to 7",
+                                of_point, return_number));
+            return std::uint8_t(1 + int(return_number));
         });
     } else if (type && !points.ring.empty() && !points.time_offset_s.empty()) {
         std::vector<double> types;

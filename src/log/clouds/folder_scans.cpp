@@ -115,9 +115,13 @@ public:
             for (std::size_t i = 0; i < sequence_.frames.size(); ++i)
                 if (sequence_.frames[i].lidar == int(l) && source_.is_stored_as_points(i))
                     with_points.push_back(i);
-            if (sequence_.lidars[l].sensor.name.empty()) sequence_.lidars[l].sensor.name = sequence_.name;
-            if (with_points.empty()) set_sweep_period_of_ray_lidar(l);
-            else choose_point_conversion_of_lidar(l, with_points);
+            SpinningSensor& sensor = sequence_.lidars[l].sensor;
+            if (sensor.name.empty()) sensor.name = sequence_.name;
+            // If the files store rays, only the sweep period is set. A LiDAR with unknown
+            // beams is then treated as not rotating (period 0).
+            if (!with_points.empty()) choose_point_conversion_of_lidar(l, with_points);
+            else if (!head_.lidars[l].has_beams) sensor.period_s = 0.0;
+            else if (sensor.period_s == 0.0) sensor.period_s = get_or_estimate_sweep_duration_s(l);
         }
         const auto stands = [&](const ScanConversionPlan& plan) { return !plan.undo; };
         sequence_.rolling_shutter =
@@ -213,14 +217,6 @@ private:
             before_s = frame.time_s;
         }
         return steps.empty() ? kUsualPeriod_s : compute_median(std::move(steps));
-    }
-
-    /// Sets the sweep period of a LiDAR whose files store rays instead of points. A LiDAR
-    /// with unknown beams is treated as not rotating (period 0).
-    void set_sweep_period_of_ray_lidar(std::size_t lidar_index) {
-        SpinningSensor& sensor = sequence_.lidars[lidar_index].sensor;
-        if (!head_.lidars[lidar_index].has_beams) sensor.period_s = 0.0;
-        else if (sensor.period_s == 0.0) sensor.period_s = get_or_estimate_sweep_duration_s(lidar_index);
     }
 
     void choose_point_conversion_of_lidar(std::size_t lidar_index,

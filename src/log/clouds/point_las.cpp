@@ -40,9 +40,6 @@ struct LasHeader {
     bool has_extended_point_format() const { return format >= kFirstLongFormat; }
     bool has_gps_time_per_point() const { return has_extended_point_format() || format == 1 || format >= 3; }
     std::size_t get_gps_time_byte_offset() const { return has_extended_point_format() ? 22 : 20; }
-    std::size_t get_min_point_record_bytes() const {
-        return get_gps_time_byte_offset() + (has_gps_time_per_point() ? 8 : 0);
-    }
 };
 
 LasHeader parse_las_header(std::string_view bytes, const std::string& error_location) {
@@ -67,7 +64,9 @@ LasHeader parse_las_header(std::string_view bytes, const std::string& error_loca
         header.scale[axis] = read_unaligned<double>(bytes, kScaleAt + 8 * axis);
         header.offset_m[axis] = read_unaligned<double>(bytes, kOffsetAt + 8 * axis);
     }
-    if (header.record < header.get_min_point_record_bytes() || header.begin > bytes.size() ||
+    const std::size_t min_record_bytes =
+        header.get_gps_time_byte_offset() + (header.has_gps_time_per_point() ? 8 : 0);
+    if (header.record < min_record_bytes || header.begin > bytes.size() ||
         header.n > (bytes.size() - header.begin) / header.record)
         throw DataError(fmt::format(
             "{}: the file is truncated: found {} bytes, expected {} points of {} bytes from byte {}",

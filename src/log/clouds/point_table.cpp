@@ -297,21 +297,17 @@ bool is_image_file(const fs::path& file) { return file.extension() == ".npz" || 
 
 namespace {
 
-/// Returns true if relidar wrote this PCD or PLY file with motion-compensated points or
-/// with points in the world frame. The header then says so.
-bool is_header_marked_deskewed(std::string_view file_bytes) {
-    constexpr std::size_t kHeader = 4096;  // number of bytes at the start of the file that are searched
-    const std::string_view header = file_bytes.substr(0, kHeader);
-    return header.find(" points_in sensor at time_s") != header.npos ||
-           header.find(" points_in world") != header.npos;
-}
-
 PointTable read_point_file_with_header(const fs::path& file,
                                        PointTable (*parse_points)(const SharedBytes& bytes,
                                                                   const std::string& where)) {
     const SharedBytes bytes = make_shared_bytes(read_text_file(file));
     PointTable table = parse_points(bytes, file.string());
-    table.is_deskewed = is_header_marked_deskewed(bytes.bytes);
+    // The header contains one of these texts if relidar wrote the file with
+    // motion-compensated points or with points in the world frame.
+    constexpr std::size_t kHeader = 4096;  // number of bytes at the start of the file that are searched
+    const std::string_view header = bytes.bytes.substr(0, kHeader);
+    table.is_deskewed = header.find(" points_in sensor at time_s") != header.npos ||
+                        header.find(" points_in world") != header.npos;
     return table;
 }
 

@@ -147,21 +147,17 @@ std::vector<RingBand> find_elevation_bands(const std::vector<double>& sorted_ele
     return bands;
 }
 
-/// Returns true if every band is narrow compared with its distance from the next band.
-bool are_bands_separated(const std::vector<RingBand>& bands) {
-    for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
-        const double apart = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBin_rad;
-        for (const RingBand& band : {bands[i], bands[i + 1]})
-            if (band.last - band.first > kWidest * apart) return false;
-    }
-    return true;
-}
-
 }  // namespace
 
 std::vector<Beam> estimate_beams(const std::vector<LidarPoints>& scans) {
     const std::vector<RingBand> bands = find_elevation_bands(collect_sorted_far_elevations(scans));
-    if (bands.size() < kFewestBands || !are_bands_separated(bands)) return {};
+    if (bands.size() < kFewestBands) return {};
+    // Every band must be narrow compared with its distance from the next band.
+    for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
+        const double apart = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBin_rad;
+        for (const RingBand& band : {bands[i], bands[i + 1]})
+            if (band.last - band.first > kWidest * apart) return {};
+    }
     std::vector<Beam> beams;
     for (auto band = bands.rbegin(); band != bands.rend(); ++band)
         beams.push_back({.elevation_rad = band->elevation_rad});

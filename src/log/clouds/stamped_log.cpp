@@ -38,19 +38,14 @@ constexpr double kSameTime = 1e-6;
 // Maximum coordinate of a pose in metres. UTM coordinates are smaller (up to 10^7).
 constexpr double kLargestCoordinate_m = 1e8;
 
-/// Parses a time stamp in a table. Some programs write time stamps with a fraction or an
-/// exponent.
-std::optional<std::int64_t> parse_timestamp_cell(std::string_view cell) {
-    if (const auto integer_stamp = parse_integer_timestamp(cell)) return integer_stamp;
-    const std::optional<double> number = parse_number(cell);
-    if (!number || !(*number >= 0.0 && *number < 9e18)) return std::nullopt;
-    return std::int64_t(std::llround(*number));
-}
-
 StampedPoseRow parse_stamped_row(const std::vector<std::string_view>& cells, std::size_t n_values,
                                  const std::string& error_location) {
     StampedPoseRow row{0, {}, error_location};
-    const std::optional<std::int64_t> stamp = parse_timestamp_cell(cells[0]);
+    std::optional<std::int64_t> stamp = parse_integer_timestamp(cells[0]);
+    if (!stamp) {  // Some programs write time stamps with a fraction or an exponent.
+        const std::optional<double> number = parse_number(cells[0]);
+        if (number && *number >= 0.0 && *number < 9e18) stamp = std::int64_t(std::llround(*number));
+    }
     if (!stamp)
         throw DataError(fmt::format("{}: found '{}', expected a time", error_location,
                                     shorten_for_error_message(cells[0])));

@@ -19,14 +19,6 @@ constexpr double kLeast_m = 1e-3;
 // A rotation is measured in metres: how far it moves a point at this distance.
 constexpr double kReach_m = 50.0;
 
-/// Returns how far a pose correction can move a point that is kReach_m from the sensor,
-/// in metres.
-double compute_max_displacement_m(const Pose& pose_correction) {
-    const double sine = glm::length(
-        glm::dvec3(pose_correction.rotation.x, pose_correction.rotation.y, pose_correction.rotation.z));
-    return glm::length(pose_correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
-}
-
 /// Returns the errors of interpolated sensor poses during a sweep, as transforms from
 /// true to interpolated sensor coordinates. The errors exist because the log has only one
 /// pose per `frame` (sweep). Times are relative to the time of `frame`.
@@ -51,8 +43,13 @@ PoseTrack compute_pose_corrections(const LidarSequence& sequence, const LidarFra
 /// @return maximum distance in metres by which a point is moved
 double move_rays_and_get_max_displacement_m(LidarFrame& frame, const PoseTrack& pose_corrections) {
     double farthest_m = 0.0;
-    for (const Pose& pose : pose_corrections.pose)
-        farthest_m = std::max(farthest_m, compute_max_displacement_m(pose));
+    for (const Pose& pose : pose_corrections.pose) {
+        const double sine = glm::length(glm::dvec3(pose.rotation.x, pose.rotation.y, pose.rotation.z));
+        // how far the correction can move a point that is kReach_m from the sensor
+        const double displacement_m =
+            glm::length(pose.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
+        farthest_m = std::max(farthest_m, displacement_m);
+    }
     if (farthest_m < kLeast_m) return 0.0;
     RayTable& rays = frame.scan.rays;
     for (std::size_t i = 0; i < rays.size(); ++i) {

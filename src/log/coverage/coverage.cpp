@@ -35,13 +35,6 @@ bool is_in_supported_range(const glm::dvec3& point_m) {
            std::abs(point_m.z) < kFarthestPoint_m;
 }
 
-/// Returns the axis with the smallest component. If two components are equal, returns the
-/// first of their axes.
-int find_axis_of_next_border(const glm::dvec3& next) {
-    if (next.x <= next.y) return next.x <= next.z ? 0 : 2;
-    return next.y <= next.z ? 1 : 2;
-}
-
 /// Calls visit_cell(cell, length_m) for each cell that a line segment crosses, in order
 /// along the segment.
 template <class Visit>
@@ -69,7 +62,9 @@ void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, 
     }
     double at = 0.0;
     for (int border = 0; border < n_borders; ++border) {
-        const int axis = find_axis_of_next_border(next);
+        // Axis of the nearest border. If two borders are equally near, the first axis.
+        int axis = next.y <= next.z ? 1 : 2;
+        if (next.x <= next.y) axis = next.x <= next.z ? 0 : 2;
         visit_cell(cell, std::max(next[axis] - at, 0.0) * length_m);
         at = std::max(next[axis], at);
         cell[axis] += step[axis];

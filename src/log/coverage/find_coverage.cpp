@@ -16,8 +16,6 @@ namespace {
 struct ObservedRaySegment {
     WorldRay ray;
     double length_m = 0.0;  ///< length of the observed path; 0 if the ray gives no information
-
-    glm::dvec3 get_path_end_m() const { return ray.origin_m + length_m * ray.direction; }
 };
 
 /// Returns the length of the observed path for each ray of one column, highest beam
@@ -54,14 +52,6 @@ void mark_space_between_rays_observed(ObservedVoxelSet& coverage, const Observed
     }
 }
 
-/// Returns n if it is enough to trace every n-th scan column through the grid, because
-/// the columns in between cross the same grid cells. n is at most 16.
-std::size_t choose_step_between_used_columns(const Lidar& lidar, double max_range_m) {
-    const double step_m =
-        lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : ObservedVoxelSet::kCell_m;
-    return static_cast<std::size_t>(std::clamp(ObservedVoxelSet::kCell_m / step_m, 1.0, 16.0));
-}
-
 ObservedVoxelSet compute_voxels_observed_by_frame(const LidarSequence& sequence,
                                                   const PoseTrack& world_from_sensor, const LidarFrame& frame,
                                                   double max_range_m) {
@@ -69,8 +59,15 @@ ObservedVoxelSet compute_voxels_observed_by_frame(const LidarSequence& sequence,
     const Scan& scan = frame.scan;
     const std::size_t columns = std::size_t(std::max(scan.rays.columns, 1)),
                       rows = scan.range_m.size() / columns;
-    const std::size_t step =
-        rows > 1 ? choose_step_between_used_columns(sequence.get_lidar(frame), max_range_m) : 1;
+    // Traces only every `step`-th scan column through the grid, because the columns in
+    // between cross the same grid cells. The step is at most 16.
+    std::size_t step = 1;
+    if (rows > 1) {
+        const int sensor_columns = sequence.get_lidar(frame).sensor.columns;
+        const double step_m =
+            sensor_columns > 0 ? 2.0 * kPi / sensor_columns * max_range_m : ObservedVoxelSet::kCell_m;
+        step = static_cast<std::size_t>(std::clamp(ObservedVoxelSet::kCell_m / step_m, 1.0, 16.0));
+    }
     std::vector<double> range_m(rows);
     std::vector<ObservedRaySegment> looks(rows);
     for (std::size_t column = 0; column < columns; column += step) {
@@ -82,7 +79,8 @@ ObservedVoxelSet compute_voxels_observed_by_frame(const LidarSequence& sequence,
             if (!(length_m[row] > 0.0)) continue;
             looks[row].ray = make_world_ray(world_from_sensor, frame.time_s, scan.rays,
                                             row * columns + column, sequence.rolling_shutter);
-            coverage.add_voxels_on_line_segment(looks[row].ray.origin_m, looks[row].get_path_end_m());
+            const WorldRay& ray = looks[row].ray;
+            coverage.add_voxels_on_line_segment(ray.origin_m, ray.origin_m + length_m[row] * ray.direction);
             if (row > 0 && looks[row - 1].length_m > 0.0)
                 mark_space_between_rays_observed(coverage, looks[row - 1], looks[row]);
         }

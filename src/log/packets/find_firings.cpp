@@ -124,17 +124,6 @@ void correct_times_of_empty_firings(std::vector<FiringColumn>& firings, double r
     }
 }
 
-/// Sorts firings by the rotation angle of the head. Times in a log are not exact, so they
-/// only decide in which turn a firing is.
-void sort_firings_by_head_angle(std::vector<FiringColumn>& firings, double rotation_period_s) {
-    const FiringColumn middle = firings[firings.size() / 2];
-    const auto turns_since = [&](const FiringColumn& column) {
-        const double turned = (column.azimuth_deg - middle.azimuth_deg) / 360.0;
-        return turned + std::round((column.time_s - middle.time_s) / rotation_period_s - turned);
-    };
-    std::ranges::stable_sort(firings, {}, turns_since);
-}
-
 }  // namespace
 
 std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, const SpinningSensor& sensor,
@@ -157,7 +146,14 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
         columns.push_back(
             make_firing_from_rays(scan, image, firing, beams, has_laser_times ? beam_delays_us : no_offset));
     if (has_laser_times) correct_times_of_empty_firings(columns, sensor.period_s);
-    sort_firings_by_head_angle(columns, sensor.period_s);
+    // Sorts firings by the rotation angle of the head. Times in a log are not exact, so
+    // they only decide in which turn a firing is.
+    const FiringColumn middle = columns[columns.size() / 2];
+    const auto turns_since_middle = [&](const FiringColumn& column) {
+        const double turned = (column.azimuth_deg - middle.azimuth_deg) / 360.0;
+        return turned + std::round((column.time_s - middle.time_s) / sensor.period_s - turned);
+    };
+    std::ranges::stable_sort(columns, {}, turns_since_middle);
     // A log may contain the same firing in two columns. Removes the second copy.
     const auto is_repeat = [&](const FiringColumn& before, const FiringColumn& after) {
         return 1e6 * std::abs(before.time_s - after.time_s) < kSameFiring_us;

@@ -66,14 +66,6 @@ void append_crc32(std::string& bytes, std::size_t first_byte) {
     append_binary_value(bytes, sum);
 }
 
-/// Appends the safety field of a sensor without faults.
-void append_fault_free_safety_field(std::string& bytes) {
-    const std::size_t begin = bytes.size();
-    append_binary_value(bytes, std::uint8_t(1));  // version
-    bytes.append(12, '\0');
-    append_crc32(bytes, begin + 1);
-}
-
 class HesaiFormat : public PacketFormat {
 public:
     HesaiFormat(const HesaiProduct& product, const SpinningSensor& sensor, const PacketOptions& options)
@@ -124,7 +116,11 @@ public:
         blocks_.append_blocks(bytes, columns, packet_number, 1e-3 * kUnit_mm);
         if (product_.has_checksums) {
             append_crc32(bytes, product_.n_header);
-            append_fault_free_safety_field(bytes);
+            // safety field of a sensor without faults
+            const std::size_t field_offset = bytes.size();
+            append_binary_value(bytes, std::uint8_t(1));  // version
+            bytes.append(12, '\0');
+            append_crc32(bytes, field_offset + 1);
         }
         const std::size_t tail_offset = bytes.size();
         bytes.append(product_.reserved, '\0');
@@ -179,18 +175,6 @@ private:
     }
 };
 
-/// Returns how badly a packet layout fits a sensor; 0 is a perfect fit. The result is
-/// |time per column of the sensor / time per column of the layout - 1|. If the numbers of
-/// beams differ, adds 1.
-double compute_time_and_beam_count_misfit(const PacketLayout& layout, const SpinningSensor& sensor) {
-    const double step_us = 1e6 * sensor.period_s / sensor.columns;
-    const double expected_us = layout.cycle_us * double(layout.count_firing_sequences()) /
-                               count_scan_columns_per_firing(layout, sensor);
-    const bool fits = sensor.beams.size() == layout.count_lasers_per_firing() ||
-                      sensor.beams.size() == list_beams_of_packet_layout(layout).size();
-    return std::abs(step_us / expected_us - 1.0) + (fits ? 0.0 : 1.0);
-}
-
 }  // namespace
 
 std::vector<std::string> list_hesai_sensor_names() {
@@ -207,7 +191,14 @@ std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, co
     for (const HesaiProduct& product : kHesais) {
         const PacketLayout& layout = find_packet_layout(product.layout);
         if (sensor.name != layout.sensor) continue;
-        const double error = compute_time_and_beam_count_misfit(layout, sensor);
+        // Compares the times per column of the sensor and of the layout. Adds 1 to the
+        // error if the numbers of beams differ.
+        const double step_us = 1e6 * sensor.period_s / sensor.columns;
+        const double expected_us = layout.cycle_us * double(layout.count_firing_sequences()) /
+                                   count_scan_columns_per_firing(layout, sensor);
+        const bool fits = sensor.beams.size() == layout.count_lasers_per_firing() ||
+                          sensor.beams.size() == list_beams_of_packet_layout(layout).size();
+        const double error = std::abs(step_us / expected_us - 1.0) + (fits ? 0.0 : 1.0);
         if (!best || error < least_error) {
             best = &product;
             least_error = error;

@@ -27,13 +27,6 @@ constexpr std::size_t kEndBytes = 32;  // size of the header and of the footer o
 // number of encoder ticks per turn in the legacy packet format
 constexpr std::uint32_t kEncoderTicks = 90112;
 
-/// Returns Ouster's name of a product line, such as "OS-1-64" for "OS1-64".
-std::string format_ouster_product_line_name(const std::string& sensor_name) {
-    return sensor_name.starts_with("OS") && sensor_name.size() > 3 && sensor_name[3] == '-'
-               ? "OS-" + sensor_name.substr(2)
-               : sensor_name;
-}
-
 /// Returns the first and the last column of the smallest azimuth window that contains all
 /// columns in which the sensor fires. If the last column is less than the first, the
 /// window crosses the end of the range image.
@@ -56,6 +49,10 @@ std::array<int, 2> find_column_window(const std::vector<bool>& column_has_fired)
 /// frame points backward, relidar's points forward. The metadata contain the transform.
 std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string& packet_profile,
                                  const std::array<int, 2>& column_window) {
+    // Ouster's name of the product line, such as "OS-1-64" for "OS1-64".
+    const bool has_short_name =
+        sensor.name.starts_with("OS") && sensor.name.size() > 3 && sensor.name[3] == '-';
+    const std::string product_line = has_short_name ? "OS-" + sensor.name.substr(2) : sensor.name;
     std::vector<double> altitude_deg, azimuth_deg;
     std::vector<int> shift;
     for (const Beam& beam : sensor.beams) {
@@ -64,7 +61,7 @@ std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string
         shift.push_back(int(std::lround(azimuth_deg.back() * sensor.columns / 360.0)));
     }
     const nlohmann::ordered_json json = {
-        {"prod_line", format_ouster_product_line_name(sensor.name)},
+        {"prod_line", product_line},
         {"prod_sn", kSerial},
         {"status", "RUNNING"},
         {"lidar_mode", fmt::format("{}x{}", sensor.columns, std::lround(1.0 / sensor.period_s))},
@@ -119,10 +116,20 @@ public:
         const auto frame = std::uint16_t(packet_number / packets_per_revolution);
         const bool is_legacy = format_->profile->is_legacy;
         SensorPacket packet;
-        if (!is_legacy) append_packet_header(packet.bytes, frame);
+        if (!is_legacy) {
+            append_binary_value(packet.bytes, std::uint16_t(1));  // packet type
+            append_binary_value(packet.bytes, frame);
+            packet.bytes.append(3, '\0');  // initialization number of the sensor
+            for (int k = 0; k < 5; ++k)
+                append_binary_value(packet.bytes, std::uint8_t(kSerialNumber >> (8 * k)));
+            packet.bytes.resize(kEndBytes, '\0');
+        }
         for (const FiringColumn& column : columns) {
             const std::int64_t time_ns = convert_log_time_to_unix_ns(column.time_s, start_ns_);
-            const int position = compute_column_index(column);
+            const double fractional_column =
+                (column.azimuth_deg - 180.0) / 360.0 * get_fixed_columns_per_revolution();
+            const auto position = int((std::lround(fractional_column) + get_fixed_columns_per_revolution()) %
+                                      get_fixed_columns_per_revolution());
             append_binary_value(packet.bytes, std::uint64_t(std::max<std::int64_t>(time_ns, 0)));
             append_binary_value(packet.bytes, std::uint16_t(position));
             if (is_legacy) {
@@ -150,24 +157,6 @@ private:
     static std::string choose_packet_profile(const PacketOptions& options) {
         if (!options.ouster_profile.empty()) return options.ouster_profile;
         return options.returns == 2 ? "RNG19_RFL8_SIG16_NIR16_DUAL" : "RNG19_RFL8_SIG16_NIR16";
-    }
-
-    int compute_column_index(const FiringColumn& column) const {
-        const double fractional_column =
-            (column.azimuth_deg - 180.0) / 360.0 * get_fixed_columns_per_revolution();
-        return int((std::lround(fractional_column) + get_fixed_columns_per_revolution()) %
-                   get_fixed_columns_per_revolution());
-    }
-
-    /// Appends the packet type, the frame number, the initialization number of the sensor
-    /// and the serial number.
-    static void append_packet_header(std::string& bytes, std::uint16_t frame_number) {
-        const std::size_t begin = bytes.size();
-        append_binary_value(bytes, std::uint16_t(1));
-        append_binary_value(bytes, frame_number);
-        bytes.append(3, '\0');
-        for (int k = 0; k < 5; ++k) append_binary_value(bytes, std::uint8_t(kSerialNumber >> (8 * k)));
-        bytes.resize(begin + kEndBytes, '\0');
     }
 
     void append_pixels(std::string& bytes, const FiringColumn& column) const {

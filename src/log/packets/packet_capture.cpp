@@ -32,15 +32,6 @@ void append_uint16_big_endian(std::string& bytes, unsigned value) {
     bytes += char(value & 0xFF);
 }
 
-/// Returns the checksum of an IPv4 header (RFC 791).
-unsigned compute_ip_checksum(std::string_view ip_header) {
-    unsigned sum = 0;
-    for (std::size_t i = 0; i + 1 < ip_header.size(); i += 2)
-        sum += static_cast<unsigned char>(ip_header[i]) * 256u + static_cast<unsigned char>(ip_header[i + 1]);
-    while (sum >> 16) sum = (sum & 0xFFFF) + (sum >> 16);
-    return ~sum & 0xFFFF;
-}
-
 /// Wraps a UDP datagram in IPv4 and Ethernet headers.
 /// @param ip_identification  identification number of the datagram in the IPv4 header
 std::string wrap_in_ethernet_frame(const std::string& payload, int udp_port, unsigned ip_identification) {
@@ -49,9 +40,14 @@ std::string wrap_in_ethernet_frame(const std::string& payload, int udp_port, uns
          {0x4500u, unsigned(kIpBytes + kUdpBytes + payload.size()), ip_identification, 0x4000u, 0x4011u, 0u})
         append_uint16_big_endian(ip, value);
     ip += std::string("\xC0\xA8\x01\xC9\xFF\xFF\xFF\xFF", 8);  // 192.168.1.201 to all
-    const unsigned sum = compute_ip_checksum(ip);
-    ip[10] = char(sum >> 8);
-    ip[11] = char(sum & 0xFF);
+    // checksum of the IPv4 header (RFC 791)
+    unsigned sum = 0;
+    for (std::size_t i = 0; i + 1 < ip.size(); i += 2)
+        sum += static_cast<unsigned char>(ip[i]) * 256u + static_cast<unsigned char>(ip[i + 1]);
+    while (sum >> 16) sum = (sum & 0xFFFF) + (sum >> 16);
+    const unsigned checksum = ~sum & 0xFFFF;
+    ip[10] = char(checksum >> 8);
+    ip[11] = char(checksum & 0xFF);
     std::string frame = std::string("\xFF\xFF\xFF\xFF\xFF\xFF\x02\0\0\0\0\x01\x08\0", 14) + ip;
     append_uint16_big_endian(frame, unsigned(udp_port));
     append_uint16_big_endian(frame, unsigned(udp_port));

@@ -29,14 +29,6 @@ constexpr double kMostColumnError = 0.1;
 constexpr double kJump_us = 1.0;
 constexpr double kBehindSensor_deg = 180.0;
 
-std::unique_ptr<PacketFormat> make_packet_format(const SpinningSensor& sensor, const PacketOptions& options) {
-    for (auto* make :
-         {packets::make_velodyne_format, packets::make_hesai_format, packets::make_ouster_format})
-        if (auto format = make(sensor, options)) return format;
-    throw UsageError(fmt::format("cannot write packets of the sensor \"{}\", expected one of {}", sensor.name,
-                                 format_packet_sensor_names()));
-}
-
 }  // namespace
 
 std::string format_packet_sensor_names() {
@@ -145,14 +137,6 @@ struct PacketEncoder::Impl {
         return get_firings_per_packet() - start;
     }
 
-    /// Returns how many consecutive missing firings the encoder fills with empty firings
-    /// (firings without returns). Firings are missing if a log leaves out empty firings
-    /// at the end of a revolution. They are also missing if two scans are more than a
-    /// revolution apart.
-    std::int64_t compute_max_missing_firings_to_fill() const {
-        return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / get_firing_period_s());
-    }
-
     /// Sets the time of a firing on the sensor's clock. The clock has even steps. The
     /// times in the log are uneven, because they depend on when packets were received.
     void set_firing_clock_time(FiringColumn& firing, std::int64_t firing_index) {
@@ -205,9 +189,13 @@ struct PacketEncoder::Impl {
         std::int64_t position =
             last ? last->position + count_firing_steps_from_last(firing) : first_firing_index;
         if (last && position == last->position) return;
+        // Fills gaps in which the log leaves out empty firings at the end of a
+        // revolution. Does not fill longer gaps between two scans.
+        const std::int64_t max_missing_firings =
+            std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / get_firing_period_s());
         if (has_fixed_columns())
             fired[std::size_t(position % format->get_fixed_columns_per_revolution())] = true;
-        else if (last && position - last->position > compute_max_missing_firings_to_fill()) {
+        else if (last && position - last->position > max_missing_firings) {
             encode_final_packets();
             position = (packet + 1) * get_firings_per_packet() + 1;
         } else if (last) fill_gap_before_firing(firing, position);
@@ -266,7 +254,12 @@ PacketEncoder::PacketEncoder(const SpinningSensor& sensor, const PacketOptions& 
     : impl_(std::make_unique<Impl>()) {
     impl_->sensor = sensor;
     impl_->options = options;
-    impl_->format = make_packet_format(sensor, options);
+    for (auto* make :
+         {packets::make_velodyne_format, packets::make_hesai_format, packets::make_ouster_format})
+        if (!impl_->format) impl_->format = make(sensor, options);
+    if (!impl_->format)
+        throw UsageError(fmt::format("cannot write packets of the sensor \"{}\", expected one of {}",
+                                     sensor.name, format_packet_sensor_names()));
     impl_->offsets_us = impl_->format->get_beam_delays_us();
     impl_->fired.resize(std::size_t(impl_->format->get_fixed_columns_per_revolution()));
     impl_->require_firing_period_of_product();

@@ -232,10 +232,16 @@ private:
         const std::vector<WorldPointWithOrigin> points = transform_scan_to_key_pose_frame(later_key_index);
         const double reach_m = 1.0 + kLoopDistanceGrowth * (get_path_length_to_key_pose_m(later_key_index) -
                                                             get_path_length_to_key_pose_m(earlier_key_index));
-        Pose at = previous_closure ? move_pose_rigidly_with_reference(previous_closure->off,
-                                                                      get_key_pose(previous_closure->later),
-                                                                      get_key_pose(later_key_index))
-                                   : find_best_start_pose(points, get_key_pose(later_key_index), reach_m);
+        Pose at;
+        if (previous_closure) {
+            // The later key poses of both closures move together like one rigid body.
+            const Pose& previous_pose = get_key_pose(previous_closure->later);
+            const Pose world_from_world =
+                apply_twist(previous_pose, previous_closure->off) * inverse(previous_pose);
+            at = world_from_world * get_key_pose(later_key_index);
+        } else {
+            at = find_best_start_pose(points, get_key_pose(later_key_index), reach_m);
+        }
         double share = refine_pose_and_get_plane_fraction(points, at);
         // The start pose `at` was predicted from the previous loop closure. If too few
         // points match, searches for a better start pose and aligns the scan again.
@@ -246,14 +252,6 @@ private:
         if (share < kLeastShare) return std::nullopt;
         return LoopClosure{earlier_key_index, later_key_index,
                            compute_twist(get_key_pose(later_key_index), at)};
-    }
-
-    /// Moves `other_pose` together with `reference_pose` like one rigid body, if
-    /// `correction` is applied to `reference_pose`.
-    static Pose move_pose_rigidly_with_reference(const Twist& correction, const Pose& reference_pose,
-                                                 const Pose& other_pose) {
-        const Pose world_from_world = apply_twist(reference_pose, correction) * inverse(reference_pose);
-        return world_from_world * other_pose;
     }
 
     /// Least-squares equations for the corrections of selected poses (key poses). Each

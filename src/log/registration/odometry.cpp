@@ -52,25 +52,10 @@ constexpr int kTrialScans = 4;
 // m/s at 10 Hz.
 constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;
 
-Pose scale_relative_motion(const Pose& first_pose, const Pose& second_pose, double factor) {
-    return interpolate(Pose{}, inverse(first_pose) * second_pose, factor);
-}
-
 /// Section of a log. Poses within a section are estimated one after the other.
 struct LogSection {
     std::size_t begin, end;
 };
-
-/// Divides a log into overlapping sections. The last section can be up to twice as long
-/// as the previous sections.
-std::vector<LogSection> divide_into_overlapping_sections(std::size_t n_poses) {
-    std::vector<LogSection> stretches{{0, n_poses}};
-    for (std::size_t begin = kStretch; begin + kStretch <= n_poses; begin += kStretch) {
-        stretches.back().end = begin;
-        stretches.push_back({begin - kOverlap, n_poses});
-    }
-    return stretches;
-}
 
 class SectionOdometry {
 public:
@@ -142,9 +127,9 @@ private:
     Pose predict_constant_motion(std::size_t pose_index) const {
         if (pose_index < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
-        return scale_relative_motion(
-            track_.pose[pose_index - 2], track_.pose[pose_index - 1],
-            (t[pose_index] - t[pose_index - 1]) / (t[pose_index - 1] - t[pose_index - 2]));
+        const Pose previous_motion = inverse(track_.pose[pose_index - 2]) * track_.pose[pose_index - 1];
+        return interpolate(Pose{}, previous_motion,
+                           (t[pose_index] - t[pose_index - 1]) / (t[pose_index - 1] - t[pose_index - 2]));
     }
 
     Pose get_relative_motion_of_initial_track(std::size_t pose_index) const {
@@ -282,7 +267,13 @@ std::vector<Pose> join_section_poses(const std::vector<LogSection>& sections,
 PoseTrack estimate_odometry_poses(const PoseTrack& initial_track,
                                   const std::vector<std::vector<SubsampledPoint>>& scans,
                                   const OdometryOptions& options) {
-    const std::vector<LogSection> stretches = divide_into_overlapping_sections(scans.size());
+    // Divides the log into overlapping sections. The last section can be up to twice as
+    // long as the previous sections.
+    std::vector<LogSection> stretches{{0, scans.size()}};
+    for (std::size_t begin = kStretch; begin + kStretch <= scans.size(); begin += kStretch) {
+        stretches.back().end = begin;
+        stretches.push_back({begin - kOverlap, scans.size()});
+    }
     const ProcessGroup::PartRange share = options.group.get_range_of_process(stretches.size());
     std::size_t n = 0;
     for (std::size_t i = share.begin; i < share.end; ++i) n += stretches[i].end - stretches[i].begin;

@@ -230,8 +230,11 @@ public:
         for (std::size_t k = 0; k < n_; ++k) {
             get_or_add_matrix_block(k / kGroup, k / kGroup) +=
                 carry_[k].transpose() * (equations.diagonal_[k] + Matrix6(pull.asDiagonal())) * carry_[k];
-            if (k + 1 < n_)
-                add_pose_pair_block(k, k + 1, carry_[k].transpose() * equations.next_[k] * carry_[k + 1]);
+            if (k + 1 < n_) {
+                const Matrix6 pair_matrix = carry_[k].transpose() * equations.next_[k] * carry_[k + 1];
+                get_or_add_matrix_block(k / kGroup, (k + 1) / kGroup) += pair_matrix;
+                get_or_add_matrix_block((k + 1) / kGroup, k / kGroup) += pair_matrix.transpose();
+            }
         }
         std::size_t begin = 0;
         for (const std::size_t end : equations.plane_end_) {
@@ -267,11 +270,6 @@ private:
     std::size_t n_groups() const { return (n_ + kGroup - 1) / kGroup; }
     Matrix6& get_or_add_matrix_block(std::size_t row, std::size_t column) {
         return blocks_.try_emplace({row, column}, Matrix6::Zero()).first->second;
-    }
-
-    void add_pose_pair_block(std::size_t first_pose, std::size_t second_pose, const Matrix6& pair_matrix) {
-        get_or_add_matrix_block(first_pose / kGroup, second_pose / kGroup) += pair_matrix;
-        get_or_add_matrix_block(second_pose / kGroup, first_pose / kGroup) += pair_matrix.transpose();
     }
 
     void add_plane_couplings(std::span<const PoseEquations::PlanePoseCoupling> couplings) {

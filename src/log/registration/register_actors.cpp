@@ -32,18 +32,6 @@ constexpr double kStanding_m = 3.0;  // a box that moves farther than this is no
 constexpr int kNeighbours = 3;       // number of poses on each side that are used to interpolate a pose
 constexpr double kLongestGap_s = 1.0;
 
-/// Returns weights that keep the corrections of labelled boxes small and smooth. Assumed
-/// standard deviations: 0.05 m for points; 0.15 m and 2 degrees for labels; 0.05 m and 1
-/// degree for the change of the label error within 0.1 s.
-PoseCorrectionPrior make_actor_pose_correction_prior() {
-    const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
-    const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
-    PoseCorrectionPrior prior;
-    prior.pull << pull_m, pull_m, pull_m, pull_rad, pull_rad, pull_rad;
-    prior.link << link_m, link_m, link_m, link_rad, link_rad, link_rad;
-    return prior;
-}
-
 /// Points of an object, in the frame of its labelled box.
 struct BoxFramePoints {
     std::vector<SubsampledPoint> points;  ///< points; `pose` is the index of the nearest pose in the track
@@ -135,10 +123,19 @@ double compute_actor_fraction_on_planes(const PlanePoseAdjustment& adjustment,
                                                  kLastActorRound.scale_m);
 }
 
+/// Prepares the registration of a labelled box. A prior keeps its corrections small and
+/// smooth.
 PlanePoseAdjustment make_actor_adjustment(const PoseTrack& track, std::vector<SubsampledPoint> points,
                                           const std::vector<bool>& pose_has_points) {
     PlanePoseAdjustment adjustment(track, track, std::move(points), pose_has_points);
-    adjustment.set_pose_correction_prior(make_actor_pose_correction_prior());
+    // Standard deviations: 0.05 m for points; 0.15 m and 2 degrees for labels; 0.05 m and
+    // 1 degree for the change of the label error within 0.1 s.
+    const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
+    const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
+    PoseCorrectionPrior prior;
+    prior.pull << pull_m, pull_m, pull_m, pull_rad, pull_rad, pull_rad;
+    prior.link << link_m, link_m, link_m, link_rad, link_rad, link_rad;
+    adjustment.set_pose_correction_prior(prior);
     return adjustment;
 }
 

@@ -33,11 +33,6 @@ constexpr RegistrationRound kLast{0.5, 0.05};  // cell size and robust-kernel sc
 constexpr RegistrationRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 
-/// Scans are thinned to one point per grid cell. Returns the cell size in metres.
-double choose_downsampling_cell_size_m(std::size_t n_scans) {
-    return std::clamp(kThinned_m * std::sqrt(double(n_scans) / kScansOnACell), kThinnest_m, kThinned_m);
-}
-
 std::vector<SubsampledPoint> concatenate_scan_points(const std::vector<std::vector<SubsampledPoint>>& scans) {
     std::vector<SubsampledPoint> points;
     for (const std::vector<SubsampledPoint>& scan : scans)
@@ -127,7 +122,9 @@ RegistrationResult register_scans(const LidarSequence& sequence, const TrainTest
                                 flag_sweeps_with_any_of_frames(sweeps, split.test, sequence.frames.size());
     const auto n_train = static_cast<std::size_t>(std::ranges::count(is_train, true));
     if (n_train < 2) return result;
-    const double thin_m = choose_downsampling_cell_size_m(n_train);
+    // Each scan keeps one point per grid cell of this size.
+    const double thin_m =
+        std::clamp(kThinned_m * std::sqrt(double(n_train) / kScansOnACell), kThinnest_m, kThinned_m);
     const auto proceed = [&](const char* description) {
         return [&, description](double done) {
             if (options.progress) options.progress(description, done);

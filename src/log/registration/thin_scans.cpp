@@ -11,22 +11,6 @@
 namespace relidar {
 namespace {
 
-bool is_return_in_mover_box(const RegistrationOptions& options, const WorldReturn& world_return) {
-    return std::any_of(options.movers.begin(), options.movers.end(), [&](const BoxTrack& box) {
-        return box.is_observed_at_time(world_return.time_s) &&
-               box.contains_point(world_return.point_m, world_return.time_s, options.mover_margin_m);
-    });
-}
-
-/// Returns the index of the LiDAR with the most returns.
-int find_lidar_with_most_returns(const LidarSequence& sequence) {
-    std::vector<std::size_t> returns(sequence.lidars.size(), 0);
-    if (returns.size() > 1)
-        for (const LidarFrame& frame : sequence.frames)
-            returns[std::size_t(frame.lidar)] += frame.scan.count_returns();
-    return static_cast<int>(std::ranges::max_element(returns) - returns.begin());
-}
-
 std::vector<SubsampledPoint> downsample_sweep_points(const LidarSequence& sequence,
                                                      const SweepsToRegister& sweeps, std::size_t sweep_index,
                                                      const RegistrationOptions& options, double cell_size_m) {
@@ -43,7 +27,12 @@ SweepsToRegister group_frames_into_sweeps(const LidarSequence& sequence) {
     const PoseTrack& vehicle_track = sequence.world_from_vehicle;
     std::vector<std::vector<int>> frames(vehicle_track.pose.size());
     std::vector<bool> leads(vehicle_track.pose.size(), false);
-    const int leader = find_lidar_with_most_returns(sequence);
+    // The LiDAR with the most returns determines the sweeps.
+    std::vector<std::size_t> returns(sequence.lidars.size(), 0);
+    if (returns.size() > 1)
+        for (const LidarFrame& frame : sequence.frames)
+            returns[std::size_t(frame.lidar)] += frame.scan.count_returns();
+    const int leader = static_cast<int>(std::ranges::max_element(returns) - returns.begin());
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         const std::size_t pose = sequence.get_vehicle_pose_index_of_frame(sequence.frames[i]);
         frames[pose].push_back(static_cast<int>(i));
@@ -83,9 +72,13 @@ std::vector<std::size_t> select_one_return_per_cell(const LidarSequence& sequenc
         if (!(scan.range_m[ray] > 0.0f)) continue;
         const std::uint64_t cell =
             compute_grid_cell_key(scan.compute_return_point_in_sensor_frame(ray), cell_size_m);
-        if (occupied_cells.contains(cell) ||
-            is_return_in_mover_box(options, compute_world_return(sequence, frame, ray)))
-            continue;
+        if (occupied_cells.contains(cell)) continue;
+        const WorldReturn world_return = compute_world_return(sequence, frame, ray);
+        const auto contains_return = [&](const BoxTrack& box) {
+            return box.is_observed_at_time(world_return.time_s) &&
+                   box.contains_point(world_return.point_m, world_return.time_s, options.mover_margin_m);
+        };
+        if (std::any_of(options.movers.begin(), options.movers.end(), contains_return)) continue;
         occupied_cells.insert(cell);
         rays.push_back(ray);
     }

@@ -150,11 +150,6 @@ struct ClassCounts {
     void add_counts(const ClassCounts& other) {
         for (std::size_t c = 0; c < kClasses; ++c) of[c] += other.of[c];
     }
-    ClassCounts compute_class_count_difference(const ClassCounts& other) const {
-        ClassCounts rest = *this;
-        for (std::size_t c = 0; c < kClasses; ++c) rest.of[c] -= other.of[c];
-        return rest;
-    }
     /// Returns the sum of n_c ln(n_c / n).
     double compute_log_likelihood(const EntropyTermTable& k_log_k_table) const {
         double sum = -k_log_k_table(count_returns_of_all_classes());
@@ -193,9 +188,10 @@ TreeNodeSplit find_best_feature_split(const ClassCountsByBin& class_counts_by_bi
         low.add_counts(class_counts_by_bin[b]);
         n_low += of_bin;
         if (n_low < kFewestOfLeaf || n - n_low < kFewestOfLeaf) continue;
-        const double gain = low.compute_log_likelihood(k_log_k_table) +
-                            all.compute_class_count_difference(low).compute_log_likelihood(k_log_k_table) -
-                            before;
+        ClassCounts high = all;
+        for (std::size_t c = 0; c < kClasses; ++c) high.of[c] -= low.of[c];
+        const double gain =
+            low.compute_log_likelihood(k_log_k_table) + high.compute_log_likelihood(k_log_k_table) - before;
         if (gain > best.gain) best = {gain, int(feature), b};
     }
     return best;

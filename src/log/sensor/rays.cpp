@@ -69,11 +69,6 @@ void require_valid_spinning_sensor(const SpinningSensor& sensor) {
     }
 }
 
-/// Wraps an azimuth to the interval [-pi, pi]. Does not change -pi and pi.
-double wrap_azimuth(double azimuth_rad) {
-    return std::abs(azimuth_rad) <= kPi ? azimuth_rad : std::remainder(azimuth_rad, 2.0 * kPi);
-}
-
 }  // namespace
 
 RangeLimits intersect_range_limits(const RangeLimits& first, const RangeLimits& second) {
@@ -104,7 +99,10 @@ RayTable make_rays(const SpinningSensor& sensor) {
         std::size_t at = std::size_t(row) * std::size_t(columns);
         for (int column = 0; column < columns; ++column, ++at) {
             const int firing = ((column + shift) % columns + columns) % columns;
-            const double head = wrap_azimuth(sensor.first_azimuth_rad - firing * 2.0 * kPi / columns);
+            const double azimuth_rad = sensor.first_azimuth_rad - firing * 2.0 * kPi / columns;
+            // Wraps the azimuth to the interval [-pi, pi]. Does not change -pi and pi.
+            const double head =
+                std::abs(azimuth_rad) <= kPi ? azimuth_rad : std::remainder(azimuth_rad, 2.0 * kPi);
             const BeamRay ray = geometry.compute_ray(head);
             rays.origin[at] = glm::vec3(ray.origin_m);
             rays.direction[at] = glm::vec3(ray.direction);

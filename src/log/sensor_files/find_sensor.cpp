@@ -52,13 +52,6 @@ SensorSpecifier parse_sensor_name_columns_and_rate(const std::string& specifier_
     return {specifier_text.substr(0, colon), static_cast<int>(*columns), *rate_hz};
 }
 
-/// Returns true if a CSV file is a table of rays, and false if it is a table of beams.
-/// Only a table of rays has a column azimuth_deg.
-bool is_ray_csv(const std::string& csv_text) {
-    const std::string header = csv_text.substr(0, csv_text.find('\n'));
-    return header.find("azimuth_deg") != std::string::npos;
-}
-
 SensorModel parse_beam_table_sensor(const std::string& csv_text, const SensorSpecifier& sensor_specifier) {
     const int columns = sensor_specifier.columns > 0 ? sensor_specifier.columns : kTableColumns;
     SpinningSensor sensor =
@@ -77,8 +70,11 @@ SensorModel read_sensor_file(const SensorSpecifier& sensor_specifier, double def
         if (path.extension() == ".json")
             return sensor_files::parse_sensor_json(text, stem, sensor_specifier.name,
                                                    sensor_specifier.columns, sensor_specifier.rate_hz);
-        return is_ray_csv(text) ? sensor_files::parse_ray_csv(text, stem, sensor_specifier.name)
-                                : parse_beam_table_sensor(text, sensor_specifier);
+        // Only a table of rays has a column azimuth_deg. A table of beams does not.
+        const std::string header = text.substr(0, text.find('\n'));
+        const bool is_ray_table = header.find("azimuth_deg") != std::string::npos;
+        return is_ray_table ? sensor_files::parse_ray_csv(text, stem, sensor_specifier.name)
+                            : parse_beam_table_sensor(text, sensor_specifier);
     }();
     if (sensor_specifier.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
         throw UsageError(fmt::format(

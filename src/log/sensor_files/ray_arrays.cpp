@@ -71,14 +71,6 @@ void require_valid_ray_arrays(const RayFileArrays& ray_arrays, const std::string
                         error_location, ray_arrays.limits.min_m, ray_arrays.limits.max_m));
 }
 
-/// Sets the beam divergences of rays. If all are equal, stores a single number.
-void set_divergence(RayTable& rays, const std::vector<double>& divergence_rad) {
-    if (divergence_rad.empty()) return;
-    if (std::ranges::adjacent_find(divergence_rad, std::not_equal_to<>()) == divergence_rad.end())
-        rays.divergence_rad = static_cast<float>(divergence_rad[0]);
-    else rays.ray_divergence_rad.assign(divergence_rad.begin(), divergence_rad.end());
-}
-
 }  // namespace
 
 std::vector<double> combine_per_ray_and_common_divergence(std::vector<double> ray_divergence_rad,
@@ -98,7 +90,11 @@ SensorModel make_ray_sensor(const RayFileArrays& ray_arrays, const std::string& 
     RayTable rays;
     rays.rows = ray_arrays.rows;
     rays.columns = ray_arrays.columns;
-    set_divergence(rays, ray_arrays.divergence_rad);
+    // If all divergences are equal, stores a single number.
+    const std::vector<double>& divergence_rad = ray_arrays.divergence_rad;
+    if (std::ranges::adjacent_find(divergence_rad, std::not_equal_to<>()) != divergence_rad.end())
+        rays.ray_divergence_rad.assign(divergence_rad.begin(), divergence_rad.end());
+    else if (!divergence_rad.empty()) rays.divergence_rad = static_cast<float>(divergence_rad[0]);
     for (std::size_t i = 0; i < n; ++i) {
         const glm::dvec3 direction = get_xyz_or_zero_if_empty(ray_arrays.direction, i);
         const double length = glm::length(direction);

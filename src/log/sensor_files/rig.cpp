@@ -46,39 +46,19 @@ std::string read_required_text(const Json& sensor_json, const char* key, const s
     return sensor_json.at(key).get<std::string>();
 }
 
-Pose read_mounting_pose(const Json& sensor_json, const std::string& error_location) {
-    const glm::dvec3 angle =
-        read_vector_or_zero(sensor_json, "yaw_pitch_roll_deg", 360.0, error_location) * (kPi / 180.0);
-    return {make_rotation(angle.x, angle.y, angle.z),
-            read_vector_or_zero(sensor_json, "translation_m", kFarthest_m, error_location)};
-}
-
-int read_return_count(const Json& sensor_json, const std::string& error_location) {
-    if (!sensor_json.contains("returns")) return 1;
-    const Json& returns = sensor_json.at("returns");
-    if (returns != 1 && returns != 2)
-        throw DataError(fmt::format("{}: the value of returns is invalid, expected 1 or 2", error_location));
-    return returns.get<int>();
-}
-
-/// If `sensor_name` is a file in the folder of the rig file, returns its path. Otherwise
-/// returns `sensor_name` unchanged, because it is the name of a sensor or another path.
-std::string resolve_sensor_file_beside_rig(const std::string& sensor_name, const std::string& rig_file) {
-    const fs::path path = fs::path(rig_file).parent_path() / sensor_name;
-    const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
-    return !find_name_ignoring_case(sensor_name, list_sensor_names()) &&
-                   (does_path_exist(path) || does_path_exist(without_columns))
-               ? path.string()
-               : sensor_name;
-}
-
 /// Returns the sensor of one rig entry. The entry contains the name of a sensor, the name
 /// of a file, or a JSON object.
 SensorModel read_sensor_model(const Json& sensor_json, const std::string& sensor_name,
                               const std::string& rig_file, const std::string& error_location) {
-    if (!sensor_json.contains("sensor") || !sensor_json.at("sensor").is_object())
-        return find_sensor(resolve_sensor_file_beside_rig(
-            read_required_text(sensor_json, "sensor", error_location), rig_file));
+    if (!sensor_json.contains("sensor") || !sensor_json.at("sensor").is_object()) {
+        // The text is a file in the rig file's folder, a sensor name, or another path.
+        const std::string name_or_file = read_required_text(sensor_json, "sensor", error_location);
+        const fs::path path = fs::path(rig_file).parent_path() / name_or_file;
+        const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
+        const bool is_beside_rig = !find_name_ignoring_case(name_or_file, list_sensor_names()) &&
+                                   (does_path_exist(path) || does_path_exist(without_columns));
+        return find_sensor(is_beside_rig ? path.string() : name_or_file);
+    }
     const std::string object = error_location + ": sensor";
     SensorModel model = parse_sensor_json_text(sensor_json.at("sensor").dump(), sensor_name, object);
     sensor_files::set_missing_max_range(model, kDefaultMaxRange_m, object);
@@ -136,8 +116,15 @@ std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& pat
         names.insert(name);
         require_only_known_json_keys(
             sensor, {"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"}, where);
-        rig.push_back({name, read_sensor_model(sensor, name, path, where), read_mounting_pose(sensor, where),
-                       read_return_count(sensor, where)});
+        SensorModel model = read_sensor_model(sensor, name, path, where);
+        const glm::dvec3 angle_rad =
+            read_vector_or_zero(sensor, "yaw_pitch_roll_deg", 360.0, where) * (kPi / 180.0);
+        const Pose rig_from_sensor{make_rotation(angle_rad.x, angle_rad.y, angle_rad.z),
+                                   read_vector_or_zero(sensor, "translation_m", kFarthest_m, where)};
+        const Json returns = sensor.contains("returns") ? sensor.at("returns") : Json(1);
+        if (returns != 1 && returns != 2)
+            throw DataError(fmt::format("{}: the value of returns is invalid, expected 1 or 2", where));
+        rig.push_back({name, std::move(model), rig_from_sensor, returns.get<int>()});
     }
     return rig;
 }

@@ -38,20 +38,6 @@ const Json* find_json_value(const Json& json, const std::string& key,
     return nullptr;
 }
 
-/// Returns the numbers of a JSON list, or an empty vector if the list is missing.
-std::vector<double> read_optional_number_list(const Json* json_or_null, const std::string& error_location) {
-    return json_or_null ? JsonField(*json_or_null, error_location, "").get_flattened_numbers(1)
-                        : std::vector<double>{};
-}
-
-double read_optional_number(const Json* json, double default_value, const std::string& error_location) {
-    if (!json) return default_value;
-    if (!json->is_number() || !std::isfinite(json->get<double>()))
-        throw DataError(
-            fmt::format("{}: the value is not a number, expected a finite number", error_location));
-    return json->get<double>();
-}
-
 RangeLimits get_ouster_range_limits(const Json& metadata) {
     const Json* line = find_json_value(metadata, "prod_line", {"sensor_info"});
     const std::string product = line && line->is_string() ? line->get<std::string>() : "";
@@ -82,8 +68,10 @@ SensorModel parse_ouster_sensor(const Json& metadata, const std::string& name,
                                 const std::string& error_location, int columns_or_zero,
                                 double rate_hz_or_zero) {
     const auto list = [&](const char* key) {
-        return read_optional_number_list(find_json_value(metadata, key, {"beam_intrinsics"}),
-                                         fmt::format("{}: {}", error_location, key));
+        const Json* numbers = find_json_value(metadata, key, {"beam_intrinsics"});
+        const std::string list_location = fmt::format("{}: {}", error_location, key);
+        return numbers ? JsonField(*numbers, list_location, "").get_flattened_numbers(1)
+                       : std::vector<double>{};
     };
     const std::vector<double> altitude = list("beam_altitude_angles"), azimuth = list("beam_azimuth_angles");
     if (altitude.empty() || altitude.size() > kMostBeams || azimuth.size() != altitude.size()) {
@@ -92,10 +80,12 @@ SensorModel parse_ouster_sensor(const Json& metadata, const std::string& name,
             "of both and at most {}",
             error_location, altitude.size(), azimuth.size(), kMostBeams));
     }
-    const double offset_m =
-        1e-3 *
-        read_optional_number(find_json_value(metadata, "lidar_origin_to_beam_origin_mm", {"beam_intrinsics"}),
-                             0.0, error_location + ": lidar_origin_to_beam_origin_mm");
+    const Json* offset_mm = find_json_value(metadata, "lidar_origin_to_beam_origin_mm", {"beam_intrinsics"});
+    if (offset_mm && (!offset_mm->is_number() || !std::isfinite(offset_mm->get<double>())))
+        throw DataError(fmt::format(
+            "{}: lidar_origin_to_beam_origin_mm: the value is not a number, expected a finite number",
+            error_location));
+    const double offset_m = offset_mm ? 1e-3 * offset_mm->get<double>() : 0.0;
     SpinningSensor sensor;
     const auto [mode_columns, mode_rate_hz] = columns_or_zero > 0
                                                   ? std::pair(columns_or_zero, rate_hz_or_zero)

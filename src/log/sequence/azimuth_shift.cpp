@@ -21,13 +21,6 @@ constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding err
 // is estimated if they differ by more than this many columns (median over all rays).
 constexpr double kAgree_columns = 0.1;
 
-/// Returns the difference of two directions in azimuth, positive to the left.
-double compute_azimuth_difference_rad(const glm::vec3& first_direction, const glm::vec3& second_direction) {
-    return std::atan2(
-        double(first_direction.x) * second_direction.y - double(first_direction.y) * second_direction.x,
-        double(first_direction.x) * second_direction.x + double(first_direction.y) * second_direction.y);
-}
-
 /// Calls visit_ray(ray, firing) for each ray of a scan. `firing` is the index of the
 /// firing (all lasers at one azimuth) within the sweep.
 template <class Visit>
@@ -68,8 +61,12 @@ std::vector<float> measure_azimuth_shifts_rad(const Scan& scan, const SpinningSe
     std::vector<std::vector<float>> shifts_by_firing(std::size_t(sensor.columns));
     visit_rays_with_firing(sensor, [&](std::size_t ray, std::size_t firing) {
         if (!(scan.range_m[ray] > 0.0f)) return;
-        shifts_by_firing[firing].push_back(static_cast<float>(
-            compute_azimuth_difference_rad(nominal_rays.direction[ray], rays.direction[ray])));
+        const glm::vec3 &nominal = nominal_rays.direction[ray], &measured = rays.direction[ray];
+        // measured azimuth minus nominal azimuth, positive to the left
+        const double difference_rad =
+            std::atan2(double(nominal.x) * measured.y - double(nominal.y) * measured.x,
+                       double(nominal.x) * measured.x + double(nominal.y) * measured.y);
+        shifts_by_firing[firing].push_back(static_cast<float>(difference_rad));
     });
     std::vector<float> shift_rad(shifts_by_firing.size(), NAN), off;
     for (std::size_t firing = 0; firing < shifts_by_firing.size(); ++firing) {

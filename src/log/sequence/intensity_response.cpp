@@ -54,15 +54,6 @@ struct FittedIntensityTerms {
     bool shared, beams;
 };
 
-/// Returns the index of the last sampled range up to `range_m`. Also returns the position
-/// of `range_m` between this and the next sampled range, clamped to 0 .. 1.
-std::pair<std::size_t, double> find_range_knot_and_fraction(double range_m) {
-    const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
-    const std::size_t left = std::size_t(
-        std::clamp<std::ptrdiff_t>(after - kKnots_m.begin() - 1, 0, std::ptrdiff_t(kKnots_m.size()) - 2));
-    return {left, std::clamp((range_m - kKnots_m[left]) / (kKnots_m[left + 1] - kKnots_m[left]), 0.0, 1.0)};
-}
-
 /// Splits returns, which are sorted by grid cell, into chunks for parallel sums. A cell
 /// is never split. Returns the first index of each chunk, and the total number.
 std::vector<std::size_t> find_chunk_bounds_between_cells(
@@ -146,7 +137,13 @@ IntensityJacobianRow compute_intensity_jacobian_row(const IntensityFit& model,
                                                     const UnknownIndices& unknown_indices,
                                                     const CellReturn& measured_return) {
     const BeamGainOffset& beam = model.beams[measured_return.beam];
-    const auto [knot, s] = find_range_knot_and_fraction(measured_return.range_m);
+    // `knot` is the index of the last sampled range up to `range_m`. `s` is the position
+    // of `range_m` between this and the next sampled range, clamped to 0 .. 1.
+    const double range_m = measured_return.range_m;
+    const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
+    const std::size_t knot = std::size_t(
+        std::clamp<std::ptrdiff_t>(after - kKnots_m.begin() - 1, 0, std::ptrdiff_t(kKnots_m.size()) - 2));
+    const double s = std::clamp((range_m - kKnots_m[knot]) / (kKnots_m[knot + 1] - kKnots_m[knot]), 0.0, 1.0);
     const double rho = model.shared.compute_intensity_factor_at_range(measured_return.range_m),
                  kappa = model.shared.compute_intensity_factor_at_incidence(measured_return.cosine),
                  albedo = model.albedo[measured_return.cell], mean_beam = albedo * rho * kappa;

@@ -58,10 +58,6 @@ DifferencesByBin collect_neighbour_range_differences(const LidarFrame& frame) {
     return result;
 }
 
-double estimate_noise_sigma_from_differences_m(const std::vector<float>& neighbour_differences_m) {
-    return kOfMedian * double(compute_median(neighbour_differences_m)) / std::sqrt(6.0);
-}
-
 /// Fills bins that have too few returns. Uses the noise at the same incidence in the next
 /// nearer range, or else in the next farther range. If neither exists, uses the maximum
 /// over all bins.
@@ -90,7 +86,8 @@ std::pair<RangeNoiseTable, std::size_t> estimate_range_noise(
         for (const DifferencesByBin& frame : differences_by_frame)
             all.insert(all.end(), frame[b].begin(), frame[b].end());
         n += all.size();
-        if (all.size() >= kFewestOfBin) noise.sigma_m[b] = estimate_noise_sigma_from_differences_m(all);
+        if (all.size() >= kFewestOfBin)
+            noise.sigma_m[b] = kOfMedian * double(compute_median(all)) / std::sqrt(6.0);
     }
     if (*std::max_element(noise.sigma_m.begin(), noise.sigma_m.end()) == 0.0) return {};
     fill_empty_bins_from_neighbour_ranges(noise);

@@ -44,16 +44,6 @@ IndexRange parse_frame_range(std::string_view text) {
     return {*first, *end};
 }
 
-/// Returns the indices of all frames in order. If several LiDARs have a frame with the
-/// same index, lists the index once.
-std::vector<int> list_unique_frame_numbers(const LidarSequence& sequence) {
-    std::vector<int> sweeps;
-    std::set<int> added_numbers;
-    for (const LidarFrame& frame : sequence.frames)
-        if (added_numbers.insert(frame.index).second) sweeps.push_back(frame.index);
-    return sweeps;
-}
-
 /// Selects every n-th frame for testing, but not the first frame.
 /// @throws UsageError if `test_every_nth_frame` is 1 or negative
 std::set<int> select_every_nth_frame(int test_every, const std::vector<int>& frame_numbers) {
@@ -64,16 +54,6 @@ std::set<int> select_every_nth_frame(int test_every, const std::vector<int>& fra
     for (auto i = std::size_t(test_every); test_every > 0 && i < frame_numbers.size();
          i += std::size_t(test_every))
         held_out.insert(frame_numbers[i]);
-    return held_out;
-}
-
-/// Returns the test frames of a published split that exist in the log.
-std::set<int> select_test_frames_in_log(const std::vector<int>& published_test_frames,
-                                        const std::vector<int>& log_frame_numbers) {
-    std::set<int> held_out;
-    for (const int index : log_frame_numbers)
-        if (std::ranges::find(published_test_frames, index) != published_test_frames.end())
-            held_out.insert(index);
     return held_out;
 }
 
@@ -101,24 +81,25 @@ std::set<int> parse_test_frame_list(const std::string& frame_list_text,
     return held_out;
 }
 
-/// Selects the test frames of a log. The list of the user takes precedence over the
-/// published split, and the published split over every n-th frame.
-std::set<int> select_test_frames(const std::vector<int>& published_test_frames,
-                                 const std::vector<int>& log_frame_numbers, int test_every_nth_frame,
-                                 const std::string& test_frame_list) {
-    if (!test_frame_list.empty()) return parse_test_frame_list(test_frame_list, log_frame_numbers);
-    if (test_every_nth_frame == kPublishedEvery && !published_test_frames.empty())
-        return select_test_frames_in_log(published_test_frames, log_frame_numbers);
-    return select_every_nth_frame(test_every_nth_frame, log_frame_numbers);
-}
-
 }  // namespace
 
 TrainTestSplit split_frames_into_train_and_test(const LidarSequence& sequence, int test_every_nth_frame,
                                                 const std::string& test_frame_list) {
-    const std::vector<int> sweeps = list_unique_frame_numbers(sequence);
-    const std::set<int> held_out =
-        select_test_frames(sequence.test_frames, sweeps, test_every_nth_frame, test_frame_list);
+    // If several LiDARs have a frame with the same index, lists the index once.
+    std::vector<int> sweeps;
+    std::set<int> added_numbers;
+    for (const LidarFrame& frame : sequence.frames)
+        if (added_numbers.insert(frame.index).second) sweeps.push_back(frame.index);
+    // The list of the user takes precedence over the published split, and the published
+    // split over every n-th frame.
+    const std::vector<int>& published_test_frames = sequence.test_frames;
+    std::set<int> held_out;
+    if (!test_frame_list.empty()) held_out = parse_test_frame_list(test_frame_list, sweeps);
+    else if (test_every_nth_frame == kPublishedEvery && !published_test_frames.empty()) {
+        for (const int index : sweeps)
+            if (std::ranges::find(published_test_frames, index) != published_test_frames.end())
+                held_out.insert(index);
+    } else held_out = select_every_nth_frame(test_every_nth_frame, sweeps);
     TrainTestSplit split;
     for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i)
         (held_out.contains(sequence.frames[std::size_t(i)].index) ? split.test : split.train).push_back(i);
