@@ -52,9 +52,6 @@ struct FrameSamples {
         for (const std::uint32_t i : index.cloud.of)
             walked_m += double(samples[i].walked_m) / double(index.cloud.of.size());
     }
-    bool has_sample_near(const glm::vec3& point_m) const {
-        return index.compute_nearest_distance_m(point_m, 1.0) < kSameSurface_m;
-    }
 };
 using SamplesByFrame = std::vector<std::unique_ptr<FrameSamples>>;
 
@@ -149,7 +146,8 @@ std::vector<char> mark_static_samples(const std::vector<LidarSample>& samples, c
     parallel_for_in_blocks(samples.size(), [&](std::size_t index) {
         std::size_t n_frames_with_point = 0, n_frames = 0;
         for (std::size_t k = 0; k < frames.size(); k += step, ++n_frames)
-            n_frames_with_point += frames[k]->has_sample_near(samples[index].position);
+            n_frames_with_point +=
+                frames[k]->index.compute_nearest_distance_m(samples[index].position, 1.0) < kSameSurface_m;
         is_static[index] = double(n_frames_with_point) >= kResting * double(n_frames);
     });
     return is_static;

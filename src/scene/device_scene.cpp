@@ -24,15 +24,6 @@ static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry
 
 namespace {
 
-void require_matching_primitive(PrimitiveType scene_primitive, const ImageFormationModel& image_model) {
-    if (scene_primitive == image_model.primitive) return;
-    throw UsageError(
-        fmt::format("cannot use image.primitive={}: the scene consists of {}; use image.primitive={}, "
-                    "because the primitive cannot change after training",
-                    get_primitive_kind(image_model.primitive).name, get_primitive_kind(scene_primitive).label,
-                    get_primitive_kind(scene_primitive).name));
-}
-
 void require_valid_scene_layout(const Scene& scene) {
     // Checks that the surfels of each model directly follow the surfels of the previous
     // model. The kernels need this order, because they find the model of a surfel by
@@ -249,7 +240,12 @@ void DeviceScene::record_surfel_record_computation(Stream& stream, const ImageFo
                                                    const glm::vec3& view_origin_m) {
     impl_->alpha_min = model.alpha_min;
     if (size() == 0) return;
-    require_matching_primitive(primitive(), model);
+    if (primitive() != model.primitive)
+        throw UsageError(
+            fmt::format("cannot use image.primitive={}: the scene consists of {}; use image.primitive={}, "
+                        "because the primitive cannot change after training",
+                        get_primitive_kind(model.primitive).name, get_primitive_kind(primitive()).label,
+                        get_primitive_kind(primitive()).name));
     run(stream, impl_->activate, size(),
         {.surfels = get_surfel_pointers(impl_->parameters),
          .records = impl_->records.address(),

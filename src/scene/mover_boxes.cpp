@@ -203,17 +203,6 @@ constexpr double kTruck_m = 2.5;  // objects taller than this are trucks
 // Maximum width and minimum height of an object that counts as a cyclist.
 constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;
 
-/// Returns the kind (car, truck or cyclist) of an object of which only one side is
-/// visible. Returns null if it is too small, or so slow that it can be a pedestrian.
-const TypicalObjectSize* classify_object_by_size(const glm::dvec3& size_m, double speed_mps) {
-    if (speed_mps < kDrives_mps) return nullptr;
-    const bool cyclist =
-        size_m.y < kCyclistWidth_m && size_m.z > kCyclistTop_m && size_m.x < kCar.least_length_m;
-    const TypicalObjectSize* kind = size_m.z > kTruck_m ? &kTruck : &kCar;
-    if (cyclist) kind = &kCyclist;
-    return size_m.x < kind->least_length_m && size_m.y < kind->least_width_m ? nullptr : kind;
-}
-
 /// Returns the side of a box on which the sensor was in more than three quarters of the
 /// observations, along one axis: -1 or 1. Returns 0 if no side has so many observations.
 double compute_sensor_side_sign(const BoxTrack& box, const MoverTrack& track, int axis) {
@@ -258,18 +247,6 @@ LabelBoxOffset estimate_median_label_box_offset(const MoverTrack& track,
     return {{median(values[0]), median(values[1]), median(values[2])}, median(values[3])};
 }
 
-/// Indices of the first few and of the last few labelled observations of a track.
-struct FirstAndLastLabelIndices {
-    std::vector<std::size_t> first, last;
-};
-FirstAndLastLabelIndices find_first_and_last_labels(const MoverTrack& track) {
-    std::vector<std::size_t> all;
-    for (std::size_t k = 0; k < track.observations.size(); ++k)
-        if (is_labelled(track.observations[k])) all.push_back(k);
-    const auto n = std::ptrdiff_t(std::min(kLabelsPerEnd, all.size()));
-    return {{all.begin(), all.begin() + n}, {all.end() - n, all.end()}};
-}
-
 }  // namespace
 
 BoxTrack fit_box_to_track(const MoverTrack& track) {
@@ -296,9 +273,14 @@ BoxTrack fit_box_to_track(const MoverTrack& track) {
 
 void enlarge_box_to_typical_size(BoxTrack& box, const MoverTrack& track) {
     const std::vector<double> speeds = compute_speeds_mps(box);
-    const TypicalObjectSize* kind =
-        speeds.empty() ? nullptr : classify_object_by_size(box.size_m, median(speeds));
-    if (!kind) return;
+    // Slow objects keep their size, because they can be pedestrians.
+    if (speeds.empty() || median(speeds) < kDrives_mps) return;
+    const bool cyclist =
+        box.size_m.y < kCyclistWidth_m && box.size_m.z > kCyclistTop_m && box.size_m.x < kCar.least_length_m;
+    const TypicalObjectSize* kind = box.size_m.z > kTruck_m ? &kTruck : &kCar;
+    if (cyclist) kind = &kCyclist;
+    // Objects that are too short and too narrow for their kind also keep their size.
+    if (box.size_m.x < kind->least_length_m && box.size_m.y < kind->least_width_m) return;
     glm::dvec3 grown = box.size_m, shift(0.0);
     if (box.size_m.x < kind->least_length_m) grown.x = kind->length_m;
     if (box.size_m.y < kind->least_width_m) grown.y = kind->width_m;
@@ -312,8 +294,13 @@ void enlarge_box_to_typical_size(BoxTrack& box, const MoverTrack& track) {
 
 BoxTrack extend_labelled_box(const MoverTrack& track, const BoxTrack& labelled_box) {
     const std::vector<double> times = track.get_observation_times();
-    const FirstAndLastLabelIndices end_labels = find_first_and_last_labels(track);
-    const auto is_before = [&](std::size_t index) { return index < end_labels.first.front(); };
+    std::vector<std::size_t> labels;  // indices of the labelled observations
+    for (std::size_t k = 0; k < track.observations.size(); ++k)
+        if (is_labelled(track.observations[k])) labels.push_back(k);
+    const auto n_per_end = std::ptrdiff_t(std::min(kLabelsPerEnd, labels.size()));
+    const std::vector<std::size_t> first_labels(labels.begin(), labels.begin() + n_per_end),
+        last_labels(labels.end() - n_per_end, labels.end());
+    const auto is_before = [&](std::size_t index) { return index < first_labels.front(); };
     std::vector<glm::dvec3> positions_m;
     for (const MoverObservation& o : track.observations) positions_m.push_back(o.cluster.centre_m);
     std::vector<KinematicState> path = smooth_path(times, positions_m);
@@ -321,10 +308,9 @@ BoxTrack extend_labelled_box(const MoverTrack& track, const BoxTrack& labelled_b
     for (int round = 0; round < kRounds; ++round) {
         const std::vector<GroundPose> ground_poses = compute_ground_poses_along(list_positions(path));
         positions_m = estimate_positions_from_visible_end(track, ground_poses, &labelled_box.size_m);
-        before = estimate_median_label_box_offset(track, end_labels.first, ground_poses, positions_m,
-                                                  labelled_box);
-        after =
-            estimate_median_label_box_offset(track, end_labels.last, ground_poses, positions_m, labelled_box);
+        before =
+            estimate_median_label_box_offset(track, first_labels, ground_poses, positions_m, labelled_box);
+        after = estimate_median_label_box_offset(track, last_labels, ground_poses, positions_m, labelled_box);
         for (std::size_t k = 0; k < positions_m.size(); ++k)
             positions_m[k] = is_labelled(track.observations[k])
                                  ? labelled_box.world_from_box.interpolate_pose(times[k]).translation

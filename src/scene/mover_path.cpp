@@ -49,20 +49,6 @@ glm::dmat3 make_process_noise_covariance(double dt_s) {
                               d2 / 2.0, dt_s);
 }
 
-KalmanState predict_state(const KalmanState& estimate, double dt_s) {
-    const glm::dmat3 f = make_transition_matrix(dt_s);
-    return {f * estimate.state,
-            f * estimate.covariance * glm::transpose(f) + make_process_noise_covariance(dt_s)};
-}
-
-void update_with_measurement(KalmanState& estimate, const glm::dvec3& position_m, double weight) {
-    const glm::dvec3 column = estimate.covariance[0];
-    const glm::dvec3 gain = column / (column.x + kPositionNoise_m * kPositionNoise_m / weight);
-    for (int axis = 0; axis < 3; ++axis)
-        estimate.state[axis] += gain * (position_m[axis] - estimate.state[axis][0]);
-    estimate.covariance -= glm::outerProduct(gain, column);
-}
-
 std::vector<KinematicState> run_kalman_smoother(const std::vector<double>& times_s,
                                                 const std::vector<glm::dvec3>& positions_m,
                                                 const std::vector<double>& weights) {
@@ -71,9 +57,21 @@ std::vector<KinematicState> run_kalman_smoother(const std::vector<double>& times
     before[0].covariance = glm::dmat3(1e3, 0.0, 0.0, 0.0, 1e3, 0.0, 0.0, 0.0, 10.0);
     for (int axis = 0; axis < 3; ++axis) before[0].state[axis][0] = positions_m[0][axis];
     for (std::size_t k = 0; k < n; ++k) {
-        if (k > 0) before[k] = predict_state(filtered[k - 1], times_s[k] - times_s[k - 1]);
+        if (k > 0) {
+            // Predicts the state at this time from the previous state.
+            const KalmanState& previous = filtered[k - 1];
+            const double dt_s = times_s[k] - times_s[k - 1];
+            const glm::dmat3 f = make_transition_matrix(dt_s);
+            before[k] = {f * previous.state,
+                         f * previous.covariance * glm::transpose(f) + make_process_noise_covariance(dt_s)};
+        }
+        // Updates the predicted state with the measured position.
         filtered[k] = before[k];
-        update_with_measurement(filtered[k], positions_m[k], weights[k]);
+        const glm::dvec3 column = before[k].covariance[0];
+        const glm::dvec3 gain = column / (column.x + kPositionNoise_m * kPositionNoise_m / weights[k]);
+        for (int axis = 0; axis < 3; ++axis)
+            filtered[k].state[axis] += gain * (positions_m[k][axis] - before[k].state[axis][0]);
+        filtered[k].covariance -= glm::outerProduct(gain, column);
     }
     std::vector<KinematicState> path(n);
     glm::dmat3 state = filtered[n - 1].state;

@@ -100,7 +100,13 @@ public:
     explicit OpenTrackSet(const LidarSequence& sequence) : sequence_(sequence) {}
 
     void link_frame_clusters_to_tracks(double frame_time_s, const std::vector<MoverCluster>& clusters) {
-        std::erase_if(open_, [&](std::size_t t) { return has_track_ended(tracks_[t], frame_time_s); });
+        std::erase_if(open_, [&](std::size_t t) {  // tracks that have ended
+            const MoverTrack& track = tracks_[t];
+            if (track.label != kNoLabel &&
+                sequence_.boxes[std::size_t(track.label)].world_from_box.time_s.back() >= frame_time_s)
+                return false;
+            return frame_time_s - track.observations.back().frame_time_s > 2.0 * kMaxGap_s;
+        });
         std::vector<char> track_is_used(tracks_.size(), 0), cluster_is_used(clusters.size(), 0);
         for (const TrackClusterMatch& fit : list_possible_matches(frame_time_s, clusters)) {
             if (track_is_used[fit.track] || cluster_is_used[fit.cluster]) continue;
@@ -125,12 +131,6 @@ private:
     std::vector<MoverTrack> tracks_;
     std::vector<std::size_t> open_;  // indices of the tracks that may continue
 
-    bool has_track_ended(const MoverTrack& track, double frame_time_s) const {
-        if (track.label != kNoLabel &&
-            sequence_.boxes[std::size_t(track.label)].world_from_box.time_s.back() >= frame_time_s)
-            return false;
-        return frame_time_s - track.observations.back().frame_time_s > 2.0 * kMaxGap_s;
-    }
     /// Returns all possible pairs of a track and a cluster. The pairs are sorted from the
     /// best match to the worst.
     std::vector<TrackClusterMatch> list_possible_matches(double frame_time_s,
@@ -167,14 +167,6 @@ double compute_visible_width_m(const MoverCluster& cluster) {
     return std::max(high.x - low.x, high.y - low.y);
 }
 
-double compute_horizontal_gap_m(const MoverCluster& first, const MoverCluster& second) {
-    double nearest = 1e30;
-    for (const glm::dvec3& p : first.points_m)
-        for (const glm::dvec3& q : second.points_m)
-            nearest = std::min(nearest, glm::distance(glm::dvec2(p), glm::dvec2(q)));
-    return nearest;
-}
-
 /// Returns the observations of two tracks that are in the same frame, as pairs of
 /// indices.
 std::vector<std::pair<std::size_t, std::size_t>> list_observation_pairs_in_same_frame(
@@ -195,11 +187,15 @@ bool are_tracks_of_same_vehicle(const MoverTrack& track, const MoverTrack& other
     const auto common = list_observation_pairs_in_same_frame(track, other_track);
     if (2 * common.size() < other_track.observations.size() || common.size() < 4) return false;
     const auto& [i, j] = common[common.size() / 2];
-    if (std::min(compute_visible_width_m(track.observations[i].cluster),
-                 compute_visible_width_m(other_track.observations[j].cluster)) < kVehiclePart_m ||
-        compute_horizontal_gap_m(track.observations[i].cluster, other_track.observations[j].cluster) >
-            kBesides_m)
+    const MoverCluster& cluster = track.observations[i].cluster;
+    const MoverCluster& other_cluster = other_track.observations[j].cluster;
+    if (std::min(compute_visible_width_m(cluster), compute_visible_width_m(other_cluster)) < kVehiclePart_m)
         return false;
+    double horizontal_gap_m = 1e30;
+    for (const glm::dvec3& p : cluster.points_m)
+        for (const glm::dvec3& q : other_cluster.points_m)
+            horizontal_gap_m = std::min(horizontal_gap_m, glm::distance(glm::dvec2(p), glm::dvec2(q)));
+    if (horizontal_gap_m > kBesides_m) return false;
     glm::dvec3 sum(0.0), squares(0.0);
     for (const auto& [a, b] : common) {
         const glm::dvec3 apart =

@@ -97,13 +97,6 @@ glm::dvec3 make_perpendicular_direction(const glm::dvec3& normal, double angle_r
     return std::cos(angle_rad) * x + std::sin(angle_rad) * glm::cross(normal, x);
 }
 
-/// Returns the rotation (w, x, y, z) whose first and third columns are `x_axis` and
-/// `z_axis`.
-glm::vec4 make_quaternion_from_x_and_z_axes(const glm::dvec3& x_axis, const glm::dvec3& z_axis) {
-    const glm::dquat q = glm::quat_cast(glm::dmat3(x_axis, glm::cross(z_axis, x_axis), z_axis));
-    return {float(q.w), float(q.x), float(q.y), float(q.z)};
-}
-
 /// Distances to the neighbouring scan lines on a surface. `across` is the direction in
 /// the surface that is perpendicular to the scan lines. `left_m` and `right_m` are the
 /// distances to the nearest points on the next scan lines, or 0 if no such point exists.
@@ -112,7 +105,6 @@ struct ScanLineGap {
     double left_m = 0.0, right_m = 0.0;
 
     bool is_one_side_missing() const { return left_m == 0.0 || right_m == 0.0; }
-    double get_larger_distance_m() const { return std::max(left_m, right_m); }
 };
 
 /// Measures the distance from a point to the next scan line on each side.
@@ -152,12 +144,6 @@ ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
     return gap;
 }
 
-glm::dvec3 sample_random_unit_direction(Random& random) {
-    const glm::dvec3 d(random.sample_standard_normal(), random.sample_standard_normal(),
-                       random.sample_standard_normal());
-    return d / std::max(glm::length(d), 1e-12);
-}
-
 /// Sets the SH coefficients of degrees 0 and 1. They encode the intensity a (1 - q (1 -
 /// cos)) with albedo a and cos = -n . d, where d is the direction of a ray towards the
 /// surface. The cosine has a lower limit, because the albedo is inaccurate at grazing
@@ -186,15 +172,6 @@ struct NearestSamples {
     NearestSamples(const Tree& tree, const LidarSample& sample, std::size_t count)
         : samples(count), distance2(count) {
         samples.resize(tree.knnSearch(&sample.position.x, count, samples.data(), distance2.data()));
-    }
-    /// Returns the mean distance from the sample to its three nearest other samples, or 0
-    /// if there are no other samples.
-    double compute_mean_spacing_m() const {
-        double sum = 0.0;
-        std::size_t n = 0;
-        for (std::size_t j = 1; j < samples.size() && n < kScaleNeighbours; ++j, ++n)
-            sum += std::sqrt(distance2[j]);
-        return n ? sum / double(n) : 0.0;
     }
 };
 
@@ -246,10 +223,18 @@ void compute_surfel_parameters(Surfels& surfels, std::size_t surfel_index,
     const std::size_t k =
         std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
     NearestSamples nearest(tree, samples[surfel_index], k);
-    const double spacing = nearest.samples.size() > 1 ? nearest.compute_mean_spacing_m() : options.voxel_m;
+    // Mean distance to the three nearest other samples.
+    double distance_sum_m = 0.0;
+    std::size_t n_others = 0;
+    for (std::size_t j = 1; j < nearest.samples.size() && n_others < kScaleNeighbours; ++j, ++n_others)
+        distance_sum_m += std::sqrt(nearest.distance2[j]);
+    const double spacing = n_others ? distance_sum_m / double(n_others) : options.voxel_m;
     Random random(hash_integer_pair(options.seed, surfel_index));
     nearest.samples.resize(std::min(nearest.samples.size(), std::size_t(options.normal_neighbours) + 1));
-    SurfelPlacement placement{{{}, sample_random_unit_direction(random)}, {}};
+    // Draws one number per statement, because the compiler chooses the order of arguments.
+    glm::dvec3 random_direction;
+    for (int axis = 2; axis >= 0; --axis) random_direction[axis] = random.sample_standard_normal();
+    SurfelPlacement placement{{{}, random_direction / std::max(glm::length(random_direction), 1e-12)}, {}};
     if (options.normals && nearest.samples.size() >= 3)
         placement =
             estimate_surface_at_sample(tree, samples, surfel_index, std::move(nearest.samples), options);
@@ -259,12 +244,13 @@ void compute_surfel_parameters(Surfels& surfels, std::size_t surfel_index,
         surfels.mean[surfel_index] -= glm::vec3(
             glm::dot(glm::dvec3(samples[surfel_index].position) - plane.point, plane.normal) * plane.normal);
     glm::dvec3 x = make_perpendicular_direction(plane.normal, random.sample_uniform_number(0.0, 2.0 * kPi));
-    const double width = placement.gap.get_larger_distance_m(),
+    const double width = std::max(placement.gap.left_m, placement.gap.right_m),
                  round = std::min(spacing * options.scale_factor, options.max_scale_m);
     const bool reaches =
         !placement.gap.is_one_side_missing() && width > kGap * spacing && width < options.max_gap_m;
     if (reaches) x = placement.gap.across;
-    surfels.rotation[surfel_index] = make_quaternion_from_x_and_z_axes(x, plane.normal);
+    const glm::dquat q = glm::quat_cast(glm::dmat3(x, glm::cross(plane.normal, x), plane.normal));
+    surfels.rotation[surfel_index] = {float(q.w), float(q.x), float(q.y), float(q.z)};
     const auto log_scale = [](double m) { return static_cast<float>(std::log(std::max(m, 1e-3))); };
     surfels.log_scale[surfel_index] = {log_scale(reaches ? width * options.scale_factor : round),
                                        log_scale(round)};

@@ -100,17 +100,6 @@ float get_property_value(const PlyProperty& property, const Surfels& surfels, st
     return 0.0f;
 }
 
-/// Stores the value of a PLY property in surfel `surfel_index`. If the property is the
-/// index of the model, stores the value in `model_index` instead.
-/// @param property a property that the reader uses
-void set_property_value(const PlyProperty& property, Surfels& surfels, std::size_t surfel_index,
-                        std::uint32_t& model_index, float value) {
-    if (property.kind == PlyProperty::model) model_index = static_cast<std::uint32_t>(value);
-    else
-        property.group->mutable_values(
-            surfels)[surfel_index * property.group->count_floats() + property.index] = value;
-}
-
 /// Layout of the records in a PLY file, parsed from its header: the number of records,
 /// and the name and byte offset of each property.
 struct PlyRecordLayout {
@@ -136,15 +125,6 @@ std::size_t get_ply_type_size_bytes(const std::string& type_name) {
     throw DataError(
         fmt::format("found a property of type \"{}\", expected a number type (lists are not supported)",
                     shorten_for_error_message(type_name)));
-}
-
-std::size_t parse_vertex_count(const std::string& text) {
-    std::size_t count = 0;
-    const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), count);
-    if (error != std::errc() || stop != text.data() + text.size() || count > kMaxSurfels)
-        throw DataError(fmt::format("found \"element vertex {}\", expected a count of at most {}",
-                                    shorten_for_error_message(text), kMaxSurfels));
-    return count;
 }
 
 void append_record_field(PlyRecordLayout& layout, const std::string& type_name,
@@ -179,7 +159,11 @@ PlyRecordLayout parse_ply_header(const std::string& header) {
                 throw DataError(fmt::format("found the PLY element {}, expected only one element, vertex",
                                             shorten_for_error_message(first)));
             has_vertex = true;
-            layout.count = parse_vertex_count(second);
+            const char* const end = second.data() + second.size();
+            const auto [stop, error] = std::from_chars(second.data(), end, layout.count);
+            if (error != std::errc() || stop != end || layout.count > kMaxSurfels)
+                throw DataError(fmt::format("found \"element vertex {}\", expected a count of at most {}",
+                                            shorten_for_error_message(second), kMaxSurfels));
         } else if (what == "property") {
             if (!has_vertex)
                 throw DataError(
@@ -216,8 +200,8 @@ PlyColumns find_required_ply_properties(const PlyRecordLayout& layout, SurfelPar
     return columns;
 }
 
-float require_valid_property_value(float value, const PlyProperty& property, std::size_t vertex_index,
-                                   std::size_t n_models) {
+void require_valid_property_value(float value, const PlyProperty& property, std::size_t vertex_index,
+                                  std::size_t n_models) {
     if (!std::isfinite(value))
         throw DataError(
             fmt::format("vertex {}: {} is {}, expected a finite number", vertex_index, property.name, value));
@@ -227,7 +211,6 @@ float require_valid_property_value(float value, const PlyProperty& property, std
             fmt::format("vertex {}: the property \"model\" is {}, expected a whole number of at least 0 and "
                         "below {}, the number of models in the run",
                         vertex_index, value, n_models));
-    return value;
 }
 
 /// Sorts the surfels by model. Keeps the order of the file within each model.
@@ -282,12 +265,15 @@ Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& s
     std::vector<std::uint32_t> model(layout.count);
     for (std::size_t i = 0; i < layout.count; ++i)
         for (std::size_t k = 0; k < columns.property.size(); ++k) {
+            const PlyProperty& property = columns.property[k];
             float value;
             std::memcpy(&value, file_bytes.data() + data + i * layout.stride + columns.offset[k],
                         sizeof value);
-            set_property_value(
-                columns.property[k], surfels, i, model[i],
-                require_valid_property_value(value, columns.property[k], i, scene_layout.models.size()));
+            require_valid_property_value(value, property, i, scene_layout.models.size());
+            if (property.kind == PlyProperty::model) model[i] = static_cast<std::uint32_t>(value);
+            else
+                property.group->mutable_values(surfels)[i * property.group->count_floats() + property.index] =
+                    value;
         }
     return group_surfels_by_model(surfels, model, scene_layout);
 }

@@ -87,15 +87,6 @@ glm::dvec3 compute_ground_tile_centre(const glm::dvec3& point_m) {
            (glm::floor(glm::dvec3(point_m.x, point_m.y, 0.0) / kTile_m) + glm::dvec3(0.5, 0.5, 0.0));
 }
 
-/// Shortens the list to at most kMostViews views, which are evenly spaced in the list.
-void keep_evenly_spaced_views(std::vector<std::uint32_t>& view_indices) {
-    if (view_indices.size() <= kMostViews) return;
-    std::vector<std::uint32_t> selected_indices;
-    for (std::size_t k = 0; k < kMostViews; ++k)
-        selected_indices.push_back(view_indices[k * view_indices.size() / kMostViews]);
-    view_indices = std::move(selected_indices);
-}
-
 }  // namespace
 
 BeamGrid::BeamGrid(const Scan& scan) {
@@ -218,7 +209,12 @@ void VisibilityChecker::assign_views_to_tiles() {
         for (const ImageDistance& s : seen)
             if (s.distance_m <= std::max(kMaxTileDistance_m, kHardlyFarther * nearest))
                 views.push_back(s.view);
-        keep_evenly_spaced_views(views);
+        if (views.size() <= kMostViews) continue;
+        // Keeps kMostViews views that are evenly spaced in the list.
+        std::vector<std::uint32_t> selected_views;
+        for (std::size_t k = 0; k < kMostViews; ++k)
+            selected_views.push_back(views[k * views.size() / kMostViews]);
+        views = std::move(selected_views);
     }
 }
 
