@@ -37,9 +37,6 @@ struct AccelerationStructure::Impl {
         else hardware = std::make_unique<RayQueryAccel>(device, scene, proxy);
     }
 
-    bool should_rebuild_tree() const {
-        return !built || outgrown || (options.rebuild_every > 0 && refits >= options.rebuild_every);
-    }
     void build_tree(Stream& stream, const DeviceScene& scene) {
         if (hardware) hardware->record_build_or_refit(stream, scene, options, {{0, scene.size()}}, false);
         else software->build_trees(stream, scene, options);
@@ -73,9 +70,10 @@ AccelerationStructure::~AccelerationStructure() = default;
 void AccelerationStructure::record_bvh_refit_or_build(Stream& stream, const DeviceScene& scene,
                                                       bool force_rebuild) {
     Impl& a = *impl_;
-    const bool refit = !force_rebuild && !a.should_rebuild_tree();
+    const bool rebuild = force_rebuild || !a.built || a.outgrown ||
+                         (a.options.rebuild_every > 0 && a.refits >= a.options.rebuild_every);
     ++a.n_updates;
-    if (refit) {
+    if (!rebuild) {
         a.refit_tree(stream, scene, {{0, scene.size()}});
         ++a.refits;
         return;

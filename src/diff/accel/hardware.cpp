@@ -104,24 +104,12 @@ void record_accel_structure_builds(Stream::Impl& stream, const std::string& comm
 struct ProxyTriangleMesh {
     std::uint32_t n_corners;
     std::vector<std::uint32_t> corners;  ///< [triangles,3] indices of the corners
-
-    std::uint32_t count_triangles() const { return static_cast<std::uint32_t>(corners.size() / 3); }
 };
 
 const ProxyTriangleMesh kRectangle{4, {0, 1, 2, 2, 3, 0}};
 const ProxyTriangleMesh kIcosahedron{
     12, {0, 1, 8, 0, 1, 10, 0, 4, 5,  0, 4, 8, 0, 5, 10, 1, 6, 7,  1, 6, 8, 1, 7,  10, 2, 3, 9, 2, 3,  11,
          2, 4, 5, 2, 4, 9,  2, 5, 11, 3, 6, 7, 3, 6, 9,  3, 7, 11, 4, 8, 9, 5, 10, 11, 6, 8, 9, 7, 10, 11}};
-
-/// Returns the vertex indices of `n_copies` copies of a mesh. The corners of each copy
-/// follow the corners of the previous copy.
-std::vector<std::uint32_t> repeat_triangle_indices(const ProxyTriangleMesh& mesh, std::uint32_t n_copies) {
-    std::vector<std::uint32_t> indices;
-    indices.reserve(mesh.corners.size() * n_copies);
-    for (std::uint32_t i = 0; i < n_copies; ++i)
-        for (const std::uint32_t corner : mesh.corners) indices.push_back(mesh.n_corners * i + corner);
-    return indices;
-}
 
 }  // namespace
 
@@ -254,17 +242,24 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
     a.geometry = Array<float>(
         device, std::size_t(scene.size()) * (a.proxy == ProxyShape::boxes ? 6 : 3 * a.mesh.n_corners),
         "proxies");
-    if (a.proxy == ProxyShape::triangles)
-        a.indices = Array<std::uint32_t>(
-            device, std::span<const std::uint32_t>(repeat_triangle_indices(a.mesh, largest)),
-            "proxy indices");
+    if (a.proxy == ProxyShape::triangles) {
+        // Each surfel has a copy of the mesh. The corners of a copy follow the corners of
+        // the previous copy.
+        std::vector<std::uint32_t> indices;
+        indices.reserve(a.mesh.corners.size() * largest);
+        for (std::uint32_t i = 0; i < largest; ++i)
+            for (const std::uint32_t corner : a.mesh.corners)
+                indices.push_back(a.mesh.n_corners * i + corner);
+        a.indices = Array<std::uint32_t>(device, std::span<const std::uint32_t>(indices), "proxy indices");
+    }
 
+    const auto n_triangles = static_cast<std::uint32_t>(a.mesh.corners.size() / 3);
     const std::uint64_t alignment = device.impl().scratch_alignment;
     VkDeviceSize scratch_bytes = 0;
     a.blas_input.reserve(layout.models.size());
     for (const SurfelModel& model : layout.models) {
         a.append_blas_build_input(model);
-        const std::uint32_t n = model.count * (a.proxy == ProxyShape::boxes ? 1u : a.mesh.count_triangles());
+        const std::uint32_t n = model.count * (a.proxy == ProxyShape::boxes ? 1u : n_triangles);
         a.blas_scratch.push_back(scratch_bytes);
         if (n == 0) {
             a.blas.push_back(nullptr);

@@ -31,16 +31,6 @@ bool should_sum_gradients_without_atomics(const Device& device, GradientReductio
     return sh_direction == ShDirection::ray || !device.info().float_atomics;
 }
 
-/// Returns true if the threads of a subgroup collect gradients in shared memory before
-/// they add them with atomics. This reduces memory traffic on a GPU, but requires a
-/// device that supports maximal reconvergence (VK_KHR_shader_maximal_reconvergence).
-bool should_exchange_rows_in_shared_memory(const Device& device, const BackwardOptions& backward_options,
-                                           bool sums_without_atomics) {
-    return !sums_without_atomics &&
-           backward_options.coalesced_atomics.value_or(should_coalesce_memory_access(device) &&
-                                                       is_lane_reconvergence_guaranteed(device));
-}
-
 }  // namespace
 
 struct BackwardPass::Impl {
@@ -61,7 +51,11 @@ struct BackwardPass::Impl {
         const bool gathered =
             should_sum_gradients_without_atomics(device, backward_options.reduction, model.sh_direction);
         all.push_back({SpecialisationConstantId::GATHER, gathered ? 1u : 0u});
-        const bool exchanged = should_exchange_rows_in_shared_memory(device, backward_options, gathered);
+        // The threads collect gradients in shared memory before the atomics. This reduces
+        // memory traffic, but needs VK_KHR_shader_maximal_reconvergence.
+        const bool exchanged = !gathered && backward_options.coalesced_atomics.value_or(
+                                                should_coalesce_memory_access(device) &&
+                                                is_lane_reconvergence_guaranteed(device));
         all.push_back({SpecialisationConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
         // If the lanes of a subgroup exchange gradients (`exchanged`), the kernel needs
         // subgroup barriers. lavapipe (a CPU driver) executes them as barriers of the

@@ -17,13 +17,6 @@ namespace {
 // could need more than 2^32 threads in a launch.
 constexpr std::size_t kMostLists = std::size_t(1) << 24;
 
-/// Returns the maximum size of all hit lists in bytes: one eighth of the device's memory.
-/// Assumes 8 GiB of memory if the size is unknown.
-std::size_t compute_max_hit_list_bytes(const Device& device) {
-    const std::size_t memory = device.info().memory_bytes;
-    return (memory ? memory : std::size_t(8) << 30) / 8;
-}
-
 Kernel<shared::SortHitsParams> make_hit_sort_kernel(Device& device) {
     const auto lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
     return {device,
@@ -31,10 +24,6 @@ Kernel<shared::SortHitsParams> make_hit_sort_kernel(Device& device) {
             {{SpecialisationConstantId::LANES, lanes},
              {SpecialisationConstantId::WORKGROUP_SIZE, RELIDAR_SORTED_TOGETHER * lanes}},
             SubgroupRequirement::full};
-}
-
-std::size_t compute_hit_list_bytes(std::size_t n_lists, std::uint32_t hits_per_list) {
-    return n_lists * hits_per_list * sizeof(shared::Hit);
 }
 
 }  // namespace
@@ -59,10 +48,14 @@ HitListTracer::HitListTracer(Device& device, const KernelVariant& variant,
 /// Allocates hit lists. Halves the capacity of a list until all lists fit into the device
 /// memory. Allocates none if no memory is free.
 void HitListTracer::allocate_hit_lists(std::size_t n_lists) {
+    // All lists may use one eighth of the device's memory. Assumes 8 GiB of memory if the
+    // size is unknown.
+    const std::size_t memory_bytes = device_.info().memory_bytes;
+    const std::size_t max_list_bytes = (memory_bytes ? memory_bytes : std::size_t(8) << 30) / 8;
     const std::uint32_t requested_hits_per_list = hits_per_list_;
     hits_ = {};
     for (; hits_per_list_ > 0; hits_per_list_ /= 2) {
-        if (compute_hit_list_bytes(n_lists, hits_per_list_) > compute_max_hit_list_bytes(device_)) continue;
+        if (n_lists * hits_per_list_ * sizeof(shared::Hit) > max_list_bytes) continue;
         try {
             hits_ = Array<shared::Hit>(device_, n_lists * hits_per_list_, "lists of hits");
             break;

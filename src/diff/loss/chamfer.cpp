@@ -46,13 +46,6 @@ struct TiledPointCloud {
           tile_high(device, count / 4 + 1, description + " tiles"),
           group_low(device, count / 16 + 2, description + " groups"),
           group_high(device, count / 16 + 2, description + " groups") {}
-    shared::ChamferCloud get_cloud_gpu_addresses() const {
-        return {.points = points.address(),
-                .tile_low = tile_low.address(),
-                .tile_high = tile_high.address(),
-                .group_low = group_low.address(),
-                .group_high = group_high.address()};
-    }
 };
 
 }  // namespace
@@ -115,7 +108,11 @@ struct ChamferLoss::Impl {
                              const ImageTileLevels& tile_layout) const {
         relidar::run(stream, nearest, n_rays,
                      {.queries = source_cloud.points.address().cast_meaning<shared::QueryPoints>(),
-                      .cloud = target_cloud.get_cloud_gpu_addresses(),
+                      .cloud = {.points = target_cloud.points.address(),
+                                .tile_low = target_cloud.tile_low.address(),
+                                .tile_high = target_cloud.tile_high.address(),
+                                .group_low = target_cloud.group_low.address(),
+                                .group_high = target_cloud.group_high.address()},
                       .nearest = nearest_index.address(),
                       .rows = tile_layout.points.x,
                       .columns = tile_layout.points.y,

@@ -13,14 +13,6 @@
 
 namespace relidar {
 
-namespace {
-
-bool has_bounding_box(const SurfelModel& model) {
-    return model.half_size_m.x > 0.0f && model.half_size_m.y > 0.0f && model.half_size_m.z > 0.0f;
-}
-
-}  // namespace
-
 struct ActorBoxLoss::Impl {
     LossWeights weights;
     Kernel<shared::SurfelLossParams> kernel;
@@ -40,7 +32,8 @@ void ActorBoxLoss::record_regularisation_losses(Stream& stream, const DeviceScen
     double n_boxed = 0.0;
     std::uint32_t first = scene.size(), end = 0;  // surfel range that contains all models with a box
     for (const SurfelModel& m : models) {
-        if (!has_bounding_box(m)) continue;
+        const bool has_box = m.half_size_m.x > 0.0f && m.half_size_m.y > 0.0f && m.half_size_m.z > 0.0f;
+        if (!has_box) continue;
         n_boxed += m.count;
         first = std::min(first, m.first);
         end = m.first + m.count;

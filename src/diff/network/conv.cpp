@@ -21,10 +21,6 @@ constexpr std::uint32_t kConvThreads = 64;  // threads per workgroup
 constexpr std::uint32_t kLinesOfPart = 8;
 constexpr std::size_t kMostPartial = 1 << 24;  // maximum number of floats of the partial sums
 
-std::uint32_t count_input_channels_per_subgroup(std::uint32_t kernel_taps) {
-    return kernel_taps == 1 ? RELIDAR_CONV_IN : 1;
-}
-
 std::uint32_t count_partial_sums_per_weight(const ImageBatchSize& grid, std::size_t n_weights) {
     const std::uint32_t lines = grid.n * grid.rows;
     const std::size_t most = std::max<std::size_t>(1, kMostPartial / n_weights);
@@ -89,9 +85,10 @@ std::size_t ConvolutionKernels::count_conv_threads(const shared::ConvParams& par
 }
 
 std::size_t ConvolutionKernels::count_weight_gradient_threads(const shared::ConvWeightsParams& params) const {
-    const std::uint32_t subgroups =
-        params.n_parts * divide_rounding_up(params.n_in, count_input_channels_per_subgroup(taps_)) *
-        divide_rounding_up(params.n_out, RELIDAR_CONV_OUT);
+    const std::uint32_t input_channels_per_subgroup = taps_ == 1 ? RELIDAR_CONV_IN : 1;
+    const std::uint32_t subgroups = params.n_parts *
+                                    divide_rounding_up(params.n_in, input_channels_per_subgroup) *
+                                    divide_rounding_up(params.n_out, RELIDAR_CONV_OUT);
     return std::size_t(divide_rounding_up(subgroups, kConvThreads / lanes_)) * kConvThreads;
 }
 

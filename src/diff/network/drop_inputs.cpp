@@ -25,13 +25,6 @@ Joined upload_joined_values(Device& device, std::span<const RayDropImage> images
     return all;
 }
 
-Array<glm::vec2> upload_scale_shift_pairs(Device& device, const std::vector<float>& scales_and_shifts) {
-    std::vector<glm::vec2> result;
-    for (std::size_t i = 0; i + 1 < scales_and_shifts.size(); i += 2)
-        result.emplace_back(scales_and_shifts[i], scales_and_shifts[i + 1]);
-    return Array<glm::vec2>(device, std::span<const glm::vec2>(result), "normalisation of inputs");
-}
-
 }  // namespace
 
 std::vector<float> compute_channel_normalisation(const std::vector<RayDropImage>& images,
@@ -62,8 +55,13 @@ RayDropInputs::RayDropInputs(Device& device, const RayDropNetwork& network)
     : n_channels_(std::uint32_t(network.inputs.size())),
       n_fixed_(count_sensor_pixel_channels(network)),
       logit_channel_(find_drop_logit_channel(network)),
-      kernel_(device, "diff/network/drop_inputs"),
-      scale_shift_(upload_scale_shift_pairs(device, network.normalisation)) {}
+      kernel_(device, "diff/network/drop_inputs") {
+    std::vector<glm::vec2> scale_shift_pairs;
+    for (std::size_t i = 0; i + 1 < network.normalisation.size(); i += 2)
+        scale_shift_pairs.emplace_back(network.normalisation[i], network.normalisation[i + 1]);
+    scale_shift_ =
+        Array<glm::vec2>(device, std::span<const glm::vec2>(scale_shift_pairs), "normalisation of inputs");
+}
 
 void RayDropInputs::upload_training_images(Device& device, std::span<const RayDropImage> images) {
     samples_ = upload_joined_values<decltype(samples_)>(

@@ -64,13 +64,6 @@ struct SizedRayDropNetwork {
 
     SizedRayDropNetwork(Device& device, const RayDropNetwork& network)
         : inputs(device, network), unet(device, network) {}
-
-    void allocate_for_image_size(Device& device, const refine::ImageBatchSize& image_grid) {
-        grid = image_grid;
-        unet.allocate_activations(device, grid, false);
-        probability = {device, grid.count_pixels_per_image(), "drop probabilities"};
-        loss.emplace(device, grid.count_pixels_per_image());
-    }
 };
 
 }  // namespace
@@ -103,7 +96,12 @@ struct RayDropInference::Impl {
             --cache_entry;
         }
         shaped.splice(shaped.begin(), shaped, cache_entry);
-        if (is_new) cache_entry->allocate_for_image_size(device, image_grid);
+        if (is_new) {
+            cache_entry->grid = image_grid;
+            cache_entry->unet.allocate_activations(device, image_grid, false);
+            cache_entry->probability = {device, image_grid.count_pixels_per_image(), "drop probabilities"};
+            cache_entry->loss.emplace(device, image_grid.count_pixels_per_image());
+        }
         return *cache_entry;
     }
 };

@@ -25,16 +25,13 @@ std::size_t count_normalisation_threads(const ChannelSlice& slice) {
            ((slice.grid.count_pixels_per_image() + kStretch - 1) / kStretch) * kNormThreads;
 }
 
-std::vector<SpecialisationConstant> make_norm_kernel_constants(std::uint32_t lanes_per_subgroup) {
-    return {{SpecialisationConstantId::LANES, lanes_per_subgroup},
-            {SpecialisationConstantId::WORKGROUP_SIZE, kNormThreads}};
-}
-
 }  // namespace
 
 NormalisationKernels::NormalisationKernels(Device& device)
     : lanes_(std::uint32_t(device.info().subgroup_size)),
-      sums_(device, "diff/network/channel_sums", make_norm_kernel_constants(lanes_),
+      sums_(device, "diff/network/channel_sums",
+            {{SpecialisationConstantId::LANES, lanes_},
+             {SpecialisationConstantId::WORKGROUP_SIZE, kNormThreads}},
             SubgroupRequirement::full),
       finish_(device, "diff/network/norm_finish"),
       norm_(device, "diff/network/norm", {{SpecialisationConstantId::WORKGROUP_SIZE, kNormThreads}}),

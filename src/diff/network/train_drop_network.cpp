@@ -58,14 +58,6 @@ struct TrainingRunState {
                             report.step, report.n_steps, report.n_epochs));
     }
 
-    /// Increments the step number. In the first step of an epoch, sets the sums of the
-    /// epoch to 0.
-    /// @return index of the step in its epoch
-    std::size_t advance_and_get_step_in_epoch() {
-        const std::size_t k = std::size_t(report.step++) % n_steps;
-        if (k == 0) entropy = accuracy = 0.0;
-        return k;
-    }
     int get_epoch_index() const { return int(std::size_t(report.step - 1) / n_steps); }
 
     void add_step_score(const refine::RayDropScore& score, std::size_t step_in_epoch) {
@@ -82,13 +74,6 @@ struct TrainingRunState {
                             "finite number; use a smaller value of the setting refine.rate",
                             score.entropy, report.step));
     }
-    RayDropTrainState add_progress_to_state(RayDropTrainState state) const {
-        state.step = report.step;
-        state.entropy = entropy;
-        state.accuracy = accuracy;
-        state.seconds = report.seconds;
-        return state;
-    }
 };
 
 }  // namespace
@@ -100,10 +85,18 @@ RayDropNetwork train_ray_drop_network(Device& device, const std::vector<RayDropI
     refine::RayDropTraining training(device, images, options, seed);
     TrainingRunState course(training, options, resume_state ? *resume_state : RayDropTrainState{});
     if (resume_state) training.restore_training_state(*resume_state);
-    const auto state = [&] { return course.add_progress_to_state(training.download_training_state()); };
+    const auto state = [&] {
+        RayDropTrainState result = training.download_training_state();
+        result.step = course.report.step;
+        result.entropy = course.entropy;
+        result.accuracy = course.accuracy;
+        result.seconds = course.report.seconds;
+        return result;
+    };
     std::vector<refine::RayDropInputs::RotatedSample> order;
     while (course.report.step < course.report.n_steps) {
-        const std::size_t k = course.advance_and_get_step_in_epoch();
+        const std::size_t k = std::size_t(course.report.step++) % course.n_steps;  // step index in the epoch
+        if (k == 0) course.entropy = course.accuracy = 0.0;
         if (k == 0 || order.empty())
             order = sample_epoch_order_and_rotations(images.size(), images[0].columns,
                                                      refine::get_regularisation(options).turns, seed,

@@ -17,10 +17,6 @@ std::size_t reserve_aligned_float_offset(std::size_t& n_allocated, std::size_t n
     return first;
 }
 
-/// Returns a random number between -1 and 1. The number is the same with every compiler,
-/// unlike std::uniform_real_distribution.
-float sample_uniform_minus1_to_1(std::mt19937_64& random) { return float(random() >> 40) * 0x1p-23f - 1.0f; }
-
 }  // namespace
 
 UnetParameterLayout::UnetParameterLayout(const RayDropNetwork& network) {
@@ -79,8 +75,12 @@ void initialise_network_parameters(RayDropNetwork& network, const UnetParameterL
     network.running.assign(parameter_layout.n_running, 0.0f);
     const auto draw_conv = [&](const ConvParameterOffsets& layer) {
         const float bound = std::sqrt(6.0f / float(layer.n_in * layer.taps));
-        for (std::size_t i = 0; i < std::size_t(layer.n_in) * layer.n_out * layer.taps; ++i)
-            network.parameters[layer.weights + i] = bound * sample_uniform_minus1_to_1(random);
+        for (std::size_t i = 0; i < std::size_t(layer.n_in) * layer.n_out * layer.taps; ++i) {
+            // Random number between -1 and 1. std::uniform_real_distribution is not used,
+            // because its numbers depend on the compiler.
+            const float uniform = float(random() >> 40) * 0x1p-23f - 1.0f;
+            network.parameters[layer.weights + i] = bound * uniform;
+        }
     };
     const auto draw_block = [&](const UnetBlockOffsets& block) {
         for (std::size_t c = 0; c < block.conv.n_in; ++c) {
