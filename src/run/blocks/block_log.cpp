@@ -17,16 +17,6 @@ namespace {
 // and are left out.
 constexpr double kMaxBoxDistance_m = 100.0;
 
-/// Returns the training and test frames of one block of the log, in the order of the log.
-std::vector<int> list_block_train_and_test_frames(const TrajectoryBlock& block, const TrainTestSplit& split) {
-    std::vector<int> frames = block.train;
-    for (const int position : block.recorded_frames)
-        if (std::find(split.test.begin(), split.test.end(), position) != split.test.end())
-            frames.push_back(position);
-    std::sort(frames.begin(), frames.end());
-    return frames;
-}
-
 /// Returns the vehicle poses at the times of some frames, and the poses directly before
 /// and after each frame. The poses before and after are needed to interpolate the motion
 /// during a sweep.
@@ -49,13 +39,6 @@ PoseTrack select_poses_around_frames(const LidarSequence& sequence, const std::v
     return track;
 }
 
-bool is_box_near_vehicle_in_any_frame(const BoxTrack& box, const LidarSequence& sequence,
-                                      const std::vector<int>& frame_indices) {
-    return std::any_of(frame_indices.begin(), frame_indices.end(), [&](int position) {
-        return is_box_within_distance_of_vehicle(box, sequence, position, kMaxBoxDistance_m);
-    });
-}
-
 /// Removes actors without a box in this part of the log from options.actor_tracks, the
 /// user's list of actors. If no actor remains, also clears options.actor_classes, because
 /// with an empty list the classes would select actors.
@@ -74,7 +57,12 @@ void remove_actor_tracks_without_boxes(SceneInitialisationOptions& options,
 
 BlockTrainingLog copy_frames_and_boxes_of_block(const LidarSequence& sequence, const TrainTestSplit& split,
                                                 const TrajectoryBlock& block, const Config& config) {
-    const std::vector<int> frames = list_block_train_and_test_frames(block, split);
+    // Training and test frames of the block, in the order of the log.
+    std::vector<int> frames = block.train;
+    for (const int position : block.recorded_frames)
+        if (std::find(split.test.begin(), split.test.end(), position) != split.test.end())
+            frames.push_back(position);
+    std::sort(frames.begin(), frames.end());
     BlockTrainingLog log{copy_without_frames(sequence), {}, config};
     LidarSequence& part = log.sequence;
     part.name = fmt::format("{}, metres {:.0f} to {:.0f}", sequence.name, block.begin_m, block.end_m);
@@ -85,9 +73,11 @@ BlockTrainingLog copy_frames_and_boxes_of_block(const LidarSequence& sequence, c
         (trains ? log.split.train : log.split.test).push_back(static_cast<int>(part.frames.size()));
         part.frames.push_back(sequence.frames[std::size_t(position)]);
     }
-    std::copy_if(
-        sequence.boxes.begin(), sequence.boxes.end(), std::back_inserter(part.boxes),
-        [&](const BoxTrack& box) { return is_box_near_vehicle_in_any_frame(box, sequence, frames); });
+    for (const BoxTrack& box : sequence.boxes)
+        if (std::any_of(frames.begin(), frames.end(), [&](int position) {
+                return is_box_within_distance_of_vehicle(box, sequence, position, kMaxBoxDistance_m);
+            }))
+            part.boxes.push_back(box);
     log.config.blocks.length_m = 0.0;
     remove_actor_tracks_without_boxes(log.config.init, part.boxes);
     return log;

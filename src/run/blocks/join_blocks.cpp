@@ -20,15 +20,6 @@ namespace fs = std::filesystem;
 // the vehicle. Farther boxes have few returns.
 constexpr double kMaxActorDistance_m = 60.0;
 
-/// Counts the training frames of a part of the log (block) in which a box is near the
-/// vehicle.
-std::size_t count_training_frames_near_box(const BoxTrack& box, const LidarSequence& sequence,
-                                           const TrajectoryBlock& block) {
-    return std::size_t(std::count_if(block.train.begin(), block.train.end(), [&](int position) {
-        return is_box_within_distance_of_vehicle(box, sequence, position, kMaxActorDistance_m);
-    }));
-}
-
 /// Returns the background surfels of a block and their bounding box.
 SceneBlock make_block_from_background_surfels(const Scene& scene, const fs::path& model_file) {
     SceneBlock block{model_file, scene.models.front().count, glm::vec3(0.0f), glm::vec3(0.0f)};
@@ -88,7 +79,10 @@ void keep_most_observed_actor_models(const TrainedRun& block_run, const LidarSeq
                 fmt::format("{}: the trained scene has an actor with the track id \"{}\", but the log has no "
                             "box with this track id; expected the log that was used for training",
                             block_run.folder.string(), instance.track));
-        const std::size_t sightings = count_training_frames_near_box(*box, full_sequence, block);
+        const auto sightings =
+            std::size_t(std::count_if(block.train.begin(), block.train.end(), [&](int position) {
+                return is_box_within_distance_of_vehicle(*box, full_sequence, position, kMaxActorDistance_m);
+            }));
         ActorModelCandidate& candidate = best_actors[instance.track];
         if (candidate.surfels.size() > 0 && sightings <= candidate.sightings) continue;
         const SurfelModel& model = block_run.scene.models[instance.model];

@@ -16,14 +16,6 @@
 namespace relidar {
 namespace {
 
-/// Returns how far the vehicle has driven, in metres, at each of its positions.
-std::vector<double> compute_cumulative_distances_m(const std::vector<glm::dvec3>& vehicle_positions) {
-    std::vector<double> metres(vehicle_positions.size(), 0.0);
-    for (std::size_t i = 1; i < vehicle_positions.size(); ++i)
-        metres[i] = metres[i - 1] + glm::distance(vehicle_positions[i - 1], vehicle_positions[i]);
-    return metres;
-}
-
 /// Divides the route into sections of equal length, and returns the sweeps in each
 /// section as a block. Sections without sweeps are left out.
 std::vector<TrajectoryBlock> divide_route_into_blocks(const std::vector<double>& cumulative_distances_m,
@@ -55,8 +47,12 @@ bool is_near_any_position(const glm::dvec3& query_position, const std::vector<gl
 std::vector<TrajectoryBlock> plan_training_blocks(const LidarSequence& sequence, const TrainTestSplit& split,
                                                   const BlockConfig& options) {
     const std::vector<glm::dvec3> vehicle_positions = compute_vehicle_position_per_frame(sequence);
-    std::vector<TrajectoryBlock> blocks =
-        divide_route_into_blocks(compute_cumulative_distances_m(vehicle_positions), options.length_m);
+    // Driven distance at each position of the vehicle.
+    std::vector<double> cumulative_distances_m(vehicle_positions.size(), 0.0);
+    for (std::size_t i = 1; i < vehicle_positions.size(); ++i)
+        cumulative_distances_m[i] =
+            cumulative_distances_m[i - 1] + glm::distance(vehicle_positions[i - 1], vehicle_positions[i]);
+    std::vector<TrajectoryBlock> blocks = divide_route_into_blocks(cumulative_distances_m, options.length_m);
     for (TrajectoryBlock& block : blocks) {
         for (const int position : split.train)
             if (is_near_any_position(vehicle_positions[std::size_t(position)], vehicle_positions,

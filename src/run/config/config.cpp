@@ -139,12 +139,6 @@ std::string quote_toml_string(const std::string& text) {
     return result + '"';
 }
 
-template <class T>
-std::string format_toml_value(const T& value, const SettingValueRange& accepted_values) {
-    const std::string text = format_setting_value(value, accepted_values);
-    return is_text<T> ? quote_toml_string(text) : text;
-}
-
 }  // namespace
 
 std::vector<ConfigKey> list_config_keys(const Config& config) {
@@ -220,8 +214,9 @@ std::string format_config_as_toml(const Config& config, const Shown& is_key_show
         const std::string key_table = dot == std::string::npos ? "" : key.substr(0, dot);
         if (key_table != table) text += fmt::format("\n[{}]\n", key_table);
         table = key_table;
+        const std::string value = format_setting_value(field, accepts);
         text += fmt::format("# {} ({})\n{} = {}\n", help.text, describe_accepted_values<T>(accepts),
-                            key.substr(dot + 1), format_toml_value(field, accepts));
+                            key.substr(dot + 1), is_text<T> ? quote_toml_string(value) : value);
     });
     return text;
 }

@@ -15,7 +15,7 @@
 namespace relidar {
 namespace {
 
-/// Returns true if the line through a ray intersects a box centred at the origin.
+/// Returns true if a ray intersects a box centred at the origin.
 bool is_box_hit_by_ray(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_direction,
                        const glm::dvec3& box_size_m) {
     double begin = 0.0, end = std::numeric_limits<double>::infinity();
@@ -33,16 +33,6 @@ bool is_box_hit_by_ray(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_dir
     return begin <= end;
 }
 
-/// Returns true if the line through a ray intersects the bounding sphere of a box. This
-/// fast test rejects most rays, so that few rays need the exact test.
-bool is_sphere_hit_by_ray(const glm::vec3& ray_origin_m, const glm::vec3& ray_direction,
-                          const glm::vec3& sphere_centre_m, float radius_m) {
-    const glm::vec3 to_centre = sphere_centre_m - ray_origin_m;
-    const float along_m = glm::dot(to_centre, ray_direction), distance2 = glm::dot(to_centre, to_centre);
-    return distance2 <= radius_m * radius_m ||
-           (along_m > 0.0f && distance2 - along_m * along_m <= radius_m * radius_m);
-}
-
 }  // namespace
 
 ActorModelResolution compare_ray_and_surfel_count_of_actor(std::span<const glm::vec3> ray_origins,
@@ -52,11 +42,19 @@ ActorModelResolution compare_ray_and_surfel_count_of_actor(std::span<const glm::
     ActorModelResolution detail{glm::length(box_from_sensor.translation), 0.0, 0, n_surfels};
     const glm::vec3 centre_m(inverse(box_from_sensor).translation);
     const float radius_m = float(0.5 * glm::length(size_m)) * 1.001f + 0.01f;
-    for (std::size_t i = 0; i < ray_directions.size(); ++i)
-        if (is_sphere_hit_by_ray(ray_origins[i], ray_directions[i], centre_m, radius_m))
+    for (std::size_t i = 0; i < ray_directions.size(); ++i) {
+        // A fast test with the bounding sphere of the box rejects most rays, so that few
+        // rays need the exact test.
+        const glm::vec3 to_centre = centre_m - ray_origins[i];
+        const float along_m = glm::dot(to_centre, ray_directions[i]),
+                    distance2 = glm::dot(to_centre, to_centre);
+        const bool is_sphere_hit = distance2 <= radius_m * radius_m ||
+                                   (along_m > 0.0f && distance2 - along_m * along_m <= radius_m * radius_m);
+        if (is_sphere_hit)
             detail.rays +=
                 is_box_hit_by_ray(box_from_sensor * glm::dvec3(ray_origins[i]),
                                   box_from_sensor.rotation * glm::dvec3(ray_directions[i]), size_m);
+    }
     return detail;
 }
 

@@ -87,14 +87,6 @@ std::array<double, kFieldCount> parse_trajectory_row(const std::vector<std::stri
     return row;
 }
 
-Pose make_pose_from_row(const std::array<double, kFieldCount>& row_values) {
-    const auto angle = [&](ActorPathField degrees, ActorPathField radians) {
-        return row_values[degrees] * kPi / 180.0 + row_values[radians];
-    };
-    return {make_rotation(angle(kYaw, kYawRad), angle(kPitch, kPitchRad), angle(kRoll, kRollRad)),
-            {row_values[kX], row_values[kY], row_values[kZ]}};
-}
-
 }  // namespace
 
 PoseTrack read_trajectory_csv(const std::filesystem::path& path) {
@@ -122,7 +114,11 @@ PoseTrack read_trajectory_csv(const std::filesystem::path& path) {
                 fmt::format("{}: time_s is {} after {} in the previous line, expected increasing times",
                             where, row[kTime], track.time_s.back()));
         track.time_s.push_back(row[kTime]);
-        track.pose.push_back(make_pose_from_row(row));
+        // Each angle is either in degrees or in radians. The other field is 0.
+        const double yaw_rad = row[kYaw] * kPi / 180.0 + row[kYawRad];
+        const double pitch_rad = row[kPitch] * kPi / 180.0 + row[kPitchRad];
+        const double roll_rad = row[kRoll] * kPi / 180.0 + row[kRollRad];
+        track.pose.push_back({make_rotation(yaw_rad, pitch_rad, roll_rad), {row[kX], row[kY], row[kZ]}});
     }
     if (track.pose.size() < 2)
         throw DataError(

@@ -18,17 +18,6 @@ namespace relidar {
 
 namespace {
 
-/// Returns the error message for editing a labelled object that has no model. The message
-/// has the reason, and the name of the setting that creates a model.
-std::string format_missing_model_message(const std::string& track_id, std::vector<std::string> actor_ids) {
-    actor_ids.push_back(track_id);
-    return fmt::format(
-        "cannot edit track \"{}\": the log has a box for it, but it is part of the background, "
-        "because it is parked, its class is not in init.actor_classes, or it has fewer points "
-        "than init.actor_min_points; train with init.actor_tracks = {} to make it an actor",
-        track_id, fmt::join(actor_ids, ","));
-}
-
 /// Returns the index of the instance that moves along a track.
 std::size_t get_actor_instance_index(const SceneWithLog& scene_and_log, const std::string& track_id) {
     std::vector<std::string> actor_ids;
@@ -37,8 +26,15 @@ std::size_t get_actor_instance_index(const SceneWithLog& scene_and_log, const st
         if (!name.empty() && name == track_id) return i;
         if (!name.empty()) actor_ids.push_back(name);
     }
-    if (find_box_track_by_id(scene_and_log.sequence, track_id))
-        throw UsageError(format_missing_model_message(track_id, actor_ids));
+    if (find_box_track_by_id(scene_and_log.sequence, track_id)) {
+        // The message suggests a setting that makes this track an actor too.
+        actor_ids.push_back(track_id);
+        throw UsageError(fmt::format(
+            "cannot edit track \"{}\": the log has a box for it, but it is part of the background, "
+            "because it is parked, its class is not in init.actor_classes, or it has fewer points "
+            "than init.actor_min_points; train with init.actor_tracks = {} to make it an actor",
+            track_id, fmt::join(actor_ids, ",")));
+    }
     const std::string message = fmt::format("cannot edit track \"{}\": the run has no such track", track_id);
     if (actor_ids.empty()) throw UsageError(message + ", and its scene has no actors");
     throw UsageError(fmt::format("{}{} (actors: {})", message,

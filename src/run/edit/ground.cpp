@@ -154,15 +154,6 @@ private:
                 points_.emplace_back(surfels.mean[i]);
     }
 
-    static std::vector<glm::dvec3> select_points_on_plane(const GroundPlane& plane,
-                                                          const std::vector<glm::dvec3>& points) {
-        std::vector<glm::dvec3> on;
-        std::ranges::copy_if(points, std::back_inserter(on), [&](const glm::dvec3& point) {
-            return std::abs(plane.compute_height_above_plane(point)) < kFitted_m;
-        });
-        return on;
-    }
-
     /// Returns the plane with the most points near it (RANSAC). Tests many planes, each
     /// through three random points. The score of a plane depends on the distances of all
     /// points.
@@ -199,7 +190,9 @@ private:
         if (points.size() < kFewestOnPlane) return {};
         GroundPlane plane = find_plane_with_most_points(points);
         for (int round = 0; round < 3; ++round) {
-            const std::vector<glm::dvec3> on = select_points_on_plane(plane, points);
+            std::vector<glm::dvec3> on;
+            for (const glm::dvec3& p : points)
+                if (std::abs(plane.compute_height_above_plane(p)) < kFitted_m) on.push_back(p);
             if (on.size() < kFewestOnPlane) return {};
             PointMomentSums sums;
             for (const glm::dvec3& p : on) sums.add_point(p - points.front());
@@ -295,16 +288,6 @@ glm::dquat make_rotation_on_plane(const GroundPlane& plane, double yaw_rad) {
     return glm::normalize(glm::quat_cast(glm::dmat3(ahead, glm::cross(plane.normal, ahead), plane.normal)));
 }
 
-/// An actor that moves along a straight line in x and y.
-struct GroundMotion {
-    glm::dvec2 from_m{0.0};  ///< position at the start of the log, world frame
-    double yaw_rad = 0.0, speed_mps = 0.0;
-
-    glm::dvec2 compute_position_at(double elapsed_s) const {
-        return from_m + speed_mps * elapsed_s * glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
-    }
-};
-
 /// Returns the distinct times of the log's frames. LiDARs that sweep at the same time
 /// have the same frame time.
 std::vector<double> list_distinct_frame_times(const LidarSequence& sequence) {
@@ -331,12 +314,12 @@ NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& scene_and_l
     const double yaw_rad = ground_place.yaw_rad
                                ? *ground_place.yaw_rad
                                : compute_heading_rad(find_nearest_pose(sequence.world_from_vehicle, xy));
-    const GroundMotion motion{xy, yaw_rad, ground_place.speed_mps};
     std::vector<double> times_s;
     if (ground_place.speed_mps != 0.0) times_s = list_distinct_frame_times(sequence);
     std::vector<glm::dvec2> positions{xy};
     for (const double time_s : times_s)
-        positions.push_back(motion.compute_position_at(time_s - times_s.front()));
+        positions.push_back(xy + ground_place.speed_mps * (time_s - times_s.front()) *
+                                     glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad)));
 
     const HorizontalSurfels surfels(scene_and_log, positions);
     const auto ground_at = [&](const glm::dvec2& position_m) {

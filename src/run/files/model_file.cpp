@@ -99,15 +99,6 @@ std::optional<ObservedBoxSurface> read_observed_box_surface(const JsonField& mod
     return surface;
 }
 
-nlohmann::ordered_json make_box_surface_json(const ObservedBoxSurface& surface) {
-    const glm::dvec3 size_m = 2.0 * surface.half_size_m();
-    nlohmann::ordered_json json = {{"size_m", {size_m.x, size_m.y, size_m.z}},
-                                   {"completed", surface.is_completed}};
-    for (std::size_t s = 0; s < kBoxSides; ++s)
-        json[get_name(BoxSide(s))] = surface.format_observed_patches(BoxSide(s));
-    return json;
-}
-
 void read_models_and_instances(const JsonField& layout, Scene& scene) {
     const auto n = static_cast<std::int64_t>(scene.surfels.size());
     const JsonField models = layout.at("models"), instances = layout.at("instances");
@@ -136,15 +127,6 @@ void read_models_and_instances(const JsonField& layout, Scene& scene) {
             instance.at("model").get_integer_in_range(0, static_cast<std::int64_t>(models.size()) - 1);
         scene.instances.push_back({static_cast<std::uint32_t>(model), instance.at("track").get_string()});
     }
-}
-
-void require_valid_model_metadata(const std::map<std::string, std::string>& metadata,
-                                  const std::string& file_name) {
-    run_detail::require_format_and_version(metadata, file_name, kModelFormat, kModelVersion);
-    if (!metadata.contains("layout"))
-        throw DataError(fmt::format(
-            "{}: the metadata has no entry \"layout\", expected a model file that relidar has written",
-            file_name));
 }
 
 constexpr const char* kBlocks = "blocks";
@@ -218,7 +200,13 @@ std::string format_scene_layout_json(const Scene& scene) {
                                   {"count", m.count},
                                   {"half_size_m", {m.half_size_m.x, m.half_size_m.y, m.half_size_m.z}}});
         if (m.stride_m > 0.0f) json["models"].back()["stride_m"] = m.stride_m;
-        if (m.surface) json["models"].back()[kSurface] = make_box_surface_json(*m.surface);
+        if (m.surface) {
+            const glm::dvec3 size_m = 2.0 * m.surface->half_size_m();
+            nlohmann::ordered_json& surface = json["models"].back()[kSurface];
+            surface = {{"size_m", {size_m.x, size_m.y, size_m.z}}, {"completed", m.surface->is_completed}};
+            for (std::size_t s = 0; s < kBoxSides; ++s)
+                surface[get_name(BoxSide(s))] = m.surface->format_observed_patches(BoxSide(s));
+        }
     }
     for (const ModelInstance& i : scene.instances)
         json["instances"].push_back({{"model", i.model}, {"track", i.track}});
@@ -258,7 +246,11 @@ Scene load_scene_from_model_file(const std::filesystem::path& path) {
     if (!does_path_exist(path)) throw DataError(fmt::format("{}: no such file", file));
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
-    require_valid_model_metadata(metadata, file);
+    run_detail::require_format_and_version(metadata, file, kModelFormat, kModelVersion);
+    if (!metadata.contains("layout"))
+        throw DataError(fmt::format(
+            "{}: the metadata has no entry \"layout\", expected a model file that relidar has written",
+            file));
     const NamedArray& mean = require_array_by_name(arrays, "mean", file);
     if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
         throw DataError(

@@ -151,18 +151,14 @@ void rename_file(const fs::path& source, const fs::path& target) {
                                     target.string(), failed.message()));
 }
 
-/// Returns true if a file exists and its contents equal `expected_bytes`.
-bool is_file_content_equal_to(const fs::path& file, const std::string& expected_bytes) {
-    return does_path_exist(file) && read_file(file) == expected_bytes;
-}
-
 /// Moves the files of `staging_folder` to the run's folder. First deletes the old
 /// config.toml if it differs or if `remove_old_files` is set. Otherwise config.toml
 /// stays, so that training can be resumed even if the process is killed during the move.
 void move_staged_files(const fs::path& staging_folder, const fs::path& run_folder,
                        const std::function<void()>& remove_old_files) {
+    const std::string config = read_file(staging_folder / kConfigFile);
     const bool same_config =
-        is_file_content_equal_to(run_folder / kConfigFile, read_file(staging_folder / kConfigFile));
+        does_path_exist(run_folder / kConfigFile) && read_file(run_folder / kConfigFile) == config;
     if (!same_config || remove_old_files) fs::remove(run_folder / kConfigFile);
     fs::remove(run_folder / kSceneFile);
     if (remove_old_files) remove_old_files();

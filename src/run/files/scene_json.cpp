@@ -168,15 +168,6 @@ IntensityResponse read_intensity_response(const JsonField& field) {
     return r;
 }
 
-/// Reads the pose of a frame and appends it to the track. Frames at the same time have
-/// the same pose.
-void append_frame_pose(const JsonField& frame_json, double time_s, PoseTrack& track) {
-    const Pose pose = read_pose(frame_json.at("world_from_vehicle"));
-    if (!track.time_s.empty() && track.time_s.back() == time_s) return;
-    track.time_s.push_back(time_s);
-    track.pose.push_back(pose);
-}
-
 void read_frames_and_split(const JsonField& field, SceneJsonContents& scene) {
     const auto last_lidar = static_cast<std::int64_t>(scene.sequence.lidars.size()) - 1;
     for (std::size_t i = 0; i < field.size(); ++i) {
@@ -195,7 +186,13 @@ void read_frames_and_split(const JsonField& field, SceneJsonContents& scene) {
         else if (part == "test") scene.split.test.push_back(static_cast<int>(i));
         else if (part != "unused")
             entry.at("split").throw_field_error("found \"" + part + "\"", "expected train, test or unused");
-        append_frame_pose(entry, frame.time_s, scene.sequence.world_from_vehicle);
+        // Frames at the same time have the same pose.
+        const Pose pose = read_pose(entry.at("world_from_vehicle"));
+        PoseTrack& track = scene.sequence.world_from_vehicle;
+        if (track.time_s.empty() || track.time_s.back() != frame.time_s) {
+            track.time_s.push_back(frame.time_s);
+            track.pose.push_back(pose);
+        }
         scene.sequence.frames.push_back(std::move(frame));
     }
     if (scene.sequence.frames.empty())
@@ -231,12 +228,6 @@ BoxTrack read_box_track(const JsonField& field) {
             beside.at(1).get_integer_in_range(0, most - static_cast<std::int64_t>(box.n_before)));
     }
     return box;
-}
-
-/// Reads the list of edits that were applied to a scene after training.
-void read_scene_edits(const JsonField& field, SceneJsonContents& scene) {
-    for (std::size_t i = 0; i < field.size(); ++i)
-        scene.edits.push_back({field.at(i).at("run").get_string(), field.at(i).at("edit").get_string()});
 }
 
 /// Compares each count in the file with the length of its list, to detect entries that a
@@ -315,7 +306,11 @@ SceneJsonContents parse_scene_json(const std::string& json_text, const std::stri
     for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box_track(boxes.at(i)));
     if (root.has_member("intensity_response"))
         s.intensity_response = read_intensity_response(root.at("intensity_response"));
-    if (root.has_member("edits")) read_scene_edits(root.at("edits"), scene);
+    if (root.has_member("edits")) {
+        const JsonField edits = root.at("edits");
+        for (std::size_t i = 0; i < edits.size(); ++i)
+            scene.edits.push_back({edits.at(i).at("run").get_string(), edits.at(i).at("edit").get_string()});
+    }
     scene.held_out_placed = root.has_member("held_out_placed") && root.at("held_out_placed").get_boolean();
     if (root.has_member("refined_poses")) scene.refined_poses = root.at("refined_poses").get_string();
     require_entry_counts_match_lists(root, scene);
