@@ -25,15 +25,6 @@ std::vector<SimulatedSensor> choose_sensor_per_lidar(const TrainedRun& run) {
     return sensors;
 }
 
-/// Returns the box of each instance. Returns null for the background and for instances
-/// without a box.
-std::vector<const BoxTrack*> find_box_per_instance(const TrainedRun& run) {
-    std::vector<const BoxTrack*> boxes;
-    for (const ModelInstance& instance : run.scene.instances)
-        boxes.push_back(find_box_track_by_id(run.sequence, instance.track));
-    return boxes;
-}
-
 /// Returns the training frames in which any actor is present.
 std::vector<int> list_training_frames_with_actors(const TrainedRun& run,
                                                   const std::vector<const BoxTrack*>& box_per_instance) {
@@ -79,7 +70,10 @@ void add_actor_returns_to_observations(const RenderedScan& scan, const TrainedRu
 
 std::map<std::string, ActorObservations> collect_actor_observations(Device& device, const TrainedRun& run,
                                                                     const ProgressReporter& progress) {
-    const std::vector<const BoxTrack*> boxes = find_box_per_instance(run);
+    // box of each instance; null for the background and for instances without a box
+    std::vector<const BoxTrack*> boxes;
+    for (const ModelInstance& instance : run.scene.instances)
+        boxes.push_back(find_box_track_by_id(run.sequence, instance.track));
     const std::vector<int> positions = list_training_frames_with_actors(run, boxes);
     const std::vector<SimulatedSensor> sensors = choose_sensor_per_lidar(run);
     std::map<std::string, ActorObservations> sightings;

@@ -13,8 +13,7 @@ namespace {
 
 /// Returns the unit normal of the surface that each ray hit. The normal is in the
 /// sensor's frame at the firing time of the ray.
-std::vector<glm::vec3> compute_hit_normals_in_sensor_frame(const RenderedRayValues& rendering,
-                                                           const RenderedScan& scan) {
+ChannelValues make_normal_channel(const RenderedRayValues& rendering, const RenderedScan& scan) {
     std::vector<glm::vec3> normal(rendering.size(), glm::vec3(0.0f));
     FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < normal.size(); ++i) {
@@ -27,10 +26,6 @@ std::vector<glm::vec3> compute_hit_normals_in_sensor_frame(const RenderedRayValu
     return normal;
 }
 
-ChannelValues make_normal_channel(const RenderedRayValues& rendering, const RenderedScan& scan) {
-    return compute_hit_normals_in_sensor_frame(rendering, scan);
-}
-
 ChannelValues make_incidence_cosine_channel(std::span<const shared::MeasuredRay> measured_rays) {
     std::vector<float> cosine;
     for (const shared::MeasuredRay& ray : measured_rays) cosine.push_back(ray.incidence);
@@ -39,17 +34,6 @@ ChannelValues make_incidence_cosine_channel(std::span<const shared::MeasuredRay>
 
 ChannelValues make_range_spread_channel(const RenderedScan& scan, const ChannelInputs&) {
     return compute_range_spread(scan);
-}
-
-/// Returns the velocity of a point on an instance, in the world frame. Ignores the motion
-/// of the limbs of a walking actor.
-glm::dvec3 compute_surface_velocity(const InstancePose& instance_pose, double time_offset_s,
-                                    const glm::dvec3& point_m) {
-    const glm::dvec3 middle_m =
-        instance_pose.motion.compute_pose_at_sweep_time(instance_pose.world_from_model, time_offset_s)
-            .translation;
-    return instance_pose.motion.velocity_mps +
-           glm::cross(instance_pose.motion.angular_velocity_radps, point_m - middle_m);
 }
 
 /// Returns for each ray how fast its range changes, in m/s:
@@ -71,9 +55,16 @@ ChannelValues make_radial_velocity_channel(const RenderedScan& scan, const Chann
             sensor_mps = (track.interpolate_pose(time_s + kStep_s) * origin_m -
                           track.interpolate_pose(time_s - kStep_s) * origin_m) /
                          (2.0 * kStep_s);
-        if (std::size_t(scan.instance[i]) < context.placed.size())
-            surface_mps = compute_surface_velocity(context.placed[std::size_t(scan.instance[i])], after_s,
-                                                   start_m + double(scan.median_range_m[i]) * direction);
+        if (std::size_t(scan.instance[i]) < context.placed.size()) {
+            // Ignores the motion of the limbs of a walking actor.
+            const InstancePose& instance_pose = context.placed[std::size_t(scan.instance[i])];
+            const glm::dvec3 point_m = start_m + double(scan.median_range_m[i]) * direction;
+            const glm::dvec3 middle_m =
+                instance_pose.motion.compute_pose_at_sweep_time(instance_pose.world_from_model, after_s)
+                    .translation;
+            surface_mps = instance_pose.motion.velocity_mps +
+                          glm::cross(instance_pose.motion.angular_velocity_radps, point_m - middle_m);
+        }
         velocity[i] = float(glm::dot(direction, surface_mps - sensor_mps));
     }
     return velocity;

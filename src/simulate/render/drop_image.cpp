@@ -17,11 +17,6 @@ namespace {
 // 9.2.
 constexpr float kLeastProbability = 1e-4f;
 
-float compute_clamped_logit(float probability) {
-    const float p = std::clamp(probability, kLeastProbability, 1.0f - kLeastProbability);
-    return std::log(p / (1.0f - p));
-}
-
 /// Returns a function that computes one input value of the ray-drop network for a ray,
 /// for example its intensity. `channel_index` selects the value (RELIDAR_DROP_*). The
 /// kernel simulate/render/drop_channels computes equal values.
@@ -33,7 +28,11 @@ std::function<float(std::size_t)> make_channel_value_function(const RenderedScan
     if (channel_index == RELIDAR_DROP_INTENSITY)
         return [&](std::size_t index) { return scan.image.intensity[index]; };
     if (channel_index == RELIDAR_DROP_LOGIT)
-        return [&](std::size_t index) { return compute_clamped_logit(scan.image.drop_prob[index]); };
+        return [&](std::size_t index) {
+            const float p =
+                std::clamp(scan.image.drop_prob[index], kLeastProbability, 1.0f - kLeastProbability);
+            return std::log(p / (1.0f - p));
+        };
     if (channel_index == RELIDAR_DROP_WEIGHT) return [&](std::size_t index) { return scan.weight[index]; };
     if (channel_index == RELIDAR_DROP_SPREAD)
         return [&](std::size_t index) {

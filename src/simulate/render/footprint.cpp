@@ -17,13 +17,6 @@ namespace {
 // intensity, with at least this weight.
 constexpr float kDarkest = 1e-3f;
 
-/// Returns two unit vectors that are perpendicular to a direction and to each other.
-std::pair<glm::dvec3, glm::dvec3> make_perpendicular_axes(const glm::dvec3& direction) {
-    const glm::dvec3 helper = std::abs(direction.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0);
-    const glm::dvec3 left = glm::normalize(glm::cross(helper, direction));
-    return {left, glm::cross(direction, left)};
-}
-
 /// Sub-rays of a beam that together form one return.
 struct SubRayReturn {
     std::vector<std::size_t> parts;  ///< indices of the sub-rays in their scan, sorted by range
@@ -204,7 +197,10 @@ RayTable split_rays_into_sub_rays(const RayTable& rays, int sub_rays_per_ray, do
     parts.columns = rays.columns * sub_rays_per_ray;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const glm::dvec3 direction(rays.direction[i]);
-        const auto [left, up] = make_perpendicular_axes(direction);
+        // `left` and `up` are unit vectors, perpendicular to the ray and to each other.
+        const glm::dvec3 helper = std::abs(direction.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0);
+        const glm::dvec3 left = glm::normalize(glm::cross(helper, direction));
+        const glm::dvec3 up = glm::cross(direction, left);
         const double half_rad =
             0.5 * (divergence_rad > 0.0 ? divergence_rad : rays.get_beam_divergence_rad(i));
         for (const glm::dvec2& offset : offsets) {

@@ -62,13 +62,6 @@ void copy_measurements_to_scan(RenderedScan& scan, std::span<const shared::Measu
     }
 }
 
-/// Sets the drop probability of beams to 1 if their range is outside the sensor's limits.
-void mark_out_of_range_beams_as_dropped(RenderedScan& scan, const RangeLimits& limits) {
-    for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
-        if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))
-            scan.image.drop_prob[i] = 1.0f;
-}
-
 /// Replaces the drop probabilities of a scan by the output of a network. Keeps a
 /// probability of 1, because such a ray hits nothing that the sensor can measure.
 void replace_drop_probabilities(RenderedScan& scan, std::span<const float> network_drop_probabilities) {
@@ -94,14 +87,6 @@ WeatherSensorProperties make_sensor_properties_for_weather(const Config& config,
     result.min_range_m = limits.min_m;
     result.max_range_m = limits.max_m;
     return result;
-}
-
-/// Returns false if every return of the log has intensity 0.
-bool has_nonzero_intensities(const std::vector<IntensityScatterModel>& scatter) {
-    const auto is_dark = [](const IntensityScatterModel& lidar) {
-        return !lidar.empty() && std::ranges::all_of(lidar.values, [](float value) { return value == 0.0f; });
-    };
-    return scatter.empty() || !std::ranges::all_of(scatter, is_dark);
 }
 
 }  // namespace
@@ -248,7 +233,11 @@ RenderedScan ScanRenderer::Impl::trace_beams_with_sub_rays(const SimulatedSweep&
             scan, edges,
             join_sub_rays_to_beam_returns(trace_rays(sweep, split(edge_rays)).scan, edge_rays, beam_config));
     }
-    mark_out_of_range_beams_as_dropped(scan, sweep.sensor.limits);
+    // The sensor does not report beams whose range is outside its limits.
+    const RangeLimits& limits = sweep.sensor.limits;
+    for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
+        if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))
+            scan.image.drop_prob[i] = 1.0f;
     return scan;
 }
 
@@ -388,7 +377,12 @@ void ScanRenderer::set_intensity_scatter(const std::vector<IntensityScatterModel
 
 void ScanRenderer::set_weather(const Weather& weather) {
     require_valid_weather(weather);
-    if (!weather.is_clear() && !has_nonzero_intensities(impl_->settings.scatter))
+    // A LiDAR is dark if all its returns in the log have intensity 0.
+    const auto is_dark = [](const IntensityScatterModel& lidar) {
+        return !lidar.empty() && std::ranges::all_of(lidar.values, [](float value) { return value == 0.0f; });
+    };
+    const std::vector<IntensityScatterModel>& scatter = impl_->settings.scatter;
+    if (!weather.is_clear() && !scatter.empty() && std::ranges::all_of(scatter, is_dark))
         throw UsageError(
             "weather cannot be simulated, because the log of the run has no intensities, which "
             "define the brightness of surfaces");

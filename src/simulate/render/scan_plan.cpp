@@ -14,13 +14,6 @@ namespace {
 /// other value is the name of a grid, whose cells are the pixels of the image.
 constexpr const char* kNative = "native";
 
-SensorConfig make_beam_config(const SimulatedSensor& sensor, const Config& config) {
-    SensorConfig beams = config.sensor;
-    if (sensor.returns > 0) beams.returns = sensor.returns;
-    if (sensor.returns > 1 && beams.sub_rays == 1) beams.sub_rays = 9;
-    return beams;
-}
-
 /// Checks that the beams of a sensor can be split into sub-rays.
 /// @throws UsageError for a beam without divergence
 void require_beams_can_be_split(const RayTable& rays, const SensorConfig& beam_config,
@@ -73,7 +66,9 @@ ScanRenderPlan::RayDropStage choose_drop_network_stage(const RayDropNetwork* net
 ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, const Config& config,
                          const ScanRenderSettings& settings, const RayDropNetwork* network,
                          bool has_random_sampling) {
-    ScanRenderPlan plan{.beams = make_beam_config(sensor, config)};
+    ScanRenderPlan plan{.beams = config.sensor};
+    if (sensor.returns > 0) plan.beams.returns = sensor.returns;
+    if (sensor.returns > 1 && plan.beams.sub_rays == 1) plan.beams.sub_rays = 9;
     require_beams_can_be_split(rays, plan.beams, sensor);
     if (rays.size() == 0)
         throw UsageError(

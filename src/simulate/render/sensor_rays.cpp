@@ -39,22 +39,6 @@ std::uint32_t parse_range_kind(const std::string& range_kind_name) {
     return range_kind_name == "median" ? RELIDAR_RANGE_MEDIAN : RELIDAR_RANGE_NORMALISED;
 }
 
-std::vector<shared::SensorBeam> make_device_beams(const std::vector<Beam>& beams) {
-    std::vector<shared::SensorBeam> result;
-    for (const Beam& beam : beams)
-        result.push_back({.range_offset_m = float(beam.range_offset_m),
-                          .intensity_gain = float(beam.intensity_gain),
-                          .intensity_offset = float(beam.intensity_offset)});
-    return result;
-}
-
-std::vector<glm::vec2> make_device_intensity_response(const IntensityResponse& response) {
-    std::vector<glm::vec2> result;
-    for (std::size_t k = 0; k < response.factor.size(); ++k)
-        result.emplace_back(response.range_m[k], response.factor[k]);
-    return result;
-}
-
 std::uint32_t get_drop_network_channel_number(const std::string& channel_name) {
     constexpr std::pair<const char*, std::uint32_t> kOfRays[] = {
         {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY},
@@ -184,8 +168,14 @@ RayBatch DeviceSensorRays::get_world_ray_batch() const {
 
 void DeviceSensorRays::record_measurement(Stream& stream, const RenderedBatch& rendered_batch,
                                           const RayMeasurementOptions& options) {
-    const auto beams = make_device_beams(options.beams);
-    const auto response = make_device_intensity_response(options.response);
+    std::vector<shared::SensorBeam> beams;
+    for (const Beam& beam : options.beams)
+        beams.push_back({.range_offset_m = float(beam.range_offset_m),
+                         .intensity_gain = float(beam.intensity_gain),
+                         .intensity_offset = float(beam.intensity_offset)});
+    std::vector<glm::vec2> response;
+    for (std::size_t k = 0; k < options.response.factor.size(); ++k)
+        response.emplace_back(options.response.range_m[k], options.response.factor[k]);
     const Array<shared::RenderedSurface>& surfaces =
         rendered_batch.surfaces ? *rendered_batch.surfaces : no_surfaces_;
     run(stream, measure_, table_.size(),

@@ -42,29 +42,11 @@ void require_valid_track_poses_and_times(const PoseTrack& track, const std::stri
     }
 }
 
-LidarSequence copy_lidars_and_boxes_of_log(const LidarSequence& sequence) {
-    LidarSequence result;
-    result.lidars = sequence.lidars;
-    result.boxes = sequence.boxes;
-    result.world_offset_m = sequence.world_offset_m;
-    result.intensity_response = sequence.intensity_response;
-    return result;
-}
-
 std::vector<LidarFrame> copy_frames_that_have_azimuth_shifts(const LidarSequence& sequence) {
     std::vector<LidarFrame> frames;
     for (const LidarFrame& frame : sequence.frames)
         if (!frame.azimuth_shift_rad.empty()) frames.push_back(copy_frame_without_scan(frame));
     return frames;
-}
-
-std::optional<RayTable> make_sweep_rays_if_different(const SimulatedSensor& sensor, double time_s,
-                                                     bool rolling_shutter) {
-    const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
-    if (rolling_shutter && !makes_rays) return {};
-    RayTable rays = makes_rays ? make_rays(*sensor.pattern, time_s) : sensor.rays;
-    if (!rolling_shutter) std::ranges::fill(rays.time_offset_s, 0.0f);
-    return rays;
 }
 
 }  // namespace
@@ -73,10 +55,14 @@ SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& 
                                              const LidarSequence& sequence)
     : config_(config),
       layout_(copy_scene_without_surfels(scene)),
-      log_(copy_lidars_and_boxes_of_log(sequence)),
       log_world_from_vehicle_(sequence.world_from_vehicle),
       shifted_(copy_frames_that_have_azimuth_shifts(sequence)),
-      shown_(scene.instances.size(), true) {}
+      shown_(scene.instances.size(), true) {
+    log_.lidars = sequence.lidars;
+    log_.boxes = sequence.boxes;
+    log_.world_offset_m = sequence.world_offset_m;
+    log_.intensity_response = sequence.intensity_response;
+}
 
 void SimulatedSweepBuilder::set_visible_instances(const std::vector<bool>& shown) {
     if (shown.size() != shown_.size())
@@ -107,8 +93,14 @@ SimulatedSweep SimulatedSweepBuilder::make_sweep_along_track(const SimulatedSens
     // If the sensor has no pattern, find_sweep_start() uses the log's spinning LiDAR
     // instead.
     const SweepTiming now{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
-    SimulatedSweep sweep{sensor, time_s, make_sweep_rays_if_different(sensor, time_s, log_.rolling_shutter),
-                         log_.get_world_from_sensor(sensor.lidar)};
+    // Rays of the sweep, or nullopt if they equal the rays of the sensor.
+    std::optional<RayTable> rays;
+    const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
+    if (makes_rays || !log_.rolling_shutter) {
+        rays = makes_rays ? make_rays(*sensor.pattern, time_s) : sensor.rays;
+        if (!log_.rolling_shutter) std::ranges::fill(rays->time_offset_s, 0.0f);
+    }
+    SimulatedSweep sweep{sensor, time_s, std::move(rays), log_.get_world_from_sensor(sensor.lidar)};
     sweep.pose = sweep.world_from_sensor.interpolate_pose(time_s);
     if (!log_.rolling_shutter) sweep.world_from_sensor = {{time_s}, {sweep.pose}};
     sweep.instances = world_from_actor ? compute_instance_poses(layout_, log_, now, *world_from_actor)

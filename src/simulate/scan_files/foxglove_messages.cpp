@@ -335,15 +335,6 @@ std::string make_actor_boxes_message(std::uint64_t stamp_ns, const std::vector<R
     return bytes;
 }
 
-std::string encode_foxglove_file_descriptor_set() {
-    constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
-    std::string bytes;
-    pbf_writer writer(bytes);
-    writer.add_message(1, make_file_descriptor(kTimesFile, "google.protobuf", "", kTimes, {}));
-    writer.add_message(1, make_file_descriptor(kFile, "foxglove", kTimesFile, kMessages, kEnums));
-    return bytes;
-}
-
 std::vector<RecordedMessage> make_vehicle_transform_messages(const RecordedSweep& moment) {
     std::vector<RecordedMessage> messages;
     for (const RecordedPose& pose : moment.poses)
@@ -375,8 +366,13 @@ std::vector<RecordedMessage> make_scene_update_messages(const RecordedSweep& mom
 }  // namespace
 
 std::vector<RecordedTopic> list_foxglove_topics(const RecordedRig& rig) {
-    const std::string definition = encode_foxglove_file_descriptor_set(),
-                      transforms = "foxglove.FrameTransforms";
+    // All topics have the same definition: a FileDescriptorSet with all message types.
+    constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
+    std::string definition;
+    pbf_writer writer(definition);
+    writer.add_message(1, make_file_descriptor(kTimesFile, "google.protobuf", "", kTimes, {}));
+    writer.add_message(1, make_file_descriptor(kFile, "foxglove", kTimesFile, kMessages, kEnums));
+    const std::string transforms = "foxglove.FrameTransforms";
     std::vector<RecordedTopic> topics{
         {"/tf_static",
          transforms,

@@ -41,13 +41,6 @@ std::vector<PointFileField> list_point_file_fields(const LidarPoints& points) {
     return fields;
 }
 
-/// Returns the name of a field in a PLY file. Normals have the names nx, ny and nz.
-std::string get_ply_field_name(const std::string& field_name) {
-    for (const char* axis : {"x", "y", "z"})
-        if (field_name == std::string("normal_") + axis) return std::string("n") + axis;
-    return field_name;
-}
-
 /// Checks that each array has one value per point. Optional arrays may be empty.
 /// @throws DataError if an array has another length
 void require_equal_point_array_lengths(const LidarPoints& points) {
@@ -84,15 +77,6 @@ std::string pack_point_records(const LidarPoints& points) {
     return bytes;
 }
 
-/// Formats a pose as "tx ty tz qw qx qy qz".
-std::string format_pose_as_pcd_viewpoint(const Pose& pose) {
-    const glm::dvec3& t = pose.translation;
-    const glm::dquat& q = pose.rotation;
-    std::vector<std::string> numbers;
-    for (const double v : {t.x, t.y, t.z, q.w, q.x, q.y, q.z}) numbers.push_back(fmt::format("{}", v));
-    return fmt::format("{}", fmt::join(numbers, " "));
-}
-
 }  // namespace
 
 void write_ply(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes) {
@@ -101,8 +85,12 @@ void write_ply(const std::filesystem::path& path, const LidarPoints& points, con
     for (const auto& note : notes)
         text += fmt::format("comment {}\n", report_detail::format_metadata_line(note));
     text += fmt::format("element vertex {}\n", points.size());
-    for (const PointFileField& field : list_point_file_fields(points))
-        text += fmt::format("property {} {}\n", field.ply_type, get_ply_field_name(field.name));
+    for (const PointFileField& field : list_point_file_fields(points)) {
+        std::string ply_name = field.name;
+        for (const char* axis : {"x", "y", "z"})  // normals have the names nx, ny and nz
+            if (field.name == std::string("normal_") + axis) ply_name = std::string("n") + axis;
+        text += fmt::format("property {} {}\n", field.ply_type, ply_name);
+    }
     report_detail::write_file(path, text + "end_header\n" + pack_point_records(points));
 }
 
@@ -118,8 +106,12 @@ void write_pcd(const std::filesystem::path& path, const LidarPoints& points, con
     }
     const std::size_t n = points.size();
     header += fmt::format("VERSION 0.7\nFIELDS{}\nSIZE{}\nTYPE{}\nCOUNT{}\n", names, sizes, types, counts);
+    const glm::dvec3& t = points.world_from_points.translation;
+    const glm::dquat& q = points.world_from_points.rotation;
+    std::vector<std::string> viewpoint;
+    for (const double v : {t.x, t.y, t.z, q.w, q.x, q.y, q.z}) viewpoint.push_back(fmt::format("{}", v));
     header += fmt::format("WIDTH {}\nHEIGHT 1\nVIEWPOINT {}\nPOINTS {}\nDATA binary\n", n,
-                          format_pose_as_pcd_viewpoint(points.world_from_points), n);
+                          fmt::join(viewpoint, " "), n);
     report_detail::write_file(path, header + pack_point_records(points));
 }
 

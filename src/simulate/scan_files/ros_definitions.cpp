@@ -71,16 +71,6 @@ const std::map<std::string, std::string>& get_ros_message_definitions() {
     return types;
 }
 
-/// Returns the message types that occur as fields in a definition. Numbers and strings
-/// are left out.
-std::vector<std::string> list_message_types_of_fields(const std::string& field_definitions) {
-    std::vector<std::string> types;
-    std::istringstream lines(field_definitions);
-    for (std::string type, rest; lines >> type && std::getline(lines, rest);)
-        if (type.find('/') != std::string::npos) types.push_back(type.substr(0, type.find('[')));
-    return types;
-}
-
 }  // namespace
 
 std::string make_ros_message_definition(const std::string& message_type) {
@@ -95,8 +85,12 @@ std::string make_ros_message_definition(const std::string& message_type) {
         const std::string& fields = get_ros_message_definitions().at(types[i]);
         if (i > 0) definition += std::string(80, '=') + "\nMSG: " + types[i] + "\n";
         definition += fields;
-        for (const std::string& used : list_message_types_of_fields(fields))
+        std::istringstream lines(fields);
+        for (std::string type, rest; lines >> type && std::getline(lines, rest);) {
+            if (type.find('/') == std::string::npos) continue;  // a number or a string, not a message
+            const std::string used = type.substr(0, type.find('['));
             if (std::ranges::find(types, used) == types.end()) types.push_back(used);
+        }
     }
     return definition;
 }

@@ -29,27 +29,22 @@ const std::vector<RosField> kAutoware = {{"x", 0, kRosFloat32},          {"y", 4
 /// Values of the field `return_type`, as Nebula defines them.
 enum ReturnType : std::uint8_t { kLast = 1, kStrongest = 3, kSecondStrongest = 8 };
 
-/// Returns the type of a return: strongest, last or second strongest. A second return is
-/// the last return if it is farther away than the first return. Otherwise it is the
-/// second strongest.
-ReturnType get_return_type(const LidarPoints& cloud, std::size_t point_index) {
-    const bool second = !cloud.return_number.empty() && cloud.return_number[point_index] == 2;
-    if (!second || point_index == 0) return kStrongest;
-    return glm::length(cloud.position_m[point_index]) > glm::length(cloud.position_m[point_index - 1])
-               ? kLast
-               : kSecondStrongest;
-}
-
 /// Packs points as PointXYZIRCAEDT. Computes the angles in radians from x, y and z.
 /// Azimuth increases from the x axis to the left, and elevation increases upwards.
 std::string pack_autoware_points(const LidarPoints& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         const glm::vec3& p = cloud.position_m[i];
+        // A second return is the last return if it is farther away than the first return.
+        // Otherwise it is the second strongest.
+        const bool is_second = !cloud.return_number.empty() && cloud.return_number[i] == 2;
+        ReturnType return_type = kStrongest;
+        if (is_second && i > 0)
+            return_type = glm::length(p) > glm::length(cloud.position_m[i - 1]) ? kLast : kSecondStrongest;
         append_binary_value(bytes, p);
         append_binary_value(bytes,
                             std::uint8_t(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
-        append_binary_value(bytes, std::uint8_t(get_return_type(cloud, i)));
+        append_binary_value(bytes, std::uint8_t(return_type));
         append_binary_value(bytes, cloud.ring[i]);
         append_binary_value(bytes, std::atan2(p.y, p.x));
         append_binary_value(bytes, std::atan2(p.z, std::hypot(p.x, p.y)));

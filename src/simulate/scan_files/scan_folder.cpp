@@ -50,16 +50,14 @@ Json make_matrix_json(const Pose& pose) {
     return rows;
 }
 
-/// Converts the value of a setting to JSON. Numbers and booleans keep their type. Other
-/// values become strings.
-Json convert_setting_to_json(const std::string& setting_text) {
-    const Json value = Json::parse(setting_text, nullptr, false);
-    return value.is_number() || value.is_boolean() ? value : Json(setting_text);
-}
-
+/// Returns a JSON object with the value of each setting. Numbers and booleans keep their
+/// type. Other values become strings.
 Json make_settings_json(const Config& config) {
     Json json = Json::object();
-    for (const ConfigKey& key : list_config_keys(config)) json[key.key] = convert_setting_to_json(key.value);
+    for (const ConfigKey& key : list_config_keys(config)) {
+        const Json value = Json::parse(key.value, nullptr, false);
+        json[key.key] = value.is_number() || value.is_boolean() ? value : Json(key.value);
+    }
     return json;
 }
 

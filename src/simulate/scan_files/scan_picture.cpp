@@ -17,11 +17,6 @@ constexpr double kPictureAspect = 8.0;
 // Upper end of the colour scale in metres. All larger ranges have the same colour.
 constexpr float kFarthest_m = 80.0f;
 
-std::vector<float> compute_square_roots(std::vector<float> values) {
-    for (float& v : values) v = std::sqrt(std::max(v, 0.0f));
-    return values;
-}
-
 }  // namespace
 
 std::vector<float> make_returned_pixel_mask(const RangeImage& image) {
@@ -32,7 +27,9 @@ std::vector<float> make_returned_pixel_mask(const RangeImage& image) {
 }
 
 Image draw_range_picture(const RangeImage& image, double max_range_m) {
-    return apply_colour_map(compute_square_roots(image.range_m), image.rows, image.columns, 0.0f,
+    std::vector<float> square_roots = image.range_m;
+    for (float& v : square_roots) v = std::sqrt(std::max(v, 0.0f));
+    return apply_colour_map(square_roots, image.rows, image.columns, 0.0f,
                             static_cast<float>(std::sqrt(max_range_m)), "turbo",
                             make_returned_pixel_mask(image));
 }

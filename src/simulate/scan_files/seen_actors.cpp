@@ -61,12 +61,6 @@ std::size_t count_returns_on_actor(const RenderedScan& scan, const ScanOutputOpt
     return n;
 }
 
-std::optional<double> compute_visible_fraction(const RenderedScan& scan, const std::string& track_id) {
-    const auto view = std::ranges::find(scan.actor_views, track_id, &ActorVisibility::track);
-    if (view == scan.actor_views.end()) return {};
-    return std::min(1.0, double(view->n_rays) / double(view->n_rays_alone));
-}
-
 }  // namespace
 
 Pose interpolate_sensor_pose_in_scan(const RenderedScan& scan, double time_s) {
@@ -87,7 +81,10 @@ std::vector<ActorInScan> find_actors_present_in_scan(const RenderedScan& scan,
     const SampledScanRays rays(scan);
     std::vector<ActorInScan> actors;
     for (const BoxTrack& box : format.actors) {
-        const std::optional<double> visible_share = compute_visible_fraction(scan, box.id);
+        const auto view = std::ranges::find(scan.actor_views, box.id, &ActorVisibility::track);
+        std::optional<double> visible_share;
+        if (view != scan.actor_views.end())
+            visible_share = std::min(1.0, double(view->n_rays) / double(view->n_rays_alone));
         if (!visible_share && !box.is_observed_at_time(scan.time_s)) continue;
         const auto world_from_box = [&box, &format](double t_s) {
             const Pose pose = box.world_from_box.interpolate_pose(t_s);

@@ -41,12 +41,6 @@ struct RetroReflector {
     double range_m, deg2;
 };
 
-std::pair<int, int> compute_square_degree_cell(const glm::dvec3& direction) {
-    const double row = std::floor(std::asin(std::clamp(direction.z, -1.0, 1.0)) * kPerRad);
-    const double around = std::atan2(direction.y, direction.x) * kPerRad * std::cos((row + 0.5) / kPerRad);
-    return {int(row), int(std::floor(around))};
-}
-
 bool is_retro_reflector_hit(const RenderedScan& scan, std::size_t ray_index) {
     return is_ray_returned(scan.image.drop_prob[ray_index], scan.median_range_m[ray_index]) &&
            scan.image.intensity[ray_index] >= kSaturated;
@@ -56,7 +50,11 @@ std::vector<RetroReflector> find_retro_reflectors(const RenderedScan& scan) {
     std::map<std::pair<int, int>, DirectionCell> squares;
     for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
         const glm::dvec3 direction(scan.image.direction[i]);
-        DirectionCell& square = squares[compute_square_degree_cell(direction)];
+        // Cells are one degree high and, at every elevation, one degree wide.
+        const double row = std::floor(std::asin(std::clamp(direction.z, -1.0, 1.0)) * kPerRad);
+        const double column =
+            std::atan2(direction.y, direction.x) * kPerRad * std::cos((row + 0.5) / kPerRad);
+        DirectionCell& square = squares[{int(row), int(std::floor(column))}];
         ++square.rays;
         if (!is_retro_reflector_hit(scan, i)) continue;
         ++square.reflectors;

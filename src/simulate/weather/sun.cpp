@@ -36,18 +36,15 @@ constexpr double kUsual_klux = 100.0;    // illuminance on a clear day
 // Surfaces hide the sun if their accumulated opacity is at least this value.
 constexpr float kHidesSun = 0.5f;
 
-/// Returns the direction to the sun in the world frame of the dataset.
-glm::dvec3 compute_sun_direction(const Sun& sun) {
-    const double azimuth = sun.azimuth_deg * kPi / 180.0, elevation = sun.elevation_deg * kPi / 180.0;
-    return {std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth),
-            std::sin(elevation)};
-}
-
 /// Returns the angle between each ray of a scan and the direction to the sun, in radians.
 /// Returns an empty list if the scene hides the sun from the sensor.
 std::vector<float> compute_angles_from_sun_rad(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
-    const glm::dvec3 to_sun = compute_sun_direction(input.weather.sun);
+    const double azimuth_rad = input.weather.sun.azimuth_deg * kPi / 180.0,
+                 elevation_rad = input.weather.sun.elevation_deg * kPi / 180.0;
+    // direction to the sun in the world frame of the dataset
+    const glm::dvec3 to_sun(std::cos(elevation_rad) * std::cos(azimuth_rad),
+                            std::cos(elevation_rad) * std::sin(azimuth_rad), std::sin(elevation_rad));
     WorldRays sight;
     sight.origin.push_back(glm::vec3(scan.world_from_sensor.translation - input.world_offset_m));
     sight.direction.push_back(glm::vec3(to_sun));

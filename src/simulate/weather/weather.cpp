@@ -47,13 +47,6 @@ std::string format_weather_effect(const WeatherEffectEntry& effect, const Weathe
     throw UsageError(fmt::format("weather: found {}, expected {}", word, expected));
 }
 
-/// Returns a text that lists the syntax of all weather effects.
-std::string format_effect_syntax_list() {
-    std::vector<std::string_view> words;
-    for (const WeatherEffectEntry* effect : kWeatherEffects) words.push_back(effect->form);
-    return fmt::format("{}, or several of them separated by commas", fmt::join(words, ", "));
-}
-
 /// Parses numbers that are separated by colons.
 /// @return an empty list if a number cannot be read
 std::vector<double> parse_colon_separated_numbers(std::string_view text) {
@@ -75,9 +68,13 @@ void parse_weather_effect(Weather& weather, std::string_view effect_text) {
     const std::size_t equals = std::min(effect_text.find('='), effect_text.size());
     const auto* row =
         std::ranges::find(kWeatherEffects, effect_text.substr(0, equals), &WeatherEffectEntry::name);
-    if (row == std::end(kWeatherEffects) || (equals == effect_text.size() && (*row)->n_required > 0))
-        throw_weather_error(fmt::format("\"{}\"", shorten_for_error_message(effect_text)),
-                            format_effect_syntax_list());
+    if (row == std::end(kWeatherEffects) || (equals == effect_text.size() && (*row)->n_required > 0)) {
+        std::vector<std::string_view> forms;
+        for (const WeatherEffectEntry* known_effect : kWeatherEffects) forms.push_back(known_effect->form);
+        throw_weather_error(
+            fmt::format("\"{}\"", shorten_for_error_message(effect_text)),
+            fmt::format("{}, or several of them separated by commas", fmt::join(forms, ", ")));
+    }
     const WeatherEffectEntry& effect = **row;
     if (effect.is_effect_active_in_weather(weather))
         throw UsageError(fmt::format("weather: {} occurs twice, expected it once", effect.name));

@@ -67,10 +67,6 @@ struct GroundPlane {
     double height_m = 0.0;
     glm::dvec2 slope{0.0};
     bool is_ground = false;
-
-    double compute_height_above_ground(const glm::dvec3& point) const {
-        return point.z - height_m - glm::dot(slope, glm::dvec2(point));
-    }
 };
 
 GroundPlane fit_ground_plane_to_cell(const GroundGridCell& cell) {
@@ -147,8 +143,10 @@ std::vector<glm::dvec3> estimate_level_ground_normals(const RenderedScan& scan) 
         if (std::isnan(p.x)) continue;
         const auto [plane, is_new] = planes.try_emplace(make_ground_cell_key(p));
         if (is_new) plane->second = fit_plane_around_point(cells, p);
-        if (plane->second.is_ground && std::abs(plane->second.compute_height_above_ground(p)) < kLayer_m)
-            normals[ray] = glm::normalize(glm::dvec3(-plane->second.slope, 1.0));
+        const auto& [height_m, slope, is_ground] = plane->second;
+        const double above_plane_m = p.z - height_m - glm::dot(slope, glm::dvec2(p));
+        if (is_ground && std::abs(above_plane_m) < kLayer_m)
+            normals[ray] = glm::normalize(glm::dvec3(-slope, 1.0));
     }
     return normals;
 }
