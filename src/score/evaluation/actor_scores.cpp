@@ -112,20 +112,6 @@ struct BoxGroupErrors {
     }
 };
 
-bool is_person_or_cyclist(const BoxTrack& box) {
-    const ObjectKind kind = parse_object_kind(box.category);
-    return kind == ObjectKind::person || kind == ObjectKind::cyclist;
-}
-
-MetricValues compute_box_metrics(const MovingBoxPoints& points) {
-    MetricValues row{{"points", double(points.simulated_m.size())},
-                     {"points_real", double(points.real_m.size())}};
-    add_range_error_metrics(row, "range_", points.range_error_m);
-    const double either = double(points.n_both) + 0.5 * double(points.n_missed + points.n_false);
-    if (either > 0.0) row["f1"] = double(points.n_both) / either;
-    return row;
-}
-
 }  // namespace
 
 MovingBoxPoints collect_points_in_box(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
@@ -169,11 +155,17 @@ FrameActorScores compute_actor_scores(const RangeImage& rendered, const std::vec
         MovingBoxPoints p;
         if (box.is_observed_at_time(sweep.time_s))
             p = collect_points_in_box(rendered, point_ranges_m, real, sequence, sweep, box);
-        scores.actors.push_back({box.id, box.category, compute_box_metrics(p)});
-        scores.actors.back().metrics["tail"] = double(tails.n_of_box.at(box.id));
-        scores.actors.back().metrics["tail_real"] = double(real_tails.n_of_box.at(box.id));
+        MetricValues row{{"points", double(p.simulated_m.size())}, {"points_real", double(p.real_m.size())}};
+        add_range_error_metrics(row, "range_", p.range_error_m);
+        const double either = double(p.n_both) + 0.5 * double(p.n_missed + p.n_false);
+        if (either > 0.0) row["f1"] = double(p.n_both) / either;
+        row["tail"] = double(tails.n_of_box.at(box.id));
+        row["tail_real"] = double(real_tails.n_of_box.at(box.id));
+        scores.actors.push_back({box.id, box.category, row});
         if (p.real_m.size() < kFewest || box.category == kDiscoveredCategory) continue;
-        (is_person_or_cyclist(box) ? people : vehicles).add_box_errors(p);
+        const ObjectKind kind = parse_object_kind(box.category);
+        const bool is_person_or_cyclist = kind == ObjectKind::person || kind == ObjectKind::cyclist;
+        (is_person_or_cyclist ? people : vehicles).add_box_errors(p);
     }
     people.add_scores_to_row(scores.metrics, "actors/people_");
     vehicles.add_scores_to_row(scores.metrics, "actors/vehicles_");

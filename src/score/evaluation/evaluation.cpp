@@ -57,12 +57,6 @@ struct RenderedFrame {
     /// label. Empty if the run has no such boxes.
     std::vector<bool> discovered;
     MetricValues class_scores;  ///< scores of the channel `class`; empty without labels
-
-    std::vector<PixelRegion> make_evaluation_regions() const {
-        std::vector<PixelRegion> regions = make_standard_regions(frame.real, moving);
-        if (!discovered.empty()) regions.push_back({"discovered_boxes", discovered});
-        return regions;
-    }
 };
 
 RenderedFrame make_frame_with_real_image(const Config& config, const LidarSequence& sequence,
@@ -118,9 +112,12 @@ std::vector<ScoredFrame> score_rendered_frames(std::vector<RenderedFrame> render
             std::min(options.max_range_m, get_range_image_grid_by_name(config.sensor.grid).max_range_m);
     options.lpips = lpips_network;
     std::vector<RangeImageComparison> comparisons;
-    for (const RenderedFrame& r : rendered_frames)
-        comparisons.push_back({&r.frame.rendered.image, &r.frame.real, r.make_evaluation_regions(),
+    for (const RenderedFrame& r : rendered_frames) {
+        std::vector<PixelRegion> regions = make_standard_regions(r.frame.real, r.moving);
+        if (!r.discovered.empty()) regions.push_back({"discovered_boxes", r.discovered});
+        comparisons.push_back({&r.frame.rendered.image, &r.frame.real, std::move(regions),
                                select_point_ranges(r.frame.rendered, config)});
+    }
     const std::vector<MetricValues> rows = evaluate_all(comparisons, options);
     std::vector<ScoredFrame> frames;
     for (std::size_t i = 0; i < rendered_frames.size(); ++i) {
@@ -168,13 +165,6 @@ RangeErrorCounts count_rays_by_range_and_error(const RangeImage& rendered, const
     return counts;
 }
 
-void clear_frame_images(ScoredFrame& frame) {
-    const double trace_ms = frame.rendered.trace_ms;
-    frame.rendered = {};
-    frame.rendered.trace_ms = trace_ms;
-    frame.real = {};
-}
-
 /// Parameters of an evaluation of many frames. Frames are rendered and scored in small
 /// batches to limit memory. Each batch frees its images before the next batch starts.
 struct BatchEvaluationParams {
@@ -208,7 +198,13 @@ std::vector<ScoredFrame> render_and_score_frames(
         for (ScoredFrame& frame : scored_batch) {
             frame.range_errors = count_rays_by_range_and_error(frame.rendered.image, frame.real);
             if (frame_batch.see) frame_batch.see(frame);
-            if (scored.size() != n / 2) clear_frame_images(frame);
+            // Only the middle frame keeps its images. All frames keep the rendering time.
+            if (scored.size() != n / 2) {
+                const double trace_ms = frame.rendered.trace_ms;
+                frame.rendered = {};
+                frame.rendered.trace_ms = trace_ms;
+                frame.real = {};
+            }
             scored.push_back(std::move(frame));
         }
     }

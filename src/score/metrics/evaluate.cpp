@@ -137,15 +137,6 @@ void add_published_protocol_metrics(MetricValues& row, const RangeImage& rendere
     row["peer/f_score"] = distances.compute_f_score(kPeerThreshold_m);
 }
 
-/// Compares the rendered drop probability with the real drop (0 or 1), without a
-/// threshold. Returns the root mean square difference over all pixels.
-double compute_drop_probability_rmse(const RangeImage& rendered, const RangeImage& real) {
-    PixelValues error(real.drop_prob.size());
-    for (std::size_t i = 0; i < error.size(); ++i)
-        error[i] = double(rendered.drop_prob[i]) - double(real.drop_prob[i]);
-    return std::sqrt(compute_mean_square(error));
-}
-
 /// Adds metrics of a classifier that predicts for each pixel whether its ray is dropped.
 /// "Dropped" is the positive class.
 void add_ray_drop_metrics(MetricValues& row, const PixelMask& rendered_returns,
@@ -199,7 +190,12 @@ void add_strict_protocol_metrics(MetricValues& row, const RangeImage& rendered, 
                                   select_and_clamp_masked_values(rendered.intensity, both, kMaxIntensity),
                                   select_and_clamp_masked_values(real.intensity, both, kMaxIntensity));
     add_ray_drop_metrics(row, rendered_returns, real_returns);
-    row["strict/drop_rmse"] = compute_drop_probability_rmse(rendered, real);
+    // Compares the rendered drop probability with the real drop (0 or 1), without a
+    // threshold.
+    PixelValues drop_error(real.drop_prob.size());
+    for (std::size_t i = 0; i < drop_error.size(); ++i)
+        drop_error[i] = double(rendered.drop_prob[i]) - double(real.drop_prob[i]);
+    row["strict/drop_rmse"] = std::sqrt(compute_mean_square(drop_error));
     const double threshold = options.strict_drop_threshold;
     add_image_metrics(row, "strict/image_depth_", "_m",
                       make_depth_image_pair(rendered, real, threshold, options.max_range_m), nullptr);

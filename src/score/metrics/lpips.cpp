@@ -33,9 +33,6 @@ constexpr float kColourScale[3] = {0.458f, 0.448f, 0.450f};
 struct ConvLayerShape {
     int out, in, edge, stride, padding;
     bool pooled;
-    std::size_t count_weights() const {
-        return std::size_t(out) * std::size_t(in) * std::size_t(edge) * std::size_t(edge);
-    }
 };
 constexpr ConvLayerShape kAlexNet[kLayers] = {{64, 3, 11, 4, 2, false},
                                               {192, 64, 5, 1, 2, true},
@@ -151,9 +148,11 @@ struct Lpips::Impl {
 
 Lpips::Lpips(LpipsWeights weights) : impl_(new Impl{std::move(weights)}) {
     for (int l = 0; l < kLayers; ++l) {
-        const std::size_t k = std::size_t(l), channels = std::size_t(kAlexNet[l].out);
-        require_valid_layer_weights("weight of convolution ", l, impl_->weights.weight[k],
-                                    kAlexNet[l].count_weights());
+        const ConvLayerShape& shape = kAlexNet[l];
+        const std::size_t k = std::size_t(l), channels = std::size_t(shape.out);
+        const std::size_t n_weights =
+            channels * std::size_t(shape.in) * std::size_t(shape.edge) * std::size_t(shape.edge);
+        require_valid_layer_weights("weight of convolution ", l, impl_->weights.weight[k], n_weights);
         require_valid_layer_weights("bias of convolution ", l, impl_->weights.bias[k], channels);
         require_valid_layer_weights("linear weights of layer ", l, impl_->weights.linear[k], channels);
     }

@@ -42,16 +42,6 @@ std::vector<int> find_neighbouring_training_frames(const LidarSequence& sequence
     return neighbours;
 }
 
-/// Returns the moving box that contains a world point at a given time, or null if there
-/// is none.
-const BoxTrack* find_containing_box(const std::vector<const BoxTrack*>& moving_boxes,
-                                    const glm::dvec3& point_m, double time_s) {
-    const auto it = std::find_if(moving_boxes.begin(), moving_boxes.end(), [&](const BoxTrack* box) {
-        return box->is_observed_at_time(time_s) && box->contains_point(point_m, time_s, 0.0);
-    });
-    return it == moving_boxes.end() ? nullptr : *it;
-}
-
 /// Converts a point from the world frame to the sensor frame at the time when the
 /// rotating LiDAR faces the point.
 glm::dvec3 transform_world_point_to_sensor(const LidarSequence& sequence, const glm::dvec3& world_point_m,
@@ -164,14 +154,18 @@ Scan predict_scan_from_neighbours(const LidarSequence& sequence, int predicted_f
                 double(frame.scan.range_m[ray] - compute_surface_return(sequence, frame, ray).range_m) *
                 w.direction;
             glm::dvec3 world_m = w.point_m;
-            if (const BoxTrack* box = find_containing_box(moving, w.point_m, w.time_s)) {
+            const auto containing_box = std::find_if(moving.begin(), moving.end(), [&](const BoxTrack* box) {
+                return box->is_observed_at_time(w.time_s) && box->contains_point(w.point_m, w.time_s, 0.0);
+            });
+            if (containing_box != moving.end()) {
+                const BoxTrack& box = **containing_box;
                 // Time when the predicted sweep (`sweep`) measures the box. Assumes the
                 // same offset from the frame time as for `w`, a return in this box in
                 // `frame`.
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);
-                if (!box->is_observed_at_time(then_s)) continue;
-                world_m = box->world_from_box.interpolate_pose(then_s) *
-                          (inverse(box->world_from_box.interpolate_pose(w.time_s)) * w.point_m);
+                if (!box.is_observed_at_time(then_s)) continue;
+                world_m = box.world_from_box.interpolate_pose(then_s) *
+                          (inverse(box.world_from_box.interpolate_pose(w.time_s)) * w.point_m);
             }
             append_point_to_scan(points, transform_world_point_to_sensor(sequence, world_m, sweep),
                                  frame.scan.intensity[ray]);

@@ -18,15 +18,6 @@ constexpr double kClampLow = 1e-6;
 
 double clamp_value(float value, double maximum) { return std::clamp(double(value), kClampLow, maximum); }
 
-/// Returns the median of values. For an even number of values, returns the mean of the
-/// two middle values.
-double compute_values_median(PixelValues values) {
-    const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
-    std::nth_element(values.begin(), middle, values.end());
-    if (values.size() % 2 == 1) return *middle;
-    return 0.5 * (*middle + *std::max_element(values.begin(), middle));
-}
-
 void require_valid_pixel_values(const std::vector<float>& values, std::size_t expected_count,
                                 const char* image_name, const char* array_name) {
     if (values.size() != expected_count)
@@ -124,7 +115,12 @@ double add_error_metrics_and_get_mse(MetricValues& row, const std::string& name_
     const double squared = compute_mean_square(error);
     row[name_prefix + "rmse" + unit_suffix] = std::sqrt(squared);
     row[name_prefix + "mae" + unit_suffix] = compute_values_mean(error);
-    row[name_prefix + "medae" + unit_suffix] = compute_values_median(std::move(error));
+    // The median of an even number of errors is the mean of the two middle errors.
+    const auto middle = error.begin() + std::ptrdiff_t(error.size() / 2);
+    std::nth_element(error.begin(), middle, error.end());
+    double median = *middle;
+    if (error.size() % 2 == 0) median = 0.5 * (*middle + *std::max_element(error.begin(), middle));
+    row[name_prefix + "medae" + unit_suffix] = median;
     return squared;
 }
 

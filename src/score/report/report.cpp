@@ -241,13 +241,6 @@ std::string make_timing_table_html(const MetricValues& kernel_times_ms) {
         body);
 }
 
-std::string make_all_timings_html(const Report& report) {
-    std::string body;
-    for (const auto& [title, row] : report.timings_ms)
-        body += fmt::format("<h3>{}</h3>\n{}", escape_html(title), make_timing_table_html(row));
-    return body;
-}
-
 std::string make_figure_html(const ReportFigure& figure) {
     std::vector<std::string> urls(figure.images.size());
     parallel_for(static_cast<int>(urls.size()), [&](int index) {
@@ -285,9 +278,12 @@ std::string make_report_page_html(const Report& report) {
     for (const ReportTable& texts : report.tables)
         html += make_html_section(texts.title, make_report_table_html(texts));
     html += make_html_section("Scores", make_key_metrics_table_html(report));
+    std::string timings;
+    for (const auto& [title, row] : report.timings_ms)
+        timings += fmt::format("<h3>{}</h3>\n{}", escape_html(title), make_timing_table_html(row));
     html += make_collapsed_html_section("All metrics", make_metrics_table_html(report)) +
             make_collapsed_html_section("The run", make_facts_html(report)) +
-            make_collapsed_html_section("Time by kernel", make_all_timings_html(report));
+            make_collapsed_html_section("Time by kernel", timings);
     html += "<footer>Written by relidar</footer>\n</main>\n";
     if (!report.views.empty()) html += report_detail::make_3d_view_script();
     return html + "</body>\n</html>\n";

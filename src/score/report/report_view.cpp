@@ -30,11 +30,6 @@ constexpr std::size_t kMaxPoints = 500'000;
 constexpr float kFarthest_m = 300.0f;
 constexpr float kErrorStep_m = 0.004f;
 
-std::uint8_t pack_range_error(float error_m) {
-    if (!std::isfinite(error_m)) return 255;
-    return static_cast<std::uint8_t>(std::lround(std::min(std::abs(error_m) / kErrorStep_m, 254.0f)));
-}
-
 std::vector<std::uint8_t> pack_point_cloud(const ReportCloud& cloud, std::size_t max_points) {
     const std::size_t n = cloud.position_m.size(),
                       step = std::max<std::size_t>(1, (n + max_points - 1) / max_points);
@@ -49,7 +44,10 @@ std::vector<std::uint8_t> pack_point_cloud(const ReportCloud& cloud, std::size_t
         }
         bytes.push_back(
             static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
-        bytes.push_back(pack_range_error(cloud.error_m[i]));
+        const float error_m = cloud.error_m[i];
+        const long error_steps =
+            std::isfinite(error_m) ? std::lround(std::min(std::abs(error_m) / kErrorStep_m, 254.0f)) : 255;
+        bytes.push_back(static_cast<std::uint8_t>(error_steps));
     }
     return bytes;
 }
