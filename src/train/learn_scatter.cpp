@@ -14,22 +14,6 @@ namespace {
 
 constexpr int kMostFrames = 16;  // maximum number of frames per LiDAR
 
-std::vector<int> select_lidar_training_frames(const TrainedRun& run, int lidar_index) {
-    std::vector<int> frames;
-    for (const int position : run.split.train)
-        if (run.sequence.frames[std::size_t(position)].lidar == lidar_index) frames.push_back(position);
-    return select_evenly_spaced_frames(frames, kMostFrames);
-}
-
-std::vector<float> collect_measured_intensities(const LidarSequence& sequence, const LidarFrame& frame,
-                                                const IgnoredMeasurements& mask_rules) {
-    std::vector<float> measured;
-    const std::vector<float> dropped = classify_measured_drops_per_ray(sequence, frame, mask_rules);
-    for (std::size_t i = 0; i < dropped.size(); ++i)
-        measured.push_back(dropped[i] == 0.0f ? frame.scan.intensity[i] : kNoIntensity);
-    return measured;
-}
-
 }  // namespace
 
 std::vector<IntensityScatterModel> fit_intensity_scatter_per_lidar(Device& device, const TrainedRun& run,
@@ -40,7 +24,11 @@ std::vector<IntensityScatterModel> fit_intensity_scatter_per_lidar(Device& devic
     const IgnoredMeasurements masks = make_mask_for_movers_without_model(config, run.scene);
     std::vector<IntensityScatterModel> result;
     for (int lidar = 0; lidar < int(run.sequence.lidars.size()); ++lidar) {
-        const std::vector<int> positions = select_lidar_training_frames(run, lidar);
+        std::vector<int> lidar_positions;
+        for (const int position : run.split.train)
+            if (run.sequence.frames[std::size_t(position)].lidar == lidar)
+                lidar_positions.push_back(position);
+        const std::vector<int> positions = select_evenly_spaced_frames(lidar_positions, kMostFrames);
         std::vector<PairedIntensities> images;
         for (const int position : positions) {
             if (session.stop && session.stop()) return {};
@@ -50,8 +38,11 @@ std::vector<IntensityScatterModel> fit_intensity_scatter_per_lidar(Device& devic
             const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
             const RenderedScan scan =
                 renderer.render(choose_nominal_sensor_of_frame(config, run.sequence, frame), frame.time_s);
-            images.push_back({copy_inputs_of_random_intensities(scan),
-                              collect_measured_intensities(run.sequence, frame, masks)});
+            std::vector<float> measured;
+            const std::vector<float> dropped = classify_measured_drops_per_ray(run.sequence, frame, masks);
+            for (std::size_t i = 0; i < dropped.size(); ++i)
+                measured.push_back(dropped[i] == 0.0f ? frame.scan.intensity[i] : kNoIntensity);
+            images.push_back({copy_inputs_of_random_intensities(scan), std::move(measured)});
         }
         result.push_back(fit_intensity_scatter(images));
         if (session.progress) session.progress("learning the scatter of intensities", 1.0);

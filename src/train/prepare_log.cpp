@@ -101,14 +101,6 @@ std::string describe_path_length(const PoseTrack& track) {
     return fmt::format("{:.1f} m driven", metres);
 }
 
-std::string describe_loop_closures(const RegistrationResult& registration) {
-    if (registration.n_loop_closures == 0) return "";
-    return fmt::format(
-        "; {} loops were detected, where the vehicle returned to an earlier position; they corrected poses "
-        "by up to {:.2f} m",
-        registration.n_loop_closures, registration.largest_loop_error_m);
-}
-
 // Maximum fraction of scans whose registration may fail. However, one failed scan is
 // always allowed.
 constexpr double kMostLost = 0.05;
@@ -159,13 +151,19 @@ RegistrationResult register_log_scans(LidarSequence& sequence, const TrainTestSp
                     "interrupted during the registration of scans, before the training started");
     if (!registration.done) return registration;
     const PoseCorrectionStatistics corrections(sequence.world_from_vehicle, registration.world_from_vehicle);
+    std::string loops_text;
+    if (registration.n_loop_closures > 0)
+        loops_text = fmt::format(
+            "; {} loops were detected, where the vehicle returned to an earlier position; they corrected "
+            "poses by up to {:.2f} m",
+            registration.n_loop_closures, registration.largest_loop_error_m);
     session.report_line(fmt::format(
         "scans registered: {:.0f} % of the points are on planes that several scans have "
         "observed, with a mean distance of {:.3f} m from these planes; {}{}",
         100.0 * registration.on_planes, registration.rounds.back().residual_m,
         has_usable_vehicle_poses(sequence, config) ? corrections.describe_corrections()
                                                    : describe_path_length(registration.world_from_vehicle),
-        describe_loop_closures(registration)));
+        loops_text));
     if (const std::string warning = corrections.format_warning_if_corrections_large();
         has_usable_vehicle_poses(sequence, config) && !warning.empty()) {
         session.report_line(warning);
@@ -280,15 +278,6 @@ std::string describe_box_size_and_speed(const BoxTrack& box) {
         glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds);
 }
 
-/// Describes a labelled object whose track was extended. The text has its id and class,
-/// and the numbers of frames that were added before the first and after the last label.
-std::string describe_label_extension(const BoxTrack& box) {
-    std::vector<std::string> sides;
-    if (box.n_before > 0) sides.push_back(fmt::format("{} frames before the first label", box.n_before));
-    if (box.n_after > 0) sides.push_back(fmt::format("{} frames after the last label", box.n_after));
-    return fmt::format("{} ({}) {}", box.id, box.category, fmt::join(sides, " and "));
-}
-
 void discover_and_add_movers(LidarSequence& sequence, const TrainTestSplit& split,
                              const LogPreparationCallbacks& session) {
     std::vector<std::string> movers, extended;
@@ -298,7 +287,11 @@ void discover_and_add_movers(LidarSequence& sequence, const TrainTestSplit& spli
     };
     for (BoxTrack& box : discover_moving_object_tracks(sequence, split.train, progress, session.group)) {
         if (box.n_before + box.n_after > 0) {
-            extended.push_back(describe_label_extension(box));
+            std::vector<std::string> sides;
+            if (box.n_before > 0)
+                sides.push_back(fmt::format("{} frames before the first label", box.n_before));
+            if (box.n_after > 0) sides.push_back(fmt::format("{} frames after the last label", box.n_after));
+            extended.push_back(fmt::format("{} ({}) {}", box.id, box.category, fmt::join(sides, " and ")));
             *std::ranges::find(sequence.boxes, box.id, &BoxTrack::id) = std::move(box);
         } else {
             movers.push_back(describe_box_size_and_speed(box));

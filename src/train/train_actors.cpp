@@ -84,15 +84,6 @@ struct ActorTrainingSection {
     std::set<std::size_t> blocks;
 };
 
-/// Returns the track of each LiDAR. Each call creates tracks with one pose for each sweep
-/// of the log, so callers should keep the result.
-std::vector<PoseTrack> list_sensor_tracks(const LidarSequence& sequence) {
-    std::vector<PoseTrack> tracks;
-    for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
-        tracks.push_back(sequence.get_world_from_sensor(static_cast<int>(l)));
-    return tracks;
-}
-
 /// Returns a frame and the actors that are near enough to have returns in it.
 FrameWithSightings find_actors_in_sensor_range(const TrainedRun& run, int frame_index,
                                                const std::vector<PoseTrack>& sensor_tracks) {
@@ -254,7 +245,9 @@ Config make_actor_training_config(const Config& config, std::size_t n_frames) {
 TrainingEndReason train_actors(Device& device, TrainedRun& run, const ActorTrainingCallbacks& session) {
     if (run.config.blocks.actor_epochs == 0 || run.scene.instances.size() < 2)
         return TrainingEndReason::finished;
-    const std::vector<PoseTrack> tracks = list_sensor_tracks(run.sequence);
+    std::vector<PoseTrack> tracks;  // [lidars] one pose for each sweep of the log
+    for (std::size_t l = 0; l < run.sequence.lidars.size(); ++l)
+        tracks.push_back(run.sequence.get_world_from_sensor(static_cast<int>(l)));
     const std::vector<ActorTrainingSection> stretches = divide_log_into_sections(run, tracks);
     const std::uint32_t n_before = run.scene.models.front().count;
     const std::size_t n_actors = run.scene.surfels.size() - n_before;

@@ -123,14 +123,6 @@ bool should_refit_tree(const TreeRefitSchedule& refit_options, const TrainConfig
            (step - 1) % refit_options.every == 0;
 }
 
-RendererOptions make_renderer_options(const Config& config, const TrainingFrames& frames,
-                                      std::uint32_t n_fixed_surfels) {
-    return {.accel = choose_tree_refit_options(config, n_fixed_surfels).accel,
-            .trace = make_training_trace_options(config),
-            .n_rays = find_max_rays_per_frame(frames.get_all_frames()),
-            .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
-}
-
 /// Returns the maximum scale of each surfel, proportional to its initial scale. Surfels
 /// close to each other start small and need little growth. Surfels far apart must be able
 /// to fill the gaps between them.
@@ -178,14 +170,6 @@ std::optional<RangeImageGrid> find_training_range_grid(const Config& config) {
     return get_range_image_grid_by_name(config.train.grid);
 }
 
-FrameUploadOptions make_frame_upload_options(const LidarSequence& sequence, const TrainTestSplit& split,
-                                             const Scene& scene, const Config& config) {
-    return {.unknown = make_training_mask_rules(sequence, split, scene, config),
-            .moves_rays = config.train.is_pose_refinement_enabled_for("sensor"),
-            .resident_bytes = std::uint64_t(config.train.frame_memory_mib) << 20,
-            .grid = find_training_range_grid(config)};
-}
-
 }  // namespace
 
 TrainLoop::TrainLoop(Device& device, const LidarSequence& sequence, const TrainTestSplit& split,
@@ -193,10 +177,18 @@ TrainLoop::TrainLoop(Device& device, const LidarSequence& sequence, const TrainT
                      std::optional<double> extent_m)
     : config_(config),
       n_fixed_(n_fixed_surfels),
-      frames_(device, sequence, split.train, make_frame_upload_options(sequence, split, initial, config)),
+      frames_(device, sequence, split.train,
+              {.unknown = make_training_mask_rules(sequence, split, initial, config),
+               .moves_rays = config.train.is_pose_refinement_enabled_for("sensor"),
+               .resident_bytes = std::uint64_t(config.train.frame_memory_mib) << 20,
+               .grid = find_training_range_grid(config)}),
       batches_(device, config, frames_.get_all_frames()),
       refiner_(device, sequence, initial, config.train, frames_),
-      differentiable_(device, initial, config.image, make_renderer_options(config, frames_, n_fixed_surfels),
+      differentiable_(device, initial, config.image,
+                      {.accel = choose_tree_refit_options(config, n_fixed_surfels).accel,
+                       .trace = make_training_trace_options(config),
+                       .n_rays = find_max_rays_per_frame(frames_.get_all_frames()),
+                       .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)},
                       {make_backward_options(config), refiner_.get_required_gradients(),
                        does_every_surfel_get_gradient(config)}),
       renderer_(differentiable_.renderer()),

@@ -97,20 +97,6 @@ void add_surfels_to_hash(RunningHash& hash, const Surfels& surfels) {
     }
 }
 
-std::string hash_scene(const Scene& scene) {
-    RunningHash hash;
-    hash.add_to_hash(format_scene_layout_json(scene));
-    hash.add_to_hash(scene.sensor_drop.probability);
-    add_surfels_to_hash(hash, scene.surfels);
-    for (const SceneBlock& block : scene.blocks) add_surfels_to_hash(hash, load_block_surfels(block));
-    return hash.get_hex_digest();
-}
-
-std::string read_checkpoint_fingerprint(const Checkpoint& checkpoint, const std::string& key) {
-    const auto it = checkpoint.texts.find(key);
-    return it == checkpoint.texts.end() ? "nothing" : it->second;
-}
-
 std::string format_checkpoint_mismatch_message(const std::string& action, const std::string& description,
                                                const std::string& found_value,
                                                const std::string& expected_value) {
@@ -130,7 +116,12 @@ std::vector<ResumeFingerprint> compute_log_fingerprints(const LidarSequence& seq
 }
 
 ResumeFingerprint compute_scene_fingerprint(const Scene& scene) {
-    return {"scene", "the scene", hash_scene(scene)};
+    RunningHash hash;
+    hash.add_to_hash(format_scene_layout_json(scene));
+    hash.add_to_hash(scene.sensor_drop.probability);
+    add_surfels_to_hash(hash, scene.surfels);
+    for (const SceneBlock& block : scene.blocks) add_surfels_to_hash(hash, load_block_surfels(block));
+    return {"scene", "the scene", hash.get_hex_digest()};
 }
 
 void store_in_checkpoint_texts(const ConfigKey& setting, std::map<std::string, std::string>& texts) {
@@ -157,7 +148,8 @@ void require_same_as_in_checkpoint(const std::vector<ConfigKey>& settings, const
 
 void require_same_as_in_checkpoint(const Checkpoint& checkpoint, const ResumeFingerprint& fingerprint,
                                    const std::string& error_prefix) {
-    const std::string saved = read_checkpoint_fingerprint(checkpoint, fingerprint.key);
+    const auto it = checkpoint.texts.find(fingerprint.key);
+    const std::string saved = it == checkpoint.texts.end() ? "nothing" : it->second;
     if (saved != fingerprint.value)
         throw DataError(
             format_checkpoint_mismatch_message(error_prefix, fingerprint.what, fingerprint.value, saved));

@@ -27,24 +27,21 @@ std::vector<ResumeFingerprint> compute_run_fingerprints(const TrainedRun& run) {
     return marks;
 }
 
-/// Returns the settings, and hashes of the scene and the log, for a checkpoint.
-std::map<std::string, std::string> list_refinement_settings_and_hashes(const TrainedRun& run) {
-    std::map<std::string, std::string> texts;
-    for (const ConfigKey& key : list_config_keys(run.config))
-        if (can_affect_drop_network(key.key)) store_in_checkpoint_texts(key, texts);
-    for (const ResumeFingerprint& mark : compute_run_fingerprints(run))
-        store_in_checkpoint_texts(mark, texts);
-    return texts;
-}
-
 }  // namespace
 
 RayDropCheckpointKeeper::RayDropCheckpointKeeper(const TrainedRun& run, const RayDropTrainingSession& session)
     : minutes_(run.config.train.checkpoint_minutes),
       folder_(session.checkpoints, session.start ? session.start->iteration : 0, "ray-drop training step",
               session.note) {
-    if (folder_.is_enabled())
-        texts_ = std::async(std::launch::async, [&run] { return list_refinement_settings_and_hashes(run); });
+    if (!folder_.is_enabled()) return;
+    texts_ = std::async(std::launch::async, [&run] {
+        std::map<std::string, std::string> texts;
+        for (const ConfigKey& key : list_config_keys(run.config))
+            if (can_affect_drop_network(key.key)) store_in_checkpoint_texts(key, texts);
+        for (const ResumeFingerprint& mark : compute_run_fingerprints(run))
+            store_in_checkpoint_texts(mark, texts);
+        return texts;
+    });
 }
 
 void RayDropCheckpointKeeper::save_checkpoint_if_due(const RayDropTrainProgress& progress, bool is_stopping,

@@ -50,13 +50,6 @@ void for_each_wide_azimuth_sector(int n_bins, const Condition& is_bin_in_sector,
     }
 }
 
-/// Returns the difference between the largest and the smallest azimuth offset of a
-/// LiDAR's beams, in bins.
-int compute_beam_azimuth_spread_bins(const SpinningSensor& sensor, int n_bins) {
-    const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
-    return int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * n_bins));
-}
-
 }  // namespace
 
 RayDropCounts::RayDropCounts(const LidarSequence& sequence)
@@ -153,7 +146,10 @@ void mark_unobserved_sectors_as_dropped(RayDropTable& drop_table, const RayDropT
         const auto is_blind_at = [&](std::size_t row, int bin) {
             return observed_drop_rates.probability[row + std::size_t((bin + bins) % bins)] >= kBlindFrequency;
         };
-        const int spread = compute_beam_azimuth_spread_bins(sensor, bins);
+        // difference between the largest and the smallest azimuth offset, in bins
+        const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
+        const int spread =
+            int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * bins));
         for_each_wide_azimuth_sector(
             bins,
             [&](int bin) {

@@ -4,8 +4,6 @@
 
 #include <algorithm>
 
-#include <fmt/format.h>
-
 #include <relidar/base/error.hpp>
 
 #include "gpu/stream.hpp"
@@ -41,27 +39,22 @@ ImageShape get_frame_image_shape(const TrainingFrameData& frame) {
     return frame.image.has_image_rows_and_columns() ? frame.image : ImageShape{1, frame.n_rays, false};
 }
 
-StridedColumns choose_column_window(const TrainingFrameData& frame, const TrainConfig& config) {
-    const ImageShape image = get_frame_image_shape(frame);
-    const std::uint32_t n =
-        std::clamp((static_cast<std::uint32_t>(config.rays_per_iteration) + image.rows / 2) / image.rows, 1u,
-                   image.columns);
-    return n < image.columns ? StridedColumns{1, n} : StridedColumns{};
-}
-
-/// Selects every n-th group of neighbouring columns. The rays of a group have similar
-/// directions, so they are traced faster.
-StridedColumns choose_every_nth_column_group(const TrainingFrameData& frame, const TrainConfig& config) {
+StridedColumns choose_batch_columns(const TrainingFrameData& frame, const TrainConfig& config,
+                                    bool use_windows) {
+    if (config.rays_per_iteration == 0) return {};
+    if (use_windows) {
+        const ImageShape image = get_frame_image_shape(frame);
+        const std::uint32_t n =
+            std::clamp((static_cast<std::uint32_t>(config.rays_per_iteration) + image.rows / 2) / image.rows,
+                       1u, image.columns);
+        return n < image.columns ? StridedColumns{1, n} : StridedColumns{};
+    }
+    // Selects every n-th group of neighbouring columns. The rays of a group have similar
+    // directions, so they are traced faster.
     const std::uint32_t stride = std::min(choose_ray_stride(frame, config), frame.image.columns);
     return frame.image.has_image_rows_and_columns() && stride > 1
                ? StridedColumns{stride, frame.image.columns / stride}
                : StridedColumns{};
-}
-
-StridedColumns choose_batch_columns(const TrainingFrameData& frame, const TrainConfig& config,
-                                    bool use_windows) {
-    if (config.rays_per_iteration == 0) return {};
-    return use_windows ? choose_column_window(frame, config) : choose_every_nth_column_group(frame, config);
 }
 
 /// Returns the number of rays in the largest batch that consists of selected columns of a
@@ -77,18 +70,6 @@ std::size_t compute_max_rays_in_column_batch(const std::vector<TrainingFrameData
     return largest;
 }
 
-/// Checks that the rays of all frames are ordered as an image.
-/// @param setting_name  name of the setting that needs images, for the error message
-/// @throws UsageError if a frame is not an image
-void require_rays_form_images(const char* setting_name, const std::vector<TrainingFrameData>& frames) {
-    for (const TrainingFrameData& frame : frames)
-        if (!frame.image.has_image_rows_and_columns())
-            throw UsageError(fmt::format(
-                "setting {}: the rays of this sensor are not ordered in rows and columns, so this loss "
-                "cannot be computed; set it to 0",
-                setting_name));
-}
-
 }  // namespace
 
 BatchSampler::BatchSampler(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames)
@@ -97,8 +78,12 @@ BatchSampler::BatchSampler(Device& device, const Config& config, const std::vect
                      {device, compute_max_rays_in_column_batch(frames, config), "batch rays"},
                      {device, compute_max_rays_in_column_batch(frames, config), "batch targets"},
                      {device, "train/gather_columns"}}) {
-    if (config.loss.intensity * config.loss.intensity_ssim > 0.0f)
-        require_rays_form_images("loss.intensity_ssim", frames);
+    const bool needs_images = config.loss.intensity * config.loss.intensity_ssim > 0.0f;
+    for (const TrainingFrameData& frame : frames)
+        if (needs_images && !frame.image.has_image_rows_and_columns())
+            throw UsageError(
+                "setting loss.intensity_ssim: the rays of this sensor are not ordered in rows and columns, "
+                "so this loss cannot be computed; set it to 0");
 }
 BatchSampler::~BatchSampler() = default;
 

@@ -23,16 +23,6 @@ struct MovingBoxMask {
     /// Radius of a sphere around the box centre. The sphere contains the box during the
     /// full sweep.
     double reach_m;
-
-    bool can_hit_box(const WorldRay& ray) const {
-        const glm::dvec3 to_centre = placed.world_from_model.translation - ray.origin_m;
-        const double along_m = std::max(glm::dot(to_centre, ray.direction), 0.0);
-        return glm::distance(to_centre, along_m * ray.direction) <= reach_m;
-    }
-    PosedBox get_box_at(double time_offset_s) const {
-        return {inverse(placed.motion.compute_pose_at_sweep_time(placed.world_from_model, time_offset_s)),
-                half_size_m};
-    }
 };
 
 std::vector<MovingBoxMask> list_masked_boxes_in_sweep(const LidarSequence& sequence, const SweepTiming& sweep,
@@ -58,8 +48,14 @@ std::vector<MovingBoxMask> list_masked_boxes_in_sweep(const LidarSequence& seque
 bool is_ray_masked(const std::vector<MovingBoxMask>& masked_boxes, const WorldRay& ray, double time_offset_s,
                    double range_m) {
     return std::any_of(masked_boxes.begin(), masked_boxes.end(), [&](const MovingBoxMask& box) {
-        if (!box.can_hit_box(ray)) return false;
-        const glm::dvec2 inside = box.get_box_at(time_offset_s).compute_ray_entry_exit_m(ray);
+        const InstancePose& placed = box.placed;
+        const glm::dvec3 to_centre = placed.world_from_model.translation - ray.origin_m;
+        const double along_m = std::max(glm::dot(to_centre, ray.direction), 0.0);
+        if (!(glm::distance(to_centre, along_m * ray.direction) <= box.reach_m)) return false;
+        const PosedBox posed_box{
+            inverse(placed.motion.compute_pose_at_sweep_time(placed.world_from_model, time_offset_s)),
+            box.half_size_m};
+        const glm::dvec2 inside = posed_box.compute_ray_entry_exit_m(ray);
         return inside.x <= inside.y && (range_m <= 0.0 || (range_m >= inside.x && range_m <= inside.y));
     });
 }
