@@ -10,15 +10,14 @@
 namespace relidar::python {
 namespace {
 
-/// Returns a length of a shape as text. Unspecified lengths are called n or m.
-std::string format_dimension(const NumpyShape& shape, std::size_t i) {
-    if (shape[i] != kAny) return std::to_string(shape[i]);
-    return i == 1 && shape[0] == kAny ? "m" : "n";
-}
-
+/// Returns a shape as text. Unspecified lengths are called n or m.
 std::string format_shape(const NumpyShape& shape) {
     std::string text;
-    for (std::size_t i = 0; i < shape.size(); ++i) text += (i ? "," : "") + format_dimension(shape, i);
+    for (std::size_t i = 0; i < shape.size(); ++i) {
+        if (i > 0) text += ",";
+        if (shape[i] != kAny) text += std::to_string(shape[i]);
+        else text += i == 1 && shape[0] == kAny ? "m" : "n";
+    }
     return "[" + text + "]";
 }
 

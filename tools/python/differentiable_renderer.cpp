@@ -48,11 +48,6 @@ std::unique_ptr<PythonDifferentiableRenderer> make_differentiable_renderer(
     return held;
 }
 
-glm::vec3 convert_array_to_vec3(const py::object& array, const char* name_for_errors) {
-    const std::span<const double> v = get_checked_array_values<double>(array, name_for_errors, {3});
-    return {v[0], v[1], v[2]};
-}
-
 void set_instance_poses(PythonDifferentiableRenderer& renderer, const py::object& poses,
                         const py::object& view_origin,
                         const std::optional<std::vector<bool>>& is_instance_present) {
@@ -72,8 +67,13 @@ void set_instance_poses(PythonDifferentiableRenderer& renderer, const py::object
         check_count(is_instance_present->size(), "present");
         for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = (*is_instance_present)[i];
     }
-    const glm::vec3 view = view_origin.is_none() ? renderer.differentiable->renderer().view_origin_m()
-                                                 : convert_array_to_vec3(view_origin, "view_origin");
+    glm::vec3 view(0.0f);
+    if (view_origin.is_none()) {
+        view = renderer.differentiable->renderer().view_origin_m();
+    } else {
+        const std::span<const double> v = get_checked_array_values<double>(view_origin, "view_origin", {3});
+        view = {v[0], v[1], v[2]};
+    }
     const DeviceLock use(renderer.differentiable.get_open_device());
     renderer.differentiable->renderer().record_view_preparation(placed, view);
     renderer.placed = std::move(placed);

@@ -10,15 +10,6 @@
 namespace relidar::python {
 namespace {
 
-py::dict convert_evaluation_to_dict(const EvaluationResult& evaluation) {
-    py::list frames;
-    for (const ScoredFrame& frame : evaluation.frames)
-        frames.append(py::dict(py::arg("frame") = frame.frame, py::arg("time_s") = frame.time_s,
-                               py::arg("metrics") = frame.metrics));
-    return py::dict(py::arg("mean") = evaluation.mean, py::arg("frames") = frames,
-                    py::arg("trace_ms") = evaluation.trace_ms);
-}
-
 EvaluationResult evaluate_run_or_baseline(LoadedRun& loaded_run, const LidarSequence& log_with_real_scans,
                                           const std::optional<std::string>& baseline_name,
                                           const ProgressReporter& report_progress) {
@@ -48,8 +39,14 @@ py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<
         const py::gil_scoped_release others_run;
         read = load_log(run.run.config, progress);
     }
-    return convert_evaluation_to_dict(
-        evaluate_run_or_baseline(run, log ? log->sequence : read, baseline_name, progress));
+    const EvaluationResult evaluation =
+        evaluate_run_or_baseline(run, log ? log->sequence : read, baseline_name, progress);
+    py::list frames;
+    for (const ScoredFrame& frame : evaluation.frames)
+        frames.append(py::dict(py::arg("frame") = frame.frame, py::arg("time_s") = frame.time_s,
+                               py::arg("metrics") = frame.metrics));
+    return py::dict(py::arg("mean") = evaluation.mean, py::arg("frames") = frames,
+                    py::arg("trace_ms") = evaluation.trace_ms);
 }
 
 }  // namespace

@@ -39,18 +39,6 @@ struct RenderArguments {
     bool boxes;
 };
 
-PointCoordinateFrame parse_point_frame_name(const std::string& frame_name) {
-    if (frame_name == "sensor") return PointCoordinateFrame::sensor;
-    if (frame_name == "world") return PointCoordinateFrame::world;
-    throw UsageError(fmt::format("argument frame: found \"{}\", expected sensor or world", frame_name));
-}
-
-/// Returns the path of one LiDAR of the log in the world frame of the dataset.
-PoseTrack get_recorded_track_in_dataset_frame(const LidarSequence& sequence, int lidar_index) {
-    return add_offset_to_track_positions(sequence.get_world_from_sensor(lidar_index),
-                                         sequence.world_offset_m);
-}
-
 /// Checks that a track has poses around a time. At other times, the poses would be
 /// extrapolated.
 /// @throws UsageError if the time is more than `tolerance_s` before or after the track
@@ -84,19 +72,21 @@ ActorTracksByName convert_actor_pose_dict_to_tracks(const py::dict& poses_by_act
 
 /// Returns the index of the recorded sweep that is nearest in time.
 int find_nearest_frame_number(const LidarSequence& sequence, double time_s) {
-    const auto farther = [&](const LidarFrame& first, const LidarFrame& second) {
+    const auto is_nearer = [&](const LidarFrame& first, const LidarFrame& second) {
         return std::abs(first.time_s - time_s) < std::abs(second.time_s - time_s);
     };
-    return std::min_element(sequence.frames.begin(), sequence.frames.end(), farther)->index;
+    return std::min_element(sequence.frames.begin(), sequence.frames.end(), is_nearer)->index;
 }
 
 ScanRequest make_scan_request_from_arguments(const RenderArguments& arguments, const TrainedRun& run,
                                              int lidar_index) {
     ScanRequest request;
     request.time_s = arguments.time.value_or(run.sequence.frames.front().time_s);
-    request.dataset_from_sensor = arguments.pose.is_none()
-                                      ? get_recorded_track_in_dataset_frame(run.sequence, lidar_index)
-                                      : convert_python_poses_to_track(arguments.pose, "pose", request.time_s);
+    request.dataset_from_sensor =
+        arguments.pose.is_none()
+            ? add_offset_to_track_positions(run.sequence.get_world_from_sensor(lidar_index),
+                                            run.sequence.world_offset_m)
+            : convert_python_poses_to_track(arguments.pose, "pose", request.time_s);
     require_time_within_track(request.dataset_from_sensor, request.time_s, 0.0,
                               arguments.pose.is_none() ? "time in the log" : "time on the poses");
     if (arguments.actors)
@@ -147,7 +137,11 @@ py::dict render_scan_as_dict(LoadedRun& loaded_run, const RenderArguments& argum
                                         ? std::vector<bool>(run.scene.instances.size(), true)
                                         : mark_instances_with_names(run.scene, arguments.only);
     ScanOutputOptions format = make_default_output_options(run, sensor);
-    format.frame = parse_point_frame_name(arguments.frame);
+    if (arguments.frame == "sensor") format.frame = PointCoordinateFrame::sensor;
+    else if (arguments.frame == "world") format.frame = PointCoordinateFrame::world;
+    else
+        throw UsageError(
+            fmt::format("argument frame: found \"{}\", expected sensor or world", arguments.frame));
     format.deskew = arguments.deskew;
     const Weather weather = parse_weather(arguments.weather);
     DeviceObject<ScanRenderer>& renderer = loaded_run.get_renderer();
@@ -165,13 +159,6 @@ py::dict render_scan_as_dict(LoadedRun& loaded_run, const RenderArguments& argum
     if (request.dataset_from_actor) replace_actor_box_poses(format, *request.dataset_from_actor);
     arrays["boxes"] = find_actor_boxes_in_scan_as_dict(scan, format);
     return arrays;
-}
-
-std::vector<std::string> list_actor_track_names(const TrainedRun& run) {
-    std::vector<std::string> names;
-    for (const ModelInstance& instance : run.scene.instances)
-        if (!instance.track.empty()) names.push_back(instance.track);
-    return names;
 }
 
 std::unique_ptr<LoadedRun> load_run_with_settings(const fs::path& folder, const py::dict& settings,
@@ -241,17 +228,12 @@ constexpr const char* kHelpAfterWeather =
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not "
     "rigid, UsageError for unknown names and weather.";
 
-/// Returns the documentation of Run.render(). The list of weather effects is inserted in
-/// the middle.
-std::string make_render_help_text() {
-    return fmt::format(
+/// Adds the methods of the Python class for runs.
+void bind_run_methods(py::class_<LoadedRun>& run_class) {
+    const std::string render_help = fmt::format(
         "{}{}; `sample` is its seed, or 0 without it;\n    adds `source` [rows,columns] int32: {}{}",
         kHelpBeforeWeather, make_weather_help(), parse_channel_names("source").front().meaning,
         kHelpAfterWeather);
-}
-
-/// Adds the methods of the Python class for runs.
-void bind_run_methods(py::class_<LoadedRun>& run_class) {
     run_class
         .def_static("load", &load_run_with_settings, py::arg("folder"), py::kw_only(),
                     py::arg("settings") = py::dict(), py::arg("device") = py::none(),
@@ -283,7 +265,7 @@ void bind_run_methods(py::class_<LoadedRun>& run_class) {
             py::arg("time") = py::none(), py::arg("actors") = py::none(), py::arg("lidar") = "",
             py::arg("only") = std::vector<std::string>(), py::arg("sample") = py::none(),
             py::arg("frame") = "sensor", py::arg("deskew") = false, py::arg("weather") = "",
-            py::arg("boxes") = false, make_render_help_text().c_str())
+            py::arg("boxes") = false, render_help.c_str())
         .def(
             "rays",
             [](const LoadedRun& run, const py::object& sensor, const std::string& lidar) {
@@ -341,7 +323,10 @@ void bind_run_properties(py::class_<LoadedRun>& run_class) {
         .def_property_readonly(
             "actors",
             [](const LoadedRun& run) {
-                return make_actor_track_dict(run.run.sequence, list_actor_track_names(run.run));
+                std::vector<std::string> track_names;
+                for (const ModelInstance& instance : run.run.scene.instances)
+                    if (!instance.track.empty()) track_names.push_back(instance.track);
+                return make_actor_track_dict(run.run.sequence, track_names);
             },
             "Trajectories of the actors in the dataset's world: dict of track -> (times [n], poses "
             "[n,4,4]) of the centre of the box, in the form of render().")

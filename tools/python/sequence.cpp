@@ -54,12 +54,6 @@ py::dict make_scan_dict(const LoadedLog& log, int index_of_frame_in_log) {
     return dict;
 }
 
-std::vector<std::string> list_box_track_ids(const LidarSequence& sequence) {
-    std::vector<std::string> names;
-    for (const BoxTrack& box : sequence.boxes) names.push_back(box.id);
-    return names;
-}
-
 void save_synthetic_street(const fs::path& folder, std::uint64_t seed, int n_frames, int rows, int columns,
                            bool with_people, bool with_gait) {
     SyntheticOptions options;
@@ -149,7 +143,9 @@ void bind_sequence_class(py::module_& module) {
         .def_property_readonly(
             "boxes",
             [](const LoadedLog& log) {
-                return make_actor_track_dict(log.sequence, list_box_track_ids(log.sequence));
+                std::vector<std::string> track_names;
+                for (const BoxTrack& box : log.sequence.boxes) track_names.push_back(box.id);
+                return make_actor_track_dict(log.sequence, track_names);
             },
             "Trajectories of the labelled boxes in the dataset's world: dict of track -> (times [n], poses "
             "[n,4,4]) of the centre of the box.")

@@ -30,19 +30,6 @@ std::size_t count_terminal_columns(const std::string& text) {
     }));
 }
 
-/// Cuts a line to the width of the terminal. A longer line would wrap, and the next
-/// progress line could not overwrite a wrapped line.
-std::string truncate_to_terminal_width(const std::string& text) {
-    winsize size{};
-    const bool is_width_known = ::ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1;
-    return text.substr(0, is_width_known ? size.ws_col - 1u : std::string::npos);
-}
-
-bool is_numeric_cell(const std::string& text) {
-    return text.empty() || text == "-" || std::isdigit(static_cast<unsigned char>(text.front())) ||
-           (text.size() > 1 && text.front() == '-' && std::isdigit(static_cast<unsigned char>(text[1])));
-}
-
 }  // namespace
 
 std::string format_table(const std::vector<std::vector<std::string>>& rows) {
@@ -52,8 +39,12 @@ std::string format_table(const std::vector<std::vector<std::string>>& rows) {
         widths.resize(std::max(widths.size(), rows[r].size()), 0);
         right.resize(widths.size(), true);
         for (std::size_t c = 0; c < rows[r].size(); ++c) {
-            widths[c] = std::max(widths[c], count_terminal_columns(rows[r][c]));
-            if (r > 0 && !is_numeric_cell(rows[r][c])) right[c] = false;
+            const std::string& cell = rows[r][c];
+            widths[c] = std::max(widths[c], count_terminal_columns(cell));
+            const bool is_numeric =
+                cell.empty() || cell == "-" || std::isdigit(static_cast<unsigned char>(cell.front())) ||
+                (cell.size() > 1 && cell.front() == '-' && std::isdigit(static_cast<unsigned char>(cell[1])));
+            if (r > 0 && !is_numeric) right[c] = false;
         }
     }
     std::string text;
@@ -127,9 +118,15 @@ void TerminalProgress::show_progress_text(const std::string& text, bool ignore_r
     else if (last_ == Clock::time_point{}) interval = kPlainFirst;
     if (quiet_ || (!ignore_rate_limit && time - std::max(start_, last_) < interval)) return;
     last_ = time;
-    std::fputs(
-        terminal_ ? ("\r" + truncate_to_terminal_width(text) + "\x1b[K").c_str() : (text + "\n").c_str(),
-        stderr);
+    std::string line = text + "\n";
+    if (terminal_) {
+        // Cuts the text to the width of the terminal, because the next progress line
+        // cannot overwrite a line that wraps.
+        winsize size{};
+        const bool is_width_known = ::ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1;
+        line = "\r" + text.substr(0, is_width_known ? size.ws_col - 1u : std::string::npos) + "\x1b[K";
+    }
+    std::fputs(line.c_str(), stderr);
     std::fflush(stderr);
     line_open = terminal_;
 }

@@ -48,7 +48,7 @@ public:
     /// @param ignore_rate_limit if true, always shows the text
     void show_progress_text(const std::string& text, bool ignore_rate_limit = false);
 
-    /// Shows the progress of `n_total` equal steps as "what 3/10  2.1/s  eta 0:03".
+    /// Shows the progress of `n_total` equal steps as "what 3/10  2.1/s  remaining 0:03".
     void show_step_progress(const std::string& description, std::size_t n_done, std::size_t n_total);
 
 private:

@@ -16,12 +16,6 @@
 namespace relidar::cli {
 namespace {
 
-std::string format_command_line(const std::string& program_name, int argc, char** argv) {
-    std::string text = program_name;
-    for (int i = 1; i < argc; ++i) text += fmt::format(" {}", quote_word_for_shell(argv[i]));
-    return text;
-}
-
 void flush_stdout_or_throw() {
     if (std::fflush(stdout) != 0 || std::ferror(stdout))
         throw DataError(
@@ -40,7 +34,9 @@ std::string format_help_with_command_list(const CLI::App& app) {
 
 void parse_and_run_command(const ProgramDescription& program, int argc, char** argv) {
     CLI::App app(program.description, program.name);
-    ParsedCommand call{format_command_line(program.name, argc, argv), {}};
+    std::string command_line = program.name;
+    for (int i = 1; i < argc; ++i) command_line += fmt::format(" {}", quote_word_for_shell(argv[i]));
+    ParsedCommand call{command_line, {}};
     app.set_version_flag("--version", fmt::format("{} {}", program.name, RELIDAR_VERSION));
     app.require_subcommand(0, 1);
     app.footer(program.footer);

@@ -22,14 +22,6 @@ std::vector<std::string> list_command_names(const CLI::App& app) {
     return names;
 }
 
-std::vector<std::string> list_option_names(const CLI::App& command) {
-    std::vector<std::string> names;
-    for (const CLI::Option* option : command.get_options()) {
-        for (const std::string& name : option->get_lnames()) names.push_back("--" + name);
-    }
-    return names;
-}
-
 /// Replaces the parser message "Could not convert: --device = x" by a message that also
 /// names the expected value. All other messages stay as they are.
 std::string explain_conversion_error(const std::string& parser_message) {
@@ -39,10 +31,6 @@ std::string explain_conversion_error(const std::string& parser_message) {
     return fmt::format("{}: found \"{}\", expected an integer",
                        parser_message.substr(start.size(), at - start.size()),
                        parser_message.substr(at + middle.size()));
-}
-
-std::string remove_equal_sign_and_value(const std::string& option_with_value) {
-    return option_with_value.substr(0, option_with_value.find('='));
 }
 
 }  // namespace
@@ -62,10 +50,14 @@ std::string make_usage_error_message(const CLI::App& app, const std::string& par
                            fmt::join(list_command_names(command), ", "), help);
     if (unexpected.empty())
         return fmt::format("{} (see `{}`)", explain_conversion_error(parser_message), help);
-    const std::string word = remove_equal_sign_and_value(unexpected.front());
+    // Leaves out the value of an option that was typed as --name=value.
+    const std::string word = unexpected.front().substr(0, unexpected.front().find('='));
     if (word.size() > 1 && word.front() == '-') {
-        return fmt::format("unknown option {}{} (see `{}`)", word,
-                           format_name_suggestion(word, list_option_names(command)), help);
+        std::vector<std::string> option_names;
+        for (const CLI::Option* option : command.get_options())
+            for (const std::string& name : option->get_lnames()) option_names.push_back("--" + name);
+        return fmt::format("unknown option {}{} (see `{}`)", word, format_name_suggestion(word, option_names),
+                           help);
     }
     if (const std::vector<std::string> names = list_command_names(command); !names.empty())
         return fmt::format("unknown command {}{} (see `{}`)", word, format_name_suggestion(word, names),

@@ -24,21 +24,16 @@ using Clock = std::chrono::steady_clock;
 
 constexpr int kImageRows = 64, kImageColumns = 1024;
 
-/// Makes the surfels of a test actor: the benchmark street, scaled down to a length of
-/// about 4 m.
-Surfels make_benchmark_actor_surfels() {
+Scene make_scene_of_actors(int n_actors, bool one_model_per_actor) {
+    // A test actor is the benchmark street, scaled down to a length of about 4 m.
     constexpr float kHalfLength_m = 2.0f;
     Surfels actor = make_benchmark_street_surfels(kActorSurfels);
     float longest = 0.0f;
     for (const glm::vec3& mean : actor.mean) longest = std::max(longest, glm::length(mean));
     for (glm::vec3& mean : actor.mean) mean *= kHalfLength_m / longest;
-    return actor.reorder(compute_kd_tree_order(actor.mean));
-}
-
-Scene make_scene_of_actors(int n_actors, bool one_model_per_actor) {
     Scene scene = make_background_scene({});
     scene.models.push_back({"actor", 0, kActorSurfels});
-    scene.surfels = make_benchmark_actor_surfels();
+    scene.surfels = actor.reorder(compute_kd_tree_order(actor.mean));
     for (int i = 0; i < n_actors; ++i) scene.instances.push_back({1, fmt::format("{}", i)});
     return one_model_per_actor ? relidar::duplicate_shared_models(std::move(scene)) : scene;
 }

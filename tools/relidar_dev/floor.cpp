@@ -24,14 +24,6 @@ double compute_sh_bytes_per_surfel(const MemoryTrafficSizes& sizes) { return 4 *
 double get_sh_bytes_if_evaluated_per_ray(const MemoryTrafficSizes& sizes) {
     return sizes.sh_per_surfel ? 0.0 : compute_sh_bytes_per_surfel(sizes);
 }
-double get_sh_bytes_if_evaluated_per_surfel(const MemoryTrafficSizes& sizes) {
-    return sizes.sh_per_surfel ? compute_sh_bytes_per_surfel(sizes) : 0.0;
-}
-
-/// Returns how many 8-bit digits the radix sort needs for n different keys.
-double count_radix_sort_digits(double n_different_keys) {
-    return std::ceil(std::bit_width(static_cast<std::uint64_t>(n_different_keys)) / 8.0);
-}
 
 double count_bvh_refit_bytes(const MemoryTrafficSizes& sizes) {
     return sizes.n_surfels * (kBox + kIndex) + kFewestNodes * sizes.n_surfels * (28 + kNode + kBox);
@@ -62,8 +54,8 @@ double count_backward_trace_bytes(const MemoryTrafficSizes& sizes) {
 /// functions. The kernel reads the gradients of all surfels. For surfels with a gradient,
 /// it also reads parameters and writes parameter gradients.
 double count_activation_gradient_bytes(const MemoryTrafficSizes& sizes) {
-    return sizes.n_surfels * (kRecord + kMark) +
-           sizes.n_touched * 2 * (kGeometry + get_sh_bytes_if_evaluated_per_surfel(sizes));
+    const double sh_bytes = sizes.sh_per_surfel ? compute_sh_bytes_per_surfel(sizes) : 0.0;
+    return sizes.n_surfels * (kRecord + kMark) + sizes.n_touched * 2 * (kGeometry + sh_bytes);
 }
 
 /// Returns the number of bytes of one optimizer step (Adam). The kernel reads the
@@ -121,7 +113,9 @@ constexpr KernelTraffic kFloorRows[] = {
     {"diff/backward/trace", KernelCondition::training, count_backward_trace_bytes},
     {"backward/sort", KernelCondition::gather,
      [](const MemoryTrafficSizes& sizes) {
-         return sizes.n_hits * count_radix_sort_digits(sizes.n_surfels) * (kRow + 2 * (kRow + kIndex));
+         // number of 8-bit digits that n_surfels different keys need
+         const double n_digits = std::ceil(std::bit_width(static_cast<std::uint64_t>(sizes.n_surfels)) / 8.0);
+         return sizes.n_hits * n_digits * (kRow + 2 * (kRow + kIndex));
      }},
     {"diff/backward/gather", KernelCondition::gather,
      [](const MemoryTrafficSizes& sizes) {

@@ -30,10 +30,6 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using TimesByKernel = std::map<std::string, std::vector<double>>;
 
-/// Returns the warm-up time of a device. It is needed because the first launches compile
-/// kernels, and because a GPU raises its clock rate only under load.
-double choose_warm_up_time_ms(const Device& device) { return device.info().type == "CPU" ? 200.0 : 2000.0; }
-
 constexpr const char* kOrder[] = {"scene/activate",
                                   "diff/accel/proxies",
                                   "accel/build",
@@ -66,15 +62,6 @@ RendererOptions make_forward_renderer_options(const DevCase& bench_case) {
     return {.accel = make_benchmark_accel_options(bench_case),
             .trace = make_benchmark_trace_options(bench_case),
             .n_rays = static_cast<std::uint32_t>(bench_case.rays.size())};
-}
-
-RendererOptions make_training_renderer_options(const DevCase& bench_case, std::uint32_t stored_hits_per_ray) {
-    RendererOptions options = make_forward_renderer_options(bench_case);
-    options.trace = make_training_trace_options(bench_case.config);
-    options.trace.traversal_mode = bench_case.traversal_mode;
-    options.trace.order = bench_case.order;
-    options.keep_hits = stored_hits_per_ray;
-    return options;
 }
 
 /// Returns how many hits per ray would be stored at the end of a training. Training
@@ -139,8 +126,13 @@ public:
         }
         if (!includes_training) return;
         image_.reset();
+        RendererOptions options = make_forward_renderer_options(case_);
+        options.trace = make_training_trace_options(case_.config);
+        options.trace.traversal_mode = case_.traversal_mode;
+        options.trace.order = case_.order;
+        options.keep_hits = keep;
         training_ = std::make_unique<TrainingStep>(
-            device_, case_, make_training_renderer_options(case_, keep),
+            device_, case_, options,
             make_loss_targets_from_noisy_image(rendering, case_.config.loss.normalised_depth));
     }
 
@@ -335,11 +327,14 @@ BenchResult run_benchmark(Device& device, const DevCase& bench_case_case, const 
                      : bench.measure_forward_pass_by_wall_clock();
     };
     bench.create_renderers_and_count_hits(settings.backward && device_clock);
+    // Warms up, because the first launches compile kernels, and because a GPU raises its
+    // clock rate only under load.
+    const double warm_up_ms = device.info().type == "CPU" ? 200.0 : 2000.0;
     const Clock::time_point start = Clock::now();
     do {
         throw_if_interrupted();
         repeat();
-    } while (measure_ms_since(start) < choose_warm_up_time_ms(device));
+    } while (measure_ms_since(start) < warm_up_ms);
     bench.clear_time_samples();
     TerminalProgress progress(settings.quiet);
     for (int i = 0; i < settings.repeat; ++i) {

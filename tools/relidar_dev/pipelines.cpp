@@ -52,15 +52,10 @@ std::vector<PipelineStatistics> compile_requested_pipelines(const PipelinesOptio
     return all;
 }
 
-std::vector<std::string> list_statistic_names(const std::vector<PipelineStatistics>& pipelines) {
+std::vector<std::vector<std::string>> make_statistic_rows(const std::vector<PipelineStatistics>& pipelines) {
     std::set<std::string> names;
     for (const PipelineStatistics& p : pipelines)
         for (const auto& [name, value] : p.values) names.insert(name);
-    return {names.begin(), names.end()};
-}
-
-std::vector<std::vector<std::string>> make_statistic_rows(const std::vector<PipelineStatistics>& pipelines) {
-    const std::vector<std::string> names = list_statistic_names(pipelines);
     std::vector<std::vector<std::string>> rows{{"kernel", "constants", "workgroup", "subgroup", "failure"}};
     rows[0].insert(rows[0].end(), names.begin(), names.end());
     for (const PipelineStatistics& p : pipelines) {

@@ -46,13 +46,6 @@ std::string get_bvh_traversal_mode_name(const DevCase& bench_case) {
 std::string get_device_backend_name(const Device& device) {
     return device.get_ray_tracing_backend() == RayTracingBackend::software ? "software" : "ray_query";
 }
-/// Returns a text that names the selected ray traversal and its variant.
-std::string describe_traversal_variant(const Device& device, const DevCase& bench_case,
-                                       const BenchResult& result) {
-    return device.get_ray_tracing_backend() == RayTracingBackend::software
-               ? "walk " + get_bvh_traversal_mode_name(bench_case)
-               : "proxy " + result.proxy;
-}
 std::string get_sh_evaluation_direction_name(const DevCase& bench_case) {
     return bench_case.config.image.sh_direction == ShDirection::ray ? "ray" : "surfel";
 }
@@ -160,10 +153,12 @@ std::string format_bench_result(const DevCase& bench_case, const BenchResult& re
     std::string text = fmt::format("case      {}: {} surfels, {} rays ({} x {})\n", bench_case.name,
                                    bench_case.scene.surfels.size(), bench_case.rays.size(), bench_case.rows,
                                    bench_case.columns);
+    const std::string traversal_variant = device.get_ray_tracing_backend() == RayTracingBackend::software
+                                              ? "walk " + get_bvh_traversal_mode_name(bench_case)
+                                              : "proxy " + result.proxy;
     text += fmt::format("device    {}\nsettings  traversal {}, {}, chunk {}, harmonics along the {}",
-                        device.info().name, get_device_backend_name(device),
-                        describe_traversal_variant(device, bench_case, result), bench_case.config.trace.chunk,
-                        get_sh_evaluation_direction_name(bench_case));
+                        device.info().name, get_device_backend_name(device), traversal_variant,
+                        bench_case.config.trace.chunk, get_sh_evaluation_direction_name(bench_case));
     text += result.sizes.training
                 ? fmt::format(", {} hits stored per ray, gradients by {}\n", result.stored_hits_per_ray,
                               get_gradient_summation_method_name(result))

@@ -33,8 +33,6 @@ constexpr int kMostDescriptors = 16384;
 // Number of file descriptors that are reserved for files and the GPU driver.
 constexpr int kReservedDescriptors = 256;
 
-std::string get_errno_message(int error_number) { return std::generic_category().message(error_number); }
-
 [[noreturn]] void throw_listen_error(const std::string& address, const std::string& reason) {
     throw UsageError(
         fmt::format("cannot listen at {}: {}; use a free HOST:PORT of this machine", address, reason));
@@ -90,17 +88,6 @@ int open_listening_socket(const addrinfo& address) {
     return -1;
 }
 
-/// Returns the lowest file descriptor number at which a new connection is closed. The
-/// system always assigns the lowest free number, so a high number means that many
-/// descriptors are open.
-int compute_first_refused_file_descriptor() {
-    rlimit limit{};
-    const bool has_usable_limit =
-        ::getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < rlim_t(kMostDescriptors);
-    const int most = has_usable_limit ? int(limit.rlim_cur) : kMostDescriptors;
-    return most - std::min(kReservedDescriptors, most / 4);
-}
-
 }  // namespace
 
 Acceptor::Acceptor(const std::string& text) {
@@ -122,8 +109,8 @@ Acceptor::Acceptor(const std::string& text) {
     const bool is_port_in_use = error == EADDRINUSE && host_port.port != 0;
     if (listeners_.empty() || is_port_in_use || ::pipe2(wake_, O_CLOEXEC) != 0) {
         close_all_listening_sockets();
-        throw_listen_error(text,
-                           is_port_in_use ? "another process already uses it" : get_errno_message(error));
+        throw_listen_error(text, is_port_in_use ? "another process already uses it"
+                                                : std::generic_category().message(error));
     }
 }
 
@@ -172,7 +159,14 @@ void Acceptor::accept_connection(int listening_socket) {
     if (is_full) std::this_thread::sleep_for(kPause);
     // Does nothing if the client has already disconnected.
     if (connection < 0) return;
-    if (connection >= compute_first_refused_file_descriptor()) ::close(connection);
+    rlimit limit{};
+    const bool has_usable_limit =
+        ::getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < rlim_t(kMostDescriptors);
+    const int most_descriptors = has_usable_limit ? int(limit.rlim_cur) : kMostDescriptors;
+    // The system always assigns the lowest free number, so a high number means that many
+    // descriptors are open.
+    if (connection >= most_descriptors - std::min(kReservedDescriptors, most_descriptors / 4))
+        ::close(connection);
     else receive_(listening_socket, connection);
 }
 

@@ -56,13 +56,6 @@ std::size_t count_first_returns(const LidarPoints& points) {
     return std::size_t(std::ranges::count(points.return_number, 1));
 }
 
-double compute_track_length_m(const PoseTrack& track) {
-    double length = 0.0;
-    for (std::size_t i = 1; i < track.pose.size(); ++i)
-        length += glm::distance(track.pose[i].translation, track.pose[i - 1].translation);
-    return length;
-}
-
 void write_actor_into_message(const TrainedRun& run, const std::string& actor_name, v1::Actor& message) {
     message.set_name(actor_name);
     const BoxTrack* box = find_box_track_by_id(run.sequence, actor_name);
@@ -71,7 +64,10 @@ void write_actor_into_message(const TrainedRun& run, const std::string& actor_na
     message.set_category(box->category);
     write_vector(box->size_m, *message.mutable_size_m());
     message.set_poses(track.pose.size());
-    message.set_length_m(compute_track_length_m(track));
+    double length_m = 0.0;
+    for (std::size_t i = 1; i < track.pose.size(); ++i)
+        length_m += glm::distance(track.pose[i].translation, track.pose[i - 1].translation);
+    message.set_length_m(length_m);
     if (track.time_s.empty()) return;
     message.set_begin_s(track.time_s.front());
     message.set_end_s(track.time_s.back());

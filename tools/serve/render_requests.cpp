@@ -12,12 +12,6 @@
 namespace relidar::serve {
 namespace {
 
-std::vector<std::string> list_spawned_actor_names(const std::vector<SpawnedActorRegistry::SpawnSlot>& slots) {
-    std::vector<std::string> names;
-    for (const SpawnedActorRegistry::SpawnSlot& slot : slots) names.push_back(slot.actor.name);
-    return names;
-}
-
 /// Calls a function with the renderer of the requested scene. If the scene cannot be
 /// loaded, the error message names the folder of its run.
 template <class Function>
@@ -107,8 +101,9 @@ void SpawnRequest::submit_to_device(bool) { occupied_slots = scenes_.spawn_actor
 /// Removes the spawned actors, because a client that did not receive the response would
 /// never remove them.
 void SpawnRequest::revert_effects_of_cancelled_request() {
-    scenes_.get_spawned_actors().remove_actors_and_free_slots(spawn_scene_,
-                                                              list_spawned_actor_names(occupied_slots));
+    std::vector<std::string> names;
+    for (const SpawnedActorRegistry::SpawnSlot& slot : occupied_slots) names.push_back(slot.actor.name);
+    scenes_.get_spawned_actors().remove_actors_and_free_slots(spawn_scene_, names);
 }
 
 }  // namespace relidar::serve

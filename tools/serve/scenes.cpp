@@ -15,27 +15,6 @@ namespace {
 
 constexpr double kMiB = 1024.0 * 1024.0;
 
-/// Returns the run without its surfels and its ray-drop network, which need most of the
-/// memory.
-TrainedRun copy_run_without_model_data(TrainedRun run) {
-    run.scene = copy_scene_without_surfels(run.scene);
-    run.drop_network = {};
-    return run;
-}
-
-/// Returns a sensor with a single ray. Rendering this ray uploads the complete scene to
-/// the device.
-SimulatedSensor make_one_ray_sensor() {
-    return {.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}}, .name = "one ray"};
-}
-
-ScanRequest make_scan_request_at_first_log_pose(const TrainedRun& run) {
-    const PoseTrack track = run.sequence.get_world_from_sensor(0);
-    Pose pose = track.pose.front();
-    pose.translation += run.sequence.world_offset_m;
-    return {track.time_s.front(), {{track.time_s.front()}, {pose}}};
-}
-
 }  // namespace
 
 SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes,
@@ -49,7 +28,10 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
     for (std::size_t i = 0; i < sources_.size(); ++i) {
         TrainedRun run = sources_[i].load_run_and_select_output_channels();
         load_scene_to_device(i, run);
-        outlines_.push_back(copy_run_without_model_data(std::move(run)));
+        // Removes the surfels and the ray-drop network, which need most of the memory.
+        run.scene = copy_scene_without_surfels(run.scene);
+        run.drop_network = {};
+        outlines_.push_back(std::move(run));
         if (loaded_[i].bytes > memory_bytes_)
             throw DataError(fmt::format(
                 "cannot serve {}: it needs {:.1f} MiB of device memory, expected at most {:.1f} MiB "
@@ -106,7 +88,13 @@ void SceneSet::load_scene_to_device(std::size_t scene_index, const TrainedRun& r
     loaded.load = SceneLoadNumber(std::uint64_t(loaded.load) + 1);
     call_and_add_allocated_scene_bytes(scene_index, [&] {
         loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
-        loaded.renderer->render(make_one_ray_sensor(), make_scan_request_at_first_log_pose(run));
+        // Rendering a single ray uploads the complete scene to the device.
+        const SimulatedSensor sensor{.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}},
+                                     .name = "one ray"};
+        const PoseTrack track = run.sequence.get_world_from_sensor(0);
+        Pose pose = track.pose.front();
+        pose.translation += run.sequence.world_offset_m;
+        loaded.renderer->render(sensor, ScanRequest{track.time_s.front(), {{track.time_s.front()}, {pose}}});
     });
     const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
     // Number of copies of the scene that fit into the free memory. Parallel rendering

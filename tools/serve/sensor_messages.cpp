@@ -112,22 +112,20 @@ RayTable read_ray_table_message(const v1::RayTable& message, const std::string& 
     return rays;
 }
 
-/// Adds a beam to the sensor. Applies the same limits as for beams in sensor files.
-void add_beam_from_message(const v1::Beam& message, const std::string& field_name, SpinningSensor& sensor) {
-    const Beam beam{
-        require_number_in_range(field_name + ".elevation_rad", message.elevation_rad(), -kPi / 2, kPi / 2),
-        require_number_in_range(field_name + ".azimuth_offset_rad", message.azimuth_offset_rad(), -kPi, kPi),
-        require_number_in_range(field_name + ".origin_offset_m", message.origin_offset_m(), -kFarthestBeam_m,
-                                kFarthestBeam_m)};
-    sensor.beams.push_back(beam);
-}
-
 SpinningSensor read_spinning_sensor(const v1::SpinningSensor& message, const std::string& field_name) {
     require_allowed_rays_per_scan(field_name, std::uint64_t(message.beams_size()) * message.columns());
     require_allowed_row_count(field_name, std::uint64_t(message.beams_size()));
     SpinningSensor sensor;
-    for (const v1::Beam& beam : message.beams())
-        add_beam_from_message(beam, fmt::format("{}.beams[{}]", field_name, sensor.beams.size()), sensor);
+    // Beams in messages have the same limits as beams in sensor files.
+    for (const v1::Beam& beam : message.beams()) {
+        const std::string beam_field = fmt::format("{}.beams[{}]", field_name, sensor.beams.size());
+        sensor.beams.push_back(
+            {require_number_in_range(beam_field + ".elevation_rad", beam.elevation_rad(), -kPi / 2, kPi / 2),
+             require_number_in_range(beam_field + ".azimuth_offset_rad", beam.azimuth_offset_rad(), -kPi,
+                                     kPi),
+             require_number_in_range(beam_field + ".origin_offset_m", beam.origin_offset_m(),
+                                     -kFarthestBeam_m, kFarthestBeam_m)});
+    }
     // Checks only that the first beam is above the last beam, because neighbouring beams
     // of real sensors can be slightly out of order.
     if (const auto& beams = sensor.beams;
@@ -180,15 +178,6 @@ RosetteSensor read_rosette(const v1::Rosette& message, const std::string& field_
                 require_number_in_range(field_name + ".period_s", message.period_s(), 1e-4, kLongestScan_s)};
 }
 
-/// Returns the name of a sensor without its resolution and rate, for example "VLP-16" for
-/// "VLP-16:900x20". Returns the full name if the part after the colon has another form.
-std::string remove_resolution_from_sensor_name(const std::string& sensor_name) {
-    const std::size_t colon = sensor_name.rfind(':');
-    const bool sized = colon != std::string::npos &&
-                       sensor_name.find_first_not_of("0123456789x.", colon + 1) == std::string::npos;
-    return sized ? sensor_name.substr(0, colon) : sensor_name;
-}
-
 }  // namespace
 
 SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& field_name) {
@@ -237,8 +226,14 @@ SimulatedSensor find_built_in_or_log_sensor(const std::string& sensor_name_or_na
     if (sensor_name_or_native.empty()) return make_sensor_from_config(run.config, run.sequence, lidar_index);
     if (find_name_ignoring_case(sensor_name_or_native, {"native", make_kitti360_grid().name}))
         return find_or_load_sensor(sensor_name_or_native, run.config, run.sequence, lidar_index);
+    // The name may end with a resolution and a rate, for example "VLP-16:900x20".
+    const std::string& full_name = sensor_name_or_native;
+    const std::size_t colon = full_name.rfind(':');
+    const bool sized = colon != std::string::npos &&
+                       full_name.find_first_not_of("0123456789x.", colon + 1) == std::string::npos;
+    const std::string base_name = sized ? full_name.substr(0, colon) : full_name;
     std::vector<std::string> sensor_names = list_sensor_names();
-    if (!find_name_ignoring_case(remove_resolution_from_sensor_name(sensor_name_or_native), sensor_names)) {
+    if (!find_name_ignoring_case(base_name, sensor_names)) {
         sensor_names.push_back("native");
         throw_invalid_field(
             "sensor.name", shorten_and_quote_client_text(sensor_name_or_native),

@@ -36,10 +36,6 @@ const LidarTypeSensor& get_sensor_of_supported_lidar_type(sensorsim::LidarType l
     return *match;
 }
 
-bool are_poses_equal(const Pose& first, const Pose& second) {
-    return first.translation == second.translation && first.rotation == second.rotation;
-}
-
 void write_pose(const Pose& pose, PoseTransformOrder pose_order, sensorsim::Pose& message) {
     const glm::dvec3 t = pose_order == PoseTransformOrder::rotation_first
                              ? pose.translation
@@ -124,7 +120,7 @@ PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const 
     start.translation += frame.world_offset_m;
     end.translation += frame.world_offset_m;
     if (frame.end_s > frame.start_s) return {{frame.start_s, frame.end_s}, {start, end}};
-    if (!are_poses_equal(start, end))
+    if (start.translation != end.translation || start.rotation != end.rotation)
         throw_invalid_field(field_name, "two different poses in a frame without duration",
                             "the same pose at start and end, or a frame_end_us after frame_start_us");
     return {{frame.start_s}, {start}};

@@ -49,13 +49,6 @@ std::string read_pem_file(const std::string& file_path) {
     return text;
 }
 
-std::shared_ptr<grpc::ServerCredentials> make_server_credentials(const ServerOptions& options) {
-    if (options.tls_cert.empty()) return grpc::InsecureServerCredentials();
-    grpc::SslServerCredentialsOptions tls;
-    tls.pem_key_cert_pairs.push_back({read_pem_file(options.tls_key), read_pem_file(options.tls_cert)});
-    return grpc::SslServerCredentials(tls);
-}
-
 /// Turns off the log of gRPC and Protobuf on stderr. gRPC only repeats errors that
 /// relidar reports. Protobuf prints a line for each invalid UTF-8 text, so any client
 /// could fill the disk.
@@ -66,10 +59,6 @@ void disable_grpc_log() {
 #if GOOGLE_PROTOBUF_VERSION < 4022000
     google::protobuf::SetLogHandler(nullptr);
 #endif
-}
-
-std::uint64_t choose_memory_limit_of_scenes_bytes(const ServerOptions& options, const Device& device) {
-    return options.memory_mib > 0 ? options.memory_mib << 20 : device.info().memory_bytes / 2;
 }
 
 }  // namespace
@@ -118,9 +107,16 @@ void ScanServer::Impl::start_listening(const ServerOptions& options) {
     builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, kKeepalive_ms);
     builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, kHandshake_ms);
     builder.AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, kLongestIdle_ms);
+    std::shared_ptr<grpc::ServerCredentials> credentials;
+    if (options.tls_cert.empty()) {
+        credentials = grpc::InsecureServerCredentials();
+    } else {
+        grpc::SslServerCredentialsOptions tls;
+        tls.pem_key_cert_pairs.push_back({read_pem_file(options.tls_key), read_pem_file(options.tls_cert)});
+        credentials = grpc::SslServerCredentials(tls);
+    }
     using FromDescriptor = grpc::ServerBuilder::experimental_type::ExternalConnectionType;
-    connections = builder.experimental().AddExternalConnectionAcceptor(FromDescriptor::FROM_FD,
-                                                                       make_server_credentials(options));
+    connections = builder.experimental().AddExternalConnectionAcceptor(FromDescriptor::FROM_FD, credentials);
     builder.RegisterService(&*service);
     if (sensorsim) sensorsim->register_services(builder);
     server = builder.BuildAndStart();
@@ -153,8 +149,9 @@ ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Im
     impl_->assets.emplace(options.assets);
     impl_->run_on_render_thread([&] {
         impl_->device.emplace(options.device);
-        impl_->scenes.emplace(*impl_->device, std::move(sources),
-                              choose_memory_limit_of_scenes_bytes(options, *impl_->device), *impl_->assets);
+        const std::uint64_t scene_memory_bytes =
+            options.memory_mib > 0 ? options.memory_mib << 20 : impl_->device->info().memory_bytes / 2;
+        impl_->scenes.emplace(*impl_->device, std::move(sources), scene_memory_bytes, *impl_->assets);
     });
     if (ScanRenderer::choose_max_parallel_scans(*impl_->device) > 1)
         impl_->queue.set_max_requests_per_batch(kBatchSize);

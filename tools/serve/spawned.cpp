@@ -53,13 +53,6 @@ std::uint32_t get_model_index_of_actor(const Scene& scene, const std::string& tr
     return instance->model;
 }
 
-/// Loads an asset and adds its surfel model to the scene.
-std::uint32_t add_asset_model(Scene& scene, const std::filesystem::path& asset_folder) {
-    const TrainedRun asset = load_run(asset_folder);
-    return append_model(scene, asset.scene,
-                        get_model_index_of_actor(asset.scene, get_only_actor_track(asset)));
-}
-
 }  // namespace
 
 std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::list_all_slots(
@@ -142,7 +135,10 @@ void add_spawned_actors_to_run(TrainedRun& run, const std::vector<SpawnedActorRe
             model = model_entry->second;
         else {
             const AssetCatalogue::CatalogueEntry& asset = *assets.find_asset(source.name);
-            model = models[source.name] = add_asset_model(run.scene, asset.folder);
+            const TrainedRun asset_run = load_run(asset.folder);
+            model = models[source.name] =
+                append_model(run.scene, asset_run.scene,
+                             get_model_index_of_actor(asset_run.scene, get_only_actor_track(asset_run)));
             // Adds a box, from which the output channel "class" reads the kind of the
             // actor, for example vehicle.
             run.sequence.boxes.push_back({.id = run.scene.models[model].name,

@@ -78,13 +78,6 @@ std::uint32_t get_required_uint32_member(const Json& object, const char* member_
     return require_uint32(*member, member_name);
 }
 
-std::vector<double> list_sweep_times_of_lidar_s(const LidarSequence& log, int lidar_index) {
-    std::vector<double> times_s;
-    for (const LidarFrame& frame : log.frames)
-        if (frame.lidar == lidar_index) times_s.push_back(frame.time_s);
-    return times_s;
-}
-
 }  // namespace
 
 FoxglovePlayer::FoxglovePlayer(const TrainedRun& run, Device& device, FoxgloveSendCallbacks answers)
@@ -93,8 +86,10 @@ FoxglovePlayer::FoxglovePlayer(const TrainedRun& run, Device& device, FoxgloveSe
       answers_(std::move(answers)),
       sensor_(make_sensor_from_config(run.config, run.sequence)),
       format_(make_default_output_options(run, sensor_)),
-      topics_(ScanMessageEncoder({format_}).list_topics()),
-      times_s_(list_sweep_times_of_lidar_s(run.sequence, sensor_.lidar)) {}
+      topics_(ScanMessageEncoder({format_}).list_topics()) {
+    for (const LidarFrame& frame : run.sequence.frames)
+        if (frame.lidar == sensor_.lidar) times_s_.push_back(frame.time_s);
+}
 
 void FoxglovePlayer::add_client_and_send_topics(ClientId id) {
     const Json info{{"op", "serverInfo"}, {"name", "relidar"}, {"capabilities", Json::array({"time"})}};

@@ -34,16 +34,6 @@ std::vector<std::string> list_native_and_built_in_sensor_names() {
     return names;
 }
 
-/// Lists the edits that change the surfels of the scene. Scenes with equal lists can
-/// share a renderer. A copied actor is listed as (name of its run, name of its track). A
-/// moved actor is listed as (name of its track, "").
-std::vector<std::pair<std::string, std::string>> list_copied_and_moved_actors(const ActorEdits& edits) {
-    std::vector<std::pair<std::string, std::string>> models;
-    for (const ActorEdits::ActorCopy& copy : edits.copies) models.emplace_back(copy.from, copy.of);
-    for (const auto& [track, by] : edits.moves) models.emplace_back(track, "");
-    return models;
-}
-
 /// Returns a hash (FNV-1a) of the run's path, so that clients do not learn the path.
 /// After a restart, the web page compares the hash to detect another run.
 std::string compute_hash_text_of_run_path(const TrainedRun& run) {
@@ -61,17 +51,6 @@ Json make_copyable_actors_json(const TrainedRun& run) {
             actors.push_back({{"track", box->id}, {"category", box->category}});
     }
     return actors;
-}
-
-Json make_runs_with_copyable_actors_json(const OtherRunsByName& other_runs) {
-    Json result = Json::array();
-    for (const auto& [name, run] : other_runs)
-        result.push_back({{"name", name}, {"actors", make_copyable_actors_json(run)}});
-    return result;
-}
-
-bool is_identity_pose(const Pose& pose) {
-    return pose.translation == glm::dvec3(0.0) && std::abs(pose.rotation.w) == 1.0;
 }
 
 /// A file in a private temporary folder. The destructor removes both the file and the
@@ -104,12 +83,6 @@ private:
     std::filesystem::path folder_;
 };
 
-Json make_sensor_size_json(const SimulatedSensor& sensor, double time_s) {
-    const RayTable rays =
-        sensor.rays.size() == 0 && sensor.pattern ? make_rays(*sensor.pattern, time_s) : sensor.rays;
-    return {{"name", sensor.name}, {"rows", rays.rows}, {"columns", rays.columns}, {"rays", rays.size()}};
-}
-
 void require_ray_count_within_viewer_limit(const SimulatedSensor& sensor) {
     if (sensor.rays.size() > kMaxRays)
         throw UsageError(
@@ -126,13 +99,6 @@ Json make_channels_json(const Config& config) {
     for (const ChannelInfo& channel : parse_channel_names(config.render.channels + ",source"))
         channels.push_back({{"name", channel.name}, {"unit", channel.unit}, {"meaning", channel.meaning}});
     return channels;
-}
-
-/// Returns the help text and the examples for the weather field of the web page.
-Json make_weather_help_json() {
-    std::string examples = "clear";
-    for (const WeatherEffectEntry* effect : kWeatherEffects) examples += fmt::format(" {}", effect->examples);
-    return {{"help", make_weather_help()}, {"examples", examples}};
 }
 
 }  // namespace
@@ -157,13 +123,19 @@ Json BrowserScanRenderer::make_initial_page_data_json() const {
     }
     for (const Lidar& lidar : log.lidars)
         lidars.push_back({{"name", lidar.name}, {"sensor", lidar.sensor.name}});
+    Json others = Json::array();
+    for (const auto& [name, run] : others_)
+        others.push_back({{"name", name}, {"actors", make_copyable_actors_json(run)}});
+    std::string weather_examples = "clear";
+    for (const WeatherEffectEntry* effect : kWeatherEffects)
+        weather_examples += fmt::format(" {}", effect->examples);
     return {{"kind", "hello"},
             {"run", run_.folder.filename().empty() ? run_.folder.parent_path().filename().string()
                                                    : run_.folder.filename().string()},
             {"identity", compute_hash_text_of_run_path(run_)},
             {"log", log.name},
             {"actors", make_copyable_actors_json(run_)},
-            {"others", make_runs_with_copyable_actors_json(others_)},
+            {"others", others},
             {"surfels", count_surfels(run_.scene)},
             {"device", device_.info().name},
             {"frames", frames},
@@ -171,7 +143,7 @@ Json BrowserScanRenderer::make_initial_page_data_json() const {
             {"sensors", list_native_and_built_in_sensor_names()},
             {"max_range_m", run_.config.dataset.max_range_m},
             {"channels", make_channels_json(run_.config)},
-            {"weather", make_weather_help_json()}};
+            {"weather", {{"help", make_weather_help()}, {"examples", weather_examples}}}};
 }
 
 SimulatedSensor BrowserScanRenderer::make_sensor_for_tab(TabCache& tab_cache,
@@ -223,14 +195,23 @@ Json BrowserScanRenderer::store_uploaded_sensor_and_describe_it(TabCache& tab_ca
     require_ray_count_within_viewer_limit(sensor);
     sensor.name = file.name;
     tab_cache.file_sensor = std::move(sensor);
-    return make_sensor_size_json(*tab_cache.file_sensor, 0.0);
+    const SimulatedSensor& stored_sensor = *tab_cache.file_sensor;
+    const RayTable rays = stored_sensor.rays.size() == 0 && stored_sensor.pattern
+                              ? make_rays(*stored_sensor.pattern, 0.0)
+                              : stored_sensor.rays;
+    return {{"name", file.name}, {"rows", rays.rows}, {"columns", rays.columns}, {"rays", rays.size()}};
 }
 
 /// Returns a renderer for the scene with all edits. Creates a new renderer if an actor is
 /// copied or moved for the first time, because the surfels change. Other edits reuse the
 /// renderer.
 ScanRenderer& BrowserScanRenderer::get_renderer_for_edited_scene(const EditedTraffic& traffic) {
-    const auto models = list_copied_and_moved_actors(traffic.get_edits());
+    // Only copied and moved actors change the surfels of the scene. Scenes with equal
+    // lists of these actors can share a renderer.
+    std::vector<std::pair<std::string, std::string>> models;
+    for (const ActorEdits::ActorCopy& copy : traffic.get_edits().copies)
+        models.emplace_back(copy.from, copy.of);
+    for (const auto& [track, by] : traffic.get_edits().moves) models.emplace_back(track, "");
     if (!renderer_ || rendered_ != models) {
         renderer_.reset();  // Frees the memory of the old renderer before a new one is created.
         if (models.empty()) {
@@ -305,8 +286,10 @@ std::string BrowserScanRenderer::render_scan_as_binary_message(TabCache& tab_cac
     const LidarSequence& log = run_.sequence;
     const LidarFrame* real = find_measured_frame_to_compare_with(request);
     const bool on_frame = real && std::abs(real->time_s - request.time_s) < kSameTime_s;
-    const bool is_matched = on_frame && sensor.is_log_lidar && !sensor.grid &&
-                            is_identity_pose(request.sensor_offset) && request.simulate;
+    const bool is_at_log_pose = request.sensor_offset.translation == glm::dvec3(0.0) &&
+                                std::abs(request.sensor_offset.rotation.w) == 1.0;
+    const bool is_matched =
+        on_frame && sensor.is_log_lidar && !sensor.grid && is_at_log_pose && request.simulate;
     const Pose log_pose = log.get_world_from_sensor(request.lidar).interpolate_pose(request.time_s);
     Json names = Json::array();
     for (const ModelInstance& instance : tab_cache.traffic->get_instances())

@@ -64,8 +64,9 @@ private:
     Device& device_;
     RecordedScans real_;
     std::optional<ScanRenderer> renderer_;
-    /// Copied and moved actors in the scene of the current renderer, as listed by
-    /// list_copied_and_moved_actors().
+    /// Copied and moved actors in the scene of the current renderer. A copied actor is
+    /// listed as (name of its run, name of its track), a moved actor as (name of its
+    /// track, "").
     std::vector<std::pair<std::string, std::string>> rendered_;
     /// Length of each kernel's list of launch times at the previous call of
     /// make_kernel_times_json(), by name of the kernel.

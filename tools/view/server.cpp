@@ -56,11 +56,6 @@ tcp::acceptor open_listening_acceptor(boost::asio::io_context& io_context, const
     return acceptor;
 }
 
-std::string get_machine_name() {
-    ErrorCode failed;
-    return boost::asio::ip::host_name(failed);
-}
-
 }  // namespace
 
 struct WebServer::Impl {
@@ -73,10 +68,12 @@ struct WebServer::Impl {
     std::thread thread = {};
 
     Impl(const WebServerOptions& options, WebSocketEvents events)
-        : hub{options, std::move(events), "", get_machine_name()},
+        : hub{options, std::move(events), "", ""},
           acceptor(open_listening_acceptor(hub.io, options)),
           pause(hub.io) {
         hub.cookie_name = fmt::format("relidar_{}", acceptor.local_endpoint().port());
+        ErrorCode failed;
+        hub.host_name = boost::asio::ip::host_name(failed);
     }
 
     void start_accepting() {

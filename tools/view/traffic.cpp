@@ -19,19 +19,6 @@ namespace {
 
 constexpr double kRadians = kPi / 180.0;
 
-/// Returns the yaw, pitch and roll of a rotation in radians. The function make_rotation()
-/// is its inverse.
-glm::dvec3 convert_to_yaw_pitch_roll_rad(const glm::dquat& rotation) {
-    const glm::dmat3 m = glm::mat3_cast(rotation);
-    return {std::atan2(m[0][1], m[0][0]), std::asin(std::clamp(-m[0][2], -1.0, 1.0)),
-            std::atan2(m[1][2], m[2][2])};
-}
-
-Pose make_upright_pose(const double* position_xyz_m, double yaw_deg) {
-    return {make_rotation(yaw_deg * kRadians, 0.0, 0.0),
-            {position_xyz_m[0], position_xyz_m[1], position_xyz_m[2]}};
-}
-
 NewActorMotion make_motion_of_copied_actor(const ActorEdits::ActorCopy& copy,
                                            const glm::dvec3& world_offset_m) {
     const auto& at = copy.at;
@@ -42,8 +29,10 @@ NewActorMotion make_motion_of_copied_actor(const ActorEdits::ActorCopy& copy,
 }
 
 SceneWithLog apply_actor_moves_to_tracks(SceneWithLog scene_with_log, const ActorEdits& edits) {
-    for (const auto& [track, by] : edits.moves)
-        scene_with_log = move_track(std::move(scene_with_log), track, make_upright_pose(by.data(), by[3]));
+    for (const auto& [track, by] : edits.moves) {
+        const Pose pose{make_rotation(by[3] * kRadians, 0.0, 0.0), {by[0], by[1], by[2]}};
+        scene_with_log = move_track(std::move(scene_with_log), track, pose);
+    }
     return scene_with_log;
 }
 
@@ -132,8 +121,12 @@ ActorEdits::ActorCopy make_actor_copy_on_ground(const TrainedRun& run, const Oth
     const Pose pose = compute_actor_start_on_ground({run.scene, run.sequence}, placement,
                                                     {owner.scene, owner.sequence}, request.of)
                           .dataset_from_box;
-    const glm::dvec3 p = pose.translation - offset_m,
-                     angles_deg = convert_to_yaw_pitch_roll_rad(pose.rotation) / kRadians;
+    // yaw, pitch and roll; make_rotation() is the inverse of this conversion
+    const glm::dmat3 rotation = glm::mat3_cast(pose.rotation);
+    const glm::dvec3 angles_rad{std::atan2(rotation[0][1], rotation[0][0]),
+                                std::asin(std::clamp(-rotation[0][2], -1.0, 1.0)),
+                                std::atan2(rotation[1][2], rotation[2][2])};
+    const glm::dvec3 p = pose.translation - offset_m, angles_deg = angles_rad / kRadians;
     return {request.of, request.from, {p.x, p.y, p.z, angles_deg.x, angles_deg.y, angles_deg.z, 0.0}};
 }
 

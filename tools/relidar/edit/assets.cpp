@@ -31,23 +31,6 @@ struct AssetOptions {
     bool quiet = false;
 };
 
-/// Checks that the output folder is new or empty.
-/// @throws UsageError if the folder exists and is not empty
-void require_new_or_empty_folder(const std::string& output_folder) {
-    std::error_code failed;
-    if (fs::exists(output_folder, failed) && !fs::is_empty(output_folder, failed))
-        throw UsageError(
-            fmt::format("--out {}: the folder is not empty, expected a new or empty folder", output_folder));
-}
-
-std::string format_observed_side_fractions(const AssetDescription& asset_description) {
-    std::string text;
-    for (std::size_t s = 0; s < kBoxSides; ++s)
-        text +=
-            fmt::format("{}{} {:.2f}", s ? ", " : "", get_name(BoxSide(s)), asset_description.seen_sides[s]);
-    return text;
-}
-
 /// Returns the reason why an actor is not saved as an asset. The text is empty if the
 /// actor is saved.
 std::string explain_why_asset_is_not_saved(const AssetDescription& asset_description,
@@ -55,11 +38,14 @@ std::string explain_why_asset_is_not_saved(const AssetDescription& asset_descrip
                                            double min_covered_fraction) {
     if (observations.points_m.empty()) return "no ray of the training frames hits this actor";
     if (asset_description.get_observed_or_mirrored_fraction() >= min_covered_fraction) return "";
+    std::string side_shares;
+    for (std::size_t s = 0; s < kBoxSides; ++s)
+        side_shares +=
+            fmt::format("{}{} {:.2f}", s ? ", " : "", get_name(BoxSide(s)), asset_description.seen_sides[s]);
     return fmt::format(
         "the score of the actor is {:.2f}, expected at least {:.2f} (--least); the log observed these "
         "shares of its sides: {}{}",
-        asset_description.get_observed_or_mirrored_fraction(), min_covered_fraction,
-        format_observed_side_fractions(asset_description),
+        asset_description.get_observed_or_mirrored_fraction(), min_covered_fraction, side_shares,
         asset_description.completed > 0.0
             ? fmt::format("; mirroring completed a share of {:.2f} of its surface",
                           asset_description.completed)
@@ -104,7 +90,10 @@ std::vector<std::string> format_asset_table_row(const AssetDescription& asset_de
 void run_assets_command(const AssetOptions& options) {
     if (!(options.least >= 0.0 && options.least <= 1.0))
         throw UsageError(fmt::format("--least: found {}; expected a number from 0 to 1", options.least));
-    require_new_or_empty_folder(options.out);
+    std::error_code failed;
+    if (fs::exists(options.out, failed) && !fs::is_empty(options.out, failed))
+        throw UsageError(
+            fmt::format("--out {}: the folder is not empty, expected a new or empty folder", options.out));
     const StagedFolder folder(options.out);
     const TrainedRun run = load_run(options.run);
     const std::vector<std::string> tracks = list_actor_track_ids(run);

@@ -30,13 +30,6 @@ struct EditOptions {
     bool quiet = false;
 };
 
-void require_output_is_not_edited_run(const EditOptions& options) {
-    std::error_code failed;
-    if (std::filesystem::equivalent(options.run, options.out, failed))
-        throw UsageError(fmt::format(
-            "--out {}: this is the folder of the run to edit; expected a different folder", options.out));
-}
-
 bool are_pose_tracks_identical(const PoseTrack& first, const PoseTrack& second) {
     const auto same = [](const Pose& p, const Pose& q) {
         return p.translation == q.translation && p.rotation == q.rotation;
@@ -78,7 +71,10 @@ void run_edit_command(const EditOptions& options) {
         throw UsageError(
             "no edit is given; expected at least one of --remove, --move, --retime, --trajectory, "
             "--copy, --insert, --scenario, --keep and --from-ply (see `relidar edit --help`)");
-    require_output_is_not_edited_run(options);
+    std::error_code failed;
+    if (std::filesystem::equivalent(options.run, options.out, failed))
+        throw UsageError(fmt::format(
+            "--out {}: this is the folder of the run to edit; expected a different folder", options.out));
     const RunFolderWriter edited(options.out, options.force);
     TrainedRun run = load_run(options.run);
     if (!options.ply.empty())

@@ -194,20 +194,16 @@ EditResult apply_move_edit(SceneWithLog driving_scene, const EditArgument& edit)
     return {std::move(driving_scene), "moved " + track, note};
 }
 
-/// Returns true if the actor is present in at least one frame of the log.
-bool is_actor_in_any_frame(const SceneWithLog& driving_scene, const std::string& track_id) {
-    const BoxTrack* box = find_box_track_by_id(driving_scene.sequence, track_id);
-    return box && std::ranges::any_of(driving_scene.sequence.frames, [&](const LidarFrame& f) {
-               return box->is_observed_at_time(f.time_s);
-           });
-}
-
 /// Returns a warning if an edit removes an actor from frames of the log, for example
 /// because its motion is delayed.
 /// @param original_box track of the actor before the edit; null for a new actor
 std::string format_warning_if_actor_misses_frames(const SceneWithLog& driving_scene,
                                                   const std::string& track_id, const BoxTrack* original_box) {
-    if (!is_actor_in_any_frame(driving_scene, track_id))
+    const BoxTrack* box = find_box_track_by_id(driving_scene.sequence, track_id);
+    const bool is_in_any_frame =
+        box && std::ranges::any_of(driving_scene.sequence.frames,
+                                   [&](const LidarFrame& f) { return box->is_observed_at_time(f.time_s); });
+    if (!is_in_any_frame)
         return fmt::format(
             "actor {} is not visible in any frame, because all times of its trajectory are outside the time "
             "of the log",
@@ -316,11 +312,6 @@ bool is_track_in_scene_instances(const SceneWithLog& driving_scene, const std::s
     });
 }
 
-glm::dvec3 get_box_size_or_zero_m(const SceneWithLog& driving_scene, const std::string& track_id) {
-    const auto box = std::ranges::find(driving_scene.sequence.boxes, track_id, &BoxTrack::id);
-    return box == driving_scene.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m;
-}
-
 /// Parses "ENTITY=ACTOR,ENTITY=ACTOR". Each pair assigns an actor to an entity of an
 /// OpenSCENARIO file.
 std::map<std::string, std::string> parse_entity_actor_pairs(const EditArgument& edit_for_errors,
@@ -359,7 +350,8 @@ void find_or_insert_actor_and_move_it(const EditArgument& edit, const ScenarioEn
         track = get_track_id_of_last_instance(driving);
     }
     const double begin_s = driving.sequence.frames.front().time_s;
-    const glm::dvec3 size_m = get_box_size_or_zero_m(driving, track);
+    const auto box = std::ranges::find(driving.sequence.boxes, track, &BoxTrack::id);
+    const glm::dvec3 size_m = box == driving.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m;
     driving = replace_trajectory(std::move(driving), track, convert_to_box_track(entity, begin_s, size_m));
     applied_edit.said += fmt::format("{}{} follows {} of {}", applied_edit.said.empty() ? "" : "\n", track,
                                      entity.name, edit.value.substr(0, edit.value.find('@')));

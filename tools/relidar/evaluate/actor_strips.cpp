@@ -41,42 +41,32 @@ Scan select_scan_rays_near_box(const TrainedRun& run, const LidarFrame& frame, c
     return scan;
 }
 
-/// Returns the frames of the first LiDAR that have a scan and in which the box is
-/// present.
-std::vector<const LidarFrame*> list_frames_with_box(const TrainedRun& run, const BoxTrack& box) {
-    std::vector<const LidarFrame*> frames;
-    for (const LidarFrame& frame : run.sequence.frames)
-        if (frame.lidar == 0 && frame.scan.range_m.size() > 0 && box.is_observed_at_time(frame.time_s))
-            frames.push_back(&frame);
-    return frames;
-}
-
-double compute_vehicle_to_box_distance_m(const TrainedRun& run, const LidarFrame& frame,
-                                         const BoxTrack& box) {
-    return glm::distance(run.sequence.world_from_vehicle.interpolate_pose(frame.time_s).translation,
-                         box.world_from_box.interpolate_pose(frame.time_s).translation);
-}
-
 struct WalkingActorFrames {
     const BoxTrack* box = nullptr;
     std::vector<const LidarFrame*> frames;
-    /// Mean distance between the actor and the sensor.
+    /// Mean distance between the actor and the origin of the vehicle frame.
     double distance_m = std::numeric_limits<double>::max();
 };
 
-/// Finds the walking actor that comes nearest to the sensor, and the frames in which this
+/// Finds the walking actor that comes nearest to the vehicle, and the frames in which this
 /// actor is nearest.
 WalkingActorFrames find_nearest_walking_actor(const TrainedRun& run) {
     WalkingActorFrames nearest;
     for (const ModelInstance& instance : run.scene.instances) {
         const BoxTrack* box = find_box_track_by_id(run.sequence, instance.track);
         if (!box || !(run.scene.models[std::size_t(instance.model)].stride_m > 0.0f)) continue;
-        const std::vector<const LidarFrame*> frames = list_frames_with_box(run, *box);
+        std::vector<const LidarFrame*> frames;  // scans of the first LiDAR while the box is present
+        for (const LidarFrame& frame : run.sequence.frames)
+            if (frame.lidar == 0 && frame.scan.range_m.size() > 0 && box->is_observed_at_time(frame.time_s))
+                frames.push_back(&frame);
         for (std::size_t first = 0; first + kFrames <= frames.size(); ++first) {
             const std::vector<const LidarFrame*> some(frames.begin() + std::ptrdiff_t(first),
                                                       frames.begin() + std::ptrdiff_t(first + kFrames));
             double sum = 0.0;
-            for (const LidarFrame* frame : some) sum += compute_vehicle_to_box_distance_m(run, *frame, *box);
+            for (const LidarFrame* frame : some)
+                sum +=
+                    glm::distance(run.sequence.world_from_vehicle.interpolate_pose(frame->time_s).translation,
+                                  box->world_from_box.interpolate_pose(frame->time_s).translation);
             if (sum / double(kFrames) < nearest.distance_m) nearest = {box, some, sum / double(kFrames)};
         }
     }
@@ -152,17 +142,6 @@ Config make_actor_picture_config(const TrainedRun& run) {
     return config;
 }
 
-/// Each dot shows a simulated point of an actor. Sets its value (shown as colour) to the
-/// distance in metres from this point to the nearest real point.
-void set_dot_values_to_distance_errors(std::vector<PictureDot>& dots, const MovingBoxPoints& box_points) {
-    for (std::size_t i = 0; i < dots.size(); ++i) {
-        double nearest_m = std::numeric_limits<double>::max();
-        for (const glm::dvec3& real_m : box_points.real_m)
-            nearest_m = std::min(nearest_m, glm::distance(box_points.simulated_m[i], real_m));
-        dots[i].value = float(nearest_m);
-    }
-}
-
 /// Draws an actor in some frames, as the sensor sees it. Returns nothing if it has too
 /// few real points.
 std::optional<ReportFigure> draw_actor_comparison_figure(ScanRenderer& renderer, const TrainedRun& run,
@@ -186,8 +165,14 @@ std::optional<ReportFigure> draw_actor_comparison_figure(ScanRenderer& renderer,
         n += points.real_m.size();
         real.push_back(project_box_points_to_picture_dots(points.real_m, direction));
         simulated.push_back(project_box_points_to_picture_dots(points.simulated_m, direction));
-        errors.push_back(simulated.back());
-        set_dot_values_to_distance_errors(errors.back(), points);
+        // Colours each simulated point by its distance to the nearest real point, metres.
+        std::vector<PictureDot>& error_dots = errors.emplace_back(simulated.back());
+        for (std::size_t i = 0; i < error_dots.size(); ++i) {
+            double nearest_m = std::numeric_limits<double>::max();
+            for (const glm::dvec3& real_m : points.real_m)
+                nearest_m = std::min(nearest_m, glm::distance(points.simulated_m[i], real_m));
+            error_dots[i].value = float(nearest_m);
+        }
     }
     if (real.empty() || n < real.size() * kFewestPoints) return std::nullopt;
     const double radius_m = 0.5 * std::hypot(box->size_m.x, box->size_m.y);

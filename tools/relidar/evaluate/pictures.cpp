@@ -18,34 +18,25 @@ namespace {
 constexpr float kRangeErrorScale_m = 1.0f;
 constexpr float kIntensityErrorScale = 0.3f;
 
-std::vector<float> multiply_elementwise(std::vector<float> first, const std::vector<float>& second) {
-    for (std::size_t i = 0; i < first.size(); ++i) first[i] *= second[i];
-    return first;
-}
-
-std::vector<float> compute_absolute_differences(const std::vector<float>& first,
-                                                const std::vector<float>& second) {
-    std::vector<float> result(first.size());
-    for (std::size_t i = 0; i < first.size(); ++i) result[i] = std::abs(first[i] - second[i]);
-    return result;
-}
-
 }  // namespace
 
 std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, const std::string& title,
-                                                  const std::string& real_caption_caption,
+                                                  const std::string& real_caption,
                                                   double max_range_m) {
     const RangeImage& real = frame.real;
     const RangeImage& rendered = frame.rendered.image;
-    const std::vector<float> mask =
-        multiply_elementwise(make_returned_pixel_mask(real), make_returned_pixel_mask(rendered));
+    // The mask is 1 for rays that return in both images and 0 for all others.
+    std::vector<float> mask = make_returned_pixel_mask(real);
+    const std::vector<float> rendered_mask = make_returned_pixel_mask(rendered);
+    for (std::size_t i = 0; i < mask.size(); ++i) mask[i] *= rendered_mask[i];
     const auto error = [&](const std::vector<float>& first, const std::vector<float>& second, float scale,
                            const std::vector<float>& shown) {
-        return apply_colour_map(compute_absolute_differences(first, second), real.rows, real.columns, 0.0f,
-                                scale, "heat", shown);
+        std::vector<float> differences(first.size());
+        for (std::size_t i = 0; i < first.size(); ++i) differences[i] = std::abs(first[i] - second[i]);
+        return apply_colour_map(differences, real.rows, real.columns, 0.0f, scale, "heat", shown);
     };
     ReportFigure drops{title + ": ray drop",
-                       {{real_caption_caption + ", white: dropped rays", draw_ray_drop_picture(real)}}};
+                       {{real_caption + ", white: dropped rays", draw_ray_drop_picture(real)}}};
     if (const auto* of_surfels = find_channel_values<float>(frame.rendered.channels, "surfel_drop_prob")) {
         RangeImage surfels = rendered;
         surfels.drop_prob = *of_surfels;
@@ -61,7 +52,7 @@ std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, cons
                               error(real.drop_prob, rendered.drop_prob, 1.0f, {}));
     std::vector<ReportFigure> figures = {
         {title + ": range",
-         {{real_caption_caption, draw_range_picture(real, max_range_m)},
+         {{real_caption, draw_range_picture(real, max_range_m)},
           {"rendered", draw_range_picture(rendered, max_range_m)},
           {fmt::format("absolute error of rays that return in both scans, black: 0, white: {} m",
                        kRangeErrorScale_m),
@@ -69,7 +60,7 @@ std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, cons
     if (has_intensities(real))
         figures.push_back(
             {title + ": intensity",
-             {{real_caption_caption, draw_intensity_picture(real)},
+             {{real_caption, draw_intensity_picture(real)},
               {"rendered", draw_intensity_picture(rendered)},
               {fmt::format("absolute error of rays that return in both scans, black: 0, white: {}",
                            kIntensityErrorScale),

@@ -84,15 +84,6 @@ std::string format_warning_if_protocols_differ(const std::vector<ScoredRun>& run
                      keys);
 }
 
-/// Returns the names of the most important metrics for which at least one run has a
-/// value.
-std::vector<std::string> list_available_key_metrics(const MetricValues& mean_metrics) {
-    std::vector<std::string> names;
-    for (const ReportKeyMetric& key : get_key_metrics())
-        if (mean_metrics.contains(key.metric)) names.push_back(key.metric);
-    return names;
-}
-
 std::string format_markdown_table_row(const TextCells& cells) {
     std::string line = "|";
     for (std::string cell : cells) {
@@ -106,7 +97,9 @@ std::string format_markdown_table_row(const TextCells& cells) {
 std::string format_markdown_score_table(const std::vector<ScoredRun>& runs) {
     const std::vector<MetricValues> rows = collect_mean_metrics(runs);
     const MetricValues mean_row = compute_mean_metrics(rows);
-    const std::vector<std::string> metrics = list_available_key_metrics(mean_row);
+    std::vector<std::string> metrics;  // key metrics for which at least one run has a value
+    for (const ReportKeyMetric& key : get_key_metrics())
+        if (mean_row.contains(key.metric)) metrics.push_back(key.metric);
     const auto line = [&](TextCells cells, const MetricValues& values) {
         for (const std::string& name : metrics)
             cells.push_back(values.contains(name) ? format_four_significant_digits(values.at(name)) : "-");

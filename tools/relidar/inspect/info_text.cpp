@@ -36,12 +36,6 @@ std::string format_name_value_line(const std::string& value_name, const std::str
     return value.empty() ? "" : fmt::format("{:<12}{}\n", value_name, value);
 }
 
-/// Returns the class of a box, such as "car". If the size of the box was guessed, adds
-/// the class that was used for the guess.
-std::string format_box_class_and_size_guess(const BoxSummary& box) {
-    return box.size_guess.empty() ? box.category : fmt::format("{}, {}?", box.category, box.size_guess);
-}
-
 /// Returns up to two lines. One names the boxes with guessed sizes. The other names boxes
 /// that were also found in frames before their first or after their last label.
 std::string format_box_notes(const std::vector<BoxSummary>& boxes) {
@@ -69,7 +63,10 @@ std::string format_box_table(const std::vector<BoxSummary>& boxes, bool show_ins
                                                 "path length", "mean speed", "start x,y,z,yaw_deg"}};
     if (show_instance_columns) rows[0].insert(rows[0].end(), {"instance", "surfels"});
     for (const BoxSummary& b : boxes) {
-        rows.push_back({b.id, format_box_class_and_size_guess(b), fmt::format("{:.2f} m", b.size_m.x),
+        // If the size was guessed, adds the class that was used for the guess.
+        const std::string box_class =
+            b.size_guess.empty() ? b.category : fmt::format("{}, {}?", b.category, b.size_guess);
+        rows.push_back({b.id, box_class, fmt::format("{:.2f} m", b.size_m.x),
                         fmt::format("{:.2f} m", b.size_m.y), fmt::format("{:.2f} m", b.size_m.z),
                         b.n_frames ? fmt::format("{}-{}", b.first_frame, b.last_frame) : "none",
                         fmt::format("{:.1f} m", b.path_m),

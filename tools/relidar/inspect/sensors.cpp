@@ -48,14 +48,6 @@ double compute_scan_period_s(const SensorModel& sensor, const RayTable& rays) {
     return double(last) - double(first);
 }
 
-std::string format_beam_divergence(const RayTable& rays) {
-    const double least = rays.ray_divergence_rad.empty() ? rays.find_max_divergence_rad()
-                                                         : double(std::ranges::min(rays.ray_divergence_rad));
-    return least < rays.find_max_divergence_rad()
-               ? fmt::format("{:.3g} to {:.3g} mrad", 1e3 * least, 1e3 * rays.find_max_divergence_rad())
-               : fmt::format("{:.3g} mrad", 1e3 * least);
-}
-
 void print_sensor_table() {
     std::vector<std::vector<std::string>> rows{
         {"name", "rays", "azimuth", "elevation", "scan time", "range", "divergence", "source of the values"}};
@@ -83,13 +75,21 @@ void print_sensor_description(const SensorsOptions& options) {
     const SensorModel sensor = find_sensor(options.sensor);
     const RayTable rays = make_rays(sensor, options.time_s);
     const SensorFieldOfView e = compute_angular_extent(rays);
+    const double max_divergence_rad = rays.find_max_divergence_rad();
+    const double min_divergence_rad = rays.ray_divergence_rad.empty()
+                                          ? max_divergence_rad
+                                          : double(std::ranges::min(rays.ray_divergence_rad));
+    const std::string divergence =
+        min_divergence_rad < max_divergence_rad
+            ? fmt::format("{:.3g} to {:.3g} mrad", 1e3 * min_divergence_rad, 1e3 * max_divergence_rad)
+            : fmt::format("{:.3g} mrad", 1e3 * min_divergence_rad);
     print(fmt::format(
         "{}{}{}\nrays        {} ({} rows of {})\nazimuth     {:+.2f} to {:+.2f} degrees, left positive\n"
         "elevation   {:+.2f} to {:+.2f} degrees\nscan time   {:.4g} s\nrange       {:g} to {:g} "
         "m\ndivergence  {}\n",
         sensor.name, sensor.about.empty() ? "" : ": ", sensor.about, e.rays, rays.rows, rays.columns,
         e.left_deg, e.right_deg, e.top_deg, e.bottom_deg, compute_scan_period_s(sensor, rays),
-        sensor.limits.min_m, sensor.limits.max_m, format_beam_divergence(rays)));
+        sensor.limits.min_m, sensor.limits.max_m, divergence));
     if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) {
         std::vector<std::vector<std::string>> rows{
             {"beam", "elevation", "azimuth offset", "origin forward", "up", "left"}};

@@ -19,15 +19,6 @@ std::vector<int> list_all_frame_positions(const TrainedRun& run) {
     return positions;
 }
 
-std::vector<int> list_frame_positions_in_range(const TrainedRun& run, const FrameRange& range) {
-    std::vector<int> positions = list_all_frame_positions(run);
-    std::erase_if(positions, [&](int i) {
-        const int index = run.sequence.frames[static_cast<std::size_t>(i)].index;
-        return index < range.begin || (range.end >= 0 && index >= range.end);
-    });
-    return positions;
-}
-
 }  // namespace
 
 std::vector<int> select_frame_positions_by_text(const TrainedRun& run,
@@ -46,7 +37,11 @@ std::vector<int> select_frame_positions_by_text(const TrainedRun& run,
     const int last = run.sequence.frames.back().index;
     if (name.empty()) {
         const FrameRange range = parse_frame_range(which);
-        positions = list_frame_positions_in_range(run, range);
+        positions = list_all_frame_positions(run);
+        std::erase_if(positions, [&](int i) {
+            const int index = run.sequence.frames[static_cast<std::size_t>(i)].index;
+            return index < range.begin || (range.end >= 0 && index >= range.end);
+        });
         if (!positions.empty()) print_note_if_frames_after_log_end(range, last, run.folder.string());
     }
     if (positions.empty()) {

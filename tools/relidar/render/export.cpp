@@ -28,16 +28,6 @@ struct ExportOptions {
     bool quiet = false;
 };
 
-std::string format_surfel_and_model_counts(const Scene& scene) {
-    return fmt::format("{} surfels, {} model{}", count_surfels(scene), scene.models.size(),
-                       scene.models.size() == 1 ? "" : "s");
-}
-
-/// Returns the path of the log's first LiDAR in the world frame of the dataset.
-PoseTrack get_first_lidar_trajectory_in_dataset(const LidarSequence& sequence) {
-    return add_offset_to_track_positions(sequence.get_world_from_sensor(0), sequence.world_offset_m);
-}
-
 /// Writes the scene of each frame as a PLY file, such as FOLDER/000010.ply. The actors
 /// are at their poses at the time of the frame. Positions are in relidar's world frame.
 void export_frames_as_ply(const ExportOptions& options) {
@@ -85,11 +75,17 @@ void run_export_command(const ExportOptions& options) {
     }
     const TrainedRun run = load_run(options.run);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
-    if (*format == ".ply") write_surfel_ply(out, copy_scene_with_all_blocks_loaded(run.scene));
-    else write_trajectory_csv(out, get_first_lidar_trajectory_in_dataset(run.sequence));
-    const std::string written = *format == ".ply"
-                                    ? format_surfel_and_model_counts(run.scene)
-                                    : fmt::format("{} poses", run.sequence.world_from_vehicle.pose.size());
+    std::string written;
+    if (*format == ".ply") {
+        write_surfel_ply(out, copy_scene_with_all_blocks_loaded(run.scene));
+        written = fmt::format("{} surfels, {} model{}", count_surfels(run.scene), run.scene.models.size(),
+                              run.scene.models.size() == 1 ? "" : "s");
+    } else {
+        // Path of the log's first LiDAR in the world frame of the dataset.
+        write_trajectory_csv(out, add_offset_to_track_positions(run.sequence.get_world_from_sensor(0),
+                                                                run.sequence.world_offset_m));
+        written = fmt::format("{} poses", run.sequence.world_from_vehicle.pose.size());
+    }
     if (!options.quiet) print(fmt::format("{}: {}\n", make_absolute_path(options.out), written));
 }
 

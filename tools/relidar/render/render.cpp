@@ -327,25 +327,31 @@ public:
     }
 
     void render_and_write_sweep(const NumberedScanTime& sweep, RenderOutputs& output) {
+        const bool has_user_trajectory = !options_.trajectory.file.empty();
         std::vector<RenderedScan> scans;
         for (const MountedSimulatedSensor& w : targets_) {
             throw_if_interrupted();
             scans.push_back(
-                has_user_trajectory_file()
+                has_user_trajectory
                     ? renderer_.render(w.sensor, {sweep.time_s, compute_mounted_track(track_, w.mounting)},
                                        options_.sample)
                     : renderer_.render(w.sensor, sweep.time_s, offset_ * w.mounting, options_.sample));
-            trace_ms_ += scans.back().trace_ms;
-            n_rays_ += double(scans.back().image.range_m.size());
-            scans.back().unseen_sides = find_unobserved_actor_sides(scans.back(), run_.scene, run_.sequence);
-            count_returns_and_unseen_rays(scans.back());
+            RenderedScan& scan = scans.back();
+            trace_ms_ += scan.trace_ms;
+            n_rays_ += double(scan.image.range_m.size());
+            scan.unseen_sides = find_unobserved_actor_sides(scan, run_.scene, run_.sequence);
+            for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
+                n_returns_ += is_ray_returned(scan.image.drop_prob[i], scan.image.range_m[i]);
+            if (scan.unseen_share) {
+                has_unseen_share_ = true;
+                n_unseen_ += *scan.unseen_share * double(scan.image.range_m.size());
+            }
         }
         if (output.sender) output.sender->send_or_queue_scans(scans);
         if (options_.merge) scans = {merge_scans(scans, mountings_)};
         for (std::size_t s = 0; s < scans.size(); ++s) output.folders[s].write_scan(sweep.number, scans[s]);
         if (output.recordings) output.recordings->write_scans(scans);
     }
-    bool has_user_trajectory_file() const { return !options_.trajectory.file.empty(); }
     /// Returns a one-line summary for the user.
     /// @param n_local_sweeps number of sweeps that this process has rendered
     /// @param n_total_sweeps number of sweeps that all MPI processes have rendered
@@ -375,14 +381,6 @@ private:
     std::vector<Pose> mountings_;
     double trace_ms_ = 0.0, n_rays_ = 0.0, n_returns_ = 0.0, n_unseen_ = 0.0;
     bool has_unseen_share_ = false;
-
-    void count_returns_and_unseen_rays(const RenderedScan& scan) {
-        for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
-            n_returns_ += is_ray_returned(scan.image.drop_prob[i], scan.image.range_m[i]);
-        if (!scan.unseen_share) return;
-        has_unseen_share_ = true;
-        n_unseen_ += *scan.unseen_share * double(scan.image.range_m.size());
-    }
 };
 
 void run_render_command(const RenderOptions& command_options) {

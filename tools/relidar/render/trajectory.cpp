@@ -26,22 +26,6 @@ struct TimeSteps {
     double first, last, step;
 };
 
-TimeSteps parse_time_steps(const std::string& text) {
-    const std::vector<std::string> words = split_text(text, ':');
-    if (words.size() != 3)
-        throw UsageError(fmt::format(
-            "--times: found \"{}\"; expected FIRST:LAST:STEP in seconds, for example 2:4:0.05", text));
-    const auto number = [&](std::size_t index) { return parse_number_list("--times", words[index]).at(0); };
-    return {number(0), number(1), number(2)};
-}
-
-double compute_distance_to_track_m(const PoseTrack& recorded_track, const glm::dvec3& point_m) {
-    double nearest = std::numeric_limits<double>::infinity();
-    for (const Pose& pose : recorded_track.pose)
-        nearest = std::min(nearest, glm::distance(pose.translation, point_m));
-    return nearest;
-}
-
 }  // namespace
 
 std::vector<double> list_scan_times_on_trajectory(const TrajectoryOptions& trajectory_options,
@@ -51,10 +35,16 @@ std::vector<double> list_scan_times_on_trajectory(const TrajectoryOptions& traje
         !(*trajectory_options.rate_hz > 0.0 && std::isfinite(*trajectory_options.rate_hz)))
         throw UsageError(fmt::format("--rate: found {}; expected a number of scans per second above 0",
                                      *trajectory_options.rate_hz));
-    const TimeSteps steps =
-        trajectory_options.times.empty()
-            ? TimeSteps{begin, end, 1.0 / trajectory_options.rate_hz.value_or(log_rate_hz)}
-            : parse_time_steps(trajectory_options.times);
+    TimeSteps steps{begin, end, 1.0 / trajectory_options.rate_hz.value_or(log_rate_hz)};
+    if (!trajectory_options.times.empty()) {
+        const std::vector<std::string> words = split_text(trajectory_options.times, ':');
+        if (words.size() != 3)
+            throw UsageError(fmt::format(
+                "--times: found \"{}\"; expected FIRST:LAST:STEP in seconds, for example 2:4:0.05",
+                trajectory_options.times));
+        const auto number = [&](std::size_t k) { return parse_number_list("--times", words[k]).at(0); };
+        steps = {number(0), number(1), number(2)};
+    }
     if (!(steps.step > 0.0) || !(steps.last >= steps.first))
         throw UsageError(fmt::format("--times: found \"{}\"; expected FIRST < LAST and a STEP above 0",
                                      trajectory_options.times));
@@ -78,10 +68,13 @@ void print_notes_if_trajectory_leaves_log(const TrainedRun& run, const PoseTrack
                                           const std::vector<double>& times_s) {
     const LidarSequence& log = run.sequence;
     double farthest = 0.0;
-    for (const double t : times_s)
-        farthest = std::max(farthest, compute_distance_to_track_m(
-                                          log.world_from_vehicle,
-                                          sensor_track.interpolate_pose(t).translation - log.world_offset_m));
+    for (const double t : times_s) {
+        const glm::dvec3 sensor_m = sensor_track.interpolate_pose(t).translation - log.world_offset_m;
+        double nearest_m = std::numeric_limits<double>::infinity();
+        for (const Pose& pose : log.world_from_vehicle.pose)
+            nearest_m = std::min(nearest_m, glm::distance(pose.translation, sensor_m));
+        farthest = std::max(farthest, nearest_m);
+    }
     if (farthest > kFar_m) {
         print_note(fmt::format(
             "the trajectory is up to {:.0f} m away from the path of the log's sensor; expected poses "

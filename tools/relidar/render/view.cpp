@@ -49,13 +49,6 @@ constexpr std::chrono::milliseconds kViewPatience{50};
 // data.
 constexpr std::chrono::seconds kGoodbye{5};
 
-/// Returns the folder in which the web page saves edited runs.
-std::filesystem::path get_save_folder(const ViewOptions& options, const TrainedRun& run) {
-    const std::filesystem::path folder =
-        options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
-    return std::filesystem::absolute(folder).lexically_normal();
-}
-
 /// Loads the runs of --insert, whose actors the user can insert into the viewed run. The
 /// web page shows these runs under the folder names that the user typed.
 view::OtherRunsByName load_other_runs(const std::vector<std::string>& folders) {
@@ -91,7 +84,10 @@ void run_view_command(const ViewOptions& options) {
     if (options.no_refine) run.config.refine.enabled = false;
     std::optional<OutputFolder> made;  // Removes the folder at exit if it is still empty.
     if (!options.save_to.empty()) made.emplace(options.save_to);
-    const std::filesystem::path folder = get_save_folder(options, run);
+    // The web page saves edited runs in this folder.
+    const std::filesystem::path save_to =
+        options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
+    const std::filesystem::path folder = std::filesystem::absolute(save_to).lexically_normal();
     Device device(convert_to_device_options(options.device));
     // The server calls `session` and `foxglove`. It is therefore created after them and
     // destroyed before them. They send results to the server through this pointer.

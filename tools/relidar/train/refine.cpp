@@ -50,13 +50,6 @@ std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const RefineCommand
     return start;
 }
 
-/// Returns the command line that resumes this training.
-std::string format_refine_resume_command(const RefineCommandOptions& options) {
-    std::string command = "relidar refine --resume " + quote_word_for_shell(options.run);
-    for (const std::string& word : make_device_arguments(options.device)) command += " " + word;
-    return command;
-}
-
 /// Trains the ray-drop network and saves it. If the user interrupts the training, throws
 /// an error whose message contains the command that resumes the training.
 void train_and_save_drop_network(Device& device, TrainedRun& run, const RefineCommandOptions& options,
@@ -70,10 +63,11 @@ void train_and_save_drop_network(Device& device, TrainedRun& run, const RefineCo
                                          {.checkpoints = checkpoints, .start = start_checkpoint}) ==
         TrainingEndReason::stopped) {
         const bool can_go_on = !list_checkpoints(checkpoints).empty();
-        throw Error(
-            ExitCode::interrupted,
-            fmt::format("interrupted: the ray-drop network of run {} is unchanged{}", run.folder.string(),
-                        can_go_on ? "; continue with: " + format_refine_resume_command(options) : ""));
+        std::string command = "relidar refine --resume " + quote_word_for_shell(options.run);
+        for (const std::string& word : make_device_arguments(options.device)) command += " " + word;
+        throw Error(ExitCode::interrupted,
+                    fmt::format("interrupted: the ray-drop network of run {} is unchanged{}",
+                                run.folder.string(), can_go_on ? "; continue with: " + command : ""));
     }
     save_run(run);
 }

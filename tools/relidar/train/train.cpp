@@ -75,19 +75,16 @@ TrainOptions assign_log_and_output_folder(TrainOptions options) {
 
 /// Returns the settings of a training. A resumed training uses its saved settings. If
 /// --preset or --config is given, these options replace the saved settings.
-Config load_resumed_or_make_new_config(const TrainOptions& options) {
-    const fs::path saved = fs::path(options.out) / kConfigFile;
-    if (!options.resume || options.from_preset || !is_file(saved))
-        return make_config_from_settings(options.settings);
-    Config config = load_saved_config(saved);
-    parse_and_apply_setting_texts(config, options.settings.sets);
-    return config;
-}
-
 Config make_training_config(const TrainOptions& options) {
-    Config config = load_resumed_or_make_new_config(options);
-    if (const fs::path saved = fs::path(options.out) / kConfigFile;
-        options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
+    const fs::path saved = fs::path(options.out) / kConfigFile;
+    Config config;
+    if (!options.resume || options.from_preset || !is_file(saved)) {
+        config = make_config_from_settings(options.settings);
+    } else {
+        config = load_saved_config(saved);
+        parse_and_apply_setting_texts(config, options.settings.sets);
+    }
+    if (options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
         // A maximum range of 0 means automatic. The resumed training uses the range that
         // was found earlier.
         config.dataset.max_range_m = load_saved_config(saved).dataset.max_range_m;
@@ -339,16 +336,6 @@ void train_and_save_drop_network_if_possible(Device& device, TrainedRun& run, co
     remove_network_checkpoints(run.folder);
 }
 
-/// Reads the result of an earlier training from the file log.jsonl of the run.
-TrainResult read_train_result_from_log(const fs::path& run_folder) {
-    TrainResult result;
-    result.log = read_training_log_file(run_folder);
-    if (result.log.empty()) return result;
-    result.iterations = result.log.back().iteration;
-    result.train_s = result.log.back().seconds;
-    return result;
-}
-
 /// Resumes a run whose scene is already trained. Runs only the missing steps, such as the
 /// ray-drop network and the scores.
 void run_steps_missing_after_scene_training(const TrainOptions& options, const Config& config,
@@ -374,7 +361,12 @@ void run_steps_missing_after_scene_training(const TrainOptions& options, const C
     // may have left them.
     if (has_network) remove_network_checkpoints(run.folder);
     else if (config.refine.enabled) train_and_save_drop_network_if_possible(device, run, options, stages);
-    TrainResult result = read_train_result_from_log(run.folder);
+    TrainResult result;
+    result.log = read_training_log_file(run.folder);
+    if (!result.log.empty()) {
+        result.iterations = result.log.back().iteration;
+        result.train_s = result.log.back().seconds;
+    }
     result.peak_device_bytes = device.peak_allocated_bytes();
     score_and_write_training_report(device, run, result, options, command_line, stages);
 }
@@ -471,15 +463,6 @@ void run_train_command(const TrainOptions& command_options, const std::string& c
     score_and_write_training_report(device, run, result, options, command_line, stages);
 }
 
-void add_resume_option(CLI::App& command, const std::shared_ptr<TrainOptions>& options) {
-    command
-        .add_option("--resume", options->resume_folder,
-                    "continue the training of the run in --out, or in RUN, from its newest checkpoint; log "
-                    "and settings are those of the run, unless the command line replaces them")
-        ->type_name("[RUN]")
-        ->expected(0, 1);
-}
-
 constexpr const char* kTrainHelp =
     R"(RUN/ receives config.toml, scene.json, model.safetensors, log.jsonl, metrics.json, report.html,
 and checkpoints/ if training takes long.
@@ -510,7 +493,12 @@ void add_train_command(CLI::App& app, ParsedCommand& selected_command) {
                      "so that memory does not grow with the log (blocks.length_m)")
         ->type_name("LENGTH");
     add_device_options(*command, options->device);
-    add_resume_option(*command, options);
+    command
+        ->add_option("--resume", options->resume_folder,
+                     "continue the training of the run in --out, or in RUN, from its newest checkpoint; log "
+                     "and settings are those of the run, unless the command line replaces them")
+        ->type_name("[RUN]")
+        ->expected(0, 1);
     command->add_flag("--force", options->force, "overwrite the run in RUN");
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames at the end");
     command->add_flag("--quiet", options->quiet, "print errors only");

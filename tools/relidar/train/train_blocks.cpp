@@ -176,8 +176,8 @@ private:
             total_.add_block_result_to_sums(result);
             save_trained_block(block_index, std::move(log), block_folder, result);
         } catch (const Error& error) {
-            throw Error(error.code(), append_resume_command(fmt::format(
-                                          "{}: {}", format_block_name(block_index), error.what())));
+            throw Error(error.code(), append_resume_command(fmt::format("block {} of {}: {}", block_index + 1,
+                                                                        blocks_.size(), error.what())));
         }
         seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
         ++trained_;
@@ -208,10 +208,6 @@ private:
     /// Appends the command that resumes the training to an error message.
     std::string append_resume_command(const std::string& error_message) const {
         return fmt::format("{}; the trained blocks are saved; continue with: {}", error_message, how_.resume);
-    }
-
-    std::string format_block_name(std::size_t block_index) const {
-        return fmt::format("block {} of {}", block_index + 1, blocks_.size());
     }
 
     void save_trained_block(std::size_t block_index, BlockTrainingLog block_log, const fs::path& block_folder,

@@ -132,25 +132,16 @@ TrainResult train_scene_with_progress(Device& device, const LidarSequence& seque
     return result;
 }
 
-namespace {
-
-/// Measures the noise of the LiDAR intensities and shows the progress. After Ctrl-C, the
-/// noise remains unknown.
-void learn_intensity_noise_with_progress(Device& device, TrainedRun& run, bool quiet) {
-    TerminalProgress progress(quiet);
-    run.intensity_scatter = fit_intensity_scatter_per_lidar(
-        device, run, {make_terminal_progress_callback(progress), is_interrupted});
-    end_progress_line();
-}
-
-}  // namespace
-
 TrainingEndReason align_held_out_and_learn_noise(Device& device, TrainedRun& run, bool quiet,
                                                  StageTimes& stage_times) {
     stage_times.start_stage("place");
     align_held_out_scans_with_progress(device, run, quiet);
     stage_times.start_stage("scatter");
-    learn_intensity_noise_with_progress(device, run, quiet);
+    TerminalProgress progress(quiet);
+    // After Ctrl-C, the noise of the intensities remains unknown.
+    run.intensity_scatter = fit_intensity_scatter_per_lidar(
+        device, run, {make_terminal_progress_callback(progress), is_interrupted});
+    end_progress_line();
     if (is_interrupted()) return TrainingEndReason::stopped;
     stage_times.start_stage("save");
     save_run(run);
