@@ -48,8 +48,8 @@ struct WalkingActorFrames {
     double distance_m = std::numeric_limits<double>::max();
 };
 
-/// Finds the walking actor that comes nearest to the vehicle, and the frames in which this
-/// actor is nearest.
+/// Finds the walking actor that comes nearest to the vehicle, and the frames in which
+/// this actor is nearest.
 WalkingActorFrames find_nearest_walking_actor(const TrainedRun& run) {
     WalkingActorFrames nearest;
     for (const ModelInstance& instance : run.scene.instances) {
