@@ -329,13 +329,6 @@ const DatasetKind& find_dataset_kind_of_path(const std::string& dataset, const s
     return reader;
 }
 
-void require_nonempty_frame_range(const FrameRange& range) {
-    if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end)) {
-        throw UsageError(fmt::format("the frame range {}:{} is empty, expected a:b with 0 <= a < b",
-                                     range.begin, range.end));
-    }
-}
-
 /// Estimates two values for each frame: the start of the sweep, and how much the head
 /// azimuths deviate from even rotation.
 void set_sweep_starts_and_azimuth_shifts(LidarSequence& sequence) {
@@ -393,7 +386,11 @@ std::string make_dataset_path_absolute(const std::string& dataset) {
 }
 
 LidarSequence load_sequence(const std::string& dataset, const DatasetOptions& options) {
-    require_nonempty_frame_range(options.frames);
+    const FrameRange& range = options.frames;
+    if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end)) {
+        throw UsageError(fmt::format("the frame range {}:{} is empty, expected a:b with 0 <= a < b",
+                                     range.begin, range.end));
+    }
     if (!(options.min_range_m >= 0.0 && options.max_range_m > options.min_range_m)) {
         throw UsageError(fmt::format(
             "the range limits are {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m",

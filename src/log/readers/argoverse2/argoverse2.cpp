@@ -64,15 +64,6 @@ std::vector<SweepFile> list_sweeps(const fs::path& folder) {
     return sweeps;
 }
 
-std::vector<SweepFile> select_sweeps_in_range(const std::vector<SweepFile>& sweeps, const FrameRange& range) {
-    const int n = int(sweeps.size()), begin = std::min(range.begin, n),
-              end = range.end < 0 ? n : std::min(range.end, n);
-    if (begin >= end)
-        throw UsageError(fmt::format("frames {}:{} select no sweep of this log, expected numbers in [0, {}]",
-                                     range.begin, range.end, n - 1));
-    return {sweeps.begin() + begin, sweeps.begin() + end};
-}
-
 /// Reads a rigid transform from each row of a table: a quaternion w x y z, and a
 /// translation in metres.
 std::vector<Pose> read_pose_from_each_row(const Feather& table) {
@@ -277,8 +268,14 @@ std::vector<BoxTrack> read_box_tracks_at_sweeps(const fs::path& annotation_file,
 LidarSequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
     require_existing_folder(log_folder, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
     const fs::path folder = fs::canonical(log_folder);
-    const std::vector<SweepFile> all = list_sweeps(folder / "sensors" / "lidar"),
-                                 sweeps = select_sweeps_in_range(all, options.frames);
+    const std::vector<SweepFile> all = list_sweeps(folder / "sensors" / "lidar");
+    const FrameRange& range = options.frames;
+    const int n = int(all.size()), begin = std::min(range.begin, n),
+              end = range.end < 0 ? n : std::min(range.end, n);
+    if (begin >= end)
+        throw UsageError(fmt::format("frames {}:{} select no sweep of this log, expected numbers in [0, {}]",
+                                     range.begin, range.end, n - 1));
+    const std::vector<SweepFile> sweeps(all.begin() + begin, all.begin() + end);
     const PoseTrack vehicle_track =
         read_poses_at_sweeps(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
     LidarSequence sequence;

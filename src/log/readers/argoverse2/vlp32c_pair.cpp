@@ -25,8 +25,6 @@ constexpr const char* kName = "VLP-32C";
 constexpr std::array<int, kLasers> kNumbers = {31, 13, 1,  17, 29, 9, 3,  21, 27, 12, 5,  16, 25, 8, 7,  20,
                                                22, 2,  10, 28, 23, 6, 11, 24, 18, 0,  14, 30, 19, 4, 15, 26};
 
-double to_radians(double degrees) { return degrees * kPi / 180.0; }
-
 std::vector<Beam> make_nominal_vlp32c_beams() {
     return std::get<SpinningSensor>(find_built_in_sensor(kName, 1, kRate_hz)->pattern).beams;
 }
@@ -53,6 +51,7 @@ double compute_mean_laser_elevation_error(const RawSweep& sweep, int laser_group
                                           const Pose& vehicle_from_lidar) {
     const std::array<LaserRowTiming, kLasers> laser_table = make_vlp32c_laser_table();
     const Pose lidar_from_vehicle = inverse(vehicle_from_lidar);
+    constexpr double kLargestDifference_rad = kPi / 180.0;
     double sum = 0.0, n = 0.0;
     for (std::size_t i = 0; i < sweep.point_m.size(); ++i) {
         if (sweep.laser[i] / kLasers != laser_group) continue;
@@ -60,7 +59,7 @@ double compute_mean_laser_elevation_error(const RawSweep& sweep, int laser_group
         const double elevation = std::atan2(p.z, std::hypot(p.x, p.y));
         sum +=
             std::min(std::abs(elevation - laser_table[std::size_t(sweep.laser[i] % kLasers)].elevation_rad),
-                     to_radians(1.0));
+                     kLargestDifference_rad);
         n += 1.0;
     }
     return n > 0.0 ? sum / n : 0.0;

@@ -49,17 +49,6 @@ private:
     std::map<std::string, std::optional<RelativeFramePose>> apart_;
 };
 
-/// Sorts box labels by time. Removes repeated labels of an object at the same time.
-/// @return number of removed labels
-std::size_t sort_and_deduplicate_labels(std::vector<BoxLabel>& labels) {
-    std::ranges::stable_sort(labels, {}, &BoxLabel::time_s);
-    std::map<std::string, double> last_s;
-    return std::erase_if(labels, [&](const BoxLabel& label) {
-        const auto [known, is_new] = last_s.try_emplace(label.id, label.time_s);
-        return !is_new && std::exchange(known->second, label.time_s) == label.time_s;
-    });
-}
-
 /// Object trackers change the category and the size of an object over time. Gives all
 /// labels of an object its most frequent category and its median size.
 void unify_category_and_size_by_id(std::vector<BoxLabel>& labels) {
@@ -119,11 +108,18 @@ public:
                 "{} boxes are skipped, because the pose of the frame '{}' in the frame '{}' is unknown at "
                 "their times",
                 n_unplaced_, shorten_for_error_message(*unplaced_.begin()), transform_context_.vehicle));
-        if (const std::size_t n = sort_and_deduplicate_labels(labels_); n > 0)
+        // Sorts labels by time. Removes repeated labels of an object at the same time.
+        std::ranges::stable_sort(labels_, {}, &BoxLabel::time_s);
+        std::map<std::string, double> last_s;
+        const std::size_t n_repeated = std::erase_if(labels_, [&](const BoxLabel& label) {
+            const auto [known, is_new] = last_s.try_emplace(label.id, label.time_s);
+            return !is_new && std::exchange(known->second, label.time_s) == label.time_s;
+        });
+        if (n_repeated > 0)
             result.notes.push_back(
                 fmt::format("{} boxes are skipped, because another box has the same track id and the same "
                             "time",
-                            n));
+                            n_repeated));
         unify_category_and_size_by_id(labels_);
         result.tracks = build_tracks(labels_);
         return result;

@@ -25,10 +25,6 @@ bool is_pcap_file(const fs::path& file) {
     return ending == ".pcap" || ending == ".pcapng";
 }
 
-bool is_bag_or_pcap_file(const fs::path& file) {
-    return is_pcap_file(file) || std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
-}
-
 /// The parts of rosbag2's metadata.yaml that describe the files. The parser reads line by
 /// line and accepts only the layout that rosbag2 writes.
 struct RosbagMetadata {
@@ -37,19 +33,19 @@ struct RosbagMetadata {
     std::string compression, mode;
 };
 
-std::string remove_quotes(std::string_view text) {
-    text = trim_blanks_at_both_ends(text);
-    if (text.size() >= 2 && (text.front() == '"' || text.front() == '\'') && text.back() == text.front())
-        text = text.substr(1, text.size() - 2);
-    return std::string(text);
-}
-
 RosbagMetadata read_rosbag2_metadata(const fs::path& file) {
     RosbagMetadata metadata;
     bool in_files = false;
     for (const std::string& line : split_lines(read_text_file(file))) {
         const std::string_view text = trim_blanks_at_both_ends(line);
-        const auto value_of = [&](std::string_view key) { return remove_quotes(text.substr(key.size())); };
+        const auto value_of = [&](std::string_view key) {
+            std::string_view value = trim_blanks_at_both_ends(text.substr(key.size()));
+            // Removes quotes.
+            if (value.size() >= 2 && (value.front() == '"' || value.front() == '\'') &&
+                value.back() == value.front())
+                value = value.substr(1, value.size() - 2);
+            return std::string(value);
+        };
         if (text.starts_with("relative_file_paths:")) in_files = true;
         else if (in_files && text.starts_with("- ")) metadata.files.push_back(value_of("- "));
         else in_files = false;
@@ -59,16 +55,6 @@ RosbagMetadata read_rosbag2_metadata(const fs::path& file) {
     std::ranges::transform(metadata.mode, metadata.mode.begin(),
                            [](unsigned char character) { return char(std::tolower(character)); });
     return metadata;
-}
-
-/// Lists the bag files of a folder without metadata.yaml. Sorts numbers in names by
-/// value, so NAME_2 precedes NAME_10.
-std::vector<fs::path> list_recording_files(const fs::path& folder) {
-    std::vector<fs::path> parts;
-    for (const fs::path& file : list_folder_entries(folder))
-        if (is_bag_or_pcap_file(file)) parts.push_back(file);
-    std::ranges::stable_sort(parts, {}, [](const fs::path& file) { return file.filename().string().size(); });
-    return parts;
 }
 
 }  // namespace
@@ -100,7 +86,16 @@ BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
                                           file.string(), kMetadata));
         }
     }
-    if (paths_.empty()) paths_ = list_recording_files(path);
+    // Without files from metadata.yaml, uses all recordings in the folder. Sorts numbers
+    // in names by value, so NAME_2 precedes NAME_10.
+    if (paths_.empty()) {
+        for (const fs::path& file : list_folder_entries(path))
+            if (is_pcap_file(file) ||
+                std::ranges::find(kEndings, file.extension().string()) != kEndings.end())
+                paths_.push_back(file);
+        std::ranges::stable_sort(paths_, {},
+                                 [](const fs::path& file) { return file.filename().string().size(); });
+    }
     if (paths_.empty())
         throw DataError(fmt::format(
             "{}: found no file of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string()));

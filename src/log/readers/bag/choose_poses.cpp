@@ -73,14 +73,6 @@ PoseSourceCandidate make_pose_source_from_topic(const BagRecording& bag, const F
     return source;
 }
 
-/// Returns the pose topic with the most messages. Prefers odometry topics.
-const PoseTopic* find_best_pose_topic(const BagRecording& bag, const BagIndex& bag_index) {
-    const auto best = std::ranges::max_element(bag_index.poses, {}, [&](const PoseTopic& p) {
-        return std::pair(bag.topics()[p.topic].type == "nav_msgs/Odometry", p.samples.size());
-    });
-    return best == bag_index.poses.end() || best->samples.size() < 2 ? nullptr : &*best;
-}
-
 std::optional<PoseSourceCandidate> find_requested_pose_source(
     const BagRecording& bag, const BagIndex& bag_index, const std::vector<std::string>& frame_path_to_root,
     const std::string& requested_frame_or_topic, std::vector<std::string>& notes) {
@@ -111,8 +103,12 @@ std::optional<PoseSourceCandidate> select_default_pose_source(
                                   : frame_path_to_root.back();
     if (has_moving_transform_up_to(bag_index.frames, frame_path_to_root, outer))
         return make_pose_source_from_tf(bag_index.frames, frame_path_to_root, outer);
-    if (const PoseTopic* topic = find_best_pose_topic(bag, bag_index))
-        return make_pose_source_from_topic(bag, bag_index.frames, *topic, frame_path_to_root.front(), notes);
+    // Uses the pose topic with the most messages. Prefers odometry topics.
+    const auto best = std::ranges::max_element(bag_index.poses, {}, [&](const PoseTopic& p) {
+        return std::pair(bag.topics()[p.topic].type == "nav_msgs/Odometry", p.samples.size());
+    });
+    if (best != bag_index.poses.end() && best->samples.size() >= 2)
+        return make_pose_source_from_topic(bag, bag_index.frames, *best, frame_path_to_root.front(), notes);
     for (const char* world : {"map", "odom", "world", "earth"})
         if (outer == world && frame_path_to_root.size() > 1)
             return make_pose_source_from_tf(bag_index.frames, frame_path_to_root, outer);

@@ -21,8 +21,6 @@ using protozero::tag_and_type;
 constexpr auto kBytes = pbf_wire_type::length_delimited, kFixed32 = pbf_wire_type::fixed32,
                kVarint = pbf_wire_type::varint;
 
-std::string_view to_string_view(const protozero::data_view& view) { return {view.data(), view.size()}; }
-
 /// Reads the coordinates x, y, z and w of a protobuf message. Missing coordinates are 0.
 glm::dvec4 read_xyzw(pbf_reader reader) {
     glm::dvec4 v(0.0);
@@ -124,9 +122,11 @@ CloudMessage parse_foxglove_cloud_message(std::string_view message_bytes) {
             case tag_and_type(5, kBytes):
                 cloud.fields.push_back(read_foxglove_point_field(reader.get_message()));
                 break;
-            case tag_and_type(6, kBytes):
-                cloud.data = to_string_view(reader.get_view());
+            case tag_and_type(6, kBytes): {
+                const protozero::data_view view = reader.get_view();
+                cloud.data = {view.data(), view.size()};
                 break;
+            }
             default:
                 reader.skip();
         }

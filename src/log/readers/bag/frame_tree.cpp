@@ -12,12 +12,6 @@ namespace {
 constexpr double kBeside_s = 0.1;
 constexpr std::size_t kDeepest = 64;  // maximum depth of the tree
 
-/// Returns true if two poses differ by more than rounding errors.
-bool are_poses_different(const Pose& first, const Pose& second) {
-    return glm::distance(first.translation, second.translation) > 1e-6 ||
-           std::abs(glm::dot(first.rotation, second.rotation)) < 1.0 - 1e-12;
-}
-
 }  // namespace
 
 void TransformChain::append_sampled_child_transform(const std::vector<StampedPose>& pose_samples,
@@ -62,9 +56,13 @@ void FrameTree::add_transform(const TransformMessage& transform, std::int64_t re
     FrameTreeEdge& link = parents_[transform.child][transform.header.frame];
     link.is_static = is_static;
     if (is_static) link.samples.clear();  // a static transform keeps only its latest sample
-    if (!link.samples.empty())
-        link.changes =
-            link.changes || are_poses_different(link.samples.front().pose, transform.parent_from_child);
+    if (!link.samples.empty()) {
+        // The transform changes if a pose differs from the first pose by more than
+        // rounding errors.
+        const Pose &first = link.samples.front().pose, &current = transform.parent_from_child;
+        link.changes = link.changes || glm::distance(first.translation, current.translation) > 1e-6 ||
+                       std::abs(glm::dot(first.rotation, current.rotation)) < 1.0 - 1e-12;
+    }
     link.samples.push_back({transform.header.stamp_ns, recording_time_ns, transform.parent_from_child});
 }
 

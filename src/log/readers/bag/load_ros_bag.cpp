@@ -67,13 +67,19 @@ public:
         LidarPoseFunction deskewed_by;
         if (is_deskewed_ && has_poses_)
             deskewed_by = [&](std::size_t lidar, double t_s) {
-                return compute_lidar_pose_in_bag_world(lidar, t_s);
+                const Pose pose = compute_vehicle_pose_in_bag_world(t_s);
+                return clouds_.lidars.size() > 1 ? pose * sequence_.lidars[lidar].vehicle_from_sensor : pose;
             };
         folder::read_scans(sequence_, head,
                            BagScanProvider(bag_, lidars_, frames_, poses_.clock, deskewed_by), options);
+        const auto vehicle_pose_in_log_world = [&](double t_s) -> std::optional<Pose> {
+            if (!poses_.path->covers_time(t_s)) return std::nullopt;
+            Pose pose = compute_vehicle_pose_in_bag_world(t_s);
+            pose.translation -= sequence_.world_offset_m;
+            return pose;
+        };
         if (has_poses_)
-            add_note_if_not_empty(correct_rays_for_vehicle_motion(
-                sequence_, [&](double t_s) { return compute_vehicle_pose_in_log_world(t_s); }));
+            add_note_if_not_empty(correct_rays_for_vehicle_motion(sequence_, vehicle_pose_in_log_world));
         return std::move(sequence_);
     }
 
@@ -254,18 +260,6 @@ private:
         if (clouds_.lidars.size() > 1) return world_from_vehicle;
         return world_from_vehicle *
                *survey_.frames.find_constant_transform(poses_.vehicle, get_main_cloud_topic().frame);
-    }
-
-    Pose compute_lidar_pose_in_bag_world(std::size_t lidar_index, double t_s) const {
-        const Pose pose = compute_vehicle_pose_in_bag_world(t_s);
-        return clouds_.lidars.size() > 1 ? pose * sequence_.lidars[lidar_index].vehicle_from_sensor : pose;
-    }
-
-    std::optional<Pose> compute_vehicle_pose_in_log_world(double t_s) const {
-        if (!poses_.path->covers_time(t_s)) return std::nullopt;
-        Pose pose = compute_vehicle_pose_in_bag_world(t_s);
-        pose.translation -= sequence_.world_offset_m;
-        return pose;
     }
 
     /// Reads vehicle poses from a file of the user. The file lists them by frame number

@@ -155,16 +155,6 @@ private:
         }
     }
 
-    /// Reads a metadata record that relidar wrote. Ignores all other metadata records.
-    void read_metadata_written_by_relidar(ByteReader reader) {
-        if (reader.read_length_prefixed_string() != "relidar") return;
-        for (ByteReader pairs(reader.read_length_prefixed_string()); pairs.count_remaining_bytes() > 0;) {
-            const std::string_view key = pairs.read_length_prefixed_string(),
-                                   value = pairs.read_length_prefixed_string();
-            if (key == "points_in") points_in_ = value;
-        }
-    }
-
     void process_mcap_record(const McapRecord& record, const MessagePosition& message_position,
                              TopicTable& topics, const MessageReadCallbacks& callbacks) {
         ByteReader reader(record.body);
@@ -181,7 +171,13 @@ private:
             channels_[id] = topics.find_or_add_topic_index(
                 {name, schema_entry == schemas_.end() ? "" : schema_entry->second.name, encoding});
         } else if (record.code == kMcapMetadata) {
-            read_metadata_written_by_relidar(reader);
+            // Ignores metadata records that relidar did not write.
+            if (reader.read_length_prefixed_string() != "relidar") return;
+            for (ByteReader pairs(reader.read_length_prefixed_string()); pairs.count_remaining_bytes() > 0;) {
+                const std::string_view key = pairs.read_length_prefixed_string(),
+                                       value = pairs.read_length_prefixed_string();
+                if (key == "points_in") points_in_ = value;
+            }
         } else if (record.code == kMcapMessage) {
             const McapMessage message = parse_message(record.body);
             const auto channel = channels_.find(message.channel);

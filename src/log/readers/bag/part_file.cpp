@@ -39,13 +39,6 @@ void unpack_bz2(std::string_view source, std::span<char> target) {
 
 using ChunkUnpacker = void (*)(std::string_view, std::span<char>);
 
-/// Returns the function that unpacks a compression, or null for an unknown compression.
-ChunkUnpacker find_chunk_unpacker(std::string_view compression) {
-    if (compression == "lz4") return decompress_lz4;
-    if (compression == "zstd") return decompress_zstd;
-    return compression == "bz2" ? unpack_bz2 : nullptr;
-}
-
 std::string get_system_error_text() { return std::error_code(errno, std::generic_category()).message(); }
 
 }  // namespace
@@ -110,8 +103,11 @@ SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& compre
                 fmt::format("found {} bytes of uncompressed data, expected {}", bytes.size(), unpacked_size));
         return compressed_chunk;
     }
-    const ChunkUnpacker unpack = find_chunk_unpacker(compression);
-    if (!unpack)
+    ChunkUnpacker unpack = nullptr;
+    if (compression == "lz4") unpack = decompress_lz4;
+    else if (compression == "zstd") unpack = decompress_zstd;
+    else if (compression == "bz2") unpack = unpack_bz2;
+    else
         throw DataError(fmt::format("found the compression '{}', expected none, lz4, zstd or bz2",
                                     shorten_for_error_message(compression)));
     if (unpacked_size > UINT_MAX ||

@@ -147,8 +147,10 @@ public:
         std::erase_if(pending_, [&](const auto& keyed) {
             return std::abs(capture_time_ns - keyed.second.datagram.stamp_ns) > kTogether_ns;
         });
+        // Erases the oldest pending datagram if there are too many.
         if (!pending_.contains(packet.key) && pending_.size() >= kMostPending)
-            erase_oldest_pending_datagram();
+            pending_.erase(std::ranges::min_element(
+                pending_, {}, [](const auto& keyed) { return keyed.second.datagram.at; }));
         PendingDatagram& pending = pending_[packet.key];
         if (pending.parts.empty()) pending.datagram = {packet.from, file_offset, capture_time_ns, {}};
         std::string& bytes = pending.datagram.bytes;
@@ -157,7 +159,10 @@ public:
         std::size_t& end = pending.parts[packet.offset];
         end = std::max(end, packet.offset + payload.size());
         if (!packet.has_more) pending.total = packet.offset + payload.size();
-        if (!pending.has_all_fragments()) return std::nullopt;
+        std::size_t received = 0;  // bytes without a gap from the start
+        for (const auto& [offset, fragment_end] : pending.parts)
+            if (offset <= received) received = std::max(received, fragment_end);
+        if (pending.total == 0 || received != pending.total) return std::nullopt;
         datagram = std::move(pending.datagram);
         pending_.erase(packet.key);
         return datagram;
@@ -168,20 +173,8 @@ private:
         std::map<std::size_t, std::size_t> parts;  ///< end of each received fragment, by its byte offset
         std::size_t total = 0;  ///< size of the datagram; known when the last fragment has been received
         Datagram datagram;
-
-        bool has_all_fragments() const {
-            std::size_t received = 0;
-            for (const auto& [offset, end] : parts)
-                if (offset <= received) received = std::max(received, end);
-            return total > 0 && received == total;
-        }
     };
     std::map<std::string, PendingDatagram> pending_;
-
-    void erase_oldest_pending_datagram() {
-        pending_.erase(std::ranges::min_element(pending_, {},
-                                                [](const auto& keyed) { return keyed.second.datagram.at; }));
-    }
 };
 
 struct ClosePcap {
@@ -232,7 +225,10 @@ public:
             callbacks.done(bytes_ > 0 ? double(datagram->at) / double(bytes_) : 0.0);
             if (is_datagram_after_pause(*stream, stream->n, datagram->stamp_ns - stream->log_ns))
                 emit_pending_message(*stream, callbacks);
-            if (stream->n++ == 0) stream->start_new_message(*datagram);
+            if (stream->n++ == 0) {  // first datagram of a message
+                stream->at = stream->first_at = datagram->at;
+                stream->log_ns = datagram->stamp_ns;
+            }
             stream->at = std::min(stream->at, datagram->at);
             if (stream->product) append_datagram(stream->run, *datagram);
             if (!stream->product && stream->n_of_bytes.size() < kMostPending)
@@ -298,11 +294,6 @@ private:
         std::map<std::size_t, std::size_t> n_of_bytes;
         std::shared_ptr<const packets::OusterMetadata> ouster;  ///< metadata of the sensor
         std::string livox_frame;  ///< frame name of the clouds of a Livox; empty for other products
-
-        void start_new_message(const Datagram& first_datagram) {
-            at = first_at = first_datagram.at;
-            log_ns = first_datagram.stamp_ns;
-        }
     };
     packets::OusterMetadataList ousters_;  ///< metadata from files in the folder of the capture
     const std::filesystem::path path_;

@@ -41,20 +41,6 @@ std::string describe_cloud_topic_content(const CloudTopic& cloud_topic) {
                        cloud_topic.compute_median_point_count(), fmt::join(names, " "));
 }
 
-std::string describe_pose_topic_content(const PoseTopic& pose_topic) {
-    return fmt::format(", frame '{}' in '{}'",
-                       pose_topic.child.empty() ? "unknown" : shorten_for_error_message(pose_topic.child),
-                       shorten_for_error_message(pose_topic.parent));
-}
-
-std::string describe_box_topic_content(const BoxTopic& box_topic) {
-    return fmt::format(", frame '{}', {} boxes, {} with a track id{}",
-                       shorten_for_error_message(box_topic.frame), box_topic.n_boxes, box_topic.n_named,
-                       box_topic.n_left_out == 0
-                           ? ""
-                           : fmt::format("; {} more boxes have no size or no pose", box_topic.n_left_out));
-}
-
 }  // namespace
 
 std::vector<std::string> format_line_per_topic(const BagRecording& bag, const BagIndex& bag_index,
@@ -79,10 +65,16 @@ std::vector<std::string> format_line_per_topic(const BagRecording& bag, const Ba
         }
         if (const auto poses = std::ranges::find(bag_index.poses, t, &PoseTopic::topic);
             poses != bag_index.poses.end())
-            line += describe_pose_topic_content(*poses);
+            line += fmt::format(", frame '{}' in '{}'",
+                                poses->child.empty() ? "unknown" : shorten_for_error_message(poses->child),
+                                shorten_for_error_message(poses->parent));
         if (const auto boxes = std::ranges::find(bag_index.boxes, t, &BoxTopic::topic);
-            boxes != bag_index.boxes.end())
-            line += describe_box_topic_content(*boxes);
+            boxes != bag_index.boxes.end()) {
+            line += fmt::format(", frame '{}', {} boxes, {} with a track id",
+                                shorten_for_error_message(boxes->frame), boxes->n_boxes, boxes->n_named);
+            if (boxes->n_left_out != 0)
+                line += fmt::format("; {} more boxes have no size or no pose", boxes->n_left_out);
+        }
         if (facts.n_broken > 0)
             line += fmt::format(", {} messages cannot be read (the first error: {})", facts.n_broken,
                                 facts.broken);

@@ -27,16 +27,6 @@ struct FinishStatement {
 };
 using Statement = std::unique_ptr<sqlite3_stmt, FinishStatement>;
 
-/// Converts a path to a URI for SQLite and appends the options.
-std::string make_sqlite_uri(const std::filesystem::path& path, const char* uri_options) {
-    std::string uri = "file:";
-    for (const char c : std::filesystem::absolute(path).string()) {
-        if (c == '?' || c == '#' || c == '%') uri += fmt::format("%{:02X}", static_cast<unsigned char>(c));
-        else uri += c;
-    }
-    return uri + uri_options;
-}
-
 std::string get_text_column(sqlite3_stmt* statement, int column) {
     const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(statement, column));
     return text ? std::string(text, std::size_t(sqlite3_column_bytes(statement, column))) : std::string();
@@ -57,10 +47,17 @@ public:
         // SQLite ignores this log in immutable mode. So immutable mode is used only if
         // the log does not exist.
         const bool is_open = std::filesystem::exists(path.string() + "-wal", failed);
+        // Escapes the characters that have a special meaning in a URI.
+        std::string uri = "file:";
+        for (const char c : std::filesystem::absolute(path).string()) {
+            if (c == '?' || c == '#' || c == '%')
+                uri += fmt::format("%{:02X}", static_cast<unsigned char>(c));
+            else uri += c;
+        }
+        uri += is_open ? "?mode=ro" : "?mode=ro&immutable=1";
         sqlite3* database = nullptr;
-        const int code =
-            sqlite3_open_v2(make_sqlite_uri(path, is_open ? "?mode=ro" : "?mode=ro&immutable=1").c_str(),
-                            &database, SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
+        const int code = sqlite3_open_v2(
+            uri.c_str(), &database, SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
         database_.reset(database);
         if (code != SQLITE_OK) throw_database_error("opening the database");
         // No value can be larger than the file. The margin is 1 MiB.

@@ -77,14 +77,6 @@ private:
     std::string broken_metadata_;
     bool has_read_metadata_ = false;
 
-    void read_angle_correction_files() {
-        corrections_.emplace();  // a file with an error is read only once
-        std::vector<std::filesystem::path> names;
-        for (const std::filesystem::path& file : bag_.get_file_paths())
-            names.push_back(remove_gz_extension(file));
-        corrections_ = packets::find_angle_corrections(names);
-    }
-
     void index_cloud_message(const BagTopic& topic, const BagMessage& message) {
         const CloudMessage cloud = read_cloud_of_message(topic, message.bytes);
         CloudTopic& clouds = find_or_add_topic_entry(survey_.clouds, message.topic);
@@ -107,7 +99,13 @@ private:
         const std::vector<packets::ReceivedPacket> views =
             packets::read_packets_of_message(topic, message.bytes, message.log_ns, header);
         if (views.empty()) return;
-        if (!corrections_) read_angle_correction_files();
+        if (!corrections_) {
+            corrections_.emplace();  // a file with an error is read only once
+            std::vector<std::filesystem::path> names;
+            for (const std::filesystem::path& file : bag_.get_file_paths())
+                names.push_back(remove_gz_extension(file));
+            corrections_ = packets::find_angle_corrections(names);
+        }
         packets::DecoderCalibration calibration{*corrections_};
         if (topic.encoding == packets::kDatagrams) read_ouster_metadata_files();
         calibration.ouster =

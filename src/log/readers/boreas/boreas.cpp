@@ -78,24 +78,21 @@ constexpr EulerAngleConvention kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-y
                                                  {"R_z(-yaw) R_y(-pitch) R_x(-roll)", -1.0, false},
                                                  {"R_x(roll) R_y(pitch) R_z(yaw)", 1.0, true}};
 
-glm::dquat make_enu_from_lidar_rotation(double roll_rad, double pitch_rad, double yaw_rad,
-                                        const EulerAngleConvention& angle_convention) {
-    const double sign = angle_convention.sign;
-    return angle_convention.yaw_first
-               ? glm::conjugate(make_rotation(-sign * yaw_rad, -sign * pitch_rad, -sign * roll_rad))
-               : make_rotation(sign * yaw_rad, sign * pitch_rad, sign * roll_rad);
-}
-
 PoseTrack make_lidar_pose_track(const std::vector<stamped::StampedPoseRow>& pose_rows,
                                 const stamped::StampedLog& log,
                                 const EulerAngleConvention& angle_convention) {
+    const double sign = angle_convention.sign;
     PoseTrack track;
     for (const stamped::StampedPoseRow& row : pose_rows) {
         const std::vector<double>& v = row.values;
         const double *position = v.data(), *angle = v.data() + kFirstAngle;
+        const double roll_rad = angle[0], pitch_rad = angle[1], yaw_rad = angle[2];
+        const glm::dquat enu_from_lidar =
+            angle_convention.yaw_first
+                ? glm::conjugate(make_rotation(-sign * yaw_rad, -sign * pitch_rad, -sign * roll_rad))
+                : make_rotation(sign * yaw_rad, sign * pitch_rad, sign * roll_rad);
         track.time_s.push_back(log.convert_stamp_to_seconds(row.stamp));
-        track.pose.push_back({make_enu_from_lidar_rotation(angle[0], angle[1], angle[2], angle_convention),
-                              {position[0], position[1], position[2]}});
+        track.pose.push_back({enu_from_lidar, {position[0], position[1], position[2]}});
     }
     return track;
 }
@@ -139,12 +136,6 @@ PoseTrack read_boreas_poses(const fs::path& pose_file, const stamped::StampedLog
     return best;
 }
 
-/// Rotates the sensor frame of all poses so that its x axis points forward.
-void rotate_pose_frames_to_x_forward(PoseTrack& track, double forward_azimuth_rad) {
-    const Pose lidar_from_turned{make_rotation(forward_azimuth_rad, 0.0, 0.0), {}};
-    for (Pose& pose : track.pose) pose = pose * lidar_from_turned;
-}
-
 }  // namespace
 
 LidarSequence load_boreas_dataset(const fs::path& log_folder, const DatasetOptions& options) {
@@ -170,7 +161,9 @@ LidarSequence load_boreas_dataset(const fs::path& log_folder, const DatasetOptio
     if (!forward.is_known)
         sequence.notes.push_back(
             "the forward direction of the vehicle is unknown; the x axis of the LiDAR is used");
-    rotate_pose_frames_to_x_forward(log.world_from_vehicle, forward.compute_forward_azimuth_rad());
+    // Rotates the sensor frame of all poses so that its x axis points forward.
+    const Pose lidar_from_turned{make_rotation(forward.compute_forward_azimuth_rad(), 0.0, 0.0), {}};
+    for (Pose& pose : log.world_from_vehicle.pose) pose = pose * lidar_from_turned;
     sequence.conventions = fmt::format(
         "LiDAR frame: x forward, y left, z up, in metres (rotated about z by {:.2f} degrees relative to "
         "Boreas). Times are seconds after the first scan. The time of a frame is the middle of its sweep. "

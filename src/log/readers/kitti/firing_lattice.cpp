@@ -262,15 +262,6 @@ std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBe
     return shift;
 }
 
-/// Shifts the azimuth offsets of all beams so that their mean is 0. The head then faces
-/// the mean direction of the beams.
-void subtract_mean_beam_azimuth_offset(BeamFiringGrid& firing_grid) {
-    const double mean =
-        std::accumulate(firing_grid.offset_rad.begin(), firing_grid.offset_rad.end(), 0.0) / kRings;
-    for (double& offset : firing_grid.offset_rad) offset -= mean;
-    firing_grid.head.zero_rad += mean;
-}
-
 }  // namespace
 
 std::vector<Beam> BeamFiringGrid::make_beams_with_elevations_of_cones(const BeamCones& cones) const {
@@ -310,7 +301,12 @@ BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& sca
         for (std::size_t k = 0; k < kRings; ++k)
             lattice.offset_rad[k] += shift[k] * lattice.head.compute_azimuth_per_tick_rad();
     }
-    subtract_mean_beam_azimuth_offset(lattice);
+    // Shifts the azimuth offsets of all beams so that their mean is 0. The head then
+    // faces the mean direction of the beams.
+    const double mean_rad =
+        std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
+    for (double& offset_rad : lattice.offset_rad) offset_rad -= mean_rad;
+    lattice.head.zero_rad += mean_rad;
     return lattice;
 }
 

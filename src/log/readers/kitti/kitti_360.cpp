@@ -120,17 +120,6 @@ void add_frames_with_pose(LidarSequence& sequence, const std::vector<int>& frame
                                              format_number_list(without)));
 }
 
-/// Returns the file with the box labels of a drive. Prefers the folder train_full to the
-/// smaller folder train.
-/// @return empty path if neither folder contains the file
-fs::path find_box_label_file(const fs::path& dataset_folder, const std::string& drive_name) {
-    for (const char* set : {"train_full", "train"}) {
-        const fs::path file = dataset_folder / "data_3d_bboxes" / set / (drive_name + ".xml");
-        if (does_path_exist(file)) return file;
-    }
-    return {};
-}
-
 /// Adds frames, poses and boxes to the log. Leaves out the boxes if the poses are from a
 /// user's file, because boxes are in the dataset's world frame.
 void add_frames_and_boxes(LidarSequence& sequence, const fs::path& dataset_folder,
@@ -141,7 +130,11 @@ void add_frames_and_boxes(LidarSequence& sequence, const fs::path& dataset_folde
     if (user_pose_file.empty() || does_path_exist(dataset_folder / "data_poses" / drive.name)) {
         add_frames_with_pose(sequence, frame_numbers, time_s,
                              read_lidar_pose_per_frame(dataset_folder, drive.name));
-        const fs::path labels = find_box_label_file(dataset_folder, drive.name);
+        fs::path labels;  // prefers the folder train_full to the smaller folder train
+        for (const char* set : {"train_full", "train"}) {
+            const fs::path file = dataset_folder / "data_3d_bboxes" / set / (drive.name + ".xml");
+            if (labels.empty() && does_path_exist(file)) labels = file;
+        }
         if (labels.empty())
             sequence.notes.push_back(
                 "data_3d_bboxes is missing, so this drive has no "

@@ -29,11 +29,6 @@ PoseTrack read_drive_poses(const fs::path& drive_folder, const std::vector<int>&
     return track;
 }
 
-std::string describe_pose_source(const fs::path& user_pose_file) {
-    if (user_pose_file == kNoPoses) return "no poses, so the sensor is at the origin in every frame";
-    return "poses from " + (user_pose_file.empty() ? "OXTS (Mercator)" : user_pose_file.string());
-}
-
 /// Returns notes for the user about missing scans, labels and poses. For example, four
 /// scans are missing in the middle of drive 0009.
 std::vector<std::string> list_missing_data_notes(const fs::path& drive_folder,
@@ -69,11 +64,15 @@ LidarSequence load_kitti_raw(const fs::path& folder, const DatasetOptions& optio
     LidarSequence sequence;
     sequence.name = drive.filename().string();
     sequence.source = folder.string();
+    std::string pose_source = "no poses, so the sensor is at the origin in every frame";
+    if (options.poses_file != kNoPoses)
+        pose_source =
+            "poses from " + (options.poses_file.empty() ? "OXTS (Mercator)" : options.poses_file.string());
     sequence.conventions = fmt::format(
         "Sensor frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of the "
         "log. At the time of a frame, the head faces forward. The log has {}. Scans are not "
         "motion-compensated. Boxes are labelled only in the view of the front camera.",
-        describe_pose_source(options.poses_file));
+        pose_source);
     sequence.notes = list_missing_data_notes(drive, frames, options);
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;
     sequence.lidars[0].sensor.period_s = read_median_sweep_duration_s(drive);

@@ -150,15 +150,6 @@ Pose compute_vehicle_from_mulran_lidar() {
     return base_from_ouster * Pose{make_rotation(kPi, 0.0, 0.0), {}};
 }
 
-fs::path find_scans_folder(const fs::path& folder) {
-    for (const char* scans : {"Ouster", "sensor_data/Ouster"})
-        if (does_path_exist(folder / scans)) return folder / scans;
-    throw DataError(
-        fmt::format("{} contains neither Ouster/ nor sensor_data/Ouster/, expected the scans of the LiDAR in "
-                    "one of them",
-                    folder.string()));
-}
-
 stamped::PointFileFormat make_mulran_point_format(LidarSequence& sequence,
                                                   const std::vector<fs::path>& scan_files) {
     stamped::PointFileFormat format;
@@ -192,7 +183,14 @@ LidarSequence load_mulran_dataset(const fs::path& log_folder, const DatasetOptio
         "Frames of vehicle and LiDAR: x forward, y left, z up, in metres (in MulRan's files, the LiDAR's x "
         "axis points backward). Times are seconds after the first scan. The time of a frame is the middle "
         "of its sweep. Points are not motion-compensated. The world frame is that of global_pose.csv.";
-    stamped::StampedLog log{kNanosecond, stamped::list_timestamped_scan_files(find_scans_folder(folder)),
+    fs::path scans_folder = folder / "Ouster";
+    if (!does_path_exist(scans_folder)) scans_folder = folder / "sensor_data/Ouster";
+    if (!does_path_exist(scans_folder))
+        throw DataError(
+            fmt::format("{} contains neither Ouster/ nor sensor_data/Ouster/, expected the scans of the "
+                        "LiDAR in one of them",
+                        folder.string()));
+    stamped::StampedLog log{kNanosecond, stamped::list_timestamped_scan_files(scans_folder),
                             {},          folder / "global_pose.csv",
                             kMostGap_s,  0.5 * kRevolution_s};
     stamped::require_pose_file_or_user_choice(log.poses_file, options);

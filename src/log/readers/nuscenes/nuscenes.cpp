@@ -168,7 +168,13 @@ public:
             format_.conventions);
         select_requested_lidars();
         select_sweeps_of_requested_frames();
-        const PoseTrack vehicle_track = add_frames_and_return_poses();
+        // All sweeps of a frame get the time of the first LiDAR's sweep.
+        for (const FrameSweepRecord& frame : frames_) {
+            const std::size_t k = std::size_t(frame.number);
+            const auto lidar = std::ranges::find(lidars_, frame.lidar) - lidars_.begin();
+            add_frame(sequence_, frame.number, main_s_[k], scene_.world_from_ego[k], int(lidar));
+        }
+        const PoseTrack vehicle_track = sequence_.world_from_vehicle;  // poses of the dataset
         if (scene_.labels.empty()) add_note("this scene has no annotations, so it has no labels");
         sequence_.boxes =
             make_box_tracks_at_frame_times(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
@@ -305,18 +311,6 @@ private:
                                          scene_.name, main_s_.size() - 1));
         if (keyframes_alone)
             add_note("the files between keyframes are missing, so only the keyframes of the scene are read");
-    }
-
-    /// Adds the selected frames to the log. All sweeps of a frame get the time of the
-    /// first LiDAR's sweep.
-    /// @return vehicle poses of the dataset at the frames
-    PoseTrack add_frames_and_return_poses() {
-        for (const FrameSweepRecord& frame : frames_) {
-            const std::size_t k = std::size_t(frame.number);
-            const auto lidar = std::ranges::find(lidars_, frame.lidar) - lidars_.begin();
-            add_frame(sequence_, frame.number, main_s_[k], scene_.world_from_ego[k], int(lidar));
-        }
-        return sequence_.world_from_vehicle;
     }
 
     /// Returns the files of each frame: points and point labels. Adds a note if label

@@ -31,14 +31,6 @@ constexpr const char* kFirstChannel = "LIDAR_TOP";
 // maximum time difference between a sweep and its vehicle pose
 constexpr double kFarthestPose_s = 0.1;
 
-std::string find_scene_token(const fs::path& table_folder, const std::string& scene_name) {
-    std::string scene_token;
-    for_each_json_record(table_folder / "scene.json", [&](const JsonRecord& record) {
-        if (record.get_text("name") == scene_name) scene_token = record.get_text("token");
-    });
-    return scene_token;
-}
-
 /// Returns the times of the samples (keyframes) of the scene in microseconds.
 TokenMap<std::int64_t> read_keyframe_times_us(const fs::path& table_folder, const std::string& scene_token) {
     TokenMap<std::int64_t> samples;
@@ -291,8 +283,11 @@ std::vector<std::string> list_scene_names(const fs::path& table_folder) {
 SceneTables read_scene_tables(const fs::path& table_folder, const std::string& scene_name) {
     SceneTables scene;
     scene.name = scene_name;
-    const TokenMap<std::int64_t> samples =
-        read_keyframe_times_us(table_folder, find_scene_token(table_folder, scene_name));
+    std::string scene_token;
+    for_each_json_record(table_folder / "scene.json", [&](const JsonRecord& record) {
+        if (record.get_text("name") == scene_name) scene_token = record.get_text("token");
+    });
+    const TokenMap<std::int64_t> samples = read_keyframe_times_us(table_folder, scene_token);
     scene.lidars = read_lidars_of_scene(table_folder, samples);
     scene.world_from_ego = read_ego_poses_of_sweeps(table_folder, scene.lidars[0].sweeps);
     scene.labels = read_box_labels_of_scene(table_folder, scene, samples);

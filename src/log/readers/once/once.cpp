@@ -62,12 +62,6 @@ OncePose read_pose_of_once_frame(const JsonField& pose_field, std::int64_t stamp
     return pose;
 }
 
-void add_box_count_of_frame(const JsonField& frame_json, OnceFile& dataset_content) {
-    if (!frame_json.has_member("annos") || !frame_json.at("annos").has_member("boxes_3d")) return;
-    dataset_content.n_boxes += frame_json.at("annos").at("boxes_3d").size();
-    ++dataset_content.n_labelled;
-}
-
 OnceFile read_once_sequence_json(const fs::path& json_file, const fs::path& scan_folder, bool needs_poses) {
     const std::string where = json_file.string();
     const nlohmann::json json = parse_json(read_text_file(json_file), where);
@@ -86,7 +80,10 @@ OnceFile read_once_sequence_json(const fs::path& json_file, const fs::path& scan
         content.scans.push_back({int(i), *stamp, scan_folder / (name + ".bin")});
         if (needs_poses || frame.has_member("pose"))
             content.poses.push_back(read_pose_of_once_frame(frame.at("pose"), *stamp));
-        add_box_count_of_frame(frame, content);
+        if (frame.has_member("annos") && frame.at("annos").has_member("boxes_3d")) {
+            content.n_boxes += frame.at("annos").at("boxes_3d").size();
+            ++content.n_labelled;
+        }
     }
     content.n_missing = std::erase_if(
         content.scans, [](const stamped::StampedScanFile& scan) { return !does_path_exist(scan.file); });

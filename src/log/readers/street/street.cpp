@@ -105,21 +105,6 @@ bool is_in_wall_window(const StreetShape& wall, const glm::dvec3& local_point,
     return u - 3.0 * std::floor(u / 3.0) < 1.2 && v > 1.0 && v - 3.0 * std::floor(v / 3.0) > 1.5;
 }
 
-/// Returns the hit of a ray on the ground. The ground consists of a road with a dashed
-/// centre line, and pavements on both sides.
-/// @param range_m,incidence_cosine  range and cosine of the hit
-StreetHit make_ground_hit(const glm::dvec3& point, double range_m, double incidence_cosine) {
-    const double middle = std::abs(point.y - 1.7);
-    const bool dash = middle < 0.08 && point.x - 6.0 * std::floor(point.x / 6.0) < 3.0;
-    if (middle < 4.2) return {range_m, incidence_cosine, dash ? 0.8 : 0.18, SurfaceClass::road};
-    return {range_m, incidence_cosine, 0.32, SurfaceClass::sidewalk};
-}
-
-SurfaceClass get_class_of_category(std::string_view category) {
-    if (category == "Pedestrian") return SurfaceClass::person;
-    return category == "Cyclist" ? SurfaceClass::cyclist : SurfaceClass::vehicle;
-}
-
 /// Returns the bounding sphere of a shape, through the corners of its box.
 BoundingSphere compute_bounding_sphere(const StreetShape& shape) {
     return {shape.centre, glm::length(shape.half)};
@@ -159,12 +144,18 @@ public:
         return along < -sphere.radius_m || along - sphere.radius_m > nearest_m_;
     }
 
+    /// Intersects the ray with the ground: a road with a dashed centre line, and
+    /// pavements on both sides. Stores the hit if it is the nearest so far.
     void update_nearest_hit_with_ground() {
         if (!(ray_.direction.z < 0.0)) return;
         const double t = -ray_.origin_m.z / ray_.direction.z;
         if (!(t > 0.0) || t > nearest_m_) return;
         nearest_m_ = t;
-        hit_ = make_ground_hit(ray_.origin_m + t * ray_.direction, t, -ray_.direction.z);
+        const glm::dvec3 point = ray_.origin_m + t * ray_.direction;
+        const double middle = std::abs(point.y - 1.7), cosine = -ray_.direction.z;
+        const bool dash = middle < 0.08 && point.x - 6.0 * std::floor(point.x / 6.0) < 3.0;
+        if (middle < 4.2) hit_ = StreetHit{t, cosine, dash ? 0.8 : 0.18, SurfaceClass::road};
+        else hit_ = StreetHit{t, cosine, 0.32, SurfaceClass::sidewalk};
     }
 
     /// Intersects the ray with a shape. Stores the hit if it is the nearest so far.
@@ -252,7 +243,11 @@ StreetCaster::StreetCaster(SyntheticStreet street) : solids_(prepare_shapes_for_
         clusters_.push_back({compute_bounding_sphere(shapes.subspan(begin, end - begin)), end});
     }
     for (MovingStreetActor& car : street.cars) {
-        for (StreetShape& shape : car.shapes) shape.surface = get_class_of_category(car.category);
+        const std::string_view category = car.category;
+        SurfaceClass surface = SurfaceClass::vehicle;
+        if (category == "Pedestrian") surface = SurfaceClass::person;
+        if (category == "Cyclist") surface = SurfaceClass::cyclist;
+        for (StreetShape& shape : car.shapes) shape.surface = surface;
         RayCastActor& new_car = cars_.emplace_back(RayCastActor{std::move(car), {}});
         new_car.solids = prepare_shapes_for_ray_casting(new_car.moving.shapes);
         for (const RayCastShape& s : new_car.solids)

@@ -36,13 +36,6 @@ double compute_driven_distance_m(const SyntheticOptions& options) {
     return options.speed_mps * compute_frame_time_s(options.n_frames - 1);
 }
 
-/// Returns half the length of the street. The street continues beyond both ends of the
-/// sensor's path, even for a long log.
-double compute_half_street_length_m(const SyntheticOptions& options) {
-    const double driven_length_m = compute_driven_distance_m(options);
-    return driven_length_m > kLongDrive_m ? 0.5 * driven_length_m + kHalfLength_m : kHalfLength_m;
-}
-
 /// One side of the street, left or right.
 struct StreetSide {
     double left;  ///< sign of y on this side: 1 on the left, -1 on the right
@@ -325,8 +318,11 @@ void add_people(SyntheticStreet& street, Random& random, const SyntheticOptions&
 SyntheticStreet make_street(const SyntheticOptions& options) {
     SyntheticStreet street;
     Random random(options.seed);
-    const StreetSide left{1.0, kLeftKerb_m, compute_half_street_length_m(options)},
-        right{-1.0, kRightKerb_m, left.half_m};
+    // The street continues beyond both ends of the sensor's path, even for a long log.
+    const double driven_length_m = compute_driven_distance_m(options);
+    const double half_length_m =
+        driven_length_m > kLongDrive_m ? 0.5 * driven_length_m + kHalfLength_m : kHalfLength_m;
+    const StreetSide left{1.0, kLeftKerb_m, half_length_m}, right{-1.0, kRightKerb_m, half_length_m};
     add_facades(street, random, left, options.people);
     add_facades(street, random, right, false);
     add_poles_and_trees(street, random, left);

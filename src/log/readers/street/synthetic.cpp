@@ -229,15 +229,6 @@ std::vector<MountedSensor> read_rig_or_default_sensor(const SyntheticOptions& op
     return std::move(*rig);
 }
 
-Lidar make_lidar_of_mounted_sensor(const MountedSensor& mounted_sensor) {
-    Lidar lidar{mounted_sensor.name, {}, mounted_sensor.rig_from_sensor};
-    set_nominal_sensor(lidar, mounted_sensor.sensor);
-    const RangeLimits limits = intersect_range_limits(mounted_sensor.sensor.limits, {0.0, kMaxRange_m});
-    lidar.sensor.min_range_m = limits.min_m;
-    lidar.sensor.max_range_m = limits.max_m;
-    return lidar;
-}
-
 }  // namespace
 
 LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_frame, int end_frame) {
@@ -260,7 +251,14 @@ LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_f
         "Sensor frame: x forward, y left, z up, in metres. Times are seconds after frame 0. At the time of "
         "a frame, the head faces forward. Poses are exact, and each ray is cast at its firing time.";
     sequence.lidars.clear();
-    for (const MountedSensor& mounted : rig) sequence.lidars.push_back(make_lidar_of_mounted_sensor(mounted));
+    for (const MountedSensor& mounted : rig) {
+        Lidar lidar{mounted.name, {}, mounted.rig_from_sensor};
+        set_nominal_sensor(lidar, mounted.sensor);
+        const RangeLimits limits = intersect_range_limits(mounted.sensor.limits, {0.0, kMaxRange_m});
+        lidar.sensor.min_range_m = limits.min_m;
+        lidar.sensor.max_range_m = limits.max_m;
+        sequence.lidars.push_back(std::move(lidar));
+    }
     for (int frame = begin_frame; frame < end_frame; ++frame)
         for (std::size_t l = 0; l < rig.size(); ++l)
             add_frame(sequence, frame, street::compute_frame_time_s(frame),

@@ -249,7 +249,16 @@ public:
             if (!poses) correct_ray_for_given_vehicle_pose(ray, world_from_vehicle);
             else if (scan.range_m[ray] > 0.0f)
                 correct_ray_for_given_vehicle_pose(ray, read_vehicle_pose_of_pixel(*poses, ray, where_));
-        if (!laser_images.labels.empty()) read_point_classes(laser_images.labels);
+        if (!laser_images.labels.empty()) {
+            // A pixel of the label image has two values: object instance and class.
+            const DecompressedImage labels =
+                inflate_image_of_scan_size(laser_images.labels, 2, PixelType::integer);
+            scan.classes.assign(scan.rays.size(), SurfaceClass::unknown);
+            for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
+                if (scan.range_m[ray] > 0.0f)
+                    scan.classes[ray] =
+                        convert_waymo_class(int(std::clamp(labels.get_pixel_values(ray)[1], 0.0f, 255.0f)));
+        }
         if (laser_images.second.empty()) return;
         AdditionalReturns& second = scan.second_returns.emplace_back(
             AdditionalReturns{to_vector(scan.range_m), to_vector(scan.intensity)});
@@ -265,17 +274,6 @@ private:
     bool clamps_;
     /// [columns] transform from the world of the log to the sensor when the column fires
     std::vector<Pose> sensor_from_world_;
-
-    /// Sets the class of each ray that has a return. The label image has one pixel per
-    /// ray, with two values: object instance and class.
-    void read_point_classes(std::string_view compressed_labels) {
-        const DecompressedImage labels = inflate_image_of_scan_size(compressed_labels, 2, PixelType::integer);
-        scan.classes.assign(scan.rays.size(), SurfaceClass::unknown);
-        for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
-            if (scan.range_m[ray] > 0.0f)
-                scan.classes[ray] =
-                    convert_waymo_class(int(std::clamp(labels.get_pixel_values(ray)[1], 0.0f, 255.0f)));
-    }
 
     DecompressedImage inflate_image_of_scan_size(std::string_view compressed_image,
                                                  int n_channels = kImageChannels,

@@ -186,15 +186,6 @@ void parse_box_into_label(pbf_reader reader, BoxLabel& label, const std::string&
     label.world_from_box = {glm::angleAxis(v[7], glm::dvec3(0, 0, 1)), {v[1], v[2], v[3]}};
 }
 
-/// Returns the category of an object. Returns null for signs, which belong to the
-/// background because they cannot move.
-const char* get_object_category(int waymo_type) {
-    constexpr int kVehicle = 1, kPedestrian = 2, kCyclist = 4;
-    if (waymo_type == kVehicle) return "vehicle";
-    if (waymo_type == kPedestrian) return "pedestrian";
-    return waymo_type == kCyclist ? "cyclist" : nullptr;
-}
-
 void parse_label_into_frame(pbf_reader reader, WaymoFrameRecord& frame_record,
                             const std::string& error_location) {
     BoxLabel label;
@@ -214,15 +205,17 @@ void parse_label_into_frame(pbf_reader reader, WaymoFrameRecord& frame_record,
                 reader.skip();
         }
     }
-    const char* category = get_object_category(type);
-    if (!category) return;
-    label.category = category;
+    constexpr int kVehicle = 1, kPedestrian = 2, kCyclist = 4;
+    if (type == kVehicle) label.category = "vehicle";
+    else if (type == kPedestrian) label.category = "pedestrian";
+    else if (type == kCyclist) label.category = "cyclist";
+    else return;  // a sign, which belongs to the background because it cannot move
     if (label.id.empty() || !(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) > 0.0))
         throw DataError(fmt::format(
             "{}: found an object of the class {} with the id '{}' and the size {} x {} x {} m; expected an "
             "id that is not empty, and a length, width and height above 0",
-            error_location, category, shorten_for_error_message(label.id), label.size_m.x, label.size_m.y,
-            label.size_m.z));
+            error_location, label.category, shorten_for_error_message(label.id), label.size_m.x,
+            label.size_m.y, label.size_m.z));
     frame_record.labels.push_back(std::move(label));
 }
 

@@ -44,12 +44,6 @@ constexpr int kNoRing = -1;
 constexpr double kDegree = kPi / 180.0;
 constexpr double kLargestStep_deg = 5.0;  // maximum rotation between two blocks
 
-/// Returns the number of returns per firing in a return mode.
-std::size_t count_returns_in_mode(std::uint8_t mode) {
-    if (mode == kTriple) return 3;
-    return mode >= kFirstDual && mode <= kLastDual ? 2 : 1;
-}
-
 /// Stores a return of a ray. A ray keeps at most two returns. A third return replaces the
 /// darker of the two, if it is brighter and differs in range from both.
 /// @param return_index  number of the return in the packet, from 0
@@ -119,7 +113,8 @@ public:
         DecodedPacket packet;
         packet.clock_ns = read_sensor_clock_ns(packet_bytes);
         const auto mode = layout_.mode_at > 0 ? std::uint8_t(packet_bytes[layout_.mode_at]) : std::uint8_t(0);
-        const std::size_t n_returns = count_returns_in_mode(mode);
+        std::size_t n_returns = mode >= kFirstDual && mode <= kLastDual ? 2 : 1;  // per firing
+        if (mode == kTriple) n_returns = 3;
         const double unit_m = layout_.range_unit_m > 0.0 ? layout_.range_unit_m
                                                          : 1e-3 * std::uint8_t(packet_bytes[layout_.unit_at]);
         const std::size_t n_joined = layout_.banks * n_returns;  // blocks of the same firing

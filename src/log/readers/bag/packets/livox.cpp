@@ -31,12 +31,6 @@ T read_number_at(std::string_view bytes, std::size_t offset) {
     return bag::ByteReader(bytes.substr(offset)).read_little_endian_number<T>();
 }
 
-/// Returns the bytes per point for a type of point data, or 0 if the type is unknown.
-std::size_t get_livox_bytes_per_point(int point_type) {
-    constexpr std::size_t kBytes[] = {0, 14, 8, 10};
-    return point_type >= 1 && point_type <= 3 ? kBytes[point_type] : 0;
-}
-
 glm::vec3 read_livox_position_m(bag::ByteReader& reader, int point_type) {
     if (point_type == 1) {
         const auto x = reader.read_little_endian_number<std::int32_t>(),
@@ -95,9 +89,11 @@ std::uint32_t append_livox_points_and_count(std::string& point_bytes, std::strin
 
 bool is_livox_point_packet(std::string_view packet_bytes) {
     if (packet_bytes.size() <= kLivoxHeader || packet_bytes[0] != 0) return false;
-    const std::size_t size = get_livox_bytes_per_point(std::uint8_t(packet_bytes[kKindAt]));
-    return size > 0 &&
-           packet_bytes.size() == kLivoxHeader + size * read_number_at<std::uint16_t>(packet_bytes, kCountAt);
+    constexpr std::size_t kPointBytes[] = {0, 14, 8, 10};  // by type of point data, 1 to 3
+    const int point_type = std::uint8_t(packet_bytes[kKindAt]);
+    if (point_type < 1 || point_type > 3) return false;
+    return packet_bytes.size() ==
+           kLivoxHeader + kPointBytes[point_type] * read_number_at<std::uint16_t>(packet_bytes, kCountAt);
 }
 
 std::string make_livox_cloud_message(std::string_view packed_packets, std::string_view frame_id) {

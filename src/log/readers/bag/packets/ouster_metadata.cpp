@@ -161,28 +161,11 @@ bool has_matching_serial_number(std::string_view packet, const OusterMetadata& m
     });
 }
 
-bool is_recording_file(const fs::path& file) {
-    const std::string ending = bag::remove_gz_extension(file).extension().string();
-    return ending == ".pcap" || ending == ".pcapng" || ending == ".bag" || ending == ".mcap" ||
-           ending == ".db3";
-}
-
 bool is_ouster_metadata_file(const fs::path& file) {
     std::error_code failed;
     const auto size = fs::file_size(file, failed);
     return !failed && size <= kMostMetadata && file.extension() == ".json" &&
            is_ouster_metadata(read_text_file(file));
-}
-
-/// Returns the files in a folder, sorted by name, or an empty list if the folder cannot
-/// be read.
-std::vector<fs::path> list_files_sorted_by_name(const fs::path& folder) {
-    std::vector<fs::path> files;
-    std::error_code failed;
-    for (fs::directory_iterator at(folder, failed), end; !failed && at != end; at.increment(failed))
-        files.push_back(at->path());
-    std::ranges::sort(files);
-    return files;
 }
 
 }  // namespace
@@ -229,11 +212,20 @@ OusterMetadataList read_ouster_metadata_in_folder_of(const fs::path& recording_p
     const std::string recording_stem = recording_path.stem().string();
     const bool has_metadata_of_same_name =
         is_ouster_metadata_file(fs::path(recording_path).replace_extension(".json"));
-    const std::vector<fs::path> files =
-        list_files_sorted_by_name(recording_path.has_parent_path() ? recording_path.parent_path() : ".");
-    std::set<std::string> recorded;
-    for (const fs::path& file : files)
-        if (is_recording_file(file)) recorded.insert(bag::remove_gz_extension(file).stem().string());
+    const fs::path folder = recording_path.has_parent_path() ? recording_path.parent_path() : ".";
+    std::vector<fs::path> files;  // empty if the folder cannot be read
+    std::error_code failed;
+    for (fs::directory_iterator at(folder, failed), end; !failed && at != end; at.increment(failed))
+        files.push_back(at->path());
+    std::ranges::sort(files);
+    std::set<std::string> recorded;  // names of the recordings in the folder
+    for (const fs::path& file : files) {
+        const fs::path unpacked = bag::remove_gz_extension(file);
+        const std::string ending = unpacked.extension().string();
+        if (ending == ".pcap" || ending == ".pcapng" || ending == ".bag" || ending == ".mcap" ||
+            ending == ".db3")
+            recorded.insert(unpacked.stem().string());
+    }
     OusterMetadataList formats;
     for (const fs::path& file : files) {
         const std::string stem = file.stem().string();

@@ -17,20 +17,6 @@ constexpr std::int64_t kPause_ns = 200000000;
 constexpr std::size_t kBins = 720;
 constexpr double kLeastSector_deg = 10.0;
 
-bool is_same_packet(const PacketIndexEntry& first, const PacketIndexEntry& second) {
-    return first.hash == second.hash && first.first_slot == second.first_slot;
-}
-
-/// Makes the azimuth of a packet continue the azimuth of the previous packet. The number
-/// of full revolutions between them is computed from elapsed time and rotation rate.
-void unwrap_packet_azimuth(PacketIndexEntry& entry, const PacketIndexEntry& previous,
-                           double time_since_previous_us, double rotation_deg_per_us) {
-    const double azimuth = previous.azimuth_deg +
-                           compute_rotation_deg(std::fmod(previous.azimuth_deg, 360.0), entry.azimuth_deg);
-    const double expected = previous.azimuth_deg + rotation_deg_per_us * time_since_previous_us;
-    entry.azimuth_deg = azimuth + 360.0 * std::max(0.0, std::round((expected - azimuth) / 360.0));
-}
-
 double compute_mean_rotation_deg_per_us(const std::vector<PacketIndexEntry>& packets) {
     double turned_deg = 0.0, passed_us = 0.0;
     for (std::size_t p = 1; p < packets.size(); ++p) {
@@ -68,7 +54,7 @@ PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& pa
         for (std::size_t k = at, n_compared = 0;
              k > 0 && !is_repeated && n_compared < kMostCompared && packets[k - 1].clock_ns == entry.clock_ns;
              --k, ++n_compared)
-            is_repeated = is_same_packet(packets[k - 1], entry);
+            is_repeated = packets[k - 1].hash == entry.hash && packets[k - 1].first_slot == entry.first_slot;
         const bool counts = entry.first_firing == 0;  // counts a packet only once if it has two parts
         faults.n_repeated += is_repeated && counts;
         if (is_repeated) continue;
@@ -103,9 +89,18 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
         if (timing.fires.empty() && packets[p].n_slots > 3)
             deg_us = double(packets[p].turned_deg) / (timing.cycle_us * double(packets[p].n_slots - 1));
         if (p == 0) continue;
-        const double passed_us = 1e-3 * double(packets[p].clock_ns - packets[p - 1].clock_ns) +
-                                 skipped_us(packets[p]) - skipped_us(packets[p - 1]);
-        unwrap_packet_azimuth(packets[p], packets[p - 1], passed_us, deg_us);
+        PacketIndexEntry& entry = packets[p];
+        const PacketIndexEntry& previous = packets[p - 1];
+        const double passed_us =
+            1e-3 * double(entry.clock_ns - previous.clock_ns) + skipped_us(entry) - skipped_us(previous);
+        // Makes the azimuth continue the azimuth of the previous packet. The number of
+        // full revolutions between them is computed from elapsed time and rotation rate.
+        const double azimuth_deg =
+            previous.azimuth_deg +
+            compute_rotation_deg(std::fmod(previous.azimuth_deg, 360.0), entry.azimuth_deg);
+        const double expected_deg = previous.azimuth_deg + deg_us * passed_us;
+        entry.azimuth_deg =
+            azimuth_deg + 360.0 * std::max(0.0, std::round((expected_deg - azimuth_deg) / 360.0));
     }
     if (const double mean = compute_mean_rotation_deg_per_us(packets); mean > 0.0) deg_us = mean;
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
