@@ -273,6 +273,11 @@ LogSummary summarise(const LidarSequence& sequence, const SceneInitialisationOpt
 RunSummary summarise(const TrainedRun& run) {
     RunSummary summary;
     summary.log = summarise(run.sequence, run.config.init);
+    if (!run.refined_poses.empty() && run.refined_poses != "none")
+        summary.log.notes.push_back(fmt::format(
+            "poses: training corrected the poses of the log (train.refine_poses={}), so positions of the "
+            "vehicle and of boxes differ from those that `relidar info LOG` prints",
+            run.refined_poses));
     // If the run was edited, leaves the list of ignored boxes empty. The list would
     // contain actors that were removed by the edits.
     summary.log.masked =
