@@ -227,11 +227,10 @@ SimulatedSensor find_built_in_or_log_sensor(const std::string& sensor_name_or_na
     if (find_name_ignoring_case(sensor_name_or_native, {"native", make_kitti360_grid().name}))
         return find_or_load_sensor(sensor_name_or_native, run.config, run.sequence, lidar_index);
     // The name may end with a resolution and a rate, for example "VLP-16:900x20".
-    const std::string& full_name = sensor_name_or_native;
-    const std::size_t colon = full_name.rfind(':');
-    const bool sized = colon != std::string::npos &&
-                       full_name.find_first_not_of("0123456789x.", colon + 1) == std::string::npos;
-    const std::string base_name = sized ? full_name.substr(0, colon) : full_name;
+    const std::size_t colon = sensor_name_or_native.rfind(':');
+    const bool sized = colon != std::string::npos && sensor_name_or_native.find_first_not_of(
+                                                         "0123456789x.", colon + 1) == std::string::npos;
+    const std::string base_name = sized ? sensor_name_or_native.substr(0, colon) : sensor_name_or_native;
     std::vector<std::string> sensor_names = list_sensor_names();
     if (!find_name_ignoring_case(base_name, sensor_names)) {
         sensor_names.push_back("native");

@@ -93,7 +93,7 @@ SimulatedSweep SimulatedSweepBuilder::make_sweep_along_track(const SimulatedSens
     // If the sensor has no pattern, find_sweep_start() uses the log's spinning LiDAR
     // instead.
     const SweepTiming now{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
-    // Rays of the sweep, or nullopt if they equal the rays of the sensor.
+    // Rays of the sweep. Without a value, the sweep has the rays of the sensor.
     std::optional<RayTable> rays;
     const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
     if (makes_rays || !log_.rolling_shutter) {

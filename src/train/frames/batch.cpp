@@ -78,12 +78,12 @@ BatchSampler::BatchSampler(Device& device, const Config& config, const std::vect
                      {device, compute_max_rays_in_column_batch(frames, config), "batch rays"},
                      {device, compute_max_rays_in_column_batch(frames, config), "batch targets"},
                      {device, "train/gather_columns"}}) {
-    const bool needs_images = config.loss.intensity * config.loss.intensity_ssim > 0.0f;
-    for (const TrainingFrameData& frame : frames)
-        if (needs_images && !frame.image.has_image_rows_and_columns())
-            throw UsageError(
-                "setting loss.intensity_ssim: the rays of this sensor are not ordered in rows and columns, "
-                "so this loss cannot be computed; set it to 0");
+    if (config.loss.intensity * config.loss.intensity_ssim > 0.0f)
+        for (const TrainingFrameData& frame : frames)
+            if (!frame.image.has_image_rows_and_columns())
+                throw UsageError(
+                    "setting loss.intensity_ssim: the rays of this sensor are not ordered in rows and "
+                    "columns, so this loss cannot be computed; set it to 0");
 }
 BatchSampler::~BatchSampler() = default;
 

@@ -350,8 +350,7 @@ void find_or_insert_actor_and_move_it(const EditArgument& edit, const ScenarioEn
         track = get_track_id_of_last_instance(driving);
     }
     const double begin_s = driving.sequence.frames.front().time_s;
-    const auto box = std::ranges::find(driving.sequence.boxes, track, &BoxTrack::id);
-    const glm::dvec3 size_m = box == driving.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m;
+    const glm::dvec3 size_m = copy_box_track_or_empty(driving, track).size_m;
     driving = replace_trajectory(std::move(driving), track, convert_to_box_track(entity, begin_s, size_m));
     applied_edit.said += fmt::format("{}{} follows {} of {}", applied_edit.said.empty() ? "" : "\n", track,
                                      entity.name, edit.value.substr(0, edit.value.find('@')));

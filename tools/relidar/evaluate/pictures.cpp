@@ -21,8 +21,7 @@ constexpr float kIntensityErrorScale = 0.3f;
 }  // namespace
 
 std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, const std::string& title,
-                                                  const std::string& real_caption,
-                                                  double max_range_m) {
+                                                  const std::string& real_caption, double max_range_m) {
     const RangeImage& real = frame.real;
     const RangeImage& rendered = frame.rendered.image;
     // The mask is 1 for rays that return in both images and 0 for all others.
