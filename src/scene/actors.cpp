@@ -143,7 +143,7 @@ void pad_with_random_samples(std::vector<LidarSample>& samples, std::size_t min_
     Random random(hash_integer_pair(seed, hash_integer(std::hash<std::string>{}(box.id))));
     while (samples.size() < min_count) {
         // Draws one number per statement, because the compiler chooses the order of
-        // arguments.
+        // arguments. Another order than z, y, x would change the points.
         glm::dvec3 fraction;
         for (int axis = 2; axis >= 0; --axis) fraction[axis] = random.sample_uniform_number();
         const glm::dvec3 p = box.size_m * (fraction - 0.5);

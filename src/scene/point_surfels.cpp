@@ -232,7 +232,7 @@ void compute_surfel_parameters(Surfels& surfels, std::size_t surfel_index,
     Random random(hash_integer_pair(options.seed, surfel_index));
     nearest.samples.resize(std::min(nearest.samples.size(), std::size_t(options.normal_neighbours) + 1));
     // Draws one number per statement, because the compiler chooses the order of
-    // arguments.
+    // arguments. Another order than z, y, x would change the surfels.
     glm::dvec3 random_direction;
     for (int axis = 2; axis >= 0; --axis) random_direction[axis] = random.sample_standard_normal();
     SurfelPlacement placement{{{}, random_direction / std::max(glm::length(random_direction), 1e-12)}, {}};

@@ -51,8 +51,9 @@ struct BackwardPass::Impl {
         const bool gathered =
             should_sum_gradients_without_atomics(device, backward_options.reduction, model.sh_direction);
         all.push_back({SpecialisationConstantId::GATHER, gathered ? 1u : 0u});
-        // The threads collect gradients in shared memory before the atomics. This reduces
-        // memory traffic, but needs VK_KHR_shader_maximal_reconvergence.
+        // If `exchanged`, the threads of a subgroup collect gradients in shared memory
+        // before the atomics. This reduces memory traffic, but needs
+        // VK_KHR_shader_maximal_reconvergence.
         const bool exchanged = !gathered && backward_options.coalesced_atomics.value_or(
                                                 should_coalesce_memory_access(device) &&
                                                 is_lane_reconvergence_guaranteed(device));

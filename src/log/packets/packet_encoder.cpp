@@ -189,16 +189,18 @@ struct PacketEncoder::Impl {
         std::int64_t position =
             last ? last->position + count_firing_steps_from_last(firing) : first_firing_index;
         if (last && position == last->position) return;
-        // Fills gaps in which the log leaves out empty firings at the end of a
-        // revolution. Does not fill longer gaps between two scans.
-        const std::int64_t max_missing_firings =
-            std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / get_firing_period_s());
-        if (has_fixed_columns())
+        if (has_fixed_columns()) {
             fired[std::size_t(position % format->get_fixed_columns_per_revolution())] = true;
-        else if (last && position - last->position > max_missing_firings) {
-            encode_final_packets();
-            position = (packet + 1) * get_firings_per_packet() + 1;
-        } else if (last) fill_gap_before_firing(firing, position);
+        } else if (last) {
+            // Fills gaps in which the log leaves out empty firings at the end of a
+            // revolution. Does not fill longer gaps between two scans.
+            const std::int64_t max_missing_firings =
+                std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / get_firing_period_s());
+            if (position - last->position > max_missing_firings) {
+                encode_final_packets();
+                position = (packet + 1) * get_firings_per_packet() + 1;
+            } else fill_gap_before_firing(firing, position);
+        }
         set_firing_clock_time(firing, position);
         last = {position, firing.time_s, firing.azimuth_deg, firing.clock_s - firing.time_s};
         store_firing_in_packet(std::move(firing), position);

@@ -270,12 +270,12 @@ LidarSequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& 
     const fs::path folder = fs::canonical(log_folder);
     const std::vector<SweepFile> all = list_sweeps(folder / "sensors" / "lidar");
     const FrameRange& range = options.frames;
-    const int n = int(all.size()), begin = std::min(range.begin, n),
-              end = range.end < 0 ? n : std::min(range.end, n);
-    if (begin >= end)
+    const int n_sweeps = int(all.size()), first_sweep = std::min(range.begin, n_sweeps),
+              end_sweep = range.end < 0 ? n_sweeps : std::min(range.end, n_sweeps);
+    if (first_sweep >= end_sweep)
         throw UsageError(fmt::format("frames {}:{} select no sweep of this log, expected numbers in [0, {}]",
-                                     range.begin, range.end, n - 1));
-    const std::vector<SweepFile> sweeps(all.begin() + begin, all.begin() + end);
+                                     range.begin, range.end, n_sweeps - 1));
+    const std::vector<SweepFile> sweeps(all.begin() + first_sweep, all.begin() + end_sweep);
     const PoseTrack vehicle_track =
         read_poses_at_sweeps(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
     LidarSequence sequence;

@@ -72,14 +72,14 @@ public:
             };
         folder::read_scans(sequence_, head,
                            BagScanProvider(bag_, lidars_, frames_, poses_.clock, deskewed_by), options);
+        if (!has_poses_) return std::move(sequence_);
         const auto vehicle_pose_in_log_world = [&](double t_s) -> std::optional<Pose> {
             if (!poses_.path->covers_time(t_s)) return std::nullopt;
             Pose pose = compute_vehicle_pose_in_bag_world(t_s);
             pose.translation -= sequence_.world_offset_m;
             return pose;
         };
-        if (has_poses_)
-            add_note_if_not_empty(correct_rays_for_vehicle_motion(sequence_, vehicle_pose_in_log_world));
+        add_note_if_not_empty(correct_rays_for_vehicle_motion(sequence_, vehicle_pose_in_log_world));
         return std::move(sequence_);
     }
 
