@@ -4,8 +4,8 @@
 // parked cars at the kerbs. One car drives ahead of the sensor in the same lane, slightly
 // faster. One oncoming car passes, or several on a long street.
 //
-// Each statement draws at most one random number, because the compiler chooses the order
-// of function arguments. Another order of the statements would change the street.
+// The arguments of a function draw at most one random number, because the compiler
+// chooses the order of arguments. Another order of the draws would change the street.
 //
 // Optional people are one person on each pavement, one person who crosses the street, and
 // a cyclist next to the lane. With people, a yard on the left contains parked cars behind
