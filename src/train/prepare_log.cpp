@@ -189,7 +189,7 @@ void calibrate_beam_range_offsets(LidarSequence& sequence, const TrainTestSplit&
         const RangeCalibrationResult calibration = fit_and_set_range_offset_of_beams(sequence, split.train);
         session.report_line(fmt::format(
             "range calibration of {} beams ({:.1f} million returns): the mean distance of points from planes "
-            "is {:.1f} mm, or {:.1f} mm with one offset per beam; {}",
+            "is {:.1f} mm without and {:.1f} mm with a range offset for each beam; {}",
             n, double(calibration.returns) * 1e-6, calibration.rms_before * 1e3, calibration.rms_after * 1e3,
             calibration.adopted ? "relidar uses the offsets" : "relidar does not use the offsets"));
     }

@@ -92,9 +92,10 @@ SensorModel parse_ray_csv(const std::string& csv_text, const std::string& sensor
         if (rays.time_s.empty()) first = v;
         for (const RayCsvField f : kOfSensor) {
             if (v[f] != first[f])
-                throw DataError(fmt::format(
-                    "{}: {} is {}, expected {} like in the first line, because all rays have the same value",
-                    line, kNames[f], v[f], first[f]));
+                throw DataError(
+                    fmt::format("{}: {} is {}, expected {} like in the first line; this column needs one "
+                                "value for all rays",
+                                line, kNames[f], v[f], first[f]));
         }
         append_ray_row(rays, v);
     }

@@ -190,15 +190,13 @@ private:
         const auto show = [&](int step, int n_steps) {
             const double s = std::chrono::duration<double>(Clock::now() - start).count();
             progress.show_progress_text(
-                fmt::format(
-                    "training actors with the joined background, step {}/{}  {:.2f} steps/s  remaining {}",
-                    step, n_steps, step / s, format_duration(s / step * (n_steps - step))),
+                fmt::format("training the actors of all blocks, step {}/{}  {:.2f} steps/s  remaining {}",
+                            step, n_steps, step / s, format_duration(s / step * (n_steps - step))),
                 step == n_steps);
         };
         try {
             if (relidar::train_actors(device_, run_, {show, is_interrupted}) == TrainingEndReason::stopped)
-                throw Error(ExitCode::interrupted,
-                            "interrupted while actors were trained together with the joined background");
+                throw Error(ExitCode::interrupted, "interrupted while the actors of all blocks were trained");
         } catch (const Error& error) {
             throw Error(error.code(), append_resume_command(error.what()));
         }
