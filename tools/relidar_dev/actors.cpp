@@ -97,7 +97,7 @@ TimePercentiles get_iteration_wall_time_percentiles(const BenchResult& result) {
     const auto row = std::ranges::find(result.phases, "iteration_wall", &KernelBenchTime::name);
     if (row == result.phases.end())
         throw DeviceError(
-            "cannot measure actors: found a device without timestamps, expected a device with timestamps");
+            "cannot measure times: this GPU driver does not support timestamps; use another device");
     return row->ms;
 }
 

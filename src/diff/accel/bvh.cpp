@@ -45,7 +45,7 @@ std::uint32_t count_surfel_tiles(std::uint32_t n_surfels) {
 std::uint32_t get_subgroup_size(const Device& device) {
     const DeviceInfo& info = device.info();
     if (!info.software)
-        throw DeviceError(fmt::format("cannot use software traversal on {}: the device lacks {}", info.name,
+        throw DeviceError(fmt::format("cannot trace rays in software on {}: the device lacks {}", info.name,
                                       info.why_not_software));
     return static_cast<std::uint32_t>(info.subgroup_size);
 }

@@ -122,7 +122,8 @@ void Renderer::record_instance_poses_and_view(const std::vector<InstancePose>& i
 
 void Renderer::record_forward_pass(const RayBatch& rays) {
     Impl& r = *impl_;
-    if (!r.placed) throw UsageError("cannot render: the instances have no poses; set the poses first");
+    if (!r.placed)
+        throw UsageError("cannot render: no poses were set for the models of the scene; set them first");
     if (rays.n_rays > r.rendered.size()) {
         r.stream.submit_and_wait();
         r.allocate_ray_arrays(rays.n_rays);

@@ -179,9 +179,9 @@ Scan predict_scan_from_neighbours(const LidarSequence& sequence, int predicted_f
 Scan assign_points_to_nearest_rays(const RayTable& rays, const Scan& points) {
     if (rays.rows < 2 || rays.columns < 2 * kColumnSearch + 1)
         throw DataError(fmt::format(
-            "cannot project points into an image: the sensor has {} x {} rays, expected rays that "
-            "are ordered in rows and columns",
-            rays.rows, rays.columns));
+            "cannot project points into an image of {} rows and {} columns, expected the rays of a "
+            "spinning sensor with at least 2 rows and {} columns",
+            rays.rows, rays.columns, 2 * kColumnSearch + 1));
     const RayTableNeighbours beams{rays};
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size())};
     for (std::size_t i = 0; i < points.range_m.size(); ++i) {

@@ -171,9 +171,10 @@ void append_rays_in_rig_frame(RenderedScan& merged_scan, const RenderedScan& sca
 
 RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vector<Pose>& rig_from_sensor) {
     if (scans.empty() || scans.size() != rig_from_sensor.size())
-        throw UsageError(fmt::format(
-            "cannot merge scans: found {} scans and {} mountings, expected the same number of both",
-            scans.size(), rig_from_sensor.size()));
+        throw UsageError(
+            fmt::format("cannot merge scans: found {} scans, but the poses of {} sensors, expected one pose "
+                        "for each scan",
+                        scans.size(), rig_from_sensor.size()));
     RenderedScan merged;
     const Pose sensor_from_rig = inverse(rig_from_sensor[0]);
     merged.world_from_sensor = scans[0].world_from_sensor * sensor_from_rig;
