@@ -70,7 +70,7 @@ void main() {
     s.axis_u = r[0] * exp(-log_scale.at[2 * surfel]);
     s.axis_v = r[1] * exp(-log_scale.at[2 * surfel + 1]);
     s.normal = r[2];
-    // 3D Gaussian: `normal` is its third axis with the length 1 / (standard deviation).
+    // For a 3D Gaussian, `normal` is its third axis divided by the standard deviation.
     if (!is_null(params.surfels.log_scale_w)) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);
     s.opacity = gait.presence / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     vec3 values;

@@ -86,7 +86,9 @@ void store_zero(uint surfel) {
 
 /// Writes the gradients of all parameters of a surfel except its spherical-harmonic
 /// coefficients.
-/// @param row gradient of the surfel's record, 16 floats. `d_mean` replaces row[0..2]
+/// @param d_mean gradient of the centre. Used instead of row[0..2], because it also
+/// includes the effect of the viewing direction
+/// @param row input: gradient of the 16 floats of the surfel's record (SurfelRecord)
 void write_geometry_gradients(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     vec3 d_axis_u = vec3(row[4], row[5], row[6]);
     vec3 d_axis_v = vec3(row[8], row[9], row[10]);

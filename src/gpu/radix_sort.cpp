@@ -14,9 +14,9 @@
 namespace relidar {
 namespace {
 
-// Number of threads of kernel gpu/radix_scan. Each of the 256 digit values is processed
-// by one subgroup. With 4 lanes per subgroup, the kernel has 2048 subgroups. With 64
-// lanes, it has only 128 subgroups, so each of them processes two values.
+// Number of threads of kernel gpu/radix_scan. With 32 lanes per subgroup, it has one
+// subgroup for each of the 256 digit values. With fewer lanes, some subgroups have no
+// work. With 64 lanes, each subgroup processes two digit values.
 constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;
 
 }  // namespace

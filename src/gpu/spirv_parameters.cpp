@@ -145,9 +145,9 @@ public:
         append_spirv_instruction(instructions, construct);
     }
 
-    /// Returns the module with private variables, and with an entry point that copies the
-    /// parameters to these variables.
-    /// @param function_code all functions, which already load from these variables
+    /// Returns the module with two additions: private variables, and instructions at the
+    /// start of the entry point that copy the kernel parameters to these variables.
+    /// @param function_code all functions; they must load parameters from these variables
     SpirvWords make_module_with_hoisted_loads(std::span<const std::uint32_t> spirv_words,
                                               const SpirvWords& function_code) {
         const SpirvWords first = make_parameter_copy_instructions();

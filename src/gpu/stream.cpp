@@ -313,9 +313,9 @@ void Stream::Impl::record_and_submit_dispatch_pieces(const KernelBase::Impl& ker
     for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece) {
         const std::uint32_t n_groups = dispatch.count_rows_of_dispatch_piece(row) * dispatch.columns;
         double expected_s = kernel.speed->estimate_dispatch_duration_s(n_groups);
-        // A long launch is split into pieces. If the kernel's speed is unknown
-        // (expected_s is 0), each piece must get a separate submission. Assuming the
-        // maximum duration `piece_s` for each piece has this effect.
+        // If the speed of the kernel is unknown (expected_s is 0), each piece of a split
+        // launch must get a separate submission. A submission may last at most `piece_s`.
+        // So this estimate leaves no time for a second piece.
         if (expected_s == 0.0 && n_groups < dispatch.rows * dispatch.columns) expected_s = piece_s;
         get_recording_command_buffer();
         if (recorded_s > 0.0 && recorded_s + expected_s > piece_s) submit_recorded_commands();

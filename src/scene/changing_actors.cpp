@@ -36,9 +36,9 @@ constexpr std::size_t kFewestChanging = 3;
 // An actor that walks less than kFewestWalked_m in the log is modelled as rigid.
 // kSmallestSpacing_m is a lower limit for the distance that it walks per frame.
 constexpr double kFewestWalked_m = 0.5, kSmallestSpacing_m = 0.02;
-// The recorded walk of an actor is repeated in a loop. Its last frame and the repeated
-// first frame must not be visible simultaneously. Between them, the actor therefore walks
-// this many times its mean distance per frame.
+// An actor repeats its recorded walk in a loop. Ratio (distance walked from the last
+// frame to the repeated first frame) / (mean distance walked per frame). A low ratio
+// would show the surfels of both frames simultaneously.
 constexpr double kFramesBetween = 3.0;
 
 /// Samples of one frame.

@@ -57,15 +57,15 @@ std::vector<SpecialisationConstant> make_activation_kernel_constants(bool stage_
     return all;
 }
 
-/// Gradient rows of each instance (a model with a pose), one row for each surfel. The
-/// first instance of a model uses the numbers of the model's surfels as rows. The rows of
-/// all other instances follow after the last surfel, sorted by model.
+/// Rows of each instance (a model with a pose) in the gradient array, one row per surfel.
+/// In the first instance of a model, the row of a surfel is the surfel's index. The rows
+/// of all other instances follow after these rows, sorted by model.
 struct InstanceGradientRows {
     std::vector<std::uint32_t> first_row;  ///< [instances] first gradient row of each instance
     /// [models] index of the first instance of each model, or -1 if the model has no
     /// instance
     std::vector<std::int64_t> first_instance;
-    /// first gradient row of each instance that is not the first of its model, sorted by
+    /// first gradient row of the second, third, ... instance of each model, sorted by
     /// model
     std::vector<std::uint32_t> more;
     /// [models + 1] start of each model in `more`. Model m has the entries first_more[m]
@@ -300,8 +300,8 @@ void DeviceScene::set_models(const std::vector<SurfelModel>& models) {
     RELIDAR_ASSERT_LE(std::size_t(n), impl_->records.size());
     impl_->layout.models = models;
     impl_->parameters.n = n;
-    // Computes the gradient rows again, because the models have new surfel ranges. They
-    // fit into the existing arrays, because the number of instances does not change.
+    // The new surfel ranges change the rows of the instances in the gradient array. The
+    // table of rows keeps its size, because the number of instances does not change.
     impl_->placements = InstanceGradientRows(impl_->layout, n);
     impl_->models.upload(make_model_table(impl_->layout, impl_->placements));
     impl_->more_rows.upload(impl_->placements.more);

@@ -279,7 +279,7 @@ void enlarge_box_to_typical_size(BoxTrack& box, const MoverTrack& track) {
         box.size_m.y < kCyclistWidth_m && box.size_m.z > kCyclistTop_m && box.size_m.x < kCar.least_length_m;
     const TypicalObjectSize* kind = box.size_m.z > kTruck_m ? &kTruck : &kCar;
     if (cyclist) kind = &kCyclist;
-    // Objects that are too short and too narrow for their kind also keep their size.
+    // An object keeps its size if it is both too short and too narrow for its `kind`.
     if (box.size_m.x < kind->least_length_m && box.size_m.y < kind->least_width_m) return;
     glm::dvec3 grown = box.size_m, shift(0.0);
     if (box.size_m.x < kind->least_length_m) grown.x = kind->length_m;

@@ -30,9 +30,9 @@ constexpr double kSquare_m = 0.3;
 constexpr int kReach = 2;
 constexpr double kMinPoints = 12;  // minimum number of moved returns in a cluster
 constexpr double kMaxLength_m = 14.0;
-// The returns in a cell belong to a moving object if other frames find the cell empty.
-// Minimum ratio (frames that find it empty) / (frames with a return in it). The ratio is
-// low, because a vehicle hides the space behind it.
+// Minimum ratio (frames that find a cell empty) / (frames with a return in it). At a
+// higher ratio, the returns in the cell belong to a moving object. The threshold is low,
+// because a vehicle often hides empty cells behind it.
 constexpr double kMinEmptyShare = 0.25;
 // A static object is usually visible in more frames than this. If at most this many
 // frames have a return in a cell, the program cannot decide whether the object there

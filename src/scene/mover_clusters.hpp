@@ -13,9 +13,9 @@ namespace relidar {
 
 inline constexpr int kNoLabel = -1;
 
-/// Points of one object in one frame: a moving object without a label, or the points
-/// inside a moving labelled box. Both use the same type, because a track can continue
-/// before and after the labels of an object.
+/// Points of one moving object in one frame. If the object has a label, these are the
+/// points inside its labelled box. Clusters with and without a label have the same type,
+/// because the track of an object can begin before its labels and end after them.
 struct MoverCluster {
     double time_s = 0.0;               ///< mean firing time of its returns
     glm::dvec3 centre_m{0.0};          ///< mean position of its returns, world

@@ -27,9 +27,9 @@ constexpr int kPathRounds = 3;
 // this distance before the position and ends at this distance after it. Errors of 3 cm at
 // both ends typically rotate the chord by less than a degree.
 constexpr double kChord_m = 1.5;
-// The heading at a position is the direction of a chord from an earlier to a later point.
-// If (chord length) / (distance from the position to the farther end) is below this
-// ratio, the path turns back at the position. Then the chord ends at the position.
+// The heading at a path point p is the direction from an earlier point a to a later point
+// b. If |ab| / max(|ap|, |pb|) is below this ratio, the path turns back at p. The heading
+// is then the direction from a to p.
 constexpr double kTurnsBack = 0.3;
 
 /// State of the Kalman filter. Each column is a world axis. The rows are position,

@@ -30,9 +30,9 @@ struct MoverTrack {
 };
 
 /// Links clusters of points in successive frames to tracks of objects. In each frame,
-/// links the best matches first. While an object has a label, a cluster must have the
-/// same label to match. At other times, it must be near the predicted position of the
-/// object.
+/// links the best matches first. A cluster matches an object if it is near the predicted
+/// position of the object. In frames with a label for the object, the cluster must have
+/// this label instead.
 /// @param clusters_per_frame [frames]
 std::vector<MoverTrack> link_clusters_to_tracks(
     const std::vector<std::vector<MoverCluster>>& clusters_per_frame,

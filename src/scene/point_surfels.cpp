@@ -182,10 +182,10 @@ struct SurfelPlacement {
     ScanLineGap gap;
 };
 
-/// Finds the surface plane at a sample, and the distances to the scan lines on both
-/// sides. Uses the nearest samples. If all lie on one scan line, searches more samples,
-/// because the plane could rotate about this line. Also searches more samples if none
-/// lies on the next scan line on one of the sides.
+/// Fits a plane to the samples nearest to a sample, and measures the distances to the
+/// scan lines on its left and right. Uses more samples if all lie on one scan line,
+/// because the plane could rotate about this line. Also uses more samples if no sample
+/// lies on the left scan line, or none on the right.
 SurfelPlacement estimate_surface_at_sample(const Tree& tree, const std::vector<LidarSample>& samples,
                                            std::size_t sample_index, std::vector<std::size_t> nearest_indices,
                                            const SceneInitialisationOptions& options) {
@@ -203,8 +203,8 @@ SurfelPlacement estimate_surface_at_sample(const Tree& tree, const std::vector<L
         widen();
         const NeighbourPlane wider =
             fit_plane_to_neighbours(samples, nearest_indices, samples[sample_index].view, options.flatness);
-        // `wider` is a plane through more samples. Uses its normal, but not its position,
-        // which is too coarse. The new plane passes through the sample.
+        // `wider` is fitted to more samples than the first plane. Uses only its normal,
+        // because its position is too coarse. The new plane passes through the sample.
         if (wider.is_surface) placement.plane = {samples[sample_index].position, wider.normal, true, true};
     }
     if (!placement.plane.is_surface) return placement;

@@ -17,20 +17,20 @@ namespace relidar {
 namespace {
 
 constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns = 1024;
-// Ratio (columns of a range image per turn) / (rays per turn in a row of the scan). A
-// point is tested with 2 rows x 3 columns of cells. Three columns contain 3 / (4/3) =
-// 2.25 rays of a row, so the six cells contain four or five returns.
+// Ratio (columns of a range image per turn) / (rays per turn in a scan row). A point is
+// compared with the returns in the 2 x 3 cells (rows x columns) around it. With this
+// ratio, these cells contain four or five returns: two rows of 3 / (4/3) = 2.25 rays.
 constexpr double kCellsPerRay = 4.0 / 3.0;
 constexpr double kBeyond_rad = 0.002;  // margin at the outermost beams, about the width of a beam
 constexpr int kMinReturns = 3;  // the 2 x 3 cells around a point must contain at least this many returns
 // Number of azimuth sectors of a sweep. One sensor position is used per sector, because
 // the sensor moves only millimetres to centimetres within one sector.
 constexpr int kSectors = 64;
-// A frame shows that the space at a point is empty if all returns in the direction of the
-// point are farther away, by more than this multiple of the error margin.
+// A frame finds a point empty if all its returns in this direction are behind the point.
+// Minimum distance behind the point, as a multiple of the range error `margin`.
 constexpr double kBehind = 1.5;
-// Edge length of a square tile of the ground. The program selects frames per tile. All
-// points above a tile are tested with the range images of these frames.
+// Edge length of a square ground tile. The range images of some frames decide whether the
+// space at a point is empty. All points above one tile use the same frames.
 constexpr double kTile_m = 8.0;
 // A frame is used for points above a ground tile only if its sensor is at most this far
 // from the tile. At a larger distance, even a person has only one or two returns.

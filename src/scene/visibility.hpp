@@ -108,8 +108,8 @@ private:
     struct VisibilityImage {
         double time_s;
         int lidar;
-        /// [azimuth sectors of the sweep] sensor pose at the time when the LiDAR head
-        /// faces the middle of the sector. Empty until make_range_image() is called.
+        /// [azimuth sectors of the sweep] transform from world to sensor when the LiDAR
+        /// head faces the middle of the sector. Empty until make_range_image() is called.
         std::vector<Pose> sensor_from_world;
         /// [rows * columns] range of the nearest return, or 0 if a cell has no return
         std::vector<float> range_m;

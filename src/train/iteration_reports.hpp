@@ -53,8 +53,9 @@ public:
     /// @param frame_number  frame number of the dataset
     void add_iteration(int step, int frame_number) { iterations_.push_back({step, frame_number}); }
     bool is_loss_table_full() const { return iterations_.size() == kRows; }
-    /// Starts to copy all losses and counters since the last report to the host. Does not
-    /// wait. Call this function after add_iteration(), at most once per iteration.
+    /// Starts a copy to the host and does not wait. Copies the losses and counters of all
+    /// iterations since the last report. Call this function after add_iteration(), at
+    /// most once per iteration.
     /// @param log_line  line that is added to the training log when the report is read,
     /// if any
     void record_report_readback(Stream& stream, const DeviceHitCounters& counts,

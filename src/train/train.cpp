@@ -29,10 +29,10 @@ Scene make_initial_scene(const LidarSequence& sequence, const TrainTestSplit& sp
                          const TrainSession& session) {
     SceneInitialisationOptions options = config.init;
     options.seed = config.train.seed;
-    // Usually, the ray-drop probability is a softmax of a hit logit and a drop logit
+    // The ray-drop probability is a softmax of a hit logit and a drop logit
     // (docs/method.md M6). With `one_logit`, the hit logit is 0. The drop logit then
-    // starts at their usual difference, drop - hit, which gives the same initial
-    // probability.
+    // starts at the value that (drop logit - hit logit) has otherwise, so that the
+    // initial probability is the same.
     options.one_logit = config.image.single_drop_logit;
     std::vector<std::string> notes;
     Scene scene = initialise_scene(sequence, split.train, options, session.progress, &notes);

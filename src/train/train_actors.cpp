@@ -25,12 +25,12 @@ constexpr double kAlong_m = 2.0;  // maximum distance that a sensor moves during
 // Radius of a surfel in standard deviations. Farther from its centre, the surfel is
 // nearly transparent.
 constexpr double kReach_sigmas = 3.5;
-// The actors are trained in one section of the log after another. Maximum number of
-// surfels in the scene blocks (parts of the background) that are loaded for a section.
-// Training uses only those loaded surfels that rays to actors can hit.
+// To train the actors, the log is divided into sections. Each section loads the scene
+// blocks (parts of the background) that its rays can reach. Maximum number of surfels in
+// these blocks, including surfels that no ray to an actor can hit.
 constexpr std::size_t kTogether = 1'500'000;
-// Maximum drop probability of a beam at an azimuth, independent of the scene. Rays with a
-// higher probability are skipped, because they carry no information about actors.
+// Some beams have no return at some azimuths, whatever they hit. Rays with a higher drop
+// probability than this carry no information about actors and are skipped.
 constexpr float kBlind = 0.5f;
 
 /// An actor in one sweep, and the sensor position at the time when the LiDAR head faces
@@ -157,8 +157,8 @@ Scan select_rays_near_actors(const TrainedRun& run, const LidarFrame& frame,
     return scan;
 }
 
-/// Returns the part of the log that trains one section. Its frames contain only rays near
-/// actors.
+/// Returns a log with the frames of one section (part of the complete log). The frames
+/// contain only rays near actors.
 LidarSequence make_log_of_section(const TrainedRun& run, const ActorTrainingSection& section,
                                   const std::vector<PoseTrack>& sensor_tracks) {
     std::vector<LidarFrame> frames(section.frames.size());
@@ -198,9 +198,9 @@ Surfels select_surfels_on_rays_to_actors(const Surfels& surfels,
     return surfels.reorder(order);
 }
 
-/// Scene for training the actors of one section of the log. `extent_m` is the mean of
-/// compute_robust_background_extent_m() over the scene blocks (parts of the background)
-/// that rays of the section can reach.
+/// Scene for training the actors in one section (part) of the log. `extent_m` is the mean
+/// extent of the scene blocks that rays of this section can reach. Scene blocks are parts
+/// of the background.
 struct SectionScene {
     Scene scene;
     double extent_m = 1.0;

@@ -115,8 +115,8 @@ TreeRefitSchedule choose_tree_refit_options(const Config& config, std::uint32_t 
 /// the margin.
 bool should_refit_tree(const TreeRefitSchedule& refit_options, const TrainConfig& config, int step) {
     // The box of a surfel in the tree has a margin, so that the surfel can grow until the
-    // next refit. Its scale may use this share of the margin. The remainder is for its
-    // opacity, because a more opaque surfel also needs a larger box.
+    // next refit. This share of the margin is for a growing scale. The remainder is for a
+    // growing opacity, because a more opaque surfel also needs a larger box.
     constexpr double kShare = 0.9;
     const double growth = (refit_options.every - 1) * compute_learning_rates(config, 1.0, step).log_scale;
     return growth > kShare * std::log(refit_options.accel.margin_scale) ||
@@ -426,9 +426,9 @@ RayDropTable TrainLoop::estimate_sensor_drop_rates(Device& device, const LidarSe
 
 void TrainLoop::add_batch_to_drop_counts(RayDropCounts& counts, const LidarSequence& sequence,
                                          const TrainingFrameData& frame, const SampledBatch& batch) {
-    // Minimum blending weight of a ray that hits a solid surface. The drop statistics
-    // count only such rays, except in sectors where nearly all measured rays drop.
-    // Training ignores these rays, so the scene has no surfaces there.
+    // The drop statistics count a ray only if its blending weight is above this, so that
+    // it hits a solid surface. Exception: sectors where nearly all measured rays drop.
+    // Training ignores these sectors, so the scene has no surfaces there.
     constexpr float kSolid = 0.9f;
     const LidarFrame& sweep = sequence.frames[std::size_t(frame.position)];
     const RayDropTable& observed = frames_.get_mask_rules().observed_drops;

@@ -101,8 +101,8 @@ struct RayQueryState {
 void collect_hit_in_embree_filter(const RTCFilterFunctionNArguments* filter_arguments) {
     RayQueryState& query = *reinterpret_cast<RayQueryState*>(filter_arguments->context);
     query.intersect_surfel_and_insert_hit(RTCHitN_primID(filter_arguments->hit, 1, 0));
-    // Embree does not search behind a hit that this callback accepts. The query collects
-    // the nearest `chunk` hits, so the callback accepts only a hit behind all of these.
+    // Embree does not search behind an accepted hit. So this callback rejects the nearest
+    // `chunk` hits, which `query` stores, and accepts a hit behind these.
     filter_arguments->valid[0] =
         RTCRayN_tfar(filter_arguments->ray, 1, 0) > query.get_search_end_distance() ? -1 : 0;
 }

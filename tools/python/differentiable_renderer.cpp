@@ -106,8 +106,8 @@ py::dict run_forward_pass(PythonDifferentiableRenderer& renderer, const py::obje
     return dict;
 }
 
-// Arguments of RELIDAR_IMAGE_VALUES(), which calls a macro once for each rendered value.
-// The results are lists for error messages and help: names, or names with meanings.
+// Macros for RELIDAR_IMAGE_VALUES(m), which expands m once for each rendered value. They
+// make texts for error messages and help: a list of names, or of names with meanings.
 #define RELIDAR_NAME(name, built, value, input, slope, meaning) #name ", "
 #define RELIDAR_MEANING(name, built, value, input, slope, meaning) #name " (" meaning "), "
 

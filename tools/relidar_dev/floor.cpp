@@ -158,9 +158,9 @@ std::map<std::string, double> compute_cache_load_bytes_per_kernel(const MemoryTr
     // share of the hits that are not stored, so that the backward pass must search them
     // again
     const double searched_again = sizes.n_hits > 0.0 ? 1.0 - sizes.n_stored_hits_read / sizes.n_hits : 0.0;
-    // Bytes that the kernel writes per hit. If `gather` is true, it stores the gradients
-    // of the hit. Otherwise it adds 16 floats with atomics, and the gradients of
-    // spherical harmonics if these are evaluated per ray.
+    // Bytes that the kernel writes per hit. With `gather`, the kernel stores the
+    // gradients of the hit. Otherwise, it adds 16 floats with atomics. It also adds the
+    // gradients of spherical harmonics if they are evaluated per ray.
     const double sums = sizes.gather ? kHitRecord + kRow : kRecord + get_sh_bytes_if_evaluated_per_ray(sizes);
     bytes["diff/backward/trace"] = searched_again * search + shading + sizes.n_hits * (kRecord + sums);
     return bytes;

@@ -55,7 +55,7 @@ grpc::Status call_and_convert_errors_to_status(const std::function<void()>& hand
     } catch (const DeviceLost& error) {
         return {grpc::StatusCode::UNAVAILABLE,
                 fmt::format("{}; this server process is ending; restart the server", error.what())};
-        // The remaining exceptions are device errors, changed run folders or bugs.
+        // Other causes: a device error, a run folder modified on disk, or a bug.
     } catch (const std::exception& error) {
         return {grpc::StatusCode::INTERNAL, error.what()};
     }

@@ -134,8 +134,8 @@ void RenderQueue::submit_request_or_store_response(QueuedRequest& request,
     request.changed_.notify_one();
 }
 
-/// Submits a batch: a request, and the requests after it for the same scene.
-/// @return the submitted requests that are not finished yet
+/// Submits a batch: a request, and requests for the same scene that follow in the queue.
+/// @return requests of this batch whose results must still be read from the device
 RenderQueue::RequestBatch RenderQueue::collect_and_submit_batch(QueuedRequest* first_request,
                                                                 std::unique_lock<std::mutex>& lock) {
     RequestBatch batch;

@@ -67,8 +67,8 @@ public:
     /// Creates a reader of requests for the scenes of a server.
     /// @param scenes only its thread-safe members are called
     explicit RequestReader(SceneSet& scenes);
-    /// Creates a reader that needs no device.
-    /// @param outlines the run of each scene, without its surfels
+    /// Creates a reader without a SceneSet, which would need a device.
+    /// @param outlines [scenes] trained run (log, settings, scene) without surfels
     RequestReader(const std::vector<TrainedRun>& outlines, const std::vector<SceneSource>& sources,
                   const AssetCatalogue& assets, const SpawnedActorRegistry& spawned);
 

@@ -56,9 +56,9 @@ public:
     SceneLoadNumber load_scene_and_call_with_renderer(std::size_t scene_index,
                                                       const std::optional<Weather>& weather_or_default,
                                                       const std::function<void(ScanRenderer&)>& use_renderer);
-    /// Reads the results of a scan, which load_scene_and_call_with_renderer() has
-    /// submitted: calls `use_renderer` with the same renderer. The caller must not use
-    /// another scene between the two calls.
+    /// Calls `use_renderer` to read the results of a scan. The caller has submitted the
+    /// scan in load_scene_and_call_with_renderer(). Between these calls, the caller must
+    /// not use another scene, because that could unload this one.
     /// @param expected_load_number return value of load_scene_and_call_with_renderer()
     /// @throws DeviceError if the device was lost, or if the scene was loaded again
     void call_if_scene_was_not_reloaded(std::size_t scene_index, SceneLoadNumber expected_load_number,

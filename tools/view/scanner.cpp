@@ -260,8 +260,8 @@ RenderedScan BrowserScanRenderer::render_simulated_scan(const EditedTraffic& edi
 }
 
 /// Returns the duration in milliseconds of the last launch of each kernel that has run
-/// since the previous call. Detects a run by a longer list of launch times. A list with
-/// kFull entries does not grow any more, so its kernel is always included.
+/// since the previous call. A kernel has run if its list of launch times has grown. A
+/// list with kFull entries cannot grow, so its kernel is always included.
 Json BrowserScanRenderer::make_kernel_times_json() {
     constexpr std::size_t kFull = 4096;
     Json times = Json::array();

@@ -68,8 +68,8 @@ private:
     /// listed as (name of its run, name of its track), a moved actor as (name of its
     /// track, "").
     std::vector<std::pair<std::string, std::string>> rendered_;
-    /// Length of each kernel's list of launch times at the previous call of
-    /// make_kernel_times_json(), by name of the kernel.
+    /// Number of recorded launch times of each kernel at the previous call of
+    /// make_kernel_times_json(), by kernel name.
     std::map<std::string, std::size_t> launches_;
 };
 

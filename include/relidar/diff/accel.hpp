@@ -47,9 +47,9 @@ struct AccelOptions {
 /// queries or with the software tree. The addresses of the unused method are null.
 struct AccelAddresses {
     shared::TlasHandle tlas;  ///< Top-level acceleration structure, for ray queries.
-    /// A ray query finds a 3D Gaussian where the ray crosses the icosahedron around it.
-    /// This crossing is at most this distance (metres, maximum over all Gaussians) behind
-    /// the hit. So a ray query must search this far behind the last hit that it needs.
+    /// A ray query finds a 3D Gaussian where the ray enters or leaves an icosahedron
+    /// around it. The ray leaves at most this distance (m, maximum over Gaussians) behind
+    /// the hit. So a ray query must search this far behind the last needed hit.
     Address<float, shared::ProxyReach> proxy_reach;
     /// Instances that move during the sweep, [n_moving]. Used by ray queries.
     Address<shared::MovingInstance> moving;

@@ -124,10 +124,10 @@ public:
                               const RenderedBatch& batch, const glm::vec3& view_origin_m,
                               DeviceGradients& gradients);
     void set_sh_degree(int degree);
-    /// Returns the largest number of hits of any batch so far, [1] on the device. The
-    /// caller may reset it to 0. Null with GradientReduction::atomics. If a batch has
-    /// more hits than get_hit_capacity(), the additional hits are summed with atomics, so
-    /// that runs are not bit-equal.
+    /// Returns a device array with one element: the largest number of hits of any batch
+    /// so far. The caller may reset it to 0. Null with GradientReduction::atomics. If a
+    /// batch has more hits than get_hit_capacity(), the gradients of the additional hits
+    /// are summed with atomics. Then two runs are not bit-equal.
     const Array<std::uint32_t>* get_device_max_hit_count() const;
     std::uint64_t get_hit_capacity() const;
     /// Allocates memory for at least n_hits hits of a batch. Waits until the stream is

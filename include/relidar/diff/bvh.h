@@ -27,9 +27,9 @@ struct BvhNode {
     // Index of the first child that is an inner node, in the array of all tree nodes. The
     // other inner children follow directly after it, in the order of their slots.
     uint first_child;
-    // Index of the first surfel of this node's leaves in the array BvhPointers::order.
-    // The field `leaves` has the offset of each leaf from this index. In the top-level
-    // tree, whose leaves hold instances, the array is BvhPointers::top_order.
+    // The surfels of this node's leaves are consecutive entries of BvhPointers::order,
+    // from this index on. The field `leaves` has the offset of each leaf from this index.
+    // In the top-level tree, leaves hold instances, listed in BvhPointers::top_order.
     uint first_leaf;
     // One byte per child slot. For a leaf, bits 0-4 hold the offset of its first entry,
     // and bits 5-7 hold its number of entries. The byte is 0 if the slot holds no leaf.

@@ -36,8 +36,9 @@ struct RenderedRayValues {
     /// Sum of w n over the hits, world frame. w is the weight of a hit, and n is the unit
     /// normal that faces the sensor. Empty if TraceOptions::normals is false.
     std::vector<glm::vec3> normal;
-    /// Mean distance, metres, of the surface (hits at most mode_gap_m apart) with the
-    /// most weight. 0 without hits. Empty if TraceOptions::mode_gap_m is not set.
+    /// Consecutive hits at most TraceOptions::mode_gap_m apart form a surface. This is
+    /// the mean distance, metres, of the surface with the largest sum of blending
+    /// weights. 0 without hits. Empty if mode_gap_m is not set.
     std::vector<float> mode_depth;
     std::size_t size() const { return depth.size(); }
 };

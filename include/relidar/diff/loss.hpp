@@ -80,16 +80,16 @@ struct SurfelGradients {
 class Loss {
 public:
     virtual ~Loss() = default;
-    /// Records GPU commands for the terms that compare rendered with measured rays. The
-    /// commands run between the forward and the backward pass.
-    /// @param rendered rays to compare. The loss adds its gradients to the array
-    /// `upstream` of these rays. Only ImageLoss, the first loss, overwrites this array.
-    /// @param terms row to which the loss adds its terms
+    /// Records GPU commands for the loss terms that compare rendered with measured rays.
+    /// The commands run between the forward and the backward pass.
+    /// @param rendered rays to compare. The commands add the gradient of the loss to
+    /// their array `upstream`. Only ImageLoss, the first loss, overwrites this array
+    /// @param terms row of a device array, to which the commands add the loss terms
     virtual void record_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                                    const LossTermRow& terms);
-    /// Records GPU commands for the terms that depend directly on the surfel parameters,
-    /// not on rendered rays. Called after the backward pass.
-    /// @param terms row to which the loss adds its terms
+    /// Records GPU commands for the loss terms that depend directly on the surfel
+    /// parameters, not on rendered rays. Called after the backward pass.
+    /// @param terms row of a device array, to which the commands add the loss terms
     virtual void record_regularisation_losses(Stream& stream, const DeviceScene& scene,
                                               const SurfelGradients& gradients, const LossTermRow& terms);
 };

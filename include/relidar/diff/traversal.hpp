@@ -68,9 +68,9 @@ struct TraceOptions {
     /// Method for sorting the hits of each ray in the forward pass. `automatic` selects
     /// HitSortMethod::lists on a GPU and HitSortMethod::chunks on a CPU.
     HitSortMethod order = HitSortMethod::automatic;
-    /// Only for HitSortMethod::lists: initial number of hits that the list of each ray
-    /// can store, 1..512. A ray with more hits is rendered with HitSortMethod::chunks
-    /// instead, which is slower. Therefore later passes double the size of the lists.
+    /// Only for HitSortMethod::lists: initial capacity of the hit list of each ray,
+    /// 1..512 hits. A ray with more hits is rendered with HitSortMethod::chunks, which is
+    /// slower. If this happens, later forward passes use lists with twice the capacity.
     int initial_list_capacity = 64;
     /// If true, computes a blended surface normal for each ray. Normals have no gradient.
     bool normals = false;

@@ -64,10 +64,10 @@ public:
     }
 
     std::size_t size() const { return n_; }
-    /// Returns the device address of entry `first_index`, to be passed to a kernel.
-    /// Kernels may load 16 bytes at a time, so the address should be a multiple of 16.
-    /// With any other address, a kernel may access the array only with atomics or with
-    /// indices computed at run time.
+    /// Returns the device address of entry `first_index`, to be passed to a kernel. The
+    /// shader compiler assumes a multiple of 16 and may combine loads into 16-byte loads.
+    /// It never combines atomics or loads at indices computed at run time. Therefore a
+    /// kernel may use any other address only in these two ways.
     Address<T> address(std::size_t first_index = 0) const { return address_as<T>(first_index); }
     /// Returns the device address of entry `first_index` of this array, which has entries
     /// of type T. The kernel that gets the address reads the memory as type U instead.

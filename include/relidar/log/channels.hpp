@@ -18,17 +18,17 @@ namespace relidar {
 /// cases: sub-rays sample the same laser beam, or points fall into the same cell of a
 /// range image.
 enum class ChannelMergeRule {
-    /// For sub-rays that sample one laser beam: the value of the sub-ray nearest to the
-    /// beam axis. Only sub-rays that hit the surface of the strongest return count. For
-    /// points in one image cell: the value of the returned point nearest to the sensor.
+    /// Copies one value. If sub-rays sample a laser beam: from the sub-ray nearest to the
+    /// beam axis, among those that hit the surface of the strongest return. If several
+    /// points fall into an image cell: from the returned point nearest to the sensor.
     nearest,
-    /// For sub-rays that sample one laser beam: the mean, weighted by intensity. Only
-    /// sub-rays that hit the surface of the strongest return count. For points in one
+    /// Computes a range. If sub-rays sample a laser beam: the intensity-weighted mean of
+    /// those that hit the surface of the strongest return. If several points fall into an
     /// image cell: the distance of the nearest returned point from the image origin.
     range,
-    /// For sub-rays that sample one laser beam: adds the values of the sub-rays that hit
-    /// the surface of the strongest return. Divides by the number of all sub-rays. For
-    /// points in one image cell: the value of the returned point nearest to the sensor.
+    /// Computes an intensity. If sub-rays sample a laser beam: the sum over those that
+    /// hit the surface of the strongest return, divided by the number of all sub-rays. If
+    /// several points fall into an image cell: the value of the nearest returned point.
     intensity,
     drop,  ///< Beam: mean over all sub-rays. Cell: minimum over all rays in the cell.
 };

@@ -35,8 +35,9 @@ struct SweepFirings {
     std::vector<int> firings;
 };
 
-/// Returns a sweep with `sensor.columns` equal azimuth steps. The azimuth of the first
-/// step is fitted to the azimuths of the head at which the points were measured.
+/// Returns a sweep in which the LiDAR fires at `sensor.columns` equally spaced azimuths
+/// of its rotating head. Chooses the first azimuth so that these azimuths match the head
+/// azimuths at which the beams measured the points.
 /// @param points  points with beam numbers (`LidarPoints::ring`)
 SweepFirings fit_equal_azimuth_steps_to_points(const LidarPoints& points, const SpinningSensor& sensor);
 

@@ -69,8 +69,8 @@ struct IntensityScatterModel {
 std::size_t count_intensity_features();
 
 /// Returns the quantisation step of intensities: the largest number of which all values
-/// are multiples, with errors up to 1e-6 M. M is the largest value. Returns 0 if no such
-/// step exists, if it is below 1e-5 M, or if fewer than eight values are distinct.
+/// are multiples. M is the largest value, and a value may differ from a multiple by 1e-6
+/// M. Returns 0 if no step >= 1e-5 M exists, or if fewer than eight values are distinct.
 /// @param values  >= 0, in any order
 double find_quantisation_step(std::vector<float> values);
 

@@ -198,10 +198,10 @@ BeamRay compute_beam_ray(const Beam& beam, double head_azimuth_rad);
 /// @return radians, not wrapped to a range
 double compute_head_azimuth_facing_point_rad(const Beam& beam, const glm::dvec3& point_m);
 
-/// Returns a beam's azimuth offset in image columns, rounded. Beams that fire together
-/// have different azimuths. Therefore the image row of each beam is shifted by its
-/// offset, so that all pixels of a column have the same azimuth. Column j holds the
-/// beam's firing number (j + offset) mod n_columns.
+/// Returns a beam's azimuth offset in image columns, rounded. Beams that fire at the same
+/// time have different azimuths, but all pixels of an image column have the same azimuth.
+/// Therefore column j of the beam's image row shows the beam's firing number (j + offset)
+/// mod n_columns, not firing j.
 int compute_beam_azimuth_offset_columns(const Beam& beam, int n_columns);
 
 /// Returns the rays of a sweep. At time 0 the head faces forward (azimuth 0). A head that
@@ -321,7 +321,8 @@ struct WindowScanSensor {
 
 /// Returns the rays of a scan. Row 0 is the highest row. Time 0 is the middle of the
 /// scan.
-/// @throws UsageError in the same cases as for a SpinningSensor
+/// @throws UsageError if there are no rays, more than kMaxRays rays or more than 65535
+/// rows, if an angle is not finite, or if the period is not a positive number
 RayTable make_rays(const WindowScanSensor& window);
 
 /// Scan pattern of a sensor: the parameters from which its rays are generated.

@@ -44,7 +44,7 @@ struct PoseTrack {
     }
 };
 
-/// One further return of every ray: all second returns, all third returns, and so on.
+/// All second returns of a scan. Another object holds all third returns, and so on.
 struct AdditionalReturns {
     std::vector<float> range_m;    ///< [n] range along the ray from its origin; 0 = no such return
     std::vector<float> intensity;  ///< [n] 0..1; 0 if there is no such return
@@ -191,8 +191,8 @@ struct BoxTrack {
     glm::dvec3 size_m{0.0};  ///< length, width, height
     /// Poses at the times of the frames in which the box was labelled or discovered.
     PoseTrack world_from_box;
-    /// Kind of object, for example a car, whose typical size was used for the box. Set
-    /// only for a box without a label of which the scans show only one side.
+    /// Kind of object, for example a car. Set if the box has no label and scans show only
+    /// one side of the object, so that the box got the typical size of this kind.
     std::string size_guess = {};
     /// Numbers of poses that discover_tracks() added before the first and after the last
     /// label of the box.
@@ -366,7 +366,7 @@ struct RangeCalibrationResult {
 /// Result of fit_and_set_intensity_calibration(): errors before and after it.
 struct IntensityCalibrationResult {
     std::size_t returns = 0;  ///< number of returns that were compared
-    /// RMS of intensity minus mean intensity of its surface point, before correction.
+    /// RMS difference between intensities and their mean at the same point of a surface.
     double rms_before = 0.0;
     double rms_after = 0.0;  ///< The same difference with the corrections that were adopted.
     bool shared = false;     ///< True if the log now has an IntensityResponse.

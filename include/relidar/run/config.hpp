@@ -163,8 +163,8 @@ struct BlockConfig {
     /// Distance around a block, metres. Sweeps within this distance are also used to
     /// train the block.
     double halo_m = 40.0;
-    /// Number of times that training repeats all frames for the actors, after the blocks
-    /// were trained and joined. 0 = off.
+    /// After the blocks were trained and joined, a last step trains only the actors
+    /// (moving objects). This is how often it repeats all frames. 0 = no such step.
     int actor_epochs = 4;
     bool operator==(const BlockConfig&) const = default;
 };

@@ -124,9 +124,9 @@ private:
     /// Returns false if the surface patch is near the ground, where patches are ignored.
     bool is_patch_above_ground_margin(const BoxSurfacePatch& patch) const;
     bool has_observed_patch(const BoxSurfacePatch& patch) const;  ///< returns true if the patch was observed
-    /// Returns two areas of a side in m2: the area of its observed patches and the area
-    /// of all its patches. If `mirrored` is true, the first area is instead that of
-    /// unobserved patches whose mirror patch on the other half of the box was observed.
+    /// Returns two areas in m2: [0] of some patches of a side, [1] of all its patches. If
+    /// `mirrored` is false, [0] counts observed patches. Otherwise it counts unobserved
+    /// patches whose mirror image on the other half of the box was observed.
     std::array<double, 2> compute_patch_areas(BoxSide side, bool mirrored) const;
     /// Returns the observed fraction of the box surface, by area. If is_mirrored_area is
     /// true, returns another fraction: the area that was not observed itself, but whose

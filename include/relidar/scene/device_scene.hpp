@@ -50,9 +50,9 @@ struct SurfelArrays {
     /// Logarithms of the scale along the third axis of 3D Gaussians. Not allocated for
     /// surfels.
     Array<float, shared::ThirdLogScales> log_scale_w;
-    /// Walking motion of each surfel: the phase of the walking cycle at which it is
-    /// visible, and the amplitude of its motion (GaitPhaseWindow). Allocated only for
-    /// scenes with actors whose shape changes.
+    /// Walking motion of each surfel (GaitPhaseWindow): in which part of the walking
+    /// cycle the surfel is visible, and how far it moves. Allocated only for scenes with
+    /// actors whose shape changes, like walking persons.
     Array<float, shared::Gaits> gait;
     std::uint32_t n = 0;  ///< Number of surfels. The arrays may have memory for more surfels.
     PrimitiveType primitive = PrimitiveType::surfel;
@@ -261,15 +261,16 @@ struct ActivationGradients {
     SurfelArrays* d_surfels = nullptr;  ///< Output: gradients with respect to the surfel parameters.
     /// Output: flags, [n]. 1 for each surfel whose record has a nonzero gradient.
     Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
-    /// Output: each surfel's share of dL/d(sensor position), [n,3], model frame. Null if
-    /// not needed. Used only if ShDirection::surfel evaluates SH per surfel.
+    /// Output [n,3], model frame: contribution of each surfel to dL/d(sensor position),
+    /// because its spherical harmonics (SH) depend on the viewing direction. Null if not
+    /// needed. Used only if SH are evaluated once per surfel (ShDirection::surfel).
     Array<float, shared::ViewGradients>* d_view = nullptr;
     bool zero_untouched =
         true;  ///< If true, record_surfel_record_backpropagation() writes zeros for surfels without a gradient.
-    /// If true, the caller has filled `touched`: 0 for each surfel that no ray has hit,
-    /// which therefore has no gradient, otherwise 1. Surfels with 0 are skipped if
-    /// zero_untouched is false and can_skip_untouched_surfels() returns true. Nothing is
-    /// written for a skipped surfel, not even to d_view.
+    /// If true, `touched` is also an input: 0 for each surfel that no ray has hit,
+    /// otherwise 1. A surfel with 0 has no gradient. It is skipped if zero_untouched is
+    /// false and can_skip_untouched_surfels() returns true. Then nothing is written for
+    /// it, not even to d_view.
     bool touched_is_marked = false;
 };
 

@@ -114,9 +114,9 @@ struct Surfels {
     void resize(std::size_t count) { resize(count, get_parameter_set()); }
     void resize(std::size_t count, SurfelParameterSet parameter_set);
     void add_gait_without_motion();  ///< Adds a gait without motion to all surfels if they have no gait.
-    /// Appends other surfels. If this set is empty, it gets the primitive of `other`. If
-    /// only one set has a gait (walking motion), adds gaits without motion to the other.
-    /// @throws DataError if the primitives differ
+    /// Appends surfels. An empty set adopts the primitive type of `other`. If one set has
+    /// walking motions (`gait`) and the other does not, sets the missing ones to zero.
+    /// @throws DataError if the primitive types differ
     void append_surfels(const Surfels& other);
     /// Returns a reordered copy: surfel i of the result is surfel order[i] of this set.
     Surfels reorder(const std::vector<std::uint32_t>& order) const;
@@ -138,8 +138,8 @@ struct SurfelModel {
     /// Half size of the box that contains the model's surfels, metres. The box is centred
     /// at the origin. 0 = the model has no box.
     glm::vec3 half_size_m{0.0f};
-    /// A walking actor repeats its motion after this distance: metres walked in the log
-    /// plus metres walked in about three frames. 0 = rigid model.
+    /// Metres after which an actor repeats its recorded walk. Includes a gap (about three
+    /// frames of walking), so that end and start do not overlap. 0 = rigid model.
     float stride_m = 0.0f;
     std::optional<ObservedBoxSurface> surface = {};  ///< observed parts of the box; empty: unknown
 };
@@ -280,8 +280,8 @@ struct SceneInitialisationOptions {
     double max_scale_m = 1000.0;
     /// Initial standard deviation divided by the mean distance to the 3 nearest points.
     double scale_factor = 1.0;
-    /// Surfels are stretched across gaps between scan lines if a gap is narrower than
-    /// this, metres, but much wider than the point distance in a line. 0 = off (paper).
+    /// Stretches surfels over gaps between scan lines. A gap must be much wider than the
+    /// point spacing, but narrower than this (metres). 0 = off, as in the paper.
     double max_gap_m = 0.0;
     /// Initial scale of 3D Gaussians along the normal, relative to the scale in the
     /// plane. 1 = spheres, as in 3D Gaussian splatting.

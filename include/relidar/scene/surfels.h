@@ -16,9 +16,9 @@ struct SurfelRecord {
     vec3 mean;      // Centre, metres.
     float opacity;  // Opacity sigma, 0..1.
     vec3 axis_u;    // First axis divided by its standard deviation, a_u / s_u, 1/m.
-    // Intensity as seen from the sensor. This field, hit_logit and drop_logit are set
-    // only if spherical harmonics are evaluated once per surfel (ShDirection::surfel),
-    // not once per ray. The softmax of the two logits is the drop probability.
+    // Intensity seen from the sensor. Set only with ShDirection::surfel, which evaluates
+    // spherical harmonics once per surfel instead of once per ray. The same is true of
+    // hit_logit and drop_logit. The softmax of these two is the drop probability.
     float intensity;
     vec3 axis_v;  // Second axis divided by its standard deviation, a_v / s_v, 1/m.
     float hit_logit;

@@ -88,8 +88,8 @@ struct ActorAsset {
 ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
                                const ActorObservations& observations);
 
-/// Writes an asset to a folder. This folder then contains the run of the asset and
-/// asset.json.
+/// Writes an asset (an actor) to a folder: its description as asset.json, and the files
+/// of a trained run that contains only this actor.
 /// @throws DataError if the folder cannot be written
 void save_asset(ActorAsset asset, const std::filesystem::path& folder);
 /// Reads asset.json from a folder.

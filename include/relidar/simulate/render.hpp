@@ -196,9 +196,9 @@ struct SimulatedSensor {
     /// True for a LiDAR of the log. Only for these LiDARs, training has estimated how
     /// often the sensor itself drops a ray (Scene::sensor_drop).
     bool is_log_lidar = false;
-    /// If true, `rays` are nominal rays of a LiDAR of the log. Then a scan at the time of
-    /// a recorded sweep uses the azimuths that were measured in this sweep. A scan for a
-    /// ScanRequest (scan at given poses) keeps the nominal azimuths.
+    /// Only for a LiDAR of the log, whose nominal azimuths are in `rays`. If true, a scan
+    /// at the time of a recorded sweep uses the azimuths measured in this sweep instead.
+    /// A scan at given poses (ScanRequest) keeps the nominal azimuths.
     bool follows_sweeps = false;
     /// Calibration of the beams: range offsets, intensity gains and offsets. Empty =
     /// ranges and intensities are not changed.
@@ -285,9 +285,9 @@ public:
     /// @throws UsageError for an unknown channel, or for a channel that needs normals in
     /// a scene of 3D Gaussians, which have no normals
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const LidarSequence& sequence);
-    /// Creates a renderer of a run, with the coverage, the classes and the intensity
-    /// model of the run. The renderer also applies the ray-drop network if the run has
-    /// one and `refine.enabled` is set.
+    /// Creates a renderer of a trained scene. Also uses other data of the run: the
+    /// observed part of space, the surface classes and the random scatter of intensities.
+    /// Applies the ray-drop network if the run has one and `refine.enabled` is set.
     ScanRenderer(Device& device, const TrainedRun& run);
     ~ScanRenderer();
     /// Hides instances of the scene in all following scans.

@@ -35,9 +35,9 @@ struct Weather {
     double snow_mm_h = 0.0;  ///< snow rate in millimetres of melted water per hour
     double wet_mm = 0.0;     ///< depth of the water on level ground
     Sun sun = {};
-    /// Strength of blooming. A retro-reflector is so bright that neighbouring rays report
-    /// a false return of its stray light. `bloom` is the reflectivity of this return, one
-    /// degree away from a reflector of one square degree (median over the beams).
+    /// Strength of blooming: stray light of a bright retro-reflector causes false returns
+    /// on neighbouring rays. `bloom` is their reflectivity (median over the beams) one
+    /// degree away from a reflector of one square degree.
     double bloom = 0.0;
 
     bool is_clear() const { return *this == Weather{}; }
@@ -106,8 +106,8 @@ enum class ReturnCause : std::int32_t {
 /// A possible return of a ray.
 struct LidarEcho {
     double range_m = 0.0;  ///< Range along the ray. It is 0 if the ray has no return.
-    /// Received power as a reflectivity: a surface with this reflectivity would return
-    /// the same power from range_m in clear air. Limited to 0..1 only for surfaces.
+    /// Received power, expressed as the reflectivity of a surface at range_m that would
+    /// return the same power in clear air. It can be larger than 1 for stray light.
     double reflectivity = 0.0;
     ReturnCause source = ReturnCause::nothing;
 };

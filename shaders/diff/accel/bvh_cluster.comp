@@ -79,8 +79,8 @@ Cluster load_cluster(uint root) {
                    SharedUints(uvec2(params.tree.spares)).at[root]);
 }
 
-/// Appends the clusters (subtrees) of the sorted surfels `from` to `to` to the clusters
-/// in shared memory, of which there are `count`. Returns the new number of clusters.
+/// Loads the clusters (subtrees) of the sorted surfels `from` ... `to`. Appends them to
+/// the `count` clusters already in shared memory. Returns the new number of clusters.
 uint load_clusters(int from, int to, uint count) {
     SharedUints roots = SharedUints(uvec2(params.clusters));
     uint n_range = min(uint(to - from) + 1u, KEPT);
@@ -166,10 +166,11 @@ void join_task_ranges() {
     if (n < KEPT && gl_SubgroupInvocationID == 0u) roots.at[task.x + n] = RELIDAR_BVH_NO_NODE;
 }
 
-/// Two threads with neighbouring ranges of surfels call this function for the boundary
-/// behind surfel `split`. The first caller stops. The second caller continues with the
-/// joined range. `first` and `last` are the first and last surfel of the model.
-/// @return true if this thread continues. `from` and `to` are then the joined range
+/// Joins two neighbouring ranges of sorted surfels that meet behind surfel `split`. Each
+/// range (`from` ... `to`) belongs to one thread, and both threads call this function.
+/// The model has the surfels `first` ... `last`.
+/// @return false for the first caller, which stops. True for the second caller, which
+/// continues with the joined range `from` ... `to`
 bool join_with_neighbour_range(inout int from, inout int to, out int split, int first, int last) {
     bool leftward = count_common_bits(from - 1, first, last) > count_common_bits(to, first, last);
     split = leftward ? from - 1 : to;

@@ -18,9 +18,9 @@ void load_costs(BvhBinary tree, Subtree subtree, out float costs[RELIDAR_BVH_WID
                                          : SharedFloats(uvec2(tree.costs)).at[7u * subtree.root + k - 1u];
 }
 
-/// Computes the traversal costs of a binary node from the costs of its two children. If
-/// the binary node gets k child slots of a wide node, its children share these k slots.
-/// Also stores, for each k, how many of the k slots the left child should get.
+/// Stores the lowest traversal cost of a binary subtree for each number k of child slots
+/// that it may use in a wide node. The two children of the binary node divide the k
+/// slots. Also stores, for each k, how many slots the left child gets.
 void write_node_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float area) {
     float in_left[RELIDAR_BVH_WIDTH], in_right[RELIDAR_BVH_WIDTH];
     load_costs(tree, left, in_left);

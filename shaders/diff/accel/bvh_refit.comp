@@ -97,8 +97,8 @@ bool count_finished_child(bool arrives, uint node, uint expected) {
 void refit_ancestors(bool has_node, uint node) {
     uint inner_mask = has_node ? params.wide.nodes.at[node].exponents >> 24 : 1u;
     uvec2 link = has_node ? params.wide.links.at[node] : uvec2(RELIDAR_BVH_NO_NODE);
-    // Starts at nodes without child nodes. link.y is the first surfel of the node's
-    // model. The host selects the models to process by a range of first surfels.
+    // True if all children are leaves and the model is selected. link.y is the first
+    // surfel of the node's model. The host selects a range of first surfels.
     has_node = inner_mask == 0u && link.y >= params.first_surfel && link.y <= params.last_surfel;
     while (subgroupAny(has_node)) {
         refit_node(has_node, node, link.y, inner_mask);

@@ -118,8 +118,9 @@ void sort_keys() {
 
 /// Writes a node of the top-level tree. Its children are elements of the level below:
 /// instances if `lowest` is true, otherwise nodes.
-/// @param first index of the first child within the level below, of `count` elements
-/// @param first_below if the children are nodes: index of the first node of their level
+/// @param first index of the first child in the level below, which has `count` elements
+/// @param first_below if children are nodes: index of their level's first node in
+/// top_nodes
 void write_node(uint node, uint first, uint count, uint first_below, bool lowest) {
     Box children[RELIDAR_BVH_WIDTH];
     uint leaves[2] = uint[](0u, 0u), inner_mask = 0u;

@@ -29,9 +29,9 @@ const float kCircumscribed = 0.66158453824961;
 // unit sphere.
 const float kOuterRadius = 1.25840857236482;
 
-/// Returns a half axis of the shape that encloses a surfel: a vector along `axis` with
-/// the length factor * (standard deviation) * margin_scale + margin_m.
-/// @param axis axis of the surfel with the length 1 / (standard deviation), 1/m
+/// Returns a half axis of the shape that encloses a surfel: parallel to `axis`, with the
+/// length factor * s * margin_scale + margin_m. s is the standard deviation, m.
+/// @param axis axis of the surfel: unit vector divided by s, 1/m
 vec3 compute_half_axis(vec3 axis, float factor) {
     float inverse_scale = length(axis);
     float half_size = factor / inverse_scale * params.margin_scale + params.margin_m;

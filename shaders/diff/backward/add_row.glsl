@@ -29,8 +29,8 @@ bool are_rows_exchanged() {
 
 uint get_shared_row_index() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
-/// Adds `amount` to array[16 row + index]. If the threads exchange their rows, only
-/// stores `amount` in shared memory, and add_row() adds it later.
+/// Adds `amount` atomically to array[16 row + index]. If are_rows_exchanged() is true,
+/// only stores it in shared memory. The caller must then call add_row() to add it.
 void add_to_row_component(Floats array, uint row, uint index, float amount) {
     if (are_rows_exchanged()) shared_rows[get_shared_row_index() * kRowPitch + index] = amount;
     else atomic_add(array, 16u * row + index, amount);
@@ -45,8 +45,8 @@ void add_row(Floats array, uint row, uint is_needed) {
     if (!are_rows_exchanged()) return;
     shared_targets[get_shared_row_index()] = row;
     subgroupBarrier();
-    // Each group of n threads adds the n rows of its threads one by one. Neighbouring
-    // threads add neighbouring floats of a row.
+    // Each lane has stored a row of 16 floats in shared memory. A group of n lanes adds
+    // its n rows to `array` one by one. Neighbouring lanes add neighbouring floats.
     uint n = min(16u, gl_SubgroupSize), lane = gl_SubgroupInvocationID % n;
     uint first = get_shared_row_index() - lane;
     for (uint from = first; from < first + n; ++from) {

@@ -12,8 +12,8 @@ uint get_partial_sum_width() { return SH_PER_SURFEL != 0u ? 16u : 16u + RELIDAR_
 // blocks, kernel gather_heads adds the partial gradient sums of these blocks. Returns the
 // index in `parts` of the sum for the surfel that continues from the previous block.
 uint get_head_index(uint block) { return 2u * block * get_partial_sum_width(); }
-// Returns the index in `parts` of a block's gradient sum for the surfel whose hits begin
-// in this block and continue in the next block.
+// The hits of a surfel may begin in this block and continue in the next block. Returns
+// the index in `parts` of the gradient sum over the surfel's hits in this block.
 uint get_tail_index(uint block) { return get_head_index(block) + get_partial_sum_width(); }
 uint n_sorted() { return min(params.n_hits.at[0], params.capacity); }
 uint get_block_end(uint block) { return min((block + 1u) * RELIDAR_GATHER_BLOCK, n_sorted()); }

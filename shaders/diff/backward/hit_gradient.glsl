@@ -48,9 +48,9 @@ HitGradient compute_hit_gradient(TraceScene scene, Ray ray, RayGradient gradient
 #undef RELIDAR_SEND
     if (SINGLE_DROP_LOGIT != 0u) d_channel.y = 0.0;
     SurfelHitGradient d = backpropagate_intersection(record, origin, direction, hit, d_t, d_alpha);
-    // Becomes elements 7, 11 and 15 of `lanes`: the gradient of the hit's intensity and
-    // two logits. If spherical harmonics are evaluated per hit (SH_PER_SURFEL is 0), it
-    // is the gradient of a small rotation of the ray direction instead.
+    // Stored in elements 7, 11 and 15 of `lanes` below. If spherical harmonics (SH) are
+    // evaluated per surfel: gradient of the hit's intensity and two ray-drop logits. If
+    // SH are evaluated per hit: gradient of a small rotation of the ray direction.
     vec3 others = d_channel;
     if (SH_PER_SURFEL == 0u) {
         compute_ray_sh_basis(scene, ray, instance);

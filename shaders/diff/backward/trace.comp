@@ -145,11 +145,11 @@ void shift_blend_origin(TraceScene scene, Ray ray, RenderedRay final, RayGradien
     add_with_compensation(state.remaining, state.lost, -state.shift * final.transmittance);
 }
 
-/// Computes the gradients of a ray.
-/// @param going true if this thread has a ray with a non-zero gradient. If
-/// are_rows_exchanged() is true, the other threads must call this function too
-/// @return number of hits whose gradients were computed. Less than final.n_hits if this
-/// pass did not find all hits of the forward pass again
+/// Computes the gradients of all hits of a ray.
+/// @param going false if this thread has no ray or the gradient of its ray is zero. Such
+/// a thread must also call this function if are_rows_exchanged() is true
+/// @return number of hits whose gradients were computed. Less than final.n_hits if the
+/// backward pass does not find all hits of the forward pass again
 uint backpropagate_ray(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient gradient,
                        bool going) {
     BlendState state = start_blending(final, gradient);
@@ -161,8 +161,9 @@ uint backpropagate_ray(TraceScene scene, Ray ray, uint ray_index, RenderedRay fi
         uint n = 0u, slot = start + blended;
         float behind = 0.0;
         if (going) {
-            // True if all hits of the next chunk are stored. Partial chunks are not
-            // loaded, so that n_kept affects neither the split into chunks nor rounding.
+            // True if the forward pass has stored all hits of the next chunk. Otherwise,
+            // all of them are searched again. Thus n_kept, the number of stored hits,
+            // does not change the division into chunks and the rounding errors.
             bool kept = min(blended + CHUNK, final.n_hits) <= params.n_kept;
             if (kept) load_kept_hits(blended, final.n_hits - blended);
             else find_next_hits(scene, ray, after, compute_min_transmittance(scene, state.transmittance));

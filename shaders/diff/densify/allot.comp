@@ -26,9 +26,9 @@ uint divide_64_by_32(uint high, uint low, uint divisor) {
     return quotient;
 }
 
-/// Returns floor((weight * n_new + phase) / total_weight). This is the number of copies
-/// that the first surfels of the scene receive together. `weight` is the sum of their
-/// weights. The random `phase` decides between rounding up and down.
+/// Returns how many copies surfels 0 to k receive in total, if `weight` is the sum of
+/// their weights: floor((weight * n_new + phase) / total_weight). All surfels together
+/// receive n_new copies. The random `phase` decides between rounding up and down.
 uint sum_earlier_weights(uint weight) {
     if (params.total_weight == 0u) return 0u;
     uint high, low, carry;

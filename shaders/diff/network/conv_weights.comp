@@ -22,9 +22,9 @@ RELIDAR_PARAMS(ConvWeightsParams);
 const uint kOut = RELIDAR_CONV_OUT, kIn = TAPS == 1u ? RELIDAR_CONV_IN : 1u, kLines = TAPS == 1u ? 1u : 3u;
 
 float sum[kOut * kIn * TAPS];  // partial sums of this lane, indexed [out, in, tap]
-// Input pixels of this lane in two neighbouring blocks of LANES columns, one column per
-// block, indexed [input channel, kernel row]. A 3x3 kernel needs three columns. Each lane
-// reads the two columns to the right of its column from other lanes.
+// Input pixels, indexed [input channel, kernel row]. Lane l holds column l of the current
+// block of LANES image columns (`before`) and of the next block (`next`). A 3x3 kernel
+// needs three columns, so a lane reads the next two columns from other lanes.
 float before[kIn * kLines], next[kIn * kLines];
 float d_out[kOut];  // d_to of the lane's column
 

@@ -51,9 +51,9 @@ struct BackwardParams {
     // atomics.
     uint capacity;
     uint n_rows;
-    // 1: adds dL/d(small rotation of the viewing direction) of each surfel to floats 7,
-    // 11 and 15 of its row in `d_records`. Gradients of poses need it. Used only if
-    // spherical harmonics are evaluated per hit.
+    // 1: also computes the gradient of a small rotation of the viewing direction, which
+    // pose gradients need. Adds its x, y, z to floats 7, 11 and 15 of the surfel's row in
+    // `d_records`. Used only if spherical harmonics are evaluated per hit.
     uint with_turn;
 };
 
@@ -67,10 +67,10 @@ struct GatherParams {
     RELIDAR_OF(Uints, HitRows) rows;     // input [capacity] ascending
     RELIDAR_OF(Uints, HitSlots) slots;   // Input [capacity]: indices into `hits`, sorted by row.
     RELIDAR_OF(Uints, HitCount) n_hits;  // input [1], may exceed capacity
-    // Partial gradient sums [n_blocks,2,k] of surfels with hits in several blocks of
-    // RELIDAR_GATHER_BLOCK hits. k is 16, or 64 if SH are evaluated per hit. Entry [b,0]:
-    // surfel that continues from block b - 1 to block b. Entry [b,1]: surfel whose hits
-    // begin in block b and continue in block b + 1.
+    // Hits are sorted by surfel and divided into blocks of RELIDAR_GATHER_BLOCK hits. If
+    // a surfel has hits in several blocks, each block b stores its partial gradient sum
+    // here, [n_blocks,2,k]: in [b,1] if the surfel's hits begin in this block, otherwise
+    // in [b,0]. k is 16 floats, or 64 if SH are evaluated per hit.
     RELIDAR_OF(Floats, RowParts) parts;
     RELIDAR_OF(Floats, RecordGradients) d_records;  // accumulated [n_rows,16]
     RELIDAR_OF(Floats, Harmonics) d_sh;             // accumulated [n,3,16], if SH are evaluated per hit

@@ -29,8 +29,9 @@ struct BvhBoundsParams {
     // box.
     RELIDAR_OF(Floats, SurfelBoxes) boxes;
     Models models;  // input [n_models]
-    // Bounds [n_models,6] of the box centres of each model's surfels: minima and negative
-    // maxima of x, y, z. Floats are mapped to integers in the same order for atomicMin().
+    // Bounds of the centres of the surfel boxes of each model, [n_models,6]: min x, min
+    // y, min z, -max x, -max y, -max z. Floats are stored as integers with the same
+    // order, because atomicMin() needs integers.
     RELIDAR_OF(Uints, ModelBounds) bounds;
     uint n_surfels;
     uint n_models;
@@ -53,15 +54,16 @@ struct BvhKeysParams {
 struct BvhBinary {
     RELIDAR_OF(Uvec2s, BinaryChildren) children;  // [n]
     RELIDAR_OF(Floats, BinaryBoxes) boxes;        // [n,6] m
-    // Traversal costs [n,7] of each node's subtree: weighted box areas, m^2. Entry k - 1
-    // is the cost if the subtree gets at most k of the eight child slots of a wide node.
+    // Traversal costs [n,7] of each node's subtree, as weighted box areas in m^2. A
+    // subtree may use several of the eight child slots of a wide node. Entry k - 1 is the
+    // lowest cost with at most k slots.
     RELIDAR_OF(Floats, BinaryCosts) costs;
-    // One word per node [n]: number of surfels below the node, and how its two children
-    // divide the child slots of a wide node. See bvh_binary.glsl.
+    // One word per node [n], see bvh_binary.glsl: the number of surfels below the node,
+    // and how many of k child slots of a wide node its left child gets, for k = 2 to 8.
     RELIDAR_OF(Uints, BinaryDecisions) decisions;
-    // For each node [n]: a free index for a later parent node. A node is numbered by the
-    // position of a surfel below it. k surfels have k positions but only k - 1 nodes
-    // above them, so that one position is always free.
+    // The index of a node is the sorted position of a surfel below it. A subtree with k
+    // surfels has k - 1 nodes, so one of its k positions stays unused. For each node [n]:
+    // this position, which a later parent node uses as its index.
     RELIDAR_OF(Uints, SpareNodes) spares;
 };
 
@@ -73,12 +75,13 @@ struct BvhClusterParams {
     RELIDAR_OF(Uvec2s, MortonKeys) keys;       // input [n] sorted
     RELIDAR_OF(Uints, SortedSurfels) surfels;  // input [n] surfel at each sorted position
     Models models;                             // input [n_models]
-    // Scratch [n]: entry i is for two ranges of sorted surfels that meet between surfels
-    // i and i + 1. The first of their two threads stores the outer end of its range. The
-    // other one reads it and joins the ranges. Initially RELIDAR_BVH_NO_NODE.
+    // Scratch [n], initially RELIDAR_BVH_NO_NODE. Two threads use entry i to join their
+    // ranges of sorted surfels, a ... i and i + 1 ... b. The first thread stores the far
+    // end of its range (a or b). The second one reads it and continues with a ... b.
     RELIDAR_OF(Uints, OtherEnds) other_ends;
-    // Scratch [n]: for each range of sorted surfels, a list of the roots of its subtrees.
-    // It starts at the index of the first surfel, and ends with RELIDAR_BVH_NO_NODE.
+    // Scratch [n]: roots of the subtrees that contain a range a ... b of sorted surfels.
+    // They are stored in entries a, a + 1 and so on. RELIDAR_BVH_NO_NODE marks the end if
+    // joining ranges has left fewer than 16 roots.
     RELIDAR_OF(Uints, BinaryClusters) clusters;
     RELIDAR_OF(Uints, BinaryRoots) roots;  // output [n_models] root of each model
     uint n_surfels;
@@ -103,21 +106,21 @@ struct BvhWide {
 struct BvhWideParams {
     BvhBinary tree;  // input
     BvhWide wide;    // output
-    // Binary nodes [bound] that are converted to wide nodes (up to eight children),
-    // sorted by tree level. The first entries are the roots.
+    // Binary nodes that are converted to wide nodes (up to eight children), sorted by
+    // tree level, roots first. Has `bound` entries, the maximum number of wide nodes.
     RELIDAR_OF(Uints, BinaryRoots) queue;
     // Children of each wide node, [bound,8]. Row i belongs to the wide node that replaces
     // binary node queue[i]. Unused entries are RELIDAR_BVH_NO_NODE. `bound` is the
     // maximum number of wide nodes.
     RELIDAR_OF(Uints, WideSlots) slots;
-    // Entry k: number of nodes in `queue` on level k of the tree, [levels + 1]. Entry 0
-    // stays 0, because the roots are not counted. All entries are initially 0.
+    // Number of nodes in `queue` on each level of the trees, [levels + 1], initially 0.
+    // The entry of level 0 stays 0, because the number of roots is always n_models.
     RELIDAR_OF(Uints, LevelSizes) level_sizes;
-    // For each binary node [n] that becomes a wide node: number of the wide node's child
-    // nodes + 256 * number of surfels in its leaves. 0 for all other binary nodes.
+    // Space that each binary node [n] needs as a wide node: c + 256 s, for c children
+    // that are wide nodes and s surfels in its leaves. 0 if it is not converted.
     RELIDAR_OF(Uints, SlotDemands) demands;
-    // For each binary node [n]: sums of child nodes and of surfels in leaves (see
-    // `demands`) over all earlier nodes of its tile. A tile has RELIDAR_BVH_TILE nodes.
+    // The binary nodes are divided into tiles of RELIDAR_BVH_TILE nodes. For each node
+    // [n]: sum of c and sum of s (see `demands`) over all earlier nodes of the same tile.
     RELIDAR_OF(Uvec2s, TileOffsets) offsets;
     RELIDAR_OF(Uvec2s, SumsOfTiles) tiles;     // [n_tiles] the same sums over all earlier tiles
     RELIDAR_OF(Uints, WidePlaces) places;      // [n] wide node that replaces a binary node

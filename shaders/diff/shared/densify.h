@@ -36,8 +36,9 @@ struct ObserveParams {
     // Accumulated [n]: norm of each surfel's gradient dL/d(mean), summed over all
     // batches. One launch of the kernel adds the norms of one batch.
     RELIDAR_OF(Floats, GradientSums) gradient_sum;
-    // Accumulated [n]: number of batches that gave the surfel a gradient. A batch with
-    // only part of a frame also counts if an earlier batch of the frame gave it one.
+    // Accumulated [n]: number of batches in which the surfel was visible, so that it got
+    // a gradient. A batch with only some rays of a frame can miss the surfel. It also
+    // counts if an earlier batch of the same frame gave the surfel a gradient.
     RELIDAR_OF(Uints, SeenBatches) n_seen;
     // Accumulated [n,n_words]: one bit per training frame. The bit is 1 if the surfel has
     // had a gradient in that frame.
@@ -100,8 +101,8 @@ struct MoveParams {
     RELIDAR_OF(Uints, RowStarts) starts;       // input [n] first new row of each surfel
     uint n_surfels;
     uint stride;
-    // Values of the copies of cloned surfels and of all parts of split surfels. 1: zeros,
-    // as needed for Adam moments. 0: the values of the original surfel.
+    // Initial values of copies of cloned surfels and of all parts of split surfels. 1
+    // selects zeros (for Adam moments). 0 selects the values of the original surfel.
     uint fresh;
 };
 

@@ -35,8 +35,8 @@ struct ImageLossParams {
     uint normalised_depth;
 };
 
-// Floats per pixel in SsimParams::statistics, for the window around the pixel: derivative
-// of the loss by mean, variance (times 2) and covariance, and the means of both images.
+// Number of floats per pixel in SsimParams::statistics, for the window around the pixel:
+// dL/d(mean), 2 dL/d(variance), dL/d(covariance) of the loss L, means of both images.
 #define RELIDAR_SSIM_FLOATS 5
 
 /// Parameters of the kernels loss/ssim and loss/ssim_vjp, which compute the structural
@@ -129,9 +129,10 @@ struct ChamferParams {
     // input [n_rays] index, per measured point
     RELIDAR_OF(Uints, NearestSimulated) nearest_simulated;
     RELIDAR_OF(Floats, PointCounts) counts;  // input [2]
-    // Each measured point is paired with its nearest simulated point. For each simulated
-    // point [n_rays,2]: derivative of its pairs' squared distances with respect to its
-    // range, m. Two words per fixed-point number. chamfer adds, and chamfer_vjp reads.
+    // Several measured points may have the same nearest simulated point. For each
+    // simulated point [n_rays,2]: derivative of the sum of their squared distances by the
+    // simulated range, m, as a fixed-point number of two words. Kernel chamfer adds to
+    // it, and kernel chamfer_vjp reads it.
     RELIDAR_OF(Uints, FoundGradients) d_found;
     RayGradients upstream;                // accumulated [n_rays] by chamfer_vjp
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated by chamfer

@@ -31,12 +31,12 @@ struct AdamParams {
     float epsilon;
     float correction1;  // 1 / (1 - beta1^step)
     float correction2;  // 1 / (1 - beta2^step)
-    // A row is divided into blocks of `block` values. Factor on the learning rate of the
-    // first value of each block. For spherical harmonics, this value is the constant
-    // coefficient.
+    // Factor on the learning rate of the first value of each block. Each row of `values`
+    // (one surfel) is divided into blocks of `block` values. For spherical harmonics, a
+    // block is a channel, and its first value is the constant coefficient.
     float first_scale;
-    // Factor on the learning rate of all values in the first block of each row. For
-    // spherical harmonics, a block is a channel, and the first channel is the intensity.
+    // Factor on the learning rate of the first block of each surfel's values. For
+    // spherical harmonics, it is the block of the intensity channel.
     float block_scale;
     uint n_models;
     uint first_row;  // surfel of row 0

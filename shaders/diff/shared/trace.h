@@ -14,9 +14,9 @@ RELIDAR_SHARED_BEGIN
 /// * ray_stride of `rays`.
 struct TraceScene {
     TlasHandle tlas;  // acceleration structure (ray query)
-    // Input: one distance in m, the largest possible one between a hit on a 3D Gaussian
-    // and a corner of the icosahedron around this Gaussian. Ray queries search this far
-    // behind the last hit. Address 0 if no icosahedra are used.
+    // Input [1], m. A ray query finds a 3D Gaussian where the ray enters or leaves an
+    // icosahedron around it. The ray leaves at most this distance behind the hit, so
+    // queries search this far behind the last hit. Address 0 if no icosahedra are used.
     RELIDAR_OF(Floats, ProxyReach) proxy_reach;
     MovingInstances moving;  // input [n_moving] (ray query)
     // Input [n_models] in m: radius of each model's bounding sphere, whose centre is the
@@ -80,8 +80,9 @@ struct ForwardParams {
     // complete list. Then forward/trace renders the remaining rays.
     HitLists lists;
     RenderedRays rendered;  // output [n_rays]
-    // Output, for the backward pass: nearest n_kept hits of each of n threads (one ray
-    // per thread), [ceil(n/2),n_kept,2]. Hit k of thread i is element [i/2,k,i%2].
+    // Output for the backward pass: the nearest n_kept hits of each ray. Each of n
+    // threads has one ray. Two threads interleave their hits: hit k of thread i is
+    // element [i/2,k,i%2] of the array [ceil(n/2),n_kept,2].
     Hits kept;
     // Counter [1]: number of rays with more than n_kept hits. Stays unchanged if n_kept
     // is 0.

@@ -89,8 +89,8 @@ float compute_transmittance_before_farthest(float alpha_max) {
 /// Removes far hits that cannot contribute, because nearer hits reduce the transmittance
 /// below the limit.
 void drop_invisible_hits(float alpha_max) {
-    // In the common case, no hit must be removed. This line then skips the loop below,
-    // because a CPU would execute its first iteration even if no thread needs it.
+    // Usually no hit must be removed, so this line returns. Without it, a CPU would
+    // execute the first iteration of the loop below, even if no thread needs the loop.
     if (!(hits_transmittance < least_transmittance)) return;
     while (n_hits > 1u) {
         float left = compute_transmittance_before_farthest(alpha_max);
@@ -131,8 +131,9 @@ void insert(Key key, float alpha, float alpha_max) {
         nearer = next_nearer[nearer];
     }
     uint slot = find_insertion_index(alpha_max);
-    // `farther` is the hit behind the new one. If it was just removed to make room, the
-    // new hit is the farthest hit, and `farther` becomes the sentinel CHUNK.
+    // `farther` is the entry behind the new hit. If the buffer was full, this entry may
+    // just have been freed for the new hit. Then the new hit is the farthest one, and
+    // `farther` becomes CHUNK, the sentinel entry of the list.
     if (slot == farther) farther = CHUNK;
     write_hit(slot, Hit(key.t, alpha, key.instance, key.surfel));
     latest = slot;

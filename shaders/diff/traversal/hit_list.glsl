@@ -19,9 +19,10 @@ uint list_index;
 uint n_hits;       // Number of hits of the ray so far, including hits that do not fit into the list.
 bool hits_closed;  // True if hits behind the distance end_t cannot contribute.
 float end_t;
-// Product of 1 - alpha over the hits since insert() last set the end of the ray (end_t).
+// Product of 1 - alpha over the latest hits. Each time that insert() shortens the ray
+// (sets end_t), it restarts this product at 1.
 float set_transmittance;
-// Limit for the transmittance over the hits. Below it, the ray ends at the farthest hit.
+// If set_transmittance falls below this limit, insert() ends the ray at farthest_t.
 float least_transmittance;
 float farthest_t;  // Distance of the farthest hit since end_t was last set.
 

@@ -17,8 +17,8 @@ uint entered_instance = 0xffffffffu;
 uint entered_first_surfel;
 vec3 entered_origin;
 vec3 entered_direction;
-// Rotation of instance entered_instance from its pose in InstanceEntry to its pose at the
-// ray's firing time, in the model frame. Axis times tangent of half the angle.
+// Rotation of a moving instance from its stored pose (InstanceEntry) until the ray is
+// fired. Rodrigues vector in the model frame: axis times tangent of half the angle.
 vec3 entered_turn = vec3(0.0);
 
 /// Returns the index of this thread's ray in the batch. The index is at least n_rays if

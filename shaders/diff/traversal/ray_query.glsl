@@ -59,8 +59,9 @@ void find_hits(TraceScene scene, Ray ray, Key after_key) {
         Search search = Search(ray.origin, ray.direction, RELIDAR_STANDING_MASK, RELIDAR_NO_INSTANCE);
         if (k > 0u && !search_moving_instance(scene, ray, scene.moving.at[k - 1u], search)) continue;
         float end = 1e30;  // distance at which the query stops
-        // If hits_closed is true, hits behind get_last_hit_t() are not needed. Then stops
-        // there, plus a margin for rounding errors and icosahedra (`reach`).
+        // If hits_closed is true, hits behind get_last_hit_t() are not needed, so the
+        // query may stop there. The margins are for rounding errors and for icosahedra
+        // around Gaussians, which the query may find up to `reach` behind the hit.
         if (hits_closed) end = max(get_last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * get_last_hit_t()) + reach;
         rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT,
                               search.mask, search.origin + start * search.direction, 0.0, search.direction,

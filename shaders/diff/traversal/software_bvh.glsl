@@ -319,8 +319,8 @@ void find_hits(TraceScene scene, Ray ray, Key after_key) {
             uint lane_entry = entry;
             entry = subgroupBroadcastFirst(entry);
             tree = subgroupBroadcastFirst(tree);
-            // The subgroup visits the next node of its first active lane. A lane whose
-            // own next node (lane_entry) is a different one waits.
+            // Each lane has a stack of tree nodes to visit. The subgroup visits the top
+            // node of its first active lane. Lanes with another top node wait.
             if (lane_entry != entry || instance != tree) continue;
         }
         --stack_size;

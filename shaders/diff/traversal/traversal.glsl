@@ -57,8 +57,8 @@ Key get_first_key(TraceScene scene) { return Key(scene.near_m, 0xffffffffu, 0xff
 /// slightly nearer than the known hit because of rounding errors.
 float compute_search_start(Key after_key) { return max(after_key.t - (1e-4 + 1e-5 * after_key.t), 0.0); }
 
-/// Returns the smallest product of 1 - alpha over the next hits at which the ray
-/// continues. The ray ends where its total transmittance falls below transmittance_min.
+/// Returns a limit for the product of 1 - alpha over the next hits. If the product is
+/// below the limit, the total transmittance is below transmittance_min, and the ray ends.
 /// The factor 0.99 allows for rounding errors.
 /// @param transmittance transmittance of the ray before these hits
 float compute_min_transmittance(TraceScene scene, float transmittance) {

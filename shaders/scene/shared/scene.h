@@ -50,8 +50,9 @@ struct ActivateVjpParams {
     SurfelPointers surfels;                         // input
     RELIDAR_OF(Floats, RecordGradients) d_records;  // input [n_rows,16] in the layout of SurfelRecord
     Models models;                                  // input [n_models]
-    // Input: first row in `d_records` of each instance, sorted by model. Omits the first
-    // instance of each model, because its row numbers equal its surfel numbers.
+    // Input: `d_records` has one row per surfel and instance. The first instance of a
+    // model uses row i for surfel i. For each further instance, this is its first row.
+    // The further instances are sorted by model.
     RELIDAR_OF(Uints, FurtherRows) more_rows;
     Vec3s view_origins;                     // input [n_models] same as for the activation
     RELIDAR_OF(Floats, GaitPhases) phases;  // input [n_models] same as for the activation

@@ -9,9 +9,9 @@
 #include "sensor_way.glsl"
 RELIDAR_PARAMS(GatherPointsParams);
 
-/// Returns the ray of the index-th requested range. The requested rays are evenly spaced:
-/// floor(index n_rays / n_requested). The order of operations avoids an overflow of 32
-/// bits.
+/// The host requests the ranges of n_requested evenly spaced rays. Returns the index of
+/// one of these rays: floor(index * n_rays / n_requested). Computes quotient and
+/// remainder of n_rays / n_requested separately to avoid an overflow of 32 bits.
 uint get_requested_ray(uint index) {
     return index * (params.n_rays / params.n_requested) +
            index * (params.n_rays % params.n_requested) / params.n_requested;

@@ -11,8 +11,8 @@ struct SensorRay {
     vec3 origin;          // m
     vec3 direction;       // unit vector
     float time_offset_s;  // firing time relative to the sweep's reference time
-    // Probability that the sensor itself does not drop a return from this direction,
-    // independent of the scene.
+    // Probability that the sensor reports a return from this direction. It does not
+    // depend on the scene. It is less than 1 where, for example, the vehicle blocks rays.
     float sees;
     uint channel;  // beam number
 };
@@ -54,8 +54,8 @@ struct MeasuredRay {
     // Median range, m: distance at which the transmittance of the ray falls to 0.5. Equal
     // to the field range_m if the transmittance stays above 0.5.
     float median_range_m;
-    // Mean range, m: D / W (blended depth / blended weight). Equal to the field range_m
-    // if the transmittance stays above 0.5.
+    // Mean range, m: D / W (blended depth / blended weight). If the transmittance stays
+    // above 0.5, no surface dominates the ray, and this is a copy of range_m.
     float mean_range_m;
     float intensity;  // 0..1
     // Probability that the ray has no return. 1 if the ray hit nothing within the

@@ -56,9 +56,9 @@ struct MoveRaysParams {
 #define RELIDAR_KNOT_WORKGROUP 256
 
 /// Parameters of train/knot_gradients.comp, which converts gradients of rays to gradients
-/// of sensor pose corrections. Ray k of the batch is moved[first_ray + k * ray_stride].
-/// `places` is indexed by the ray's index in the frame. `moved` has the same index if
-/// `columns` is 0. Otherwise `moved` holds only copied columns of the frame.
+/// of sensor pose corrections. Ray k of a batch (a subset of the rays of a frame) is
+/// moved[first_ray + k * ray_stride]. If `columns` is 0, `moved` contains all rays of the
+/// frame. Otherwise it contains copies of only some columns.
 struct KnotGradientsParams {
     Rays moved;        // input
     RayPlaces places;  // Input: position of each ray of the frame between two sensor poses.

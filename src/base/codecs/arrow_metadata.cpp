@@ -71,8 +71,8 @@ public:
             throw_malformed_arrow_error("name");
         return text->str();
     }
-    /// Returns the structs of a vector field. A vector consists of its length (4 bytes)
-    /// and the structs, which may be unaligned.
+    /// Reads a field that contains an array of structs (a FlatBuffers vector). It is
+    /// stored as its length (4 bytes), followed by the structs, which may be unaligned.
     template <class Struct>
     std::vector<Struct> read_struct_vector_field(int field_number) const {
         const std::uint8_t* vector = get_verified_vector_field(field_number, sizeof(Struct));

@@ -101,8 +101,8 @@ struct Bvh::Impl {
     Array<glm::uvec2, shared::SumsOfTiles> tiles;
     Array<shared::BvhNode> nodes;                   ///< [bound] wide nodes of all models
     Array<std::uint32_t, shared::LeafOrder> order;  ///< [n] surfels in the order of the leaves
-    /// [bound = maximum number of nodes] index of each node's parent, and index of the
-    /// first surfel of the model that contains the node
+    /// [bound] two indices per node: its parent, and the first surfel of the model that
+    /// contains the node. `bound` is the maximum number of nodes.
     Array<glm::uvec2, shared::WideLinks> links;
     Array<float, shared::WideBoxes> node_boxes;  ///< [bound,6] boxes of the nodes before quantisation
     /// [bound] number of children whose boxes are finished

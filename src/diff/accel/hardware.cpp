@@ -119,8 +119,9 @@ struct RayQueryAccel::Impl {
     Kernel<shared::ProxyParams> proxies;
     Array<float> geometry;  ///< vertices [n,corners,3] or boxes [n,6]
     /// [1] metres, stored as the bits of a float: maximum distance between a hit on a 3D
-    /// Gaussian and a corner of the icosahedron around it. A query may find only the far
-    /// side of an icosahedron, so it searches this far behind the farthest hit.
+    /// Gaussian and a corner of the enclosing icosahedron. A ray query may find only the
+    /// far side of the icosahedron, which is behind the hit. So it searches this far
+    /// behind the farthest hit.
     Array<std::uint32_t> reach;
     /// Triangle indices for the largest model. Smaller models use the first indices, with
     /// an offset to their first vertex.
@@ -324,8 +325,8 @@ void RayQueryAccel::record_build_or_refit(Stream& stream, const DeviceScene& sce
     Impl& a = *impl_;
     std::uint32_t n = 0;
     for (const SurfelRange& range : ranges) n += range.count;
-    // `reach` is the maximum distance between a hit and a corner of its icosahedron, over
-    // all models. It is reset only if all models are updated.
+    // `reach` is a maximum over all 3D Gaussians: the distance between a hit and a corner
+    // of the enclosing icosahedron. It is reset only if all models are updated.
     if (a.reach.size() && n == scene.size()) stream.fill(a.reach);
     for (const SurfelRange& range : ranges) a.compute_proxy_shapes(stream, scene, options, range);
     // Resets the radii only if all models are updated.

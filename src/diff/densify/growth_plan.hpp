@@ -26,8 +26,9 @@ struct GrowthPlan {
     std::uint32_t phase = 0;  ///< phase of the systematic sampling, below total_weight
 
     std::uint32_t size() const { return survivors + n_new; }
-    /// Returns how many copies the first k surfels get: (cumulative_weight * n_new +
-    /// phase) / total_weight. Kernel diff/densify/allot must use the same formula.
+    /// Returns how many of the `n_new` copies the first k surfels get together. This is
+    /// floor((cumulative_weight * n_new + phase) / total_weight), with a random `phase`
+    /// below total_weight. Kernel diff/densify/allot must use the same formula.
     /// @param cumulative_weight sum of the weights of the first k surfels
     std::uint32_t count_earlier_copies(std::uint64_t cumulative_weight) const;
     /// Returns the models with their surfel ranges after surfels were added and removed.

@@ -147,8 +147,8 @@ void Attention::backpropagate_to_qkv(Stream& stream, const ChannelSlice& qkv, At
     product(view_as_head_matrices(d_output, heads_, false),
             view_as_attention_matrices(state.share, grid, heads_, false),
             view_as_head_matrices(d_value, heads_, false), size, pixels, 1.0f);
-    // computes d_share = d_output^T value, the gradient of the attention weights, which
-    // run_softmax() then replaces by the gradient of the softmax input
+    // Computes d_share, the gradient of the attention weights: transposed d_output times
+    // value. Then run_softmax() replaces it by the gradient of the softmax input.
     product(view_as_head_matrices(d_output, heads_, true), view_as_head_matrices(value, heads_, false),
             view_as_attention_matrices(state.d_share, grid, heads_, false), pixels, size, 1.0f);
     run_softmax(stream, state, grid, true);

@@ -35,7 +35,8 @@ public:
     void make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                           const Tensor& output_images);
     /// Submits the kernel that creates a batch from images that are already on the
-    /// device. The measured ray drops of these images are unknown.
+    /// device. Does not update get_measured_drops(), because it is unknown which rays of
+    /// these images were dropped (had no return).
     /// @param samples device address of images, [samples, channels, rows, columns]
     void make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                           Address<float, shared::DropSamples> samples, const Tensor& output_images);

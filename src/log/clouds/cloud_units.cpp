@@ -64,7 +64,7 @@ PointTimeReference find_reference_of_point_times(const std::vector<TimeRange>& t
     return PointTimeReference::sensor_clock;
 }
 
-/// Returns a text for the user that names the zero of point times.
+/// Returns a text for the user that says at which moment the times of points are 0.
 const char* describe_point_time_reference(PointTimeReference reference) {
     if (reference == PointTimeReference::stamp) return "relative to the stamp of the cloud";
     if (reference == PointTimeReference::epoch) return "in the same clock as the stamps of clouds";

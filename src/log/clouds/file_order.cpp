@@ -170,8 +170,8 @@ double find_ring_start_azimuth_rad(const LidarPoints& points,
     return best_rad;
 }
 
-/// Returns true if the rings are sorted by elevation and clearly separated. The points of
-/// a ring must be closer to its elevation than to other rings.
+/// Returns true if the rings are sorted by elevation and clearly separated. In separated
+/// rings, most points are closer to the elevation of their ring than to other rings.
 bool are_rings_sorted_and_separated(const LidarPoints& points,
                                     const std::vector<std::uint16_t>& ring_of_point,
                                     const std::vector<double>& ring_elevations_rad) {

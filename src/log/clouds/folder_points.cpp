@@ -144,8 +144,8 @@ void sort_points_and_set_return_numbers(LidarPoints& points, const std::vector<d
         return std::pair(points.ring[index], points.time_offset_s[index]);
     };
     const auto strength = [&](std::size_t index) {
-        // numbers of the ROS package Nebula: 3 strongest, 6 identical, 9 and 10 strongest
-        // and first or last
+        // Return types of the ROS package Nebula that include the strongest return: 3
+        // (strongest), 6 (identical), 9 and 10 (strongest, and also first or last).
         const double type = return_types[index];
         const bool is_strongest = type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0;
         return std::pair(is_strongest, points.intensity[index]);

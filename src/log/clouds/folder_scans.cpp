@@ -117,8 +117,8 @@ public:
                     with_points.push_back(i);
             SpinningSensor& sensor = sequence_.lidars[l].sensor;
             if (sensor.name.empty()) sensor.name = sequence_.name;
-            // If the files store rays, only the sweep period is set. A LiDAR with unknown
-            // beams is then treated as not rotating (period 0).
+            // Files store either points or rays. A LiDAR with rays needs only a sweep
+            // period. If its beams are unknown, it is treated as not rotating (period 0).
             if (!with_points.empty()) choose_point_conversion_of_lidar(l, with_points);
             else if (!head_.lidars[l].has_beams) sensor.period_s = 0.0;
             else if (sensor.period_s == 0.0) sensor.period_s = get_or_estimate_sweep_duration_s(l);

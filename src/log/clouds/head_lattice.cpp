@@ -33,8 +33,8 @@ SweepFirings fit_equal_azimuth_steps_to_points(const LidarPoints& points, const 
         sum += std::polar(1.0, sensor.columns * beam.compute_head_azimuth(glm::dvec3(points.position_m[i])));
     }
     sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
-    // `last` is the grid step with the largest azimuth up to +pi. The sweep begins there,
-    // because its azimuth decreases from +pi. So firing i is at step `last` - i.
+    // A sweep begins near azimuth +pi, and its azimuth decreases. `last` is the grid step
+    // with the largest azimuth up to +pi. So firing i is at step `last` - i.
     int last = sweep.lattice.find_nearest_encoder_tick(kPi);
     if (sweep.lattice.compute_azimuth_of_encoder_tick_rad(last) < 0.0)
         last = (last + sensor.columns - 1) % sensor.columns;

@@ -302,8 +302,8 @@ PointTable read_point_file_with_header(const fs::path& file,
                                                                   const std::string& where)) {
     const SharedBytes bytes = make_shared_bytes(read_text_file(file));
     PointTable table = parse_points(bytes, file.string());
-    // The header contains one of these texts if relidar wrote the file with
-    // motion-compensated points or with points in the world frame.
+    // relidar writes one of two texts that start with "points_in" to the header of a file
+    // if its points are motion-compensated or in the world frame.
     constexpr std::size_t kHeader = 4096;  // number of bytes at the start of the file that are searched
     const std::string_view header = bytes.bytes.substr(0, kHeader);
     table.is_deskewed = header.find(" points_in sensor at time_s") != header.npos ||

@@ -17,9 +17,9 @@ namespace {
 // this value. The vectors are in the vehicle frame.
 constexpr double kForward = 0.9;
 // A pose file can deviate from its documented convention. relidar uses another convention
-// only if two values are larger than with the documented one, by at least these amounts.
-// kMoreForward: mean x component of the unit motion vectors. kMoreOverlap: points that
-// overlap with the other scan of a pair / all points.
+// only if it increases two values by at least these amounts. kMoreForward: mean x
+// component of the unit motion vectors of the vehicle. kMoreOverlap: share (0 to 1) of a
+// scan's points that overlap with another scan.
 constexpr double kMoreForward = 0.3, kMoreOverlap = 0.02;
 // Minimum number of motions between poses for estimating the driving direction.
 constexpr std::size_t kFewestSteps = 3;

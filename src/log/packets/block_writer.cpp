@@ -73,9 +73,9 @@ BlockWriter::BlockWriter(const PacketLayout& layout, const SpinningSensor& senso
       start_ns_(options.start_ns),
       sequence_deg_(360e-6 * layout.cycle_us / sensor.period_s),
       beams_(list_beams_of_packet_layout(layout)) {
-    // Expected beams (rows) of the scan. In `beams_`, a laser that fires in both firing
-    // sequences of the sensor has two beams. If the scan stores each sequence in a
-    // separate column, it has one row per laser. So the second beam is removed.
+    // Beams (rows) that the scan must have. A laser that fires in both firing sequences
+    // of the sensor is twice in `beams_`. If the scan stores each sequence in a separate
+    // column, a laser has only one row. So its second beam is removed.
     std::vector<PacketBeam> fired = beams_;
     const auto is_repeat = [](const PacketBeam& one, const PacketBeam& other) {
         return one.line == other.line;

@@ -191,8 +191,8 @@ std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, co
     for (const HesaiProduct& product : kHesais) {
         const PacketLayout& layout = find_packet_layout(product.layout);
         if (sensor.name != layout.sensor) continue;
-        // Compares the times per column of the sensor and of the layout. Adds 1 to the
-        // error if the numbers of beams differ.
+        // Chooses the product whose time between two scan columns is closest to that of
+        // `sensor`. Adds 1 to the relative error if the numbers of beams differ.
         const double step_us = 1e6 * sensor.period_s / sensor.columns;
         const double expected_us = layout.cycle_us * double(layout.count_firing_sequences()) /
                                    count_scan_columns_per_firing(layout, sensor);

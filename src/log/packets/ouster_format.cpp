@@ -49,7 +49,7 @@ std::array<int, 2> find_column_window(const std::vector<bool>& column_has_fired)
 /// frame points backward, relidar's points forward. The metadata contain the transform.
 std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string& packet_profile,
                                  const std::array<int, 2>& column_window) {
-    // Ouster's name of the product line, such as "OS-1-64" for "OS1-64".
+    // In Ouster's metadata, the product line of "OS1-64" is called "OS-1-64".
     const bool has_short_name =
         sensor.name.starts_with("OS") && sensor.name.size() > 3 && sensor.name[3] == '-';
     const std::string product_line = has_short_name ? "OS-" + sensor.name.substr(2) : sensor.name;

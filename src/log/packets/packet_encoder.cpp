@@ -192,8 +192,8 @@ struct PacketEncoder::Impl {
         if (has_fixed_columns()) {
             fired[std::size_t(position % format->get_fixed_columns_per_revolution())] = true;
         } else if (last) {
-            // Fills gaps in which the log leaves out empty firings at the end of a
-            // revolution. Does not fill longer gaps between two scans.
+            // Fills gaps at the end of a revolution, where a log can omit firings without
+            // returns. A longer gap is a pause between scans and is not filled.
             const std::int64_t max_missing_firings =
                 std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / get_firing_period_s());
             if (position - last->position > max_missing_firings) {

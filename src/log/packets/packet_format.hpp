@@ -61,9 +61,9 @@ public:
     /// the lasers fire in two sequences and the scan stores each as a column, otherwise
     /// 1.
     virtual int get_scan_columns_per_firing() const { return 1; }
-    /// Converts scan columns to firings. If the sensor fires two sequences per azimuth
-    /// and the scan stores them in two columns, joins both to one firing. Then also
-    /// removes simulated rays of lasers that are not in the sequence of their column.
+    /// Converts scan columns to firings. If a scan stores the two sequences of a firing
+    /// as two columns, joins them to one firing. Each of the two columns also has
+    /// simulated rays of lasers that do not fire in its sequence. Removes these rays.
     virtual std::vector<FiringColumn> join_scan_columns_to_firings(
         std::vector<FiringColumn> scan_columns) const {
         return scan_columns;

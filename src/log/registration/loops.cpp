@@ -24,9 +24,9 @@ constexpr double kApart_m = 80.0;
 // grows by kLoopDistanceGrowth per metre of path between the poses, because odometry
 // drifts.
 constexpr double kLoopDistance_m = 4.0, kLoopDistanceGrowth = 0.01, kMaxLoopDistance_m = 15.0;
-// Driven distance that a loop-closure map extends before and after its centre pose. A
-// loop closure aligns a scan with a map of an earlier pass over the same road. The centre
-// is the earlier pose that is nearest to the scan.
+// A loop closure aligns a scan with a map of an earlier pass over the same road. The map
+// extends this distance along the road before and after the earlier pose that is nearest
+// to the scan.
 constexpr double kMap_m = 14.0;
 // Registration tries a grid of start positions around the predicted pose. The values are
 // the spacing of the grid, and its largest horizontal and vertical distance.
@@ -234,7 +234,8 @@ private:
                                                             get_path_length_to_key_pose_m(earlier_key_index));
         Pose at;
         if (previous_closure) {
-            // The later key poses of both closures move together like one rigid body.
+            // Predicts the start pose from the previous loop closure, which corrects a
+            // nearby pose. Assumes that both poses move together, like one rigid body.
             const Pose& previous_pose = get_key_pose(previous_closure->later);
             const Pose world_from_world =
                 apply_twist(previous_pose, previous_closure->off) * inverse(previous_pose);
@@ -313,8 +314,8 @@ private:
         return Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(h).solve(equations.g);
     }
 
-    /// A key pose (a selected pose of the track) has a known correction. Returns the
-    /// correction of pose `pose_index` if both poses move like one rigid body.
+    /// Converts the correction of a key pose (a selected pose of the track) to a
+    /// correction of pose `pose_index`. Assumes that both move like one rigid body.
     Vector6 transfer_key_correction(std::size_t pose_index, std::size_t key_index,
                                     const Eigen::VectorXd& key_corrections) const {
         return make_twist_transfer_matrix(track_.pose[pose_index].translation -

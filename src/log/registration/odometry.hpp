@@ -28,11 +28,11 @@ struct OdometryOptions {
     ProcessGroup group = {};
 };
 
-/// Estimates the poses of a log, starting at the first given pose. A scan that cannot be
-/// aligned gets its predicted pose.
+/// Estimates the poses of a log, starting at the first pose of `initial_track`. A scan
+/// that cannot be aligned gets its predicted pose.
 /// @param scans  [poses] points of each scan; empty if a pose has no scan
-/// @return the same poses in all processes; the given poses if the callback `proceed`
-/// returned false
+/// @return estimated poses, identical in all processes of `options.group`;
+/// `initial_track` if the callback `options.proceed` returned false
 PoseTrack estimate_odometry_poses(const PoseTrack& initial_track,
                                   const std::vector<std::vector<SubsampledPoint>>& scans,
                                   const OdometryOptions& options);

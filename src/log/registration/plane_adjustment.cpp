@@ -232,9 +232,10 @@ double PlanePoseAdjustment::compute_deviation_from_neighbours_m(std::size_t pose
     };
     const glm::dvec3 between =
         glm::mix(correction(before), correction(after), compute_time_fraction(before, pose_index, after));
-    // If the initial track jumps between this pose and one neighbour, their corrections
-    // differ although both are right. The correction of the other neighbour is still
-    // similar. So this returns the smallest of three differences.
+    // The initial track can jump between this pose and one neighbour. Their corrections
+    // then differ, although both are right. So this compares the correction with three
+    // values: those of both neighbours, and an interpolation between them. The smallest
+    // difference counts.
     double least = glm::distance(correction(pose_index), between);
     for (const std::size_t neighbour : {before, after})
         least = std::min(least, glm::distance(correction(pose_index), correction(neighbour)));

@@ -20,8 +20,8 @@ constexpr int kFits = 4;
 // along the narrower direction of the plane, divided by the cell size.
 constexpr double kSpread = 0.12;
 // Rejects narrow strips of points, which a single beam produces if poses are wrong.
-// Minimum standard deviation along the narrower direction of the plane, divided by the
-// scale of the robust kernel (distance from the plane at which a point has weight 1/4).
+// Minimum ratio: standard deviation along the narrower direction of the plane / distance
+// from the plane at which the robust kernel gives a point a weight of 1/4.
 constexpr double kSpreadScale = 0.8;
 // Minimum share of inliers. An inlier is closer to the plane than the scale of the robust
 // kernel, which is the distance at which a point has a weight of 1/4.

@@ -262,7 +262,8 @@ private:
     static constexpr std::size_t kGroup = 8;
 
     const std::size_t n_;
-    // [poses] converts the rigid motion of a group of poses to the motion of one pose
+    // [poses] Eight consecutive poses form a group that moves like one rigid body.
+    // Converts the twist (6 values) of the group to the twist of one pose.
     std::vector<Matrix6> carry_;
     std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;  // key: row, column
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;

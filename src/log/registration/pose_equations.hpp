@@ -107,9 +107,10 @@ public:
     double compute_rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
-    /// Eliminating a plane subtracts c_i c_j^T from block (i, j) of the normal matrix,
-    /// for all poses i, j that observe it. c = C L^-T. C: 6x3 block of pose and plane
-    /// unknowns. L: Cholesky factor of the plane's 3x3 block.
+    /// Coupling of a plane with one pose that observes it: c = C L^-T. C: 6x3 block of
+    /// the normal matrix for this pose and plane. L: Cholesky factor of the plane's 3x3
+    /// block. Eliminating the plane subtracts c_i c_j^T from block (i, j) of any two such
+    /// poses.
     struct PlanePoseCoupling {
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;

@@ -123,13 +123,14 @@ double compute_actor_fraction_on_planes(const PlanePoseAdjustment& adjustment,
                                                  kLastActorRound.scale_m);
 }
 
-/// Prepares the registration of a labelled box. A prior keeps its corrections small and
-/// smooth.
+/// Prepares the optimisation of the poses of a labelled box. A prior keeps the
+/// corrections of the labelled poses small and smooth.
 PlanePoseAdjustment make_actor_adjustment(const PoseTrack& track, std::vector<SubsampledPoint> points,
                                           const std::vector<bool>& pose_has_points) {
     PlanePoseAdjustment adjustment(track, track, std::move(points), pose_has_points);
-    // Standard deviations: 0.05 m for points; 0.15 m and 2 degrees for labels; 0.05 m and
-    // 1 degree for the change of the label error within 0.1 s.
+    // Weights relative to a point, whose standard deviation is 0.05 m: (0.05 / standard
+    // deviation in m or rad)^2. Label errors (pull): 0.15 m and 2 degrees. Changes of
+    // label errors within 0.1 s (link): 0.05 m and 1 degree.
     const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
     const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
     PoseCorrectionPrior prior;

@@ -22,14 +22,14 @@ namespace {
 // A grid keeps one point of a scan per cell. Largest and smallest cell size: cells of 0.5
 // m keep 12 thousand points of a 64-beam scan, cells of 0.1 m nearly all.
 constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
-// A plane is fitted to the points of all scans in a grid cell, usually about this many
-// scans. In a shorter log, fewer scans hit a cell. So each of its scans keeps more points
-// (the thinning cells are smaller), and planes still get enough points.
+// A plane is fitted to the points in a grid cell, which usually come from about this many
+// scans. In a log with fewer scans, fewer scans hit a cell. So each scan keeps more
+// points (smaller thinning cells), and planes still get enough points.
 constexpr double kScansOnACell = 24.0;
 constexpr RegistrationRound kLast{0.5, 0.05};  // cell size and robust-kernel scale of the last rounds
-// Last cell size and robust-kernel scale of odometry, in metres. Odometry aligns one scan
-// after the other with a map. This is less accurate than optimising all poses together,
-// so the scale is larger than in kLast.
+// Cell size and robust-kernel scale of the finest map of odometry, in metres. Odometry
+// aligns one scan after the other with a map. This is less accurate than the joint
+// optimisation of all poses (kLast), so the scale is larger.
 constexpr RegistrationRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 

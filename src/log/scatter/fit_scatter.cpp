@@ -44,8 +44,8 @@ struct ScatterSample {
     float value;
 };
 
-/// All returns that train the decision tree. Returns in the same tree node are contiguous
-/// in memory.
+/// All training samples of the decision tree, one per LiDAR return. Samples in the same
+/// tree node are contiguous in memory.
 struct ScatterSampleSet {
     std::vector<ScatterSample> all;
     std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins except the last

@@ -39,8 +39,8 @@ constexpr std::array<RayWindow, 5> kMeans{
     {{{0, -2}, {0, -1}}, {{0, -4}, {0, -1}}, {{0, -8}, {0, -1}}, {{-1, -2}, {-1, 2}}, {{-3, -3}, {-1, 3}}}};
 constexpr std::array<RayWindow, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
 
-/// The features of a ray use intensities of rays on its left in the same row. In the rows
-/// above, they use intensities of rays up to this many columns further right.
+/// The features of a ray use known intensities of neighbouring rays: in the same row,
+/// rays to its left; in the rows above, rays up to this many columns to its right.
 constexpr int kAhead = 3;
 static_assert(std::ranges::all_of(kMeans, [](const RayWindow& w) {
     return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);

@@ -49,9 +49,11 @@ PatternKind make_pattern_kind(const char* kind_name, const char* json_member_nam
 
 /// Returns the table of all kinds of sensors.
 const std::vector<PatternKind>& list_pattern_kinds();
-/// Returns the functions for "spinning" LiDARs, also used if a JSON file names no kind.
+/// Returns the name and functions of the sensor kind "spinning". In a log folder, a JSON
+/// object without a kind is parsed as this kind.
 PatternKind make_spinning_pattern_kind();
-/// Returns the functions for ray tables ("rays"), also used if a JSON file names no kind.
+/// Returns the name and functions of the sensor kind "rays" (a table of rays). In a
+/// sensor file, a JSON object with the member "directions" is parsed as this kind.
 PatternKind make_ray_table_pattern_kind();
 /// Returns the kind of sensor that a JSON object names, or null if it names none.
 const PatternKind* find_pattern_kind(const JsonField& field);

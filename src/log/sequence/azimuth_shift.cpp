@@ -17,8 +17,8 @@ namespace {
 // firing has at least this number of returns.
 constexpr std::size_t kFewest = 3;
 constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding errors
-// Lasers that fire together have the same azimuth error if they rotate together. No error
-// is estimated if they differ by more than this many columns (median over all rays).
+// The lasers of a firing rotate together and should have equal azimuth errors. If their
+// errors differ by more than this (median of all rays, in columns), none is estimated.
 constexpr double kAgree_columns = 0.1;
 
 /// Calls visit_ray(ray, firing) for each ray of a scan. `firing` is the index of the

@@ -25,9 +25,8 @@ namespace {
 
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
 constexpr std::size_t kReference = 3;  // index of the range at which the intensity factor is fixed to 1
-// A prior keeps beams with few returns similar to the mean beam. It also smooths the
-// intensity factor, which is a function of range. The weight of the prior equals the
-// weight of this number of returns.
+// Weight of the prior in this fit, as a number of returns. The prior keeps beams with few
+// returns similar to the mean beam. It also smooths the intensity factor over range.
 constexpr double kResponsePrior = 200.0;
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
 // The intensity model has two parts: range and incidence terms, and beam terms. A part is
@@ -137,8 +136,8 @@ IntensityJacobianRow compute_intensity_jacobian_row(const IntensityFit& model,
                                                     const UnknownIndices& unknown_indices,
                                                     const CellReturn& measured_return) {
     const BeamGainOffset& beam = model.beams[measured_return.beam];
-    // `knot` is the index of the last sampled range up to `range_m`. `s` is the position
-    // of `range_m` between this and the next sampled range, clamped to 0 .. 1.
+    // Finds the two sampled ranges around `range_m`: kKnots_m[knot], where s = 0, and
+    // kKnots_m[knot + 1], where s = 1. Outside all sampled ranges, `s` is clamped.
     const double range_m = measured_return.range_m;
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t knot = std::size_t(

@@ -137,9 +137,9 @@ struct BeamResiduals {
         ++n;
         squares += residual * residual;
         fits[uncorrected_return.beam].weight += facing * facing;
-        // A prior pulls sum / weight, the total range offset, to zero. So `sum` needs the
-        // distance of the uncorrected return from the plane. `residual` is the distance
-        // after the current correction, which is therefore removed here.
+        // Adds the current range offset back to `residual`, which gives the distance of
+        // the uncorrected return from the plane. Then sum / weight is the total range
+        // offset. It must be the total, because a prior pulls it to zero.
         fits[uncorrected_return.beam].sum +=
             facing * (residual + beam_offsets_m[uncorrected_return.beam] * facing);
     }

@@ -278,8 +278,8 @@ constexpr double kUsual = 0.02;
 
 /// Rotation of a LiDAR's head in one sweep, estimated from its rays.
 struct HeadRotation {
-    /// Each ray gives an estimate a of the azimuth of the head at time 0. This is the sum
-    /// of exp(i a) over all rays.
+    /// Sum of exp(i * azimuth) over a sample of the rays. Here `azimuth` is one ray's
+    /// estimate of the azimuth of the head at time 0.
     std::complex<double> at_zero = 0.0;
     float first_s = std::numeric_limits<float>::infinity();
 

@@ -62,8 +62,8 @@ Config make_default_preset_config() {
     config.init.voxel_m = 0.1;
     config.init.voxel_growth = 0.006;    // approximately the spacing of neighbouring rays
     config.init.normal_neighbours = 24;  // with 6 points, noise of 2 cm would tilt a normal by 0.1 rad
-    // Points with less flat neighbourhoods than this, for example on leaves, become
-    // surfels that face the sensor.
+    // Maximum ratio (variance across a surface) / (variance within it) of neighbouring
+    // points. Other points, for example on leaves, become surfels that face the sensor.
     config.init.flatness = 0.04;
     // KITTI labels only objects that its front camera sees.
     config.init.unlabelled_movers = UnlabelledMoverPolicy::actors;

@@ -27,7 +27,7 @@ std::size_t get_actor_instance_index(const SceneWithLog& scene_and_log, const st
         if (!name.empty()) actor_ids.push_back(name);
     }
     if (find_box_track_by_id(scene_and_log.sequence, track_id)) {
-        // The message suggests a setting that makes this track an actor too.
+        // The error suggests a setting that lists all current actors and this track.
         actor_ids.push_back(track_id);
         throw UsageError(fmt::format(
             "cannot edit track \"{}\": the log has a box for it, but it is part of the background, "

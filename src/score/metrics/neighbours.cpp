@@ -159,9 +159,9 @@ Scan predict_scan_from_neighbours(const LidarSequence& sequence, int predicted_f
             });
             if (containing_box != moving.end()) {
                 const BoxTrack& box = **containing_box;
-                // Time when the predicted sweep (`sweep`) measures the box. Assumes the
-                // same offset from the frame time as for `w`, a return in this box in
-                // `frame`.
+                // Estimated time when `sweep` measures this box. `frame` measured it at
+                // w.time_s. Assumes that both times have the same offset from the time of
+                // their frame.
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);
                 if (!box.is_observed_at_time(then_s)) continue;
                 world_m = box.world_from_box.interpolate_pose(then_s) *

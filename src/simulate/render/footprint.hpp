@@ -33,9 +33,9 @@ RayTable split_rays_into_sub_rays(const RayTable& rays, int sub_rays_per_ray, do
 RenderedScan join_sub_rays_to_beam_returns(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
                                            const SensorConfig& config);
 
-/// Number of sub-rays of a beam that hits several surfaces. A second return needs a tenth
-/// of the strongest intensity. With only nine sub-rays, a surface in a tiny part of the
-/// beam would get more than a tenth if one sub-ray hits it.
+/// Number of sub-rays of a beam that hits several surfaces. A surface with at least a
+/// tenth of the strongest intensity causes a second return. With only nine sub-rays, one
+/// of them would be enough, even if the surface fills a tiny part of the beam.
 inline constexpr int kEdgeParts = 40;
 
 /// Returns the indices of the beams that hit several surfaces, so that their sub-rays

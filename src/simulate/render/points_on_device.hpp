@@ -65,9 +65,9 @@ public:
     /// Waits until the points are copied to these host buffers.
     /// @return valid until the buffers are reused
     static GatheredPoints wait_for_copied_points(Stream& stream, PointReadbackSlot& host_buffers);
-    /// Returns a ray of an evenly spaced sample of the rays. The host receives the
-    /// distance to the surface for each sampled ray, even if the ray has no return.
-    /// @param sample_index index below count_sampled_rays()
+    /// Returns the ray index of a sample. The samples are evenly spaced. For each sample,
+    /// the host receives the distance to the surface, even if the ray has no return.
+    /// @param sample_index index of the sample, below count_sampled_rays()
     static std::size_t get_sampled_ray_index(std::size_t sample_index, std::size_t n_rays) {
         return sample_index * n_rays / count_sampled_rays(n_rays);
     }

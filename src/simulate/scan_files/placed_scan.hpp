@@ -68,8 +68,9 @@ ScanInOutputFrame transform_scan_to_output_frame(const RenderedScan& scan, const
                                                  const Pose& world_from_deskewed, int frame_number,
                                                  FileMetadata file_notes = {});
 
-/// Returns the pose of the frame in which all points are written. Returns no value if
-/// each point is written in the sensor frame at its own firing time.
+/// Returns the pose of the frame that all points share: the world (identity), or the
+/// sensor frame at one time (`world_from_deskewed`). Returns no value if each point is
+/// written in the sensor frame at the firing time of its ray.
 /// @param world_from_deskewed pose of the sensor frame in which deskewed
 /// (motion-compensated) points are expressed
 std::optional<Pose> compute_output_frame_pose(const ScanOutputOptions& format,

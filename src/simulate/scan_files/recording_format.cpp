@@ -6,8 +6,8 @@
 namespace relidar::scan_files {
 
 std::span<const RecordingFormat> list_recording_formats() {
-    // The topics of the format "rosbag" store quality-of-service policies as numbers. The
-    // empty metadata value `serialized_metadata` makes rosbag2 read them as numbers.
+    // The format "rosbag" stores quality-of-service policies as numbers. rosbag2 reads
+    // them as numbers because of the empty metadata entry `serialized_metadata`.
     static const RecordingFormat formats[] = {
         {"mcap", "scans.mcap", "", "protobuf", "protobuf", {}, list_foxglove_topics},
         {"rosbag",

@@ -73,7 +73,7 @@ void require_unique_topic_names(const std::vector<scan_files::RecordedTopic>& to
                 topic.name, fmt::join(topic_names, ", ")));
 }
 
-/// Returns the text for the frame of the points in the metadata of a recording.
+/// Describes the coordinate frame of the points, for the metadata of a recording.
 const char* describe_frame_of_points(const ScanOutputOptions& format) {
     if (format.frame == PointCoordinateFrame::world) return "world";
     return are_points_in_one_frame(format) ? "sensor at the stamp" : "sensor at each ray's firing time";

@@ -27,9 +27,9 @@ public:
     /// world frame of the dataset
     template <class PositionFunction>
     double find_time_facing_point(const PositionFunction& get_position_m) const {
-        // Number of fixed-point iterations. Each iteration uses the positions of point
-        // and sensor at the previous time. It finds the ray that then faces the point.
-        // The ray's firing time is the new time.
+        // Number of fixed-point iterations. Each iteration computes the direction from
+        // the sensor to the point at `time_s`. The firing time of the ray closest to this
+        // direction becomes the new `time_s`.
         constexpr int kRounds = 3;
         double time_s = scan_.time_s;
         for (int round = 0; round < kRounds && !rays_.empty(); ++round) {

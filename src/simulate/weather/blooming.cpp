@@ -50,7 +50,7 @@ std::vector<RetroReflector> find_retro_reflectors(const RenderedScan& scan) {
     std::map<std::pair<int, int>, DirectionCell> squares;
     for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
         const glm::dvec3 direction(scan.image.direction[i]);
-        // Cells are one degree high and, at every elevation, one degree wide.
+        // Each cell is 1 x 1 degree: azimuths are scaled by the cosine of the elevation.
         const double row = std::floor(std::asin(std::clamp(direction.z, -1.0, 1.0)) * kPerRad);
         const double column =
             std::atan2(direction.y, direction.x) * kPerRad * std::cos((row + 0.5) / kPerRad);

@@ -20,8 +20,8 @@ namespace {
 constexpr double kIrradiance = 0.65;
 constexpr double kSun_rad = 4.65e-3;  // angular radius of the sun
 constexpr double kSun_sr = kPi * kSun_rad * kSun_rad;
-// Fraction of the sunlight that a dusty sensor window scatters per steradian, at one
-// degree from the sun. Decreases with 1 / angle^2.
+// A dusty sensor window scatters sunlight. Ratio (scattered radiance) / (solar
+// irradiance) in 1/sr, at one degree from the sun. Decreases with 1 / angle^2.
 constexpr double kScatter_sr = 5.0;
 constexpr double kDegree_rad = kPi / 180.0;
 constexpr double kFilter_nm = 20.0;

@@ -181,8 +181,8 @@ struct MirroredRays {
 // Rays that the wet ground mirrors start at this height in metres, so that they do not
 // hit the rough ground itself.
 constexpr double kLift_m = 0.1;
-// Minimum height in metres above the wet ground of a mirrored object. If a mirrored ray
-// hits a lower point, this point is part of the ground and is ignored.
+// The water on wet ground mirrors rays, which can then hit an object. A hit less than
+// this height in metres above the ground is ignored, because it is part of the ground.
 constexpr double kLowest_m = 0.3;
 
 // Computes the drop probability of a ray: the softmax of its drop logit and hit logit.

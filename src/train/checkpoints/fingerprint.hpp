@@ -22,15 +22,15 @@ struct ResumeFingerprint {
     std::string key, what, value;
 };
 
-/// Returns hashes of a log and of the scans of its training frames. If several hashes of
-/// two logs differ, the first of them describes the difference best.
+/// Returns hashes of a log and of the scans of its training frames. Callers report only
+/// the first hash that differs, so the hash that explains a difference best comes first.
 std::vector<ResumeFingerprint> compute_log_fingerprints(const LidarSequence& sequence,
                                                         const TrainTestSplit& split);
 /// Returns a hash of all surfels of a scene, including its blocks.
 /// @throws DataError if the file of a block is invalid
 ResumeFingerprint compute_scene_fingerprint(const Scene& scene);
 
-/// Adds a setting or a hash to the key-value texts of a checkpoint.
+/// Adds a setting, or a hash (second overload), to the texts that a checkpoint stores.
 void store_in_checkpoint_texts(const ConfigKey& setting, std::map<std::string, std::string>& texts);
 void store_in_checkpoint_texts(const ResumeFingerprint& fingerprint,
                                std::map<std::string, std::string>& texts);

@@ -43,8 +43,9 @@ SimulatedSensor choose_drop_training_sensor(const Config& config, const LidarSeq
 /// the rotated rays are as accurate as images of frames that were not used for training.
 RayTable rotate_rays_by_column_fraction(RayTable rays, float column_fraction) {
     const RayTable original = rays;
-    // Minimum cosine of the angle between two neighbouring columns. Excludes the last and
-    // the first column if the field of view is less than a full turn.
+    // Minimum cosine of the angle between a ray and its neighbour in the next column. For
+    // the last column, this is the first column. If the field of view is less than a full
+    // turn, these two are far apart, so rays of the last column are not rotated.
     constexpr float kMinNeighbourCosine = 0.9f;
     for (std::size_t i = 0; i < original.size(); ++i) {
         const std::size_t row = i / std::size_t(original.columns),

@@ -137,8 +137,8 @@ SampledBatch BatchSampler::gather_nth_batch(Stream& stream, const TrainingFrameD
              .first_column = first_column,
              .column_stride = columns.stride,
              .n_columns = columns.n});
-        // Divides each loss by an expected number of returned or known rays: the number
-        // in the full frame times `share`. The actual number in the batch would bias the
+        // Losses are divided by n_returned or n_known_rays. Both are expected numbers:
+        // `share` times the number in the full frame. The actual number would bias the
         // loss, because a sector with few returns would get a higher weight.
         const double share = double(n) / frame.n_rays;
         return {{&b.rays, 0, 1, n, columns.n, &b.targets},

@@ -32,10 +32,10 @@ public:
     /// are valid until the next call.
     void move_rays_to_corrected_poses(Stream& stream, const TrackCorrection& sensor_correction,
                                       TrainingFrameData& frame);
-    /// Records GPU commands that convert gradients of rays to gradients of the sensor
-    /// poses before and after the firing time. Call move_rays_to_corrected_poses() for
-    /// the same frame before. Treats the viewing direction of the spherical harmonics as
-    /// a constant.
+    /// Records GPU commands that convert gradients of rays to gradients of sensor poses.
+    /// A ray contributes to the last pose before its firing time and to the next one.
+    /// Ignores the effect of poses on the viewing direction of the spherical harmonics.
+    /// Call move_rays_to_corrected_poses() for the same frame before.
     void record_pose_gradient_sums(Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
                                    const Array<float, shared::DeviceRayGradients>& ray_gradients);
     /// Returns the partial sums of the pose gradients that record_pose_gradient_sums()

@@ -15,7 +15,8 @@
 namespace relidar::cli {
 namespace {
 
-// number of frames in a picture, and minimum mean number of the actor's points per frame
+// A picture shows one actor in up to kFrames frames, side by side. Actors with fewer than
+// kFewestPoints points per frame on average are not drawn.
 constexpr std::size_t kFrames = 8, kFewestPoints = 20;
 constexpr double kPixels_per_m = 80.0, kBeside_m = 0.25, kWider_m = 0.5;
 constexpr int kDot = 3;

@@ -63,7 +63,7 @@ std::string format_box_table(const std::vector<BoxSummary>& boxes, bool show_ins
                                                 "path length", "mean speed", "start x,y,z,yaw_deg"}};
     if (show_instance_columns) rows[0].insert(rows[0].end(), {"instance", "surfels"});
     for (const BoxSummary& b : boxes) {
-        // If the size was guessed, adds the class that was used for the guess.
+        // If the box has the typical size of a guessed class, also names that class.
         const std::string box_class =
             b.size_guess.empty() ? b.category : fmt::format("{}, {}?", b.category, b.size_guess);
         rows.push_back({b.id, box_class, fmt::format("{:.2f} m", b.size_m.x),

@@ -89,8 +89,8 @@ void run_view_command(const ViewOptions& options) {
         options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
     const std::filesystem::path folder = std::filesystem::absolute(save_to).lexically_normal();
     Device device(convert_to_device_options(options.device));
-    // The server calls `session` and `foxglove`. It is therefore created after them and
-    // destroyed before them. They send results to the server through this pointer.
+    // `session` and `foxglove` send results to the server, which calls them. The server
+    // is created last and destroyed first, so they need this pointer to it.
     view::WebServer* out = nullptr;
     view::ViewerSession session(
         std::move(run), load_other_runs(options.inserts), device, folder,

@@ -22,8 +22,8 @@ struct BoxTransformContext {
     const SelectedPoseSource& poses;
     std::string vehicle;  ///< frame whose poses are known
     std::function<Pose(double)> world_from_vehicle;
-    /// True if the vehicle poses were read from the bag. Boxes in the reference frame of
-    /// these poses then need no transform.
+    /// True if the vehicle poses were read from the bag. The frame `poses.world` is then
+    /// the world frame of the log, so boxes in it need no transform.
     bool is_world_of_poses = false;
 };
 

@@ -89,8 +89,8 @@ LidarPoints BagScanProvider::read_points_of_cloud(std::size_t frame_index, const
     folder::PointTable table = read_or_reuse_point_table(frame_index, cloud.message_position);
     if (units.zero == PointTimeReference::none)
         table.remove_fields_with_attribute(folder::PointAttribute::time);
-    // zero_s: time of the frame in seconds, on the clock of the point times. It is the
-    // time of the frame relative to the cloud, plus the time of the cloud on that clock.
+    // zero_s: time of the frame in seconds, on the clock that the point times use. It is
+    // (time of the frame - time of the cloud) + time of the cloud on that clock.
     double zero_s = at.time_s - cloud_time_s;
     if (units.zero == PointTimeReference::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
     if (units.zero == PointTimeReference::sensor_clock)

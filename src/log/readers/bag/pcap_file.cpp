@@ -281,10 +281,10 @@ private:
         const packets::LidarProduct* product = nullptr;
         std::string run;
         std::size_t n = 0;
-        /// Byte offsets in the capture file. A message consists of datagrams. `first_at`:
-        /// start of its first datagram. `at`: where to start reading to get all its
-        /// datagrams. `at` < `first_at` if the first IP fragment of a later datagram is
-        /// stored before the first datagram.
+        /// Byte offsets in the capture file. A message consists of datagrams, whose IP
+        /// fragments can be mixed. `first_at`: start of the datagram that is complete
+        /// first. `at`: earliest start of any datagram of the message. Reading begins
+        /// there.
         std::uint64_t at = 0, first_at = 0;
         std::int64_t log_ns = 0;
         /// `first_at` by `at`, for messages in which they differ.

@@ -21,9 +21,10 @@ constexpr double kMostOfPart = 300.0 * kPi / 180.0;
 // If the clouds together leave an azimuth gap that is wider than this, the LiDAR does not
 // rotate. It scans only a limited sector.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// Clouds are slices of a revolution if the azimuth steps between them are about equal,
-// and about as wide as a cloud (median width w). kTogether: least |mean of exp(i step)|;
-// 1 if all are equal. kAbut: largest |mean step - min(w, 2 pi - w)| / mean step.
+// Clouds are slices of a revolution if two conditions are true. The azimuth steps from
+// cloud to cloud are about equal: |mean of exp(i step)| is at least kTogether. A step is
+// about as wide as a cloud: |mean step - w| / mean step is at most kAbut. w is the median
+// width of a cloud, or 2 pi minus this width if that is smaller.
 constexpr double kTogether = 0.8, kAbut = 0.4;
 // If a time step is longer than this multiple of the usual step, a part of a revolution
 // is missing.
@@ -82,13 +83,13 @@ double compute_widest_azimuth_gap_rad(const std::vector<RevolutionPart>& partial
 
 /// How a revolution of the LiDAR is split into several clouds (parts).
 struct RevolutionPartition {
-    /// extent_rad: median azimuth width of a part (cloud). step_rad: mean azimuth step to
-    /// the next part; negative if the LiDAR rotates clockwise. It is also negative if
-    /// parts are half revolutions, because these do not show the direction.
+    /// extent_rad: median azimuth width of a cloud. step_rad: mean azimuth step from one
+    /// cloud to the next. It is negative if the LiDAR rotates clockwise, and also if
+    /// clouds are half revolutions, because the direction is then unknown.
     double extent_rad, step_rad;
     double step_s;
-    /// Azimuth at which a revolution begins: the border between two consecutive clouds
-    /// that is nearest to the rear of the LiDAR.
+    /// Azimuth at which a revolution begins. It is a border between two clouds of a
+    /// revolution: the one that is nearest to the rear of the LiDAR.
     double cut_rad;
 };
 

@@ -31,12 +31,12 @@ constexpr double kMostGap_s = 0.5;  // maximum time between two poses; the datas
 // convention replaces the previous best if its forward-motion score is higher by more
 // than this. The score is 1 if the vehicle always drives exactly forward.
 constexpr double kClearlyForward = 0.05;
-// With a similar forward-motion score, a convention for the angles also replaces the
-// previous best if the vehicle then moves less up and down: new / previous standard
-// deviation of the vertical motion is below this.
+// If a new convention for the angles agrees with forward driving about as well as the
+// best one so far, the vertical motion of the vehicle decides. The new convention is used
+// if new / previous standard deviation of the vertical motion is below this.
 constexpr double kClearlyLevel = 0.7;
-// Angle conventions are compared by vertical motion only if a pose file has at least this
-// many steps (position changes of at least a metre).
+// Minimum number of steps (position changes of at least a metre) in a pose file. With
+// fewer steps, the vertical motion is not used to choose an angle convention.
 constexpr std::size_t kFewestSteps = 50;
 constexpr double kBrightest = 255.0;
 
@@ -104,8 +104,8 @@ double compute_forward_motion_score(const stamped::DrivingDirection& driving,
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
-/// Reads the LiDAR poses. Uses the documented convention for roll, pitch and yaw, unless
-/// the vehicle drives more exactly forward or moves less up and down with another one.
+/// Reads the LiDAR poses with the documented convention for roll, pitch and yaw. Uses
+/// another one if the vehicle then drives more exactly forward or moves less up and down.
 PoseTrack read_boreas_poses(const fs::path& pose_file, const stamped::StampedLog& log,
                             const ForwardDirection& forward_direction, std::vector<std::string>& notes) {
     const std::vector<stamped::StampedPoseRow> rows =

@@ -62,10 +62,10 @@ std::complex<double> compute_mean_tick_phasor(const BeamPolarPoints& polar, doub
     return n > 0 ? sum / static_cast<double>(n) : sum;
 }
 
-/// Fit to one beam. The rotating head of the LiDAR fires at ticks (multiples of a fixed
-/// angle). So points have azimuth = tick + phase_rad + left_m / distance from spin axis.
-/// left_m: lateral distance of the beam from the spin axis, positive to the left.
-/// concentration: quality of the fit, from 0 to 1 (perfect).
+/// Parameters that are fitted to the points of one beam. The rotating head fires at ticks
+/// (multiples of a fixed angle). The azimuth of a point is tick + phase_rad + left_m /
+/// distance from the spin axis. left_m: distance of the beam from the spin axis, positive
+/// to the left. concentration: quality of the fit, from 0 to 1 (perfect).
 struct TickGridPhase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
@@ -207,8 +207,8 @@ int wrap_encoder_tick(int tick, int n_ticks) {
 }
 
 /// Returns the azimuth offset of a beam in encoder ticks. The offset is subtracted from
-/// the tick of each return. The best offset moves the most returns to ticks with
-/// `is_tick_fired`. Returns 0 if no offset is clearly better than 0.
+/// the tick of each return of this beam. The best offset moves the most returns to ticks
+/// at which other beams have returns. Returns 0 if no offset is clearly better than 0.
 /// @param is_tick_fired  [scans][ticks] true if other beams have returns at the tick
 int find_best_tick_shift(const std::vector<EncoderTicksByBeam>& ticks_of_scans, std::size_t ring,
                          const std::vector<std::vector<char>>& is_tick_fired, int n_ticks, int max_shift) {
@@ -249,9 +249,9 @@ std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBe
     }
     std::vector<int> shift(kRings, 0);
     auto pattern = flag_ticks_with_returns_of_min_beams(reference, shift, n_ticks, 1);
-    // Pass 1 aligns each beam in azimuth with the beam that has the most points. Pass 2
-    // aligns each beam with the ticks at which at least kMinLasers beams have returns
-    // after pass 1.
+    // Each pass shifts each beam in azimuth, so that its returns are at the ticks that
+    // `pattern` marks. Pass 1: ticks with returns of the beam that has the most points.
+    // Pass 2: ticks at which at least kMinLasers beams have returns after pass 1.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] =

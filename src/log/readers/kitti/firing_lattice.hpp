@@ -21,8 +21,8 @@ namespace relidar::kitti {
 /// beam: its azimuth relative to the head, and its distance from the spin axis.
 struct BeamFiringGrid {
     EncoderTickGrid head;
-    /// True if the points do not fit the ticks of the rotary encoder. `head` then has
-    /// estimated equal steps instead, and the LiDAR is assumed to fire at every step.
+    /// True if the points do not fit the ticks of the rotary encoder. The ticks of `head`
+    /// are then estimated equal steps, and the LiDAR is assumed to fire at every tick.
     bool every_tick = false;
     /// azimuth of each beam relative to the head; the mean of all beams is 0
     std::array<double, kRings> offset_rad{};

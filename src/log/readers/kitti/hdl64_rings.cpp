@@ -41,9 +41,9 @@ BeamCone fit_line_to_inliers(const std::vector<RhoHeightSample>& samples, const 
         srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
-    // The slope is inaccurate if all points have similar distances rho, because rounding
-    // causes coordinate errors of 0.3 mm. The slope error stays below 5e-5 if the sum
-    // (not the mean) of (rho - mean of rho)^2, which is spread / n, is at least 36 m^2.
+    // Coordinates have rounding errors of 0.3 mm. So the slope is inaccurate if all
+    // points have similar distances rho. spread / n is the sum of (rho - mean of rho)^2.
+    // If it is at least 36 m^2, the slope error is below 5e-5.
     if (n < 16 || spread < 36.0 * n) return {};
     const double slope = (n * srz - sr * sz) / spread;
     return {(sz - slope * sr) / n, slope, static_cast<std::size_t>(n)};

@@ -53,9 +53,9 @@ struct MovingStreetActor {
 
     Pose compute_world_from_box(double time_s) const;
     /// Returns the distance in metres that a person has walked until `time_s`. It
-    /// controls the swing of arms and legs. If `track` is empty, the distance is 0 at
-    /// time 0. Otherwise, the distance at the first pose of `track` is measured from
-    /// start_m to this pose, in the direction yaw_rad.
+    /// controls the swing of arms and legs. Without a `track`, it is 0 at time 0. With a
+    /// `track`, its value at the first pose is the distance from start_m to this pose
+    /// along yaw_rad.
     double compute_walked_distance_m(double time_s) const;
 };
 

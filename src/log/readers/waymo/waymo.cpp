@@ -306,9 +306,10 @@ private:
         }
     }
 
-    /// Changes a ray in the sensor frame, so that it is correct in the world although the
-    /// log interpolates vehicle poses. `world_from_vehicle` is the exact pose for this
-    /// ray. It is stored only in the dataset.
+    /// The dataset has an exact vehicle pose for each ray, but the log only interpolates
+    /// between vehicle poses. Changes the ray in the sensor frame, so that the
+    /// interpolated pose puts it at the correct place in the world.
+    /// @param world_from_vehicle  exact vehicle pose for this ray
     void correct_ray_for_given_vehicle_pose(std::size_t ray_index, const Pose& world_from_vehicle) {
         const Pose moved = sensor_from_world_[ray_index % std::size_t(scan.rays.columns)] *
                            (world_from_vehicle * lidar_.vehicle_from_sensor);

@@ -43,8 +43,8 @@ struct WaymoFrameRecord {
     Pose world_from_vehicle;                    ///< vehicle pose at about the middle of the sweep
     std::vector<WaymoLidarCalibration> lasers;  ///< sorted by LaserName
     std::vector<CompressedLidarImages> images;  ///< sorted by LaserName
-    /// Labelled boxes of vehicles, pedestrians and cyclists. `world_from_box` contains
-    /// the pose in the vehicle frame, and `time_s` is not set.
+    /// Labelled boxes of vehicles, pedestrians and cyclists. Despite its name,
+    /// `world_from_box` is a pose in the vehicle frame here. `time_s` is not set.
     std::vector<BoxLabel> labels;
 };
 /// Parses one record of a .tfrecord file.

@@ -67,8 +67,8 @@ struct FiringTiming {
     /// False if the rotation rate is assumed to be constant.
     bool interpolates = false;
     /// [columns per revolution] True if the sensor fires at this column. Column 0 is at
-    /// 180 degrees. Empty for sensors without fixed firing azimuths. Then times are from
-    /// the packets' time stamps, otherwise from the sensor's clock.
+    /// 180 degrees. If a sensor has no fixed firing azimuths, this is empty and times are
+    /// from the packets' time stamps. Otherwise, times are from the sensor's clock.
     std::vector<bool> fires = {};
     /// True if the packets of this sensor can contain intensities above 1. If they do,
     /// all intensities are divided by the 99.5th percentile of the intensities of the

@@ -221,17 +221,17 @@ void PacketIndex::count_and_store_lost_packets(PacketRevolution& revolution) con
     revolution.has_gaps = n_missing > 0.0;
 }
 
-/// Returns the head azimuths at the start and the end of the recording. Includes adjacent
-/// azimuths (just before the start and just after the end) if the sensor never fires
-/// there, because no packets are missing there.
+/// Returns the range of head azimuths that were recorded, from start to end. If the
+/// sensor never fires just before the start or just after the end, the range includes
+/// these azimuths, because no packets are missing there.
 std::pair<double, double> PacketIndex::find_recorded_azimuth_range_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
     if (fires.empty()) {
         if (!(skipped_.width_deg > 0.0)) return {first.azimuth_deg, last.azimuth_deg};
-        // `skipped_` is the sector without firings. If the recording starts or ends at
-        // its edge, the returned range includes the sector. `slack_deg` is the tolerance
-        // of this test: the rotation during one firing cycle.
+        // The sensor never fires in the sector `skipped_`. If the recording starts just
+        // after the sector or ends just before it, the range includes the sector. "Just"
+        // means up to `slack_deg`, the rotation during one firing cycle.
         const double slack_deg = deg_us_ * decoder_->get_laser_timing().cycle_us;
         const double last_deg = last.azimuth_deg + double(last.turned_deg);
         const double before_deg = skipped_.compute_sector_overlap_deg(first.azimuth_deg - slack_deg,
@@ -311,9 +311,10 @@ std::string PacketIndex::describe_problems() const {
     return fmt::format("{}", fmt::join(texts, "; "));
 }
 
-/// Sets `forward_ns` (when the LiDAR's head faces forward) and `log_ns` (when this moment
-/// was recorded). If the sensor fires at fixed azimuths, times follow its clock. Then
-/// also sets `stamp_less_clock_ns` (packet time stamp - sensor clock).
+/// Sets `forward_ns` (when the LiDAR's head faces forward) and `log_ns` (when the packet
+/// of that moment was recorded). If the sensor fires at fixed azimuths, also sets the
+/// offset `stamp_less_clock_ns` (packet time stamp - sensor clock). `forward_ns` is then
+/// the time on the sensor's clock plus this offset.
 void PacketIndex::set_revolution_times(PacketRevolution& revolution) const {
     const double forward = revolution.begin_deg + 180.0;
     const auto behind =

@@ -60,9 +60,9 @@ PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& pa
         if (is_repeated) continue;
         if (at < n) {
             // This packet was received late, so its receive time (stamp_ns) is wrong.
-            // Replaces it with sensor time (clock_ns) + offset. The offset is stamp_ns -
-            // clock_ns of a neighbouring packet. Later packets get at least this offset,
-            // so that their stamps are not earlier than the stamp of this packet.
+            // Replaces it with clock_ns (sensor time) + offset. The offset is stamp_ns -
+            // clock_ns of a neighbouring packet. Raises the stamps of later packets to at
+            // least clock_ns + offset, so that none is earlier.
             const PacketIndexEntry& beside = packets[at > 0 ? at - 1 : at];
             const std::int64_t stamp_less_clock_ns = beside.stamp_ns - beside.clock_ns;
             entry.stamp_ns = entry.clock_ns + stamp_less_clock_ns;
@@ -106,9 +106,10 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
         PacketIndexEntry& entry = packets[p];
         if (entry.skipped_deg == 0.0f) continue;
-        // The packet contains a sector without firings. The time of `entry` ignores the
-        // time to pass it. Corrects `entry` with a neighbour on the same side of the
-        // sector: the next entry if the sector precedes `entry`, otherwise the previous.
+        // While this packet was measured, the head passed a sector without firings. The
+        // time of `entry` ignores this pause. So it is computed from a neighbour on the
+        // same side of the sector: the next entry if the sector precedes `entry`,
+        // otherwise the previous.
         const std::size_t beside = entry.skipped_deg > 0.0f ? p + 1 : p - 1;
         std::int64_t skipped_ns = std::llround(1e3 * skipped_us(entry));
         if (beside < packets.size())
@@ -121,9 +122,8 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
 }
 
 double SkippedSector::compute_sector_overlap_deg(double from_deg, double to_deg) const {
-    // Returns how many degrees of the sector without firings the head passes while it
-    // turns from begin_deg (start of the sector) to an azimuth. In several revolutions,
-    // the head passes the sector several times.
+    // Returns how many degrees of the sector without firings the head passes on its way
+    // from begin_deg (start of the sector) to an azimuth. Each full turn adds width_deg.
     const auto until = [&](double azimuth_deg) {
         const double turns = std::floor((azimuth_deg - begin_deg) / 360.0);
         return turns * width_deg + std::min(azimuth_deg - begin_deg - 360.0 * turns, width_deg);
@@ -150,8 +150,8 @@ SkippedSector find_sector_without_firings(const std::vector<PacketIndexEntry>& p
     const double bin_deg = 360.0 / kBins;
     if (double(widest) * bin_deg < kLeastSector_deg || widest >= kBins) return {};
     const double inside_deg = (double(end) - 0.5 * double(widest)) * bin_deg;
-    // Angles from the middle of the azimuth sector without firings to the last firing
-    // before it (before_deg) and to the first firing after it (behind_deg).
+    // Angles relative to the middle of the sector without firings. before_deg: from the
+    // last firing before the sector. behind_deg: to the first firing after the sector.
     double before_deg = 360.0, behind_deg = 360.0;
     std::size_t n_skips = 0;
     for (std::size_t p = 0; p < packets.size(); ++p) {

@@ -20,10 +20,10 @@ struct PacketIndexEntry {
     std::int64_t stamp_ns, clock_ns;
     double azimuth_deg;  ///< azimuth of the first firing in degrees, without jumps at 360 degrees
     float turned_deg;    ///< rotation of the head from the first to the last firing
-    /// A packet has two entries if it contains a sector without firings. Its time stamp
-    /// refers to its first or last firing, which is in one of the entries. In the other
-    /// entry, this is the sector's width in degrees: positive if the sector precedes that
-    /// entry, negative if it follows. Otherwise 0.
+    /// The packet's time stamp refers to its first or last firing. If a sector without
+    /// firings is between that firing and this entry, this is the sector's width in
+    /// degrees. It is positive if the sector precedes this entry, negative if it follows.
+    /// Otherwise 0.
     float skipped_deg;
     std::uint32_t message;
     std::uint16_t in_message;  ///< index in the message
@@ -48,9 +48,9 @@ struct PacketFaultCounts {
 /// packet whose time is much earlier, because its clock was set back.
 PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& packets);
 
-/// Makes the azimuths continuous, without jumps at 360 degrees. Also corrects firing
-/// times in packets that contain a sector without firings, because these times ignore the
-/// time in which the head passes the sector.
+/// Makes the azimuths continuous, without jumps at 360 degrees. Also corrects the times
+/// of packets during which the head passes a sector without firings. Before the
+/// correction, the firing times do not include this pause.
 /// @return mean rotation rate in degrees per microsecond
 double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing);
 
