@@ -18,7 +18,7 @@ struct SharedBytes {
 
     /// Returns a view of a part of the bytes. The bytes stay in memory as long as the
     /// view exists.
-    SharedBytes share_memory_with_subview(std::string_view subview) const { return {memory, subview}; }
+    SharedBytes make_shared_subview(std::string_view subview) const { return {memory, subview}; }
 };
 
 inline SharedBytes make_shared_bytes(std::string bytes) {

@@ -166,7 +166,8 @@ double test_atomic_adds_and_get_max_error(Device& device, bool use_compare_and_s
                     run_atomic_adds_and_get_max_error(stream, kernel, 1u << 14, 1, fault));
 }
 
-double test_swap_adds_and_get_max_error(Device& device, std::uint32_t n_threads, double& elapsed_s) {
+double test_compare_and_swap_adds_and_get_max_error(Device& device, std::uint32_t n_threads,
+                                                    double& elapsed_s) {
     const Kernel<shared::CheckAtomicsParams> kernel(device, "gpu/check_atomics", KernelVariant("@_swap"));
     Stream stream(device);
     const double piece_s = std::exchange(device.impl().launch_limit.piece_s, 0.0);

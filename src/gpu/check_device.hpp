@@ -21,7 +21,8 @@ double test_atomic_adds_and_get_max_error(Device& device, bool use_compare_and_s
 /// to 1024 sums.
 /// @return the largest relative error of a sum
 /// @param elapsed_s receives the duration of the dispatch
-double test_swap_adds_and_get_max_error(Device& device, std::uint32_t n_threads, double& elapsed_s);
+double test_compare_and_swap_adds_and_get_max_error(Device& device, std::uint32_t n_threads,
+                                                    double& elapsed_s);
 
 /// Returns the subgroup sizes that kernels can request, of 4 to 64 lanes.
 std::vector<int> list_requestable_subgroup_sizes(const Device& device);

@@ -103,7 +103,7 @@ std::string list_missing_software_traversal_features(
 
 /// Returns the names of the features that neural networks need and the device lacks.
 /// Empty if no feature is missing.
-std::string list_missing_network_features(
+std::string list_missing_neural_network_features(
     const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
     const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
     const OptionalFeatures& optional_features);

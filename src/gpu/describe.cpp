@@ -143,7 +143,7 @@ std::string list_missing_software_traversal_features(
     return groups.text;
 }
 
-std::string list_missing_network_features(
+std::string list_missing_neural_network_features(
     const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
     const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
     const OptionalFeatures& optional_features) {

@@ -205,7 +205,7 @@ KernelBase::KernelBase(Device& owner, std::string_view kernel_name,
         impl_->speed = &device.launch_limit.get_kernel_speed(impl_->name);
     impl_->made_ = find_or_start_pipeline_build(
         device, *impl_, device.compiles_ahead ? std::launch::async : std::launch::deferred);
-    if (device.compile_only) compile_and_store_statistics();
+    if (device.compile_only) compile_pipeline_and_store_statistics();
 }
 
 VkPipeline KernelBase::Impl::wait_for_compiled_pipeline() {
@@ -219,7 +219,7 @@ VkPipeline KernelBase::Impl::wait_for_compiled_pipeline() {
     return pipeline_ = made.pipeline;
 }
 
-void KernelBase::compile_and_store_statistics() {
+void KernelBase::compile_pipeline_and_store_statistics() {
     Device::Impl& device = *impl_->device;
     PipelineStatistics s;
     s.kernel = impl_->module;
@@ -243,17 +243,18 @@ bool is_lane_reconvergence_guaranteed(const Device& device) {
     return optional.maximal_reconvergence || optional.subgroup_uniform_control_flow;
 }
 
-std::string list_missing_network_features(const Device& device) {
+std::string list_missing_neural_network_features(const Device& device) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
                                                 &sizes};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
     vkGetPhysicalDeviceProperties2(device.impl().physical, &properties);
-    return gpu::list_missing_network_features(subgroup, sizes, device.impl().optional);
+    return gpu::list_missing_neural_network_features(subgroup, sizes, device.impl().optional);
 }
 
-KernelVariant choose_float_add_kernel_variant(const Device& device, const KernelVariant& base_variant) {
+KernelVariant choose_atomic_float_add_kernel_variant(const Device& device,
+                                                     const KernelVariant& base_variant) {
     if (device.impl().wrong_sums)
         throw DeviceError(
             fmt::format("cannot add gradients on {}: the device computes wrong sums of floating-point "

@@ -85,7 +85,7 @@ private:
 
     /// Compiles the pipeline without running it, and stores the statistics of the
     /// driver's compiler.
-    void compile_and_store_statistics();
+    void compile_pipeline_and_store_statistics();
 };
 
 /// Name of a kernel, for example "stage/stem". Compilation fails if the parameter struct
@@ -140,12 +140,12 @@ bool is_lane_reconvergence_guaranteed(const Device& device);
 
 /// Returns the names of the features that neural networks need and the device lacks.
 /// Empty if no feature is missing.
-std::string list_missing_network_features(const Device& device);
+std::string list_missing_neural_network_features(const Device& device);
 
 /// Returns the variant of a kernel that adds floats with atomics: float atomics if the
 /// device has them, otherwise compare-and-swap.
 /// @param base_variant other part of the variant name, for example "@ray_query"
-KernelVariant choose_float_add_kernel_variant(const Device& device,
-                                              const KernelVariant& base_variant = KernelVariant("@"));
+KernelVariant choose_atomic_float_add_kernel_variant(const Device& device,
+                                                     const KernelVariant& base_variant = KernelVariant("@"));
 
 }  // namespace relidar

@@ -36,7 +36,8 @@ private:
     /// the level below.
     std::vector<Array<std::uint32_t, shared::ScanTileSums>> levels_;
 
-    void record_scan_of_one_level(Stream& stream, shared::ScanParams level_0_params, std::size_t level) const;
+    void record_prefix_sum_of_one_level(Stream& stream, shared::ScanParams level_0_params,
+                                        std::size_t level) const;
 };
 
 }  // namespace relidar

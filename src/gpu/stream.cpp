@@ -110,24 +110,24 @@ void Stream::Impl::end_debug_label() {
     if (vkCmdEndDebugUtilsLabelEXT) vkCmdEndDebugUtilsLabelEXT(get_recording_command_buffer());
 }
 
-void Stream::Impl::end_concurrent_scope() {
+void Stream::Impl::end_concurrent_launch_scope() {
     if (--n_concurrent > 0 || !owes_barrier) return;
     owes_barrier = false;
-    record_barrier_unless_in_scope();
+    record_or_defer_barrier();
 }
 
-void Stream::Impl::add_command_to_current_lane(const std::string& command_name,
-                                               VulkanCommandRecorder command) {
+void Stream::Impl::add_command_to_current_sequence(const std::string& command_name,
+                                                   VulkanCommandRecorder command) {
     CommandSequence& chosen = lanes[lane];
     if (chosen.empty() || chosen.back().closed) chosen.push_back({command_name, {}});
     chosen.back().commands.push_back(std::move(command));
-    record_barrier_unless_in_scope();
+    record_or_defer_barrier();
 }
 
 /// Records the commands of all lanes (concurrent sequences), step by step. Each step has
 /// a single pair of timestamps. With more timestamps, the commands of a step would have
 /// to wait for each other.
-void Stream::Impl::record_stored_commands_of_all_lanes() {
+void Stream::Impl::record_stored_commands_of_all_sequences() {
     std::size_t n_steps = 0;
     for (const CommandSequence& one : lanes) n_steps = std::max(n_steps, one.size());
     for (std::size_t k = 0; k < n_steps; ++k) {
@@ -146,7 +146,7 @@ void Stream::Impl::record_stored_commands_of_all_lanes() {
     for (CommandSequence& one : lanes) one.clear();
 }
 
-void Stream::Impl::record_barrier_unless_in_scope() {
+void Stream::Impl::record_or_defer_barrier() {
     if (n_concurrent > 0) owes_barrier = true;
     else if (!lanes.empty()) lanes[lane].back().closed = true;
     else record_memory_barrier();
@@ -326,7 +326,7 @@ void Stream::Impl::record_and_submit_dispatch_pieces(const KernelBase::Impl& ker
         end_command_timing();
         recorded_s += expected_s;
     }
-    record_barrier_unless_in_scope();
+    record_or_defer_barrier();
 }
 
 void Stream::Impl::wait_for_submission(std::uint64_t ticket) {
@@ -387,7 +387,7 @@ void Stream::copy(const Buffer& source, const Buffer& target, std::size_t n_byte
 ConcurrentLaunchScope::ConcurrentLaunchScope(Stream& stream) : stream_(stream) {
     ++stream.impl().n_concurrent;
 }
-ConcurrentLaunchScope::~ConcurrentLaunchScope() { stream_.impl().end_concurrent_scope(); }
+ConcurrentLaunchScope::~ConcurrentLaunchScope() { stream_.impl().end_concurrent_launch_scope(); }
 
 ConcurrentSequenceScope::ConcurrentSequenceScope(Stream& stream, std::size_t count) : stream_(stream) {
     Stream::Impl& s = stream.impl();
@@ -403,7 +403,7 @@ ConcurrentSequenceScope::~ConcurrentSequenceScope() {
     Stream::Impl& s = stream_.impl();
     // After an exception the commands are dropped, because the arrays that they use may
     // be destroyed.
-    if (std::uncaught_exceptions() == 0) s.record_stored_commands_of_all_lanes();
+    if (std::uncaught_exceptions() == 0) s.record_stored_commands_of_all_sequences();
     s.lanes.clear();
 }
 
@@ -421,7 +421,7 @@ std::uint64_t Stream::submit_commands() {
     if (s.device->compile_only) return 0;
     if (s.n_concurrent > 0)
         throw Error(ExitCode::bug, "cannot submit commands: a ConcurrentLaunchScope is still open");
-    s.record_stored_commands_of_all_lanes();
+    s.record_stored_commands_of_all_sequences();
     VkCommandBuffer commands = s.get_recording_command_buffer();
     // Marks the end of a frame. RenderDoc and GFXReconstruct need this label to capture a
     // program that has no window.

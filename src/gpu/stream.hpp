@@ -122,22 +122,22 @@ struct Stream::Impl {
     VkCommandBuffer get_recording_command_buffer();
     /// Records a command with timestamps, and a barrier after it. In a
     /// ConcurrentSequenceScope, only stores the command, and
-    /// record_stored_commands_of_all_lanes() records it later.
+    /// record_stored_commands_of_all_sequences() records it later.
     /// @param command_name name of the command in the measured times
     template <class Recorded>
     void record_command(const std::string& command_name, Recorded command) {
-        if (!lanes.empty()) return add_command_to_current_lane(command_name, std::move(command));
+        if (!lanes.empty()) return add_command_to_current_sequence(command_name, std::move(command));
         begin_command_timing(command_name);
         begin_debug_label(command_name);
         command(get_recording_command_buffer());
         end_debug_label();
         end_command_timing();
-        record_barrier_unless_in_scope();
+        record_or_defer_barrier();
     }
-    void end_concurrent_scope();
+    void end_concurrent_launch_scope();
     /// Moves the stored commands of all lanes (concurrent sequences) to the command
     /// buffer. Step n of a lane may run concurrently with step n of the other lanes.
-    void record_stored_commands_of_all_lanes();
+    void record_stored_commands_of_all_sequences();
     /// Where a value from the host is stored until the submission is complete.
     struct StagedValue {
         VkBuffer buffer;
@@ -170,10 +170,10 @@ private:
     /// @return device address of the stored struct
     std::uint64_t stage_kernel_parameters(const KernelBase& kernel, const void* parameter_struct,
                                           std::size_t n_bytes);
-    void add_command_to_current_lane(const std::string& command_name, VulkanCommandRecorder command);
+    void add_command_to_current_sequence(const std::string& command_name, VulkanCommandRecorder command);
     /// Records a barrier, so that later commands see earlier device writes. In a
     /// ConcurrentLaunchScope, only the end of the scope records a barrier.
-    void record_barrier_unless_in_scope();
+    void record_or_defer_barrier();
     void record_memory_barrier();
     /// Writes the timestamp before a command.
     /// @param kernel_speed speed of the launched kernel, or null

@@ -281,8 +281,8 @@ std::vector<BoxTrack> find_boxes_without_model(const Scene& scene, const LidarSe
     return boxes;
 }
 
-std::vector<BoxTrack> find_unselected_moving_boxes(const LidarSequence& sequence,
-                                                   const SceneInitialisationOptions& options) {
+std::vector<BoxTrack> find_moving_boxes_not_selected_as_actors(const LidarSequence& sequence,
+                                                               const SceneInitialisationOptions& options) {
     std::vector<BoxTrack> boxes = list_foreground_boxes(sequence, options);
     std::erase_if(boxes, [&](const BoxTrack& box) { return should_become_actor(box, options); });
     return boxes;

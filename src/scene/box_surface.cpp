@@ -107,12 +107,13 @@ bool ObservedBoxSurface::is_patch_of_point_observed(const glm::dvec3& point_m) c
     return patch && has_observed_patch(*patch);
 }
 
-bool ObservedBoxSurface::is_observed_only_in_mirror(const glm::dvec3& point_m) const {
+bool ObservedBoxSurface::is_only_mirror_patch_observed(const glm::dvec3& point_m) const {
     const std::optional<BoxSurfacePatch> patch = find_patch_of_point(point_m);
     return patch && !has_observed_patch(*patch) && has_observed_patch(get_mirror_patch(*patch));
 }
 
-std::array<double, 2> ObservedBoxSurface::compute_patch_areas(BoxSide side, bool mirrored) const {
+std::array<double, 2> ObservedBoxSurface::compute_counted_and_total_area_m2(BoxSide side,
+                                                                            bool mirrored) const {
     const BoxSideAxes& frame = kSideFrames[std::size_t(side)];
     const auto [columns, rows] = n_[std::size_t(side)];
     const double patch_m2 = 4.0 * half_m_[frame.first] * half_m_[frame.second] / (columns * rows);
@@ -131,10 +132,10 @@ std::array<double, 2> ObservedBoxSurface::compute_patch_areas(BoxSide side, bool
     return sum;
 }
 
-double ObservedBoxSurface::compute_observed_or_mirrored_fraction(bool is_mirrored_area) const {
+double ObservedBoxSurface::compute_area_fraction_of_all_sides(bool count_mirrorable) const {
     double held_m2 = 0.0, all_m2 = 0.0;
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        const std::array<double, 2> area = compute_patch_areas(BoxSide(s), is_mirrored_area);
+        const std::array<double, 2> area = compute_counted_and_total_area_m2(BoxSide(s), count_mirrorable);
         held_m2 += area[0];
         all_m2 += area[1];
     }
@@ -142,31 +143,31 @@ double ObservedBoxSurface::compute_observed_or_mirrored_fraction(bool is_mirrore
 }
 
 double ObservedBoxSurface::compute_observed_area_fraction(BoxSide side) const {
-    const std::array<double, 2> area = compute_patch_areas(side, false);
+    const std::array<double, 2> area = compute_counted_and_total_area_m2(side, false);
     return area[0] / area[1];
 }
 
-double ObservedBoxSurface::compute_mirrored_area_fraction(BoxSide side) const {
-    const std::array<double, 2> area = compute_patch_areas(side, true);
+double ObservedBoxSurface::compute_mirrorable_area_fraction(BoxSide side) const {
+    const std::array<double, 2> area = compute_counted_and_total_area_m2(side, true);
     return area[0] / area[1];
 }
 
 double ObservedBoxSurface::compute_observed_area_fraction() const {
-    return compute_observed_or_mirrored_fraction(false);
+    return compute_area_fraction_of_all_sides(false);
 }
-double ObservedBoxSurface::compute_mirrored_area_fraction() const {
-    return compute_observed_or_mirrored_fraction(true);
+double ObservedBoxSurface::compute_mirrorable_area_fraction() const {
+    return compute_area_fraction_of_all_sides(true);
 }
 
 ObservedSideFractions ObservedBoxSurface::compute_covered_fraction_of_each_side() const {
     ObservedSideFractions shares{};
     for (std::size_t s = 0; s < kBoxSides; ++s)
         shares[s] = float(compute_observed_area_fraction(BoxSide(s)) +
-                          (is_completed ? compute_mirrored_area_fraction(BoxSide(s)) : 0.0));
+                          (is_completed ? compute_mirrorable_area_fraction(BoxSide(s)) : 0.0));
     return shares;
 }
 
-std::optional<BoxSide> ObservedBoxSurface::find_mirror_completed_side(const glm::dvec3& point_m) const {
+std::optional<BoxSide> ObservedBoxSurface::find_side_filled_by_mirroring(const glm::dvec3& point_m) const {
     const std::optional<BoxSurfacePatch> patch = is_completed ? find_patch_of_point(point_m) : std::nullopt;
     if (!patch || has_observed_patch(*patch) || !has_observed_patch(get_mirror_patch(*patch)))
         return std::nullopt;

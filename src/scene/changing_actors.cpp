@@ -133,7 +133,7 @@ Surfels make_surfels_with_gait(const std::vector<LidarSample>& samples,
                                const SceneInitialisationOptions& options, double incidence_coefficient) {
     std::vector<std::uint32_t> order;
     Surfels surfels = make_surfels_from_points(samples, options, incidence_coefficient, {}, &order);
-    surfels.add_gait_without_motion();
+    surfels.add_motionless_gait();
     for (std::size_t i = 0; i < order.size(); ++i) surfels.gait[i] = gaits[order[i]];
     return surfels;
 }

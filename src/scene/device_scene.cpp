@@ -259,16 +259,17 @@ void DeviceScene::record_surfel_record_computation(Stream& stream, const ImageFo
          .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
 }
 
-bool DeviceScene::can_skip_untouched_surfels() const { return impl_->list.has_value(); }
+bool DeviceScene::can_skip_surfels_without_gradient() const { return impl_->list.has_value(); }
 
 void DeviceScene::record_surfel_record_backpropagation(Stream& stream, const ImageFormationModel& model,
                                                        const glm::vec3& view_origin_m,
                                                        const ActivationGradients& gradients) {
     if (size() == 0) return;
     const bool listed =
-        gradients.touched_is_marked && can_skip_untouched_surfels() && !gradients.zero_untouched;
+        gradients.touched_is_marked && can_skip_surfels_without_gradient() && !gradients.zero_untouched;
     if (listed) impl_->list->record_listing_of_touched_rows(stream, gradients.touched->address(), size());
-    run(stream, impl_->activate_vjp, listed ? impl_->list->choose_threads_for_touched_rows(size()) : size(),
+    run(stream, impl_->activate_vjp,
+        listed ? impl_->list->choose_thread_count_for_touched_rows(size()) : size(),
         {.surfels = get_surfel_pointers(impl_->parameters),
          .d_records = gradients.d_records->address(),
          .models = impl_->models.address(),

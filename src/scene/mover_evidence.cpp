@@ -26,8 +26,8 @@ constexpr double kMinMovedFrameShare =
 
 }  // namespace
 
-MotionEvidence count_motion_evidence_at_point(const VisibilityChecker& visibility, const glm::dvec3& point_m,
-                                              const BoxTrack& box) {
+MotionEvidence count_occupied_and_empty_frames_at_point(const VisibilityChecker& visibility,
+                                                        const glm::dvec3& point_m, const BoxTrack& box) {
     const std::vector<double>& times = box.world_from_box.time_s;
     MotionEvidence evidence;
     for (const std::uint32_t view : visibility.find_views_near(point_m)) {
@@ -62,7 +62,7 @@ TrackMotionEvidence remove_static_returns(const VisibilityChecker& visibility, M
     TrackMotionEvidence sum;
     std::vector<glm::dvec3> remaining_points_m;
     for (const glm::dvec3& p : cluster.points_m) {
-        const MotionEvidence evidence = count_motion_evidence_at_point(visibility, p, box);
+        const MotionEvidence evidence = count_occupied_and_empty_frames_at_point(visibility, p, box);
         sum.frame_evidence += evidence;
         sum.n_decided_returns += evidence.has_observations();
         sum.n_moved_returns += evidence.is_proven_moving();

@@ -53,8 +53,8 @@ struct TrackMotionEvidence {
 /// of the box. After the track ends, uses the last pose.
 /// @param point_m [3] world
 /// @param box box of the track to which the return at this point belongs
-MotionEvidence count_motion_evidence_at_point(const VisibilityChecker& visibility, const glm::dvec3& point_m,
-                                              const BoxTrack& box);
+MotionEvidence count_occupied_and_empty_frames_at_point(const VisibilityChecker& visibility,
+                                                        const glm::dvec3& point_m, const BoxTrack& box);
 
 /// Removes the returns of a cluster that other frames prove to be static.
 /// @return evidence of motion, summed over all returns of the cluster before the removal

@@ -23,9 +23,9 @@ std::vector<std::size_t> SurfelParameterGroup::get_array_shape(std::size_t n_sur
     return {n_surfels};
 }
 
-SurfelParameterSet read_parameter_set(const std::map<std::string, std::string>& metadata,
-                                      const std::string& primitive_key,
-                                      const std::function<bool(const char*)>& has_array) {
+SurfelParameterSet read_surfel_parameter_set(const std::map<std::string, std::string>& metadata,
+                                             const std::string& primitive_key,
+                                             const std::function<bool(const char*)>& has_array) {
     std::vector<std::string> names;
     for (const PrimitiveProperties& kind : kPrimitives) names.emplace_back(kind.name);
     const auto text = metadata.find(primitive_key);

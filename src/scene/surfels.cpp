@@ -46,7 +46,7 @@ void Surfels::resize(std::size_t count, SurfelParameterSet parameter_set) {
         group.resize(*this, has_parameter_group(parameter_set, group) ? count * group.count_floats() : 0);
 }
 
-void Surfels::add_gait_without_motion() {
+void Surfels::add_motionless_gait() {
     bends = true;
     gait.resize(size());
 }
@@ -73,7 +73,7 @@ void Surfels::append_surfels(const Surfels& other) {
             size(), get_primitive_kind(primitive).label, other.size(),
             get_primitive_kind(other.primitive).label));
     if (other.size() > 0) primitive = other.primitive;
-    if (other.bends) add_gait_without_motion();
+    if (other.bends) add_motionless_gait();
     const std::size_t n = size() + other.size();
     for (const SurfelParameterGroup& group : kParameterGroups) {
         const std::size_t before = group.values(*this).size();

@@ -42,7 +42,7 @@ Address<std::uint32_t, shared::TouchedCount> TouchedSurfelList::get_touched_coun
     return impl_->count.address();
 }
 
-std::size_t TouchedSurfelList::choose_threads_for_touched_rows(std::size_t max_touched_rows) const {
+std::size_t TouchedSurfelList::choose_thread_count_for_touched_rows(std::size_t max_touched_rows) const {
     // Uses fewer threads on a CPU than on a GPU, so that each thread processes more
     // surfels.
     const bool is_cpu = !should_coalesce_memory_access(impl_->device);

@@ -119,7 +119,7 @@ std::optional<BeamGrid::BeamGridCell> BeamGrid::find_grid_cell(const glm::dvec3&
     return cell;
 }
 
-std::vector<float> BeamGrid::compute_nearest_ranges_m(const Scan& scan) const {
+std::vector<float> BeamGrid::compute_nearest_range_per_cell_m(const Scan& scan) const {
     std::vector<float> nearest(std::size_t(rows()) * std::size_t(columns_));
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
@@ -145,10 +145,10 @@ VisibilityChecker::VisibilityChecker(const LidarSequence& sequence, const std::v
         if (!std::exchange(has_grid[lidar], 1)) grids_[lidar] = BeamGrid(frame.scan);
         views_.push_back({frame.time_s, frame.lidar, {}, {}});
     }
-    assign_views_to_tiles();
+    select_views_of_each_ground_tile();
 }
 
-void VisibilityChecker::request_range_images(const glm::dvec3& point_m) {
+void VisibilityChecker::request_range_images_near_point(const glm::dvec3& point_m) {
     const auto tile = tiles_.find(compute_grid_cell_key(compute_ground_tile_centre(point_m), kTile_m));
     if (tile == tiles_.end() || std::exchange(tile->second.is_requested, true)) return;
     for (const std::uint32_t view : tile->second.views)
@@ -176,10 +176,10 @@ void VisibilityChecker::make_range_image(VisibilityImage& view, const LidarFrame
                                                   get_sweep_timing_of_frame(frame)),
             mounted)));
     }
-    view.range_m = grids_[std::size_t(frame.lidar)].compute_nearest_ranges_m(frame.scan);
+    view.range_m = grids_[std::size_t(frame.lidar)].compute_nearest_range_per_cell_m(frame.scan);
 }
 
-void VisibilityChecker::assign_views_to_tiles() {
+void VisibilityChecker::select_views_of_each_ground_tile() {
     struct ImageDistance {
         std::uint32_t view;
         double distance_m;

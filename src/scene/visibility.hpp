@@ -45,7 +45,7 @@ public:
     /// Returns the range of the nearest return in each cell.
     /// @param scan scan in the sensor's frame
     /// @return [rows * columns] metres, 0 if a cell has no return
-    std::vector<float> compute_nearest_ranges_m(const Scan& scan) const;
+    std::vector<float> compute_nearest_range_per_cell_m(const Scan& scan) const;
 
 private:
     std::vector<double> row_rad_;  ///< [rows] elevations, descending
@@ -69,7 +69,7 @@ public:
     /// @param points_m [points] vectors of 3, world
     template <class Points>
     void create_range_images_for_points(const Points& points_m) {
-        for (const auto& point_m : points_m) request_range_images(glm::dvec3(point_m));
+        for (const auto& point_m : points_m) request_range_images_near_point(glm::dvec3(point_m));
         make_requested_range_images();
     }
 
@@ -135,10 +135,10 @@ private:
     /// indices of the views whose images must still be created; can contain duplicates
     std::vector<std::uint32_t> requested_views_;
 
-    void request_range_images(const glm::dvec3& point_m);
+    void request_range_images_near_point(const glm::dvec3& point_m);
     void make_requested_range_images();
     void make_range_image(VisibilityImage& view, const LidarFrame& frame) const;
-    void assign_views_to_tiles();
+    void select_views_of_each_ground_tile();
     NeighbourRanges find_surrounding_ranges(const VisibilityImage& view, const glm::dvec3& point_m) const;
 };
 

@@ -39,8 +39,8 @@ void IterationReports::record_report_readback(Stream& stream, const DeviceHitCou
                        counts.stored_hits_per_ray, log_line});
 }
 
-std::optional<IterationReports::IterationGroupReport> IterationReports::read_oldest_report(Stream& stream,
-                                                                                           int max_step) {
+std::optional<IterationReports::IterationGroupReport> IterationReports::take_oldest_report_until_step(
+    Stream& stream, int max_step) {
     if (closed_.empty() || closed_.front().iterations.back().step > max_step) return std::nullopt;
     const ClosedIterationGroup report = std::move(closed_.front());
     closed_.pop_front();
@@ -50,7 +50,7 @@ std::optional<IterationReports::IterationGroupReport> IterationReports::read_old
         return *static_cast<const std::uint32_t*>(readback.wait_for_copied_bytes(stream));
     };
     add_loss_terms_to_sums(report, static_cast<const float*>(slot.terms.wait_for_copied_bytes(stream)));
-    if (report.line) store_log_line_with_means(*report.line);
+    if (report.line) store_log_line_with_mean_losses(*report.line);
     return IterationGroupReport{.first_step = first_step,
                                 .last_step = last_step,
                                 .pass_cap = count(slot.pass_cap),
@@ -74,7 +74,7 @@ void IterationReports::add_loss_terms_to_sums(const ClosedIterationGroup& report
     n_summed_ += report.iterations.size();
 }
 
-void IterationReports::store_log_line_with_means(TrainLogLine log_line) {
+void IterationReports::store_log_line_with_mean_losses(TrainLogLine log_line) {
     for (std::size_t k = 0; k < kLossTerms; ++k)
         log_line.terms[k] = std::exchange(sums_[k], 0.0) / static_cast<double>(n_summed_);
     n_summed_ = 0;

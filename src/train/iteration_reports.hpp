@@ -29,14 +29,14 @@ struct TrainLogLine {
 /// Counters on the device. Each report copies the counters and resets them to 0.
 struct DeviceHitCounters {
     /// [1] number of rays whose traversal stopped at the maximum number of passes
-    /// (ForwardPass::get_device_truncated_ray_count)
+    /// (ForwardPass::get_truncated_ray_count_on_device)
     const Array<std::uint32_t>* pass_cap = nullptr;
     /// [1] largest number of ray-surfel hits in one iteration
-    /// (BackwardPass::get_device_max_hit_count); null if not needed
+    /// (BackwardPass::get_max_hit_count_on_device); null if not needed
     const Array<std::uint32_t>* most_hits = nullptr;
     std::uint64_t hit_capacity = 0;
     /// [1] number of rays with more hits than can be stored
-    /// (ForwardPass::get_device_hit_overflow_ray_count)
+    /// (ForwardPass::get_hit_overflow_ray_count_on_device)
     const Array<std::uint32_t>* overfull = nullptr;
     std::uint32_t stored_hits_per_ray = 0;  ///< maximum number of stored hits per ray
 };
@@ -51,11 +51,13 @@ public:
     }
     /// Adds an iteration after its GPU commands were recorded.
     /// @param frame_number  frame number of the dataset
-    void add_iteration(int step, int frame_number) { iterations_.push_back({step, frame_number}); }
+    void add_iteration_to_next_report(int step, int frame_number) {
+        iterations_.push_back({step, frame_number});
+    }
     bool is_loss_table_full() const { return iterations_.size() == kRows; }
     /// Starts a copy to the host and does not wait. Copies the losses and counters of all
-    /// iterations since the last report. Call this function after add_iteration(), at
-    /// most once per iteration.
+    /// iterations since the last report. Call this function after
+    /// add_iteration_to_next_report(), at most once per iteration.
     /// @param log_line  line that is added to the training log when the report is read,
     /// if any
     void record_report_readback(Stream& stream, const DeviceHitCounters& counts,
@@ -72,9 +74,9 @@ public:
     /// Returns the oldest unread report if it ends at iteration `max_step` or earlier.
     /// Waits if the device has not finished the report.
     /// @throws DataError naming iteration, frame and term if a loss is not finite
-    std::optional<IterationGroupReport> read_oldest_report(Stream& stream, int max_step);
-    /// Returns the log lines of the reports that were read with read_oldest_report().
-    /// Removes the lines from this object.
+    std::optional<IterationGroupReport> take_oldest_report_until_step(Stream& stream, int max_step);
+    /// Returns the log lines of the reports that were read with
+    /// take_oldest_report_until_step(). Removes the lines from this object.
     std::vector<TrainLogLine> take_log_lines() { return std::exchange(lines_, {}); }
 
     template <class Visitor>
@@ -115,7 +117,7 @@ private:
     std::vector<TrainLogLine> lines_;
 
     void add_loss_terms_to_sums(const ClosedIterationGroup& report, const float* loss_terms);
-    void store_log_line_with_means(TrainLogLine log_line);
+    void store_log_line_with_mean_losses(TrainLogLine log_line);
 };
 
 }  // namespace relidar

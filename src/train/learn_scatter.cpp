@@ -16,8 +16,9 @@ constexpr int kMostFrames = 16;  // maximum number of frames per LiDAR
 
 }  // namespace
 
-std::vector<IntensityScatterModel> fit_intensity_scatter_per_lidar(Device& device, const TrainedRun& run,
-                                                                   const ScatterFitCallbacks& session) {
+std::vector<IntensityScatterModel> fit_intensity_scatter_model_per_lidar(Device& device,
+                                                                         const TrainedRun& run,
+                                                                         const ScatterFitCallbacks& session) {
     Config config = run.config;
     config.sensor.sub_rays = config.sensor.returns = 1;
     ScanRenderer renderer(device, run.scene, config, run.sequence);
@@ -42,9 +43,9 @@ std::vector<IntensityScatterModel> fit_intensity_scatter_per_lidar(Device& devic
             const std::vector<float> dropped = classify_measured_drops_per_ray(run.sequence, frame, masks);
             for (std::size_t i = 0; i < dropped.size(); ++i)
                 measured.push_back(dropped[i] == 0.0f ? frame.scan.intensity[i] : kNoIntensity);
-            images.push_back({copy_inputs_of_random_intensities(scan), std::move(measured)});
+            images.push_back({make_rendered_intensity_image(scan), std::move(measured)});
         }
-        result.push_back(fit_intensity_scatter(images));
+        result.push_back(fit_intensity_scatter_model(images));
         if (session.progress) session.progress("learning the scatter of intensities", 1.0);
     }
     return result;

@@ -247,8 +247,8 @@ void TrainLoop::record_render_and_backward(const RayBatch& rays, const TargetBat
     differentiable_.record_backward_pass();  // computes the gradients (equation 9)
 }
 
-void TrainLoop::run_iteration(int step, bool ends_log_line) {
-    process_iteration_reports(step - kReadbackLag);
+void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
+    check_iteration_reports_until(step - kReadbackLag);
     refiner_.apply_pose_updates_until(stream_, step - kReadbackLag);
     const std::size_t frame_index = sampler_.sample_next_frame_index();
     DeviceScene& scene = renderer_.scene();
@@ -278,41 +278,42 @@ void TrainLoop::run_iteration(int step, bool ends_log_line) {
         does_every_surfel_get_gradient(config_) ? nullptr : &gradients.touched;
     adam_.record_adam_step(stream_, scene.get_surfel_parameters(), gradients.surfels, touched, rates, step,
                            renderer_.model().sh_degree);
-    reports_.add_iteration(step, frame.index);
+    reports_.add_iteration_to_next_report(step, frame.index);
     if (densifier_.should_densify_after_step(step))
-        apply_surfel_change([&](double other_allocation_bytes) {
+        densify_and_reallocate_memory([&](double other_allocation_bytes) {
             return densifier_.densify_surfels(stream_, scene, adam_, step, other_allocation_bytes);
         });
     densifier_.record_opacity_reset_if_scheduled(stream_, scene, adam_, step);
-    if (ends_log_line || reports_.is_loss_table_full()) request_report(step, ends_log_line);
+    if (is_last_of_log_interval || reports_.is_loss_table_full())
+        start_iteration_report_readback(step, is_last_of_log_interval);
     if (step % kGrowthEvery == 0) renderer_.accel().record_bvh_cost_measurement(stream_);
     submitted_ = stream_.submit_commands();
     last_step_ = step;
 }
 
-void TrainLoop::apply_surfel_change(
+void TrainLoop::densify_and_reallocate_memory(
     const std::function<DensifyReport(double other_allocation_bytes)>& change) {
     differentiable_.change_surfels_and_reallocate_memory(
         [&](double other_allocation_bytes) { densified_.add_counts(change(other_allocation_bytes)); });
 }
 
-void TrainLoop::request_report(int step, bool ends_log_line) {
+void TrainLoop::start_iteration_report_readback(int step, bool is_last_of_log_interval) {
     const BackwardPass& backward = differentiable_.backward_pass();
     const DeviceHitCounters counts{
-        &renderer_.forward_pass().get_device_truncated_ray_count(),
-        config_.train.deterministic ? backward.get_device_max_hit_count() : nullptr,
-        backward.get_hit_capacity(), &renderer_.forward_pass().get_device_hit_overflow_ray_count(),
+        &renderer_.forward_pass().get_truncated_ray_count_on_device(),
+        config_.train.deterministic ? backward.get_max_hit_count_on_device() : nullptr,
+        backward.get_hit_capacity(), &renderer_.forward_pass().get_hit_overflow_ray_count_on_device(),
         renderer_.get_stored_hits_per_ray()};
     reports_.record_report_readback(
         stream_, counts,
-        ends_log_line
+        is_last_of_log_interval
             ? std::optional(TrainLogLine{step, {}, get_surfel_count(), std::exchange(densified_, {})})
             : std::nullopt);
 }
 
-void TrainLoop::process_iteration_reports(int last_step) {
+void TrainLoop::check_iteration_reports_until(int last_step) {
     while (const std::optional<IterationReports::IterationGroupReport> report =
-               reports_.read_oldest_report(stream_, last_step)) {
+               reports_.take_oldest_report_until_step(stream_, last_step)) {
         if (report->pass_cap > 0)
             throw DeviceError(fmt::format(
                 "training failed in iterations {} to {}: {} rays exceeded the maximum number of traversal "
@@ -332,7 +333,7 @@ void TrainLoop::increase_hit_capacity_if_needed(const IterationReports::Iteratio
     if (report.most_hits <= differentiable_.backward_pass().get_hit_capacity() / 2) return;
     // The value of `hit_capacity` changes below, but a report can contain only one value.
     // Therefore requests a report of the steps so far before the change.
-    request_report(last_step_, false);
+    start_iteration_report_readback(last_step_, false);
     // Reserves memory for twice the reported number of hits, so that later steps can have
     // more hits.
     differentiable_.backward_pass().reserve_hit_memory(stream_, 2 * std::uint64_t(report.most_hits));
@@ -346,7 +347,7 @@ void TrainLoop::increase_stored_hits_per_ray_if_needed(const IterationReports::I
     if (n_hits == report.stored_hits_per_ray) return;
     // The value of `stored_hits_per_ray` changes below, but a report can contain only one
     // value. Therefore requests a report of the steps so far before the change.
-    request_report(last_step_, false);
+    start_iteration_report_readback(last_step_, false);
     try {
         renderer_.set_stored_hits_per_ray(n_hits);
     } catch (const OutOfDeviceMemory&) {
@@ -355,9 +356,9 @@ void TrainLoop::increase_stored_hits_per_ray_if_needed(const IterationReports::I
 }
 
 void TrainLoop::wait_for_iterations() {
-    request_report(last_step_, false);
+    start_iteration_report_readback(last_step_, false);
     submitted_ = stream_.submit_commands();
-    process_iteration_reports(last_step_);
+    check_iteration_reports_until(last_step_);
     refiner_.wait_for_pending_gradients(stream_);
     stream_.wait_for_submission(submitted_);
 }

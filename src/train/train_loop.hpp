@@ -67,10 +67,10 @@ public:
     /// hits than all earlier batches. Also waits longer if too many rays have more hits
     /// than can be stored.
     /// @param step  counts from 1
-    /// @param ends_log_line  true if a log line ends with this iteration
+    /// @param is_last_of_log_interval  true if a log line ends with this iteration
     /// @throws DataError naming iteration, frame and term if a loss was not finite in the
     /// last 64 + kReadbackLag iterations
-    void run_iteration(int step, bool ends_log_line = false);
+    void run_iteration(int step, bool is_last_of_log_interval = false);
     /// Returns the new log lines since the last call. The line of an iteration becomes
     /// available kReadbackLag iterations later, or after wait_for_iterations().
     std::vector<TrainLogLine> take_log_lines() { return reports_.take_log_lines(); }
@@ -163,8 +163,8 @@ private:
     void record_render_and_backward(const RayBatch& rays, const TargetBatch& targets,
                                     const LossTermRow& loss_terms);
     /// Checks the losses and counters of all iterations up to `last_step`.
-    void process_iteration_reports(int last_step);
-    void request_report(int step, bool ends_log_line);
+    void check_iteration_reports_until(int last_step);
+    void start_iteration_report_readback(int step, bool is_last_of_log_interval);
     /// Compares the number of hits in a report with the capacity of the hit buffer.
     /// Increases the capacity if more than half of it was used.
     /// @throws DeviceError if a deterministic step exceeded the capacity
@@ -176,7 +176,8 @@ private:
     /// were dropped.
     void add_batch_to_drop_counts(RayDropCounts& counts, const LidarSequence& sequence,
                                   const TrainingFrameData& frame, const SampledBatch& batch);
-    void apply_surfel_change(const std::function<DensifyReport(double other_allocation_bytes)>& change);
+    void densify_and_reallocate_memory(
+        const std::function<DensifyReport(double other_allocation_bytes)>& change);
 };
 
 }  // namespace relidar

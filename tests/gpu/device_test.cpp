@@ -189,11 +189,11 @@ TEST_F(Gpu, NetworksNeedShufflesInKnownSubgroups) {
     VkPhysicalDeviceSubgroupProperties subgroup{};
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{};
     sizes.minSubgroupSize = sizes.maxSubgroupSize = 8;
-    EXPECT_EQ(gpu::list_missing_network_features(subgroup, sizes, {}), "subgroup shuffles in compute");
+    EXPECT_EQ(gpu::list_missing_neural_network_features(subgroup, sizes, {}), "subgroup shuffles in compute");
     subgroup.supportedOperations = VK_SUBGROUP_FEATURE_SHUFFLE_BIT;
-    EXPECT_EQ(gpu::list_missing_network_features(subgroup, sizes, {}), "");
+    EXPECT_EQ(gpu::list_missing_neural_network_features(subgroup, sizes, {}), "");
     sizes.maxSubgroupSize = 32;
-    EXPECT_NE(gpu::list_missing_network_features(subgroup, sizes, {}), "")
+    EXPECT_NE(gpu::list_missing_neural_network_features(subgroup, sizes, {}), "")
         << "lanes of one size are not known";
 }
 

@@ -121,14 +121,14 @@ TEST_F(TrustTest, WrongAtomicsAreReplacedAndReported) {
     check_gives({.float_atomics = false, .ray_query = CheckVerdict::right});
     const Device opened(options);
     EXPECT_FALSE(opened.info().float_atomics);
-    EXPECT_EQ(choose_float_add_kernel_variant(opened).suffix, "@_swap");
+    EXPECT_EQ(choose_atomic_float_add_kernel_variant(opened).suffix, "@_swap");
     EXPECT_THAT(notes, ElementsAre(test::Names("atomic additions ... gradients")));
 }
 
 TEST_F(TrustTest, WrongSumsAllowNoTraining) {
     check_gives({.float_atomics = false, .float_swaps = false, .ray_query = CheckVerdict::right});
     const Device opened(options);
-    EXPECT_THROW(choose_float_add_kernel_variant(opened), DeviceError);
+    EXPECT_THROW(choose_atomic_float_add_kernel_variant(opened), DeviceError);
     EXPECT_THAT(notes.back(), test::Names("train"));
 }
 

@@ -301,7 +301,7 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
     for (std::uint32_t i = 0; i < n; ++i)
         if (marks[i] == 0u) std::fill_n(d_records.begin() + 16 * i, 16, 0.0f);
     const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
-    EXPECT_EQ(placed->can_skip_untouched_surfels(), !stages_harmonics());
+    EXPECT_EQ(placed->can_skip_surfels_without_gradient(), !stages_harmonics());
     const auto run = [&](bool is_marked) {
         const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
                                                              "record gradient");
@@ -319,7 +319,7 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
         return std::tuple(d_surfels.download(), touched.download(), d_view.download());
     };
     const auto [surfels_of_all, touched_of_all, view_of_all] = run(false);
-    if (placed->can_skip_untouched_surfels())  // gradients of unmarked surfels, which must be ignored
+    if (placed->can_skip_surfels_without_gradient())  // gradients of unmarked surfels, which must be ignored
         for (std::uint32_t i = 0; i < n; ++i)
             if (marks[i] == 0u) d_records[16 * i] = 1.0f;
     const auto [surfels_listed, touched_listed, view_listed] = run(true);

@@ -136,7 +136,7 @@ TEST(Actors, OtherBoxesAreMaskedOrPartOfTheBackground) {
     ASSERT_EQ(unmasked.instances.size(), 2u) << "the actor stays one";
     EXPECT_EQ(unmasked.instances[1].track, "0");
     EXPECT_TRUE(find_boxes_without_model(unmasked, street, options).empty());
-    EXPECT_TRUE(find_unselected_moving_boxes(street, options).empty());
+    EXPECT_TRUE(find_moving_boxes_not_selected_as_actors(street, options).empty());
     EXPECT_GT(unmasked.models[0].count, masked.models[0].count + 100)
         << "the other car's points are in the background";
 }

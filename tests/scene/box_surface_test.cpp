@@ -36,11 +36,11 @@ TEST(BoxSurface, OfOneSideItsShareOfTheAreaIsSeen) {
     for (const BoxSide side : {BoxSide::front, BoxSide::rear, BoxSide::right, BoxSide::top})
         EXPECT_EQ(surface.compute_observed_area_fraction(side), 0.0);
     EXPECT_NEAR(surface.compute_observed_area_fraction(), kSide_m2 / kAll_m2, 1e-12);
-    EXPECT_NEAR(surface.compute_mirrored_area_fraction(), kSide_m2 / kAll_m2, 1e-12)
+    EXPECT_NEAR(surface.compute_mirrorable_area_fraction(), kSide_m2 / kAll_m2, 1e-12)
         << "the right side is its mirror image";
     add_plane(surface, 1, -1.2);
     EXPECT_NEAR(surface.compute_observed_area_fraction(), 2.0 * kSide_m2 / kAll_m2, 1e-12);
-    EXPECT_EQ(surface.compute_mirrored_area_fraction(), 0.0) << "nothing is left to complete";
+    EXPECT_EQ(surface.compute_mirrorable_area_fraction(), 0.0) << "nothing is left to complete";
     add_plane(surface, 0, -2.1);
     add_plane(surface, 2, 1.5);
     EXPECT_DOUBLE_EQ(surface.compute_observed_area_fraction(BoxSide::rear), 1.0);
@@ -54,10 +54,10 @@ TEST(BoxSurface, HalfAnEndIsCompletedByItsOtherHalf) {
         for (double z_m = -1.49; z_m < 1.5; z_m += 0.02)
             surface.mark_patch_of_point_as_observed({2.1, y_m, z_m}, {-1, 0, 0});
     EXPECT_NEAR(surface.compute_observed_area_fraction(BoxSide::front), 0.5, 1e-12);
-    EXPECT_NEAR(surface.compute_mirrored_area_fraction(), 0.5 * kEnd_m2 / kAll_m2, 1e-12);
-    EXPECT_TRUE(surface.is_observed_only_in_mirror({2.1, -0.5, 0.3}));
-    EXPECT_FALSE(surface.is_observed_only_in_mirror({2.1, 0.5, 0.3})) << "it was seen itself";
-    EXPECT_FALSE(surface.is_observed_only_in_mirror({-2.1, -0.5, 0.3})) << "the rear was not seen at all";
+    EXPECT_NEAR(surface.compute_mirrorable_area_fraction(), 0.5 * kEnd_m2 / kAll_m2, 1e-12);
+    EXPECT_TRUE(surface.is_only_mirror_patch_observed({2.1, -0.5, 0.3}));
+    EXPECT_FALSE(surface.is_only_mirror_patch_observed({2.1, 0.5, 0.3})) << "it was seen itself";
+    EXPECT_FALSE(surface.is_only_mirror_patch_observed({-2.1, -0.5, 0.3})) << "the rear was not seen at all";
 }
 
 TEST(BoxSurface, DepthDoesNotMatterButDirectionDoes) {
@@ -100,8 +100,8 @@ TEST(BoxSurface, EveryPatchHasItsMirrorImage) {
             ObservedBoxSurface surface(size_m);
             surface.mark_patch_of_point_as_observed(here, -here);
             const bool counts = surface.is_patch_of_point_observed(here);
-            EXPECT_EQ(surface.is_observed_only_in_mirror(there), counts) << i;
-            EXPECT_FALSE(surface.is_observed_only_in_mirror(here)) << i;
+            EXPECT_EQ(surface.is_only_mirror_patch_observed(there), counts) << i;
+            EXPECT_FALSE(surface.is_only_mirror_patch_observed(here)) << i;
         }
     }
 }

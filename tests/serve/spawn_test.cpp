@@ -314,7 +314,7 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     };
     EXPECT_THAT(refused({"x", {true, "large"}, {1, 1, 1}, 20000}), Names("memory"));
     EXPECT_TRUE(scenes.get_spawned_actors().list_occupied_slots(0).empty());
-    EXPECT_EQ(scenes.get_spawned_actors().count_slots_of_scene(0), 0u);
+    EXPECT_EQ(scenes.get_spawned_actors().count_spawn_slots_of_scene(0), 0u);
     EXPECT_EQ(ranges(), truth);
     EXPECT_EQ(refused({"x", {false, "car"}, {1, 1, 1}, 1}), "") << "the name is free, and this one fits";
     EXPECT_EQ(scenes.get_spawned_actors().list_occupied_slots(0).size(), 1u);
@@ -326,11 +326,11 @@ TEST(SpawnedPlaces, AreMadeInGrowingNumbersAndUsedAgain) {
     std::vector<std::size_t> sizes;
     for (int i = 0; i < 17; ++i) {
         actors.assign_actors_to_slots(1, {{fmt::format("{}", i), car}});
-        sizes.push_back(actors.count_slots_of_scene(1));
+        sizes.push_back(actors.count_spawn_slots_of_scene(1));
     }
     EXPECT_THAT(sizes,
                 ElementsAre(1u, 2u, 4u, 4u, 8u, 8u, 8u, 8u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 24u));
-    EXPECT_EQ(actors.count_slots_of_scene(0), 0u) << "of another scene";
+    EXPECT_EQ(actors.count_spawn_slots_of_scene(0), 0u) << "of another scene";
     actors.remove_actors_and_free_slots(1, {"1", "3"});
     EXPECT_EQ(actors.assign_actors_to_slots(1, {{"v", van}})[0].position, 24u) << "a place keeps its source";
     EXPECT_EQ(actors.assign_actors_to_slots(1, {{"c", car}})[0].position, 1u);

@@ -45,7 +45,7 @@ TrainedRun make_grainy_run() {
 
 TEST_F(LearnScatter, TrainingFramesScatterAlike) {
     relidar::TrainedRun run = make_grainy_run();
-    run.intensity_scatter = fit_intensity_scatter_per_lidar(device(), run);
+    run.intensity_scatter = fit_intensity_scatter_model_per_lidar(device(), run);
     ASSERT_EQ(run.intensity_scatter.size(), 1u);
     EXPECT_EQ(run.intensity_scatter[0].step, double(kStep));
     ScanRenderer exact(device(), run.scene, run.config, run.sequence), renderer(device(), run);
@@ -77,7 +77,7 @@ TEST_F(LearnScatter, TrainingFramesScatterAlike) {
 
 TEST_F(LearnScatter, StopsWhereItIsAskedTo) {
     const relidar::TrainedRun run = make_grainy_run();
-    EXPECT_TRUE(fit_intensity_scatter_per_lidar(device(), run, {.stop = [] { return true; }}).empty());
+    EXPECT_TRUE(fit_intensity_scatter_model_per_lidar(device(), run, {.stop = [] { return true; }}).empty());
 }
 
 }  // namespace

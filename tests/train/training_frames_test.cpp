@@ -120,7 +120,8 @@ TEST_F(FramesInTurn, AreThoseOfTheLog) {
             compute_training_rays_and_targets(log, sweep, {}, rays, targets);
             ASSERT_EQ(frame.n_rays, rays.size());
             const std::vector<DeviceRay> there = frame.get_device_rays().download(frame.n_rays);
-            const std::vector<DeviceTarget> measured = frame.get_device_targets().download(frame.n_rays);
+            const std::vector<DeviceTarget> measured =
+                frame.get_loss_targets_on_device().download(frame.n_rays);
             const std::vector<shared::RayPlace> track_positions =
                 frame.arrays->track_positions.download(frame.n_rays);
             double n_known_rays = 0.0, returned = 0.0;
@@ -225,7 +226,7 @@ TEST_F(FramesInTurn, AreCellsOfAGrid) {
     EXPECT_EQ(frame.image.rows, 66u);
     EXPECT_TRUE(frame.image.circular);
     const LidarFrame binned = convert_frame_to_grid(log, log.frames[0], make_kitti360_grid());
-    const std::vector<DeviceTarget> targets = frame.get_device_targets().download(frame.n_rays);
+    const std::vector<DeviceTarget> targets = frame.get_loss_targets_on_device().download(frame.n_rays);
     for (std::size_t i = 0; i < targets.size(); ++i)
         ASSERT_EQ(targets[i].range_m, binned.scan.range_m[i]) << i;
 

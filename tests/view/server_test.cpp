@@ -425,7 +425,7 @@ TEST(ViewServer, ClosesOnceWhatWaitsHasBeenSent) {
     const std::string large(std::size_t(8) << 20, 'x');  // larger than a single write of the system
     echo.server.send_scan_and_drop_queued_older_scan(echo.last, large);
     auto closed = std::async(std::launch::async, [&] {
-        echo.server.reject_new_and_close_after_sending(std::chrono::seconds(20));
+        echo.server.reject_new_clients_and_close_after_sending(std::chrono::seconds(20));
     });
     const std::string received = socket.receive();
     // a message and a close frame

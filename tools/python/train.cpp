@@ -87,7 +87,7 @@ void align_held_out_scans_with_scene(LockableDevice& device, TrainedRun& run, Py
 /// Measures the noise of the LiDAR intensities.
 void fit_intensity_noise(LockableDevice& device, TrainedRun& run, PythonCallGuard& python_calls) {
     const DeviceLock use(device);
-    run.intensity_scatter = fit_intensity_scatter_per_lidar(
+    run.intensity_scatter = fit_intensity_scatter_model_per_lidar(
         device.device, run, {{}, [&] { return !python_calls.has_no_exception_or_interrupt(); }});
     python_calls.rethrow_stored_exception();
 }

@@ -98,7 +98,7 @@ void write_rendered_scans_of_evaluation(const fs::path& folder, const Evaluation
     for (const ScoredFrame& frame : evaluation.frames) {
         scans.write_scan(frame.frame, frame.rendered);
         write_png(folder / fmt::format("range_{:06}.png", frame.frame),
-                  draw_real_above_rendered_range(frame, run.config.dataset.max_range_m));
+                  draw_stacked_real_and_rendered_range(frame, run.config.dataset.max_range_m));
     }
     scans.finish_scan_folder();
 }
@@ -173,7 +173,7 @@ void run_demo_command(const DemoOptions& options, const std::string& command_lin
     save_run(run);
     throw_if_interrupted();
     StageTimes stages;
-    align_held_out_and_learn_noise(device, run, options.quiet, stages);
+    align_held_out_scans_and_fit_intensity_noise(device, run, options.quiet, stages);
     throw_if_interrupted();
     if (config.refine.enabled &&
         train_drop_network_with_progress(device, run, options.quiet) == TrainingEndReason::finished)

@@ -98,7 +98,7 @@ void add_setting_override_option(CLI::App& command, std::vector<std::string>& pa
         ->allow_extra_args(false);
 }
 
-void add_preset_config_and_set_options(CLI::App& command, SettingsCommandOptions& settings) {
+void add_settings_options(CLI::App& command, SettingsCommandOptions& settings) {
     command
         .add_option("--preset", settings.preset,
                     "settings to start from: default, quick (trains in minutes on a CPU), paper (as "
@@ -142,9 +142,9 @@ std::vector<std::string> list_rendering_setting_names() {
             "trace."};
 }
 
-void require_settings_with_effect(const std::vector<std::string>& setting_texts,
-                                  const std::vector<std::string>& names_and_prefixes_with_effect,
-                                  const std::string& command_name) {
+void require_settings_used_by_command(const std::vector<std::string>& setting_texts,
+                                      const std::vector<std::string>& names_and_prefixes_with_effect,
+                                      const std::string& command_name) {
     Config scratch;
     for (const std::string& set : setting_texts) {
         // Throws an error if the key or the value is invalid. The result is not used.
@@ -174,7 +174,7 @@ void add_frames_and_sequence_options(CLI::App& command, LogSelection& log_select
         ->type_name("NAME");
 }
 
-void set_log_frames_and_sequence(Config& config, const LogSelection& log_selection) {
+void apply_log_selection_to_config(Config& config, const LogSelection& log_selection) {
     if (!log_selection.sequence.empty()) config.dataset.sequence = log_selection.sequence;
     if (log_selection.frames.empty()) return;
     const FrameRange range = parse_frame_range(log_selection.frames);

@@ -37,7 +37,7 @@ struct SettingsCommandOptions {
     std::string file;
     std::vector<std::string> sets;  ///< Settings of the form "key=value".
 };
-void add_preset_config_and_set_options(CLI::App& command, SettingsCommandOptions& settings);
+void add_settings_options(CLI::App& command, SettingsCommandOptions& settings);
 /// Adds the option --channels, which is a short form of the setting render.channels.
 void add_channels_option(CLI::App& command, std::optional<std::string>& parsed_channel_list);
 /// Adds the option --weather.
@@ -59,9 +59,9 @@ std::vector<std::string> list_rendering_setting_names();
 /// in a dot means all settings of that group
 /// @param command_name name of the command
 /// @throws UsageError that names the first setting without effect
-void require_settings_with_effect(const std::vector<std::string>& setting_texts,
-                                  const std::vector<std::string>& names_and_prefixes_with_effect,
-                                  const std::string& command_name);
+void require_settings_used_by_command(const std::vector<std::string>& setting_texts,
+                                      const std::vector<std::string>& names_and_prefixes_with_effect,
+                                      const std::string& command_name);
 
 /// Values of the options --frames and --sequence. They select the part of a log that is
 /// loaded.
@@ -70,7 +70,7 @@ struct LogSelection {
     std::string sequence;
 };
 void add_frames_and_sequence_options(CLI::App& command, LogSelection& log_selection);
-void set_log_frames_and_sequence(Config& config, const LogSelection& log_selection);
+void apply_log_selection_to_config(Config& config, const LogSelection& log_selection);
 
 /// Parses a range of frames "a:b". Either number may be missing.
 /// @throws UsageError if the text has another form

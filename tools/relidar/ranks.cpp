@@ -92,7 +92,7 @@ MpiProcessGroup::MpiProcessGroup() {
     int n_here = 1;
     MPI_Comm_size(on_this_machine, &n_here);
     MPI_Comm_free(&on_this_machine);
-    set_scan_process_count(n_here);
+    divide_scan_memory_among_processes(n_here);
     require_same_build_on_all_ranks(group_.rank);
 }
 

@@ -121,7 +121,7 @@ void run_bench_command(const BenchOptions& options, const std::string& command_l
     if (!options.actors.empty()) return run_actor_benchmark(options, device, command_line);
     if (options.scans.n_scans != 0) return run_scan_benchmark(options, device, command_line);
     if (options.n_steps != 0) return run_training_step_benchmark(options, device, command_line);
-    const DevCase bench = make_benchmark_of_run_or_street(options.choice);
+    const DevCase bench = make_benchmark_from_options(options.choice);
     BenchResult result = run_benchmark(device, bench, settings);
     // The copy bandwidth is measured last, when the memory of the scene is free again.
     result.copy_bytes_per_s = measure_copy_bandwidth_bytes_per_s(device);

@@ -128,7 +128,7 @@ void require_valid_bench_options(const BenchCaseOptions& bench_choice) {
     parse_hit_sort_method(bench_choice);
 }
 
-DevCase make_benchmark_of_run_or_street(const BenchCaseOptions& bench_choice) {
+DevCase make_benchmark_from_options(const BenchCaseOptions& bench_choice) {
     DevCase bench = bench_choice.run.empty() ? make_benchmark_of_synthetic_street(bench_choice)
                                              : DevCase{make_benchmark_from_run(load_run(bench_choice.run))};
     set_config_from_bench_options(bench_choice, bench.config);

@@ -50,6 +50,6 @@ void require_valid_bench_options(const BenchCaseOptions& bench_choice);
 
 /// Creates the scene and the rays that the user has chosen.
 /// @throws DataError if the run cannot be read
-DevCase make_benchmark_of_run_or_street(const BenchCaseOptions& bench_choice);
+DevCase make_benchmark_from_options(const BenchCaseOptions& bench_choice);
 
 }  // namespace relidar::cli

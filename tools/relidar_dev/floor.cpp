@@ -166,7 +166,7 @@ std::map<std::string, double> compute_cache_load_bytes_per_kernel(const MemoryTr
     return bytes;
 }
 
-double count_traversal_operations(const MemoryTrafficSizes& sizes) {
+double estimate_traversal_operation_count(const MemoryTrafficSizes& sizes) {
     return sizes.nodes_opened * kNodeOperations + sizes.surfels_tested * kSurfelOperations;
 }
 

@@ -55,6 +55,6 @@ std::map<std::string, double> compute_cache_load_bytes_per_kernel(const MemoryTr
 
 /// Returns the number of arithmetic operations that the forward pass needs to find hits.
 /// Returns 0 if the number of visited tree nodes is unknown.
-double count_traversal_operations(const MemoryTrafficSizes& sizes);
+double estimate_traversal_operation_count(const MemoryTrafficSizes& sizes);
 
 }  // namespace relidar::cli

@@ -132,8 +132,7 @@ public:
         options.trace.order = case_.order;
         options.keep_hits = keep;
         training_ = std::make_unique<TrainingStep>(
-            device_, case_, options,
-            make_loss_targets_from_noisy_image(rendering, case_.config.loss.normalised_depth));
+            device_, case_, options, make_noisy_loss_targets(rendering, case_.config.loss.normalised_depth));
     }
 
     /// Runs one repetition: rebuilds the acceleration structure, runs a training
@@ -242,7 +241,7 @@ std::vector<KernelBenchTime> compute_percentile_rows_of_kernels(
 
 BenchResult BenchRunner::make_bench_result() {
     Renderer& r = get_renderer();
-    if (const std::uint32_t capped = r.forward_pass().get_device_truncated_ray_count().download()[0])
+    if (const std::uint32_t capped = r.forward_pass().get_truncated_ray_count_on_device().download()[0])
         throw DeviceError(
             fmt::format("cannot trace {} rays: {} of them reached the maximum number of passes or filled the "
                         "traversal stack, expected none",

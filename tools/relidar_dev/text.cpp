@@ -102,7 +102,7 @@ std::string format_time_lower_bounds(const BenchResult& result) {
                         bytes * 1e-9, format_milliseconds(bytes / *result.copy_bytes_per_s * 1000.0));
     if (!cached.empty())
         text += fmt::format("search    about {:.3f} G operations in {}\n",
-                            count_traversal_operations(result.sizes) * 1e-9,
+                            estimate_traversal_operation_count(result.sizes) * 1e-9,
                             result.sizes.lists ? "diff/forward/append" : "diff/forward/trace");
     return text;
 }
@@ -128,7 +128,7 @@ Json make_time_lower_bounds_json(const BenchResult& result) {
     Json json = {{"copy_bytes_per_s", nullptr},
                  {"bytes", compute_min_traffic_bytes_per_kernel(result.sizes)},
                  {"cache_bytes", compute_cache_load_bytes_per_kernel(result.sizes)},
-                 {"search_operations", count_traversal_operations(result.sizes)},
+                 {"search_operations", estimate_traversal_operation_count(result.sizes)},
                  {"surfels_with_gradient", result.sizes.n_touched},
                  {"left_out", "latency, divergence, second loads of what a cache loses, arithmetic"}};
     if (result.copy_bytes_per_s) json["copy_bytes_per_s"] = *result.copy_bytes_per_s;

@@ -46,7 +46,7 @@ RenderQueue::QueueSlot reserve_slot_or_throw(RenderQueue& queue) {
 
 bool ClientRequest::is_cancelled() const { return context_.IsCancelled() || has_deadline_passed(context_); }
 
-void ClientRequest::run_or_throw_if_client_gave_up(RenderQueue::QueueSlot& slot) {
+void ClientRequest::run_request_or_throw_if_cancelled(RenderQueue::QueueSlot& slot) {
     const bool is_done = slot.run_request_and_wait(*this) == RenderQueue::RequestOutcome::done;
     if (is_done && !is_cancelled()) return;
     if (is_done) revert_effects_of_cancelled_request();

@@ -32,7 +32,7 @@ public:
     /// Runs the request on the render thread and waits for the response.
     /// @throws RejectedRequest if the client has disconnected, if the deadline has
     /// passed, or if the run cannot be read
-    void run_or_throw_if_client_gave_up(RenderQueue::QueueSlot& slot);
+    void run_request_or_throw_if_cancelled(RenderQueue::QueueSlot& slot);
 
 protected:
     SceneSet& scenes_;

@@ -117,16 +117,16 @@ void SceneSet::load_scene_with_spawned_actors(std::size_t scene_index) {
 std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t scene_index,
                                                                     const std::vector<ActorToSpawn>& actors) {
     SceneInMemory& loaded = loaded_[scene_index];
-    const std::size_t n_before = spawned_.count_slots_of_scene(scene_index);
+    const std::size_t n_before = spawned_.count_spawn_slots_of_scene(scene_index);
     std::vector<SpawnedActorRegistry::SpawnSlot> occupied_slots =
         spawned_.assign_actors_to_slots(scene_index, actors);
-    if (loaded.renderer && loaded.n_slots == spawned_.count_slots_of_scene(scene_index))
+    if (loaded.renderer && loaded.n_slots == spawned_.count_spawn_slots_of_scene(scene_index))
         return occupied_slots;
     const auto undo = [&] {
         // Unloads the scene. The next request loads it again, without the actors that
         // could not be added.
         loaded.renderer.reset();
-        spawned_.free_and_remove_new_slots(scene_index, occupied_slots, n_before);
+        spawned_.undo_actor_slot_assignment(scene_index, occupied_slots, n_before);
     };
     try {
         loaded.renderer.reset();

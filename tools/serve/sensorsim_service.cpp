@@ -160,7 +160,7 @@ void SensorsimService::render_points_into_message(RenderQueue::QueueSlot& queue_
                                                   const grpc::ServerContext& context,
                                                   sensorsim::LidarRenderReturn& answer) {
     PointsRequest request(scenes_, context, {&render_request, 1});
-    request.run_or_throw_if_client_gave_up(queue_slot);
+    request.run_request_or_throw_if_cancelled(queue_slot);
     write_points(request.points.front().points, answer);
 }
 

@@ -23,11 +23,12 @@ void write_queue_and_render_time(const QueuedRequest& request, v1::LidarScan& an
 
 }  // namespace
 
-RenderedScan RenderService::render_image(RenderQueue::QueueSlot& queue_slot,
-                                         const RenderRequest& render_request,
-                                         const grpc::ServerContext& context, v1::LidarScan& answer) {
+RenderedScan RenderService::render_scan_into_answer(RenderQueue::QueueSlot& queue_slot,
+                                                    const RenderRequest& render_request,
+                                                    const grpc::ServerContext& context,
+                                                    v1::LidarScan& answer) {
     ScanImageRequest request(scenes_, context, render_request);
-    request.run_or_throw_if_client_gave_up(queue_slot);
+    request.run_request_or_throw_if_cancelled(queue_slot);
     const TrainedRun& run = scenes_.get_runs_without_surfels()[render_request.scene];
     write_scan_into_message(request.scan, render_request, run.config, answer);
     if (render_request.boxes) write_actor_boxes_into_message(request.scan, render_request, run, answer);
@@ -41,7 +42,7 @@ void RenderService::render_points_into_answers(RenderQueue::QueueSlot& queue_slo
                                                const grpc::ServerContext& context,
                                                std::span<v1::LidarScan* const> answers) {
     PointsRequest request(scenes_, context, requests);
-    request.run_or_throw_if_client_gave_up(queue_slot);
+    request.run_request_or_throw_if_cancelled(queue_slot);
     for (std::size_t i = 0; i < requests.size(); ++i) {
         write_scan_into_message(request.points[i], requests[i], *answers[i]);
         write_actors_with_too_few_surfels(requests[i], *answers[i]);
@@ -82,7 +83,7 @@ grpc::Status RenderService::SpawnActors(grpc::ServerContext* context, const v1::
         const std::size_t scene = reader_.find_scene_index_or_throw(request->scene());
         const std::vector<ActorToSpawn> wishes = reader_.read_actors_to_spawn(*request, scene);
         SpawnRequest spawn(scenes_, *context, scene, wishes);
-        spawn.run_or_throw_if_client_gave_up(slot);
+        spawn.run_request_or_throw_if_cancelled(slot);
         for (const SpawnedActorRegistry::SpawnSlot& spawn_slot : spawn.occupied_slots)
             write_spawned_actor(spawn_slot, scenes_.get_runs_without_surfels()[scene], *answer->add_actors());
     });
@@ -118,7 +119,7 @@ grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::
         const RenderRequest render_request = reader_.convert_to_checked_render_request(*request);
         if (!on_scan_ && !is_range_image_requested(render_request))
             return render_points_into_answers(slot, {&render_request, 1}, *context, {&answer, 1});
-        const RenderedScan scan = render_image(slot, render_request, *context, *answer);
+        const RenderedScan scan = render_scan_into_answer(slot, render_request, *context, *answer);
         if (on_scan_)
             on_scan_(scenes_.get_runs_without_surfels()[render_request.scene], *render_request.sensor,
                      request->sensor().name(), scan);
@@ -150,7 +151,7 @@ grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::Re
             if (of_points)
                 render_points_into_answers(slot, std::span(render_requests).subspan(first, n), *context,
                                            answers);
-            else render_image(slot, render_requests[first], *context, *answers.front());
+            else render_scan_into_answer(slot, render_requests[first], *context, *answers.front());
             for (std::size_t i = 0; i < n; ++i) {
                 scans[i].set_name(request->sensors(int(first + i)).name());
                 if (!writer->Write(scans[i])) throw_deadline_or_cancelled_error(*context);

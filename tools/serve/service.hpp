@@ -44,8 +44,8 @@ private:
     RequestReader reader_;
     RenderedScanCallback on_scan_;
 
-    RenderedScan render_image(RenderQueue::QueueSlot& queue_slot, const RenderRequest& request,
-                              const grpc::ServerContext& context, v1::LidarScan& answer);
+    RenderedScan render_scan_into_answer(RenderQueue::QueueSlot& queue_slot, const RenderRequest& request,
+                                         const grpc::ServerContext& context, v1::LidarScan& answer);
     void render_points_into_answers(RenderQueue::QueueSlot& queue_slot,
                                     std::span<const RenderRequest> requests,
                                     const grpc::ServerContext& context,

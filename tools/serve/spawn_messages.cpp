@@ -42,7 +42,7 @@ void write_actors_with_too_few_surfels(const RenderRequest& request, v1::LidarSc
         const Pose dataset_from_actor =
             request.request.dataset_from_actor->at(actor.track).interpolate_pose(time_s);
         const Pose box_from_sensor = inverse(dataset_from_actor) * dataset_from_sensor;
-        const ActorModelResolution detail = compare_ray_and_surfel_count_of_actor(
+        const ActorModelResolution detail = compute_actor_model_resolution(
             rays.origin, rays.direction, box_from_sensor, actor.size_m, actor.surfels);
         if (!detail.has_too_few_surfels()) continue;
         v1::SparseActor& sparse = *message.add_sparse_actors();

@@ -70,7 +70,7 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::list_occupied
     return all;
 }
 
-std::size_t SpawnedActorRegistry::count_slots_of_scene(std::size_t scene_index) const {
+std::size_t SpawnedActorRegistry::count_spawn_slots_of_scene(std::size_t scene_index) const {
     const std::lock_guard lock(mutex_);
     return scenes_[scene_index].size();
 }
@@ -112,9 +112,9 @@ void SpawnedActorRegistry::remove_actors_and_free_slots(std::size_t scene_index,
     scenes_[scene_index] = std::move(slots);
 }
 
-void SpawnedActorRegistry::free_and_remove_new_slots(std::size_t scene_index,
-                                                     const std::vector<SpawnSlot>& slots_to_free,
-                                                     std::size_t n_slots_before) {
+void SpawnedActorRegistry::undo_actor_slot_assignment(std::size_t scene_index,
+                                                      const std::vector<SpawnSlot>& slots_to_free,
+                                                      std::size_t n_slots_before) {
     const std::lock_guard lock(mutex_);
     for (const SpawnSlot& slot : slots_to_free) scenes_[scene_index][slot.position].name.clear();
     scenes_[scene_index].resize(n_slots_before);

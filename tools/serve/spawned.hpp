@@ -64,9 +64,9 @@ public:
     void remove_actors_and_free_slots(std::size_t scene_index, const std::vector<std::string>& actor_names);
     /// Undoes assign_actors_to_slots(): frees the slots of these actors, and removes all
     /// slots from index `n_slots_before`.
-    void free_and_remove_new_slots(std::size_t scene_index, const std::vector<SpawnSlot>& slots_to_free,
-                                   std::size_t n_slots_before);
-    std::size_t count_slots_of_scene(std::size_t scene_index) const;
+    void undo_actor_slot_assignment(std::size_t scene_index, const std::vector<SpawnSlot>& slots_to_free,
+                                    std::size_t n_slots_before);
+    std::size_t count_spawn_slots_of_scene(std::size_t scene_index) const;
 
 private:
     mutable std::mutex mutex_;

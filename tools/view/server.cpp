@@ -25,8 +25,8 @@ using ErrorCode = boost::system::error_code;
 
 // Pause before the next attempt if the system has no free file descriptor.
 constexpr std::chrono::milliseconds kAcceptPause{50};
-// Interval at which reject_new_and_close_after_sending() checks whether all connections
-// are closed.
+// Interval at which reject_new_clients_and_close_after_sending() checks whether all
+// connections are closed.
 constexpr std::chrono::milliseconds kCloseLook{5};
 
 boost::asio::ip::address parse_ip_address(const std::string& address_text) {
@@ -79,7 +79,7 @@ struct WebServer::Impl {
     void start_accepting() {
         acceptor.async_accept([this](ErrorCode failed, tcp::socket socket) {
             if (!acceptor.is_open())
-                return;  // The acceptor is closed because reject_new_and_close_after_sending() was called.
+                return;  // The acceptor is closed because reject_new_clients_and_close_after_sending() was called.
             if (failed) {
                 pause.expires_after(kAcceptPause);
                 pause.async_wait([this](ErrorCode) {
@@ -121,7 +121,7 @@ WebServer::WebServer(const WebServerOptions& options, WebSocketEvents events)
     impl_->thread = std::thread([&impl = *impl_] { impl.hub.io.run(); });
 }
 
-void WebServer::reject_new_and_close_after_sending(std::chrono::milliseconds max_wait) {
+void WebServer::reject_new_clients_and_close_after_sending(std::chrono::milliseconds max_wait) {
     const auto end = std::chrono::steady_clock::now() + max_wait;
     boost::asio::post(impl_->hub.io, [&impl = *impl_] {
         ErrorCode ignored;

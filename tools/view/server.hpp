@@ -77,8 +77,9 @@ public:
     /// Starts to listen and to answer requests.
     /// @throws UsageError if the address or the port is not available
     WebServer(const WebServerOptions& options, WebSocketEvents events);
-    /// Closes all connections immediately. Call reject_new_and_close_after_sending()
-    /// first, if queued messages should still be sent.
+    /// Closes all connections immediately. Call
+    /// reject_new_clients_and_close_after_sending() first, if queued messages should
+    /// still be sent.
     ~WebServer();
     WebServer(const WebServer&) = delete;
     WebServer& operator=(const WebServer&) = delete;
@@ -99,7 +100,7 @@ public:
     void send_messages_unless_client_is_slow(ClientId client_id, std::vector<std::string> messages);
     /// Rejects new connections. Closes each WebSocket after its queued messages are sent.
     /// @param max_wait longest time to wait until the messages are sent
-    void reject_new_and_close_after_sending(std::chrono::milliseconds max_wait);
+    void reject_new_clients_and_close_after_sending(std::chrono::milliseconds max_wait);
 
 private:
     struct Impl;

@@ -57,7 +57,7 @@ public:
     /// Renames the temporary folder to its final name. If a folder with this name exists,
     /// it is replaced only if it is empty.
     /// @throws DataError if the name is in use, or the folder cannot be renamed
-    void move_folder_unless_name_is_used() const;
+    void move_folder_without_replacing_existing() const;
 
 private:
     std::filesystem::path final_path_, path_;

@@ -128,7 +128,7 @@ public:
     /// so far. The caller may reset it to 0. Null with GradientReduction::atomics. If a
     /// batch has more hits than get_hit_capacity(), the gradients of the additional hits
     /// are summed with atomics. Then two runs are not bit-equal.
-    const Array<std::uint32_t>* get_device_max_hit_count() const;
+    const Array<std::uint32_t>* get_max_hit_count_on_device() const;
     std::uint64_t get_hit_capacity() const;
     /// Allocates memory for at least n_hits hits of a batch. Waits until the stream is
     /// idle.

@@ -67,10 +67,10 @@ public:
     /// Number of rays that had too many hits to be traced completely, [1] on the device.
     /// The count grows until the caller sets it to 0. The host can copy it without
     /// waiting.
-    const Array<std::uint32_t>& get_device_truncated_ray_count() const;
+    const Array<std::uint32_t>& get_truncated_ray_count_on_device() const;
     /// Number of rays with more hits than are stored for the backward pass, [1] on the
     /// device. The count grows until the caller sets it to 0.
-    const Array<std::uint32_t>& get_device_hit_overflow_ray_count() const;
+    const Array<std::uint32_t>& get_hit_overflow_ray_count_on_device() const;
     void set_sh_degree(int degree);
 
 private:

@@ -104,16 +104,16 @@ struct StoredRayHits {
     /// Allocates memory for the hits.
     /// @param n_threads number of threads that trace the largest batch
     StoredRayHits(Device& device, std::size_t n_threads, std::uint32_t hits_per_ray)
-        : hits(device, round_up_to_interleaved_threads(n_threads) * hits_per_ray, "kept hits"),
+        : hits(device, round_up_to_interleave_group_size(n_threads) * hits_per_ray, "kept hits"),
           per_ray(hits_per_ray) {}
     /// Rounds a number of threads up to a multiple of RELIDAR_SIDE_BY_SIDE. The hits of
     /// that many neighbouring threads are interleaved in memory.
-    static std::size_t round_up_to_interleaved_threads(std::size_t n_threads) {
+    static std::size_t round_up_to_interleave_group_size(std::size_t n_threads) {
         return (n_threads + RELIDAR_SIDE_BY_SIDE - 1) / RELIDAR_SIDE_BY_SIDE * RELIDAR_SIDE_BY_SIDE;
     }
     /// Returns true if the buffer is large enough for the hits of a batch.
     bool can_store_hits(const RayBatch& batch) const {
-        return round_up_to_interleaved_threads(count_trace_threads(batch)) * per_ray <= hits.size();
+        return round_up_to_interleave_group_size(count_trace_threads(batch)) * per_ray <= hits.size();
     }
 };
 

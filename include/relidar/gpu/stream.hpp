@@ -94,9 +94,9 @@ public:
     /// unchanged.
     void reserve(Device& device, std::size_t count, const std::string& description) {
         if (count <= n_) return;
-        Array larger(device, count, description);
-        if (n_) larger.buffer_.copy_from(buffer_, n_ * sizeof(T));
-        *this = std::move(larger);
+        Array larger_array(device, count, description);
+        if (n_) larger_array.buffer_.copy_from(buffer_, n_ * sizeof(T));
+        *this = std::move(larger_array);
     }
 
 private:

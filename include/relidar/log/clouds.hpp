@@ -114,8 +114,8 @@ void undo_motion_compensation(LidarPoints& points, const PoseTrack& world_from_s
 /// Returns the pose with this rotation and translation.
 /// @param error_location  file and field, for the error message
 /// @throws DataError if the matrix is not a rotation within 1e-3
-Pose make_pose_from_checked_rotation(const glm::dmat3& rotation, const glm::dvec3& translation,
-                                     const std::string& error_location);
+Pose check_rotation_and_make_pose(const glm::dmat3& rotation, const glm::dvec3& translation,
+                                  const std::string& error_location);
 
 /// Appends a frame with an empty scan to the sequence. Also appends the vehicle's pose at
 /// this time, if no frame of another LiDAR with the same time has added it before.

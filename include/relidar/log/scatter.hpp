@@ -78,7 +78,7 @@ double find_quantisation_step(std::vector<float> values);
 /// measured intensities decreases. The result does not depend on the number of threads.
 /// @return an empty tree if there are fewer than a thousand returns
 /// @throws DataError if an array has another size than its image
-IntensityScatterModel fit_intensity_scatter(std::span<const PairedIntensities> images);
+IntensityScatterModel fit_intensity_scatter_model(std::span<const PairedIntensities> images);
 
 /// Draws random intensities that a sensor could have measured. Processes the rays beam by
 /// beam from top to bottom, because an intensity also depends on the intensities of

@@ -26,14 +26,14 @@ namespace relidar {
 /// Arrays beyond the limit are stored in an unnamed file, which disappears when the
 /// process ends. Until this function is called, the memory is unlimited.
 /// @param max_bytes  0: half of the memory of the machine or of the control group,
-/// divided by the number of processes (set_scan_process_count())
+/// divided by the number of processes (divide_scan_memory_among_processes())
 /// @param overflow_folder  folder of the file; the file is created when the first array
 /// needs it
 void store_scans_above_limit_in_file(std::uint64_t max_bytes, const std::filesystem::path& overflow_folder);
 
 /// Sets the number of processes on this machine that load scans. These processes share
 /// the memory limit. The default is one process.
-void set_scan_process_count(int n_processes);
+void divide_scan_memory_among_processes(int n_processes);
 
 /// Memory used by the arrays of all scans, in bytes. Arrays below 16 KiB are not counted.
 struct ScanMemoryUse {

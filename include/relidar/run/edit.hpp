@@ -69,9 +69,9 @@ std::optional<double> measure_ground_clearance(const SceneWithLogView& actor_sce
 /// @param actor_scene scene that contains the actor
 /// @throws UsageError naming the position if the background has no level surface below
 /// the start
-NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& scene_and_log,
-                                             const GroundPlacement& ground_place,
-                                             const SceneWithLogView& actor_scene, const std::string& track);
+NewActorMotion compute_actor_motion_on_ground(const SceneWithLogView& scene_and_log,
+                                              const GroundPlacement& ground_place,
+                                              const SceneWithLogView& actor_scene, const std::string& track);
 
 /// Removes an actor and its track. Rays then hit the surfaces behind the actor.
 /// @throws UsageError if no instance has this track. The message suggests the most
@@ -139,8 +139,8 @@ struct ActorModelResolution {
 /// @param lidar_index index in LidarSequence::lidars
 /// @return result with 0 rays if no ray of the LiDAR hits the actor, or if the rays of
 /// the LiDAR are unknown
-ActorModelResolution compare_ray_and_surfel_count_of_actor(const SceneWithLog& scene_and_log,
-                                                           const std::string& track, int lidar_index = 0);
+ActorModelResolution compute_actor_model_resolution(const SceneWithLog& scene_and_log,
+                                                    const std::string& track, int lidar_index = 0);
 
 /// Compares the number of an actor's surfels with the number of given rays that hit its
 /// box. All rays are fired from one pose of the sensor.
@@ -148,10 +148,10 @@ ActorModelResolution compare_ray_and_surfel_count_of_actor(const SceneWithLog& s
 /// @param ray_directions [n,3] directions of the rays, sensor frame
 /// @param box_from_sensor pose of the sensor in the frame of the box
 /// @param size_m [3] size of the box, metres
-ActorModelResolution compare_ray_and_surfel_count_of_actor(std::span<const glm::vec3> ray_origins,
-                                                           std::span<const glm::vec3> ray_directions,
-                                                           const Pose& box_from_sensor,
-                                                           const glm::dvec3& size_m, std::size_t n_surfels);
+ActorModelResolution compute_actor_model_resolution(std::span<const glm::vec3> ray_origins,
+                                                    std::span<const glm::vec3> ray_directions,
+                                                    const Pose& box_from_sensor, const glm::dvec3& size_m,
+                                                    std::size_t n_surfels);
 
 /// Reads a trajectory from a CSV file. A header line names the columns in any order:
 /// time_s, x, y, z, yaw_deg or yaw_rad, and optionally pitch and roll in either unit.

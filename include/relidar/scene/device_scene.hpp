@@ -198,9 +198,9 @@ inline constexpr const char* kPrimitiveKey = "primitive";
 /// @param primitive_key metadata key of the primitive
 /// @param has_array returns true if the file has an array with the given name
 /// @throws DataError if the key is missing or its value is not a primitive
-SurfelParameterSet read_parameter_set(const std::map<std::string, std::string>& metadata,
-                                      const std::string& primitive_key,
-                                      const std::function<bool(const char*)>& has_array);
+SurfelParameterSet read_surfel_parameter_set(const std::map<std::string, std::string>& metadata,
+                                             const std::string& primitive_key,
+                                             const std::function<bool(const char*)>& has_array);
 /// Returns the number of floats that the parameters of one surfel have in total.
 constexpr std::uint32_t count_floats_per_surfel(SurfelParameterSet parameter_set) {
     std::uint32_t sum = 0;
@@ -237,7 +237,7 @@ public:
     /// cannot read the length of the list without waiting. Therefore the number is
     /// constant, and each thread processes several rows if necessary.
     /// @param max_touched_rows length of the longest possible list
-    std::size_t choose_threads_for_touched_rows(std::size_t max_touched_rows) const;
+    std::size_t choose_thread_count_for_touched_rows(std::size_t max_touched_rows) const;
 
 private:
     struct Impl;
@@ -269,8 +269,8 @@ struct ActivationGradients {
         true;  ///< If true, record_surfel_record_backpropagation() writes zeros for surfels without a gradient.
     /// If true, `touched` is also an input: 0 for each surfel that no ray has hit,
     /// otherwise 1. A surfel with 0 has no gradient. It is skipped if zero_untouched is
-    /// false and can_skip_untouched_surfels() returns true. Then nothing is written for
-    /// it, not even to d_view.
+    /// false and can_skip_surfels_without_gradient() returns true. Then nothing is
+    /// written for it, not even to d_view.
     bool touched_is_marked = false;
 };
 
@@ -314,7 +314,7 @@ public:
     /// Returns true if record_surfel_record_backpropagation() can skip surfels that have
     /// no gradient. This is the case on CPU devices. On a GPU, no thread can be left out,
     /// because all threads copy SH coefficients through shared memory together.
-    bool can_skip_untouched_surfels() const;
+    bool can_skip_surfels_without_gradient() const;
     /// Records the kernel that converts gradients with respect to the SurfelRecords to
     /// gradients with respect to the parameters (chain rule). With ShDirection::surfel,
     /// it also writes the gradients of the SH coefficients. With ShDirection::ray, the

@@ -113,7 +113,7 @@ struct Surfels {
     SurfelParameterSet get_parameter_set() const { return {primitive, bends}; }
     void resize(std::size_t count) { resize(count, get_parameter_set()); }
     void resize(std::size_t count, SurfelParameterSet parameter_set);
-    void add_gait_without_motion();  ///< Adds a gait without motion to all surfels if they have no gait.
+    void add_motionless_gait();  ///< Adds a gait without motion to all surfels if they have no gait.
     /// Appends surfels. An empty set adopts the primitive type of `other`. If one set has
     /// walking motions (`gait`) and the other does not, sets the missing ones to zero.
     /// @throws DataError if the primitive types differ
@@ -375,8 +375,8 @@ std::vector<BoxTrack> find_boxes_without_model(const Scene& scene, const LidarSe
                                                const SceneInitialisationOptions& options);
 /// Returns the moving boxes that are removed from the background and not selected as
 /// actors. Does not need a trained scene.
-std::vector<BoxTrack> find_unselected_moving_boxes(const LidarSequence& sequence,
-                                                   const SceneInitialisationOptions& options);
+std::vector<BoxTrack> find_moving_boxes_not_selected_as_actors(const LidarSequence& sequence,
+                                                               const SceneInitialisationOptions& options);
 /// Returns a list of track ids and classes, at most eight: "3 (Pedestrian), 7 (Tram)".
 std::string format_box_list(const std::vector<BoxTrack>& boxes);
 

@@ -32,7 +32,7 @@ struct ActorObservations {
 /// Returns the surface of an actor's box. The patches that rays of the log have hit are
 /// marked as observed.
 /// @param box_size_m [3] size of the box
-ObservedBoxSurface mark_observed_box_surface(const glm::dvec3& box_size_m,
+ObservedBoxSurface make_observed_box_surface(const glm::dvec3& box_size_m,
                                              const ActorObservations& observations);
 /// Returns the points at which rays of the log hit each actor, by track. Renders the
 /// training frames again with the log's LiDARs at their original poses. An object that

@@ -165,7 +165,7 @@ glm::dvec3 get_first_vehicle_position(const LidarSequence& sequence);
 
 /// Returns the values from which random intensities are drawn: rendered intensity, range,
 /// spread, incidence and elevation of each ray.
-RenderedIntensityImage copy_inputs_of_random_intensities(const RenderedScan& scan);
+RenderedIntensityImage make_rendered_intensity_image(const RenderedScan& scan);
 
 /// Replaces the expected values of a scan by one random sample. A ray returns with
 /// probability 1 - drop_prob, independently of other rays. Random noise is added to the
@@ -322,7 +322,7 @@ public:
     /// this model. Other scans round intensities to the quantisation steps of the log.
     /// @param scatter [lidars] if the model of a LiDAR is missing or empty, its
     /// intensities are as rendered
-    void set_intensity_scatter(const std::vector<IntensityScatterModel>& scatter);
+    void set_intensity_scatter_models(const std::vector<IntensityScatterModel>& scatter);
     /// Sets the weather of all following scans. Its random numbers use the seed that is
     /// passed to render() as `sample`, or the seed 0 if none is passed. Scans with
     /// weather have the channel `source` (cause of each return).

@@ -93,7 +93,7 @@ ScanOutputOptions make_default_output_options(const TrainedRun& run, const Simul
 /// point is in the sensor frame at its firing time. Points share a frame in three cases:
 /// world frame, `deskew` (sensor frame at one time, in recordings the time stamp of the
 /// message), or rays that are all fired at the same time.
-bool are_points_in_one_frame(const ScanOutputOptions& output_options);
+bool are_points_in_one_coordinate_frame(const ScanOutputOptions& output_options);
 /// Sets the topic and the frame id of a sensor in recordings to /lidar/NAME/points and
 /// NAME. In the topic, NAME is converted by make_valid_topic_name(). An empty name gives
 /// /lidar/points and lidar.
@@ -144,7 +144,7 @@ public:
     /// @param scans  a scan for each sensor, all of the same sweep
     /// @throws DataError if times decrease or a file cannot store them
     void write_scans(std::span<const RenderedScan> scans);
-    void finish_recordings();
+    void finish_recording_files();
     /// Returns the names of the files.
     std::vector<std::string> list_file_names() const;
 
@@ -215,7 +215,8 @@ public:
     /// both processes write scans to it. Removes no files.
     /// @throws UsageError for a recording, because only one process can write it
     /// @throws errors of the constructor
-    static ScanFolderWriter open_shared_folder(std::filesystem::path folder, ScanOutputOptions format);
+    static ScanFolderWriter open_folder_of_other_process(std::filesystem::path folder,
+                                                         ScanOutputOptions format);
     /// Writes the files of a scan.
     /// @param frame_number  number of the frame
     /// @throws DataError if a file cannot be written
@@ -239,7 +240,8 @@ private:
     std::vector<std::string> entries_;
     std::vector<ChannelInfo> channels_;  ///< channels of the scans, in addition to the basic ones
     /// Recordings of the scans. A shared pointer, so that a ScanFolderWriter can be
-    /// moved. Null if open_shared_folder() has opened the folder of another process.
+    /// moved. Null if open_folder_of_other_process() has opened the folder of another
+    /// process.
     std::shared_ptr<ScanRecordingsWriter> recordings_;
 
     /// returns true if `output_options` is one of ScanOutputOptions::formats

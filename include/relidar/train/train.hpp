@@ -230,7 +230,7 @@ void require_network_training_is_resumable(const Checkpoint& checkpoint, const T
 /// @throws UsageError for a setting that this version does not know
 void copy_network_settings_into_config(const Checkpoint& checkpoint, Config& config);
 
-/// Callbacks of fit_intensity_scatter_per_lidar(), which estimates the scatter of
+/// Callbacks of fit_intensity_scatter_model_per_lidar(), which estimates the scatter of
 /// intensities.
 struct ScatterFitCallbacks {
     ProgressReporter progress = {};
@@ -243,8 +243,8 @@ struct ScatterFitCallbacks {
 /// contain the measured scans of these frames.
 /// @return [lidars] models. A model is empty if its LiDAR has too few returns. The vector
 /// is empty if ScatterFitCallbacks::stop has stopped the fit
-std::vector<IntensityScatterModel> fit_intensity_scatter_per_lidar(Device& device, const TrainedRun& run,
-                                                                   const ScatterFitCallbacks& session = {});
+std::vector<IntensityScatterModel> fit_intensity_scatter_model_per_lidar(
+    Device& device, const TrainedRun& run, const ScatterFitCallbacks& session = {});
 
 /// Reason why a training ended: all steps are done, or a callback stopped it.
 enum class TrainingEndReason { finished, stopped };

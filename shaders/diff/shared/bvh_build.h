@@ -25,8 +25,7 @@ RELIDAR_POINTER(Uvec2s, uvec2);
 /// Parameters of accel/bvh_bounds.comp, which computes the bounds of each model. Surfels
 /// that no ray can hit are ignored.
 struct BvhBoundsParams {
-    // Input [n,6] in m: box of each surfel. A surfel that can never be hit has an empty
-    // box.
+    // Input [n,6] in m: box of each surfel, empty for a surfel that no ray can hit.
     RELIDAR_OF(Floats, SurfelBoxes) boxes;
     Models models;  // input [n_models]
     // Bounds of the centres of the surfel boxes of each model, [n_models,6]: min x, min
@@ -95,8 +94,7 @@ struct BvhWide {
     RELIDAR_OF(Uints, LeafOrder) order;   // [n]
     RELIDAR_OF(Uvec2s, WideLinks) links;  // [bound] parent or NO_NODE, first surfel of the model
     RELIDAR_OF(Floats, WideBoxes) boxes;  // [bound,6] m: box of the node before quantisation
-    // For each of `bound` nodes: number of its child nodes whose boxes are up to date.
-    // Always 0 between launches.
+    // [bound] number of child nodes whose boxes are up to date; 0 between launches
     RELIDAR_OF(Uints, Arrivals) arrivals;
     RELIDAR_OF(Uints, WideCount) count;  // [1] number of nodes in use
 };
@@ -110,8 +108,7 @@ struct BvhWideParams {
     // tree level, roots first. Has `bound` entries, the maximum number of wide nodes.
     RELIDAR_OF(Uints, BinaryRoots) queue;
     // Children of each wide node, [bound,8]. Row i belongs to the wide node that replaces
-    // binary node queue[i]. Unused entries are RELIDAR_BVH_NO_NODE. `bound` is the
-    // maximum number of wide nodes.
+    // binary node queue[i]. Unused entries are RELIDAR_BVH_NO_NODE.
     RELIDAR_OF(Uints, WideSlots) slots;
     // Number of nodes in `queue` on each level of the trees, [levels + 1], initially 0.
     // The entry of level 0 stays 0, because the number of roots is always n_models.

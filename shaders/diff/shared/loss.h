@@ -67,8 +67,7 @@ struct ChamferPointsParams {
     Rays rays;              // input
     RenderedRays rendered;  // input [n_rays]
     Targets targets;        // input
-    // Output [n_rays] in m: simulated points, relative to the origin of the first ray of
-    // the batch.
+    // Output [n_rays], m: simulated points relative to the origin of the first ray.
     RELIDAR_OF(Vec3s, SimulatedPoints) simulated;
     RELIDAR_OF(Vec3s, MeasuredPoints) measured;  // output [n_rays]
     RELIDAR_OF(Floats, PointCounts) counts;      // accumulated [2] simulated, measured points

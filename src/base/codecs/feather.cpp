@@ -264,7 +264,7 @@ const Feather::Column& Feather::find_column(const std::string& column_name) cons
 }
 
 template <class Task>
-auto Feather::read_column_with_error_location(const std::string& column_name, const Task& task) const {
+auto Feather::run_column_task_with_error_location(const std::string& column_name, const Task& task) const {
     try {
         return task(find_column(column_name));
     } catch (const DataError& error) {
@@ -273,7 +273,7 @@ auto Feather::read_column_with_error_location(const std::string& column_name, co
 }
 
 std::vector<double> Feather::read_number_column(const std::string& column_name) const {
-    return read_column_with_error_location(column_name, [&](const Column& column) {
+    return run_column_task_with_error_location(column_name, [&](const Column& column) {
         const ArrowField::Type& type = column.field.type;
         if (type.kind == ArrowValueKind::text || column.field.dictionary)
             throw DataError("found text, expected numbers");
@@ -290,7 +290,7 @@ std::vector<double> Feather::read_number_column(const std::string& column_name) 
 }
 
 std::vector<std::int64_t> Feather::read_integer_column(const std::string& column_name) const {
-    return read_column_with_error_location(column_name, [&](const Column& column) {
+    return run_column_task_with_error_location(column_name, [&](const Column& column) {
         if (column.field.type.kind != ArrowValueKind::integer || column.field.dictionary)
             throw DataError("found values that are not integers, expected integers");
         std::vector<std::int64_t> values;
@@ -300,7 +300,7 @@ std::vector<std::int64_t> Feather::read_integer_column(const std::string& column
 }
 
 std::vector<std::string> Feather::read_text_column(const std::string& column_name) const {
-    return read_column_with_error_location(column_name, [&](const Column& column) {
+    return run_column_task_with_error_location(column_name, [&](const Column& column) {
         if (column.field.type.kind != ArrowValueKind::text) throw DataError("found numbers, expected text");
         const std::size_t most = kMostText * bytes_.size();
         std::vector<std::string> values;

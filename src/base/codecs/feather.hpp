@@ -65,7 +65,7 @@ private:
     /// Runs a task that reads a column. If the task throws a DataError, adds the names of
     /// file and column to its message.
     template <class Task>
-    auto read_column_with_error_location(const std::string& column_name, const Task& task) const;
+    auto run_column_task_with_error_location(const std::string& column_name, const Task& task) const;
 };
 
 }  // namespace relidar

@@ -57,7 +57,7 @@ StagedFolder::~StagedFolder() {
     fs::remove_all(path_, failed);
 }
 
-void StagedFolder::move_folder_unless_name_is_used() const {
+void StagedFolder::move_folder_without_replacing_existing() const {
     // rename() replaces an empty folder. It fails if anything else exists at the
     // destination.
     if (::rename(path_.c_str(), final_path_.c_str()) == 0) return;

@@ -104,11 +104,11 @@ void AccelerationStructure::record_top_level_bvh_update(Stream& stream, const De
 void AccelerationStructure::record_bvh_cost_measurement(Stream& stream) {
     Impl& a = *impl_;
     if (!a.software || !a.built) return;
-    if (const std::optional<double> cost = a.software->read_tree_cost(stream); cost && a.measured) {
+    if (const std::optional<double> cost = a.software->read_traversal_cost(stream); cost && a.measured) {
         if (a.cost_when_built <= 0.0) a.cost_when_built = *cost;
         a.outgrown = *cost > double(a.options.rebuild_growth) * a.cost_when_built;
     }
-    a.software->record_tree_cost_measurement(stream);
+    a.software->record_traversal_cost_measurement(stream);
     a.measured = true;
 }
 

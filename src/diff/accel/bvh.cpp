@@ -377,7 +377,7 @@ HostBvhCopy Bvh::download_bvh() const {
     return host;
 }
 
-void Bvh::record_tree_cost_measurement(Stream& stream) {
+void Bvh::record_traversal_cost_measurement(Stream& stream) {
     Impl& b = *impl_;
     run(stream, b.cost_kernel, b.bound,
         {.wide = b.get_wide_bvh_gpu_addresses(),
@@ -387,7 +387,7 @@ void Bvh::record_tree_cost_measurement(Stream& stream) {
     b.costs.record_copy_to_host(stream, b.cost_sums.buffer(), b.cost_sums.size() * sizeof(float));
 }
 
-std::optional<double> Bvh::read_tree_cost(Stream& stream) {
+std::optional<double> Bvh::read_traversal_cost(Stream& stream) {
     Impl& b = *impl_;
     if (!b.costs.has_pending_copy()) return std::nullopt;
     const float* sums = static_cast<const float*>(b.costs.wait_for_copied_bytes(stream));

@@ -56,11 +56,11 @@ public:
 
     shared::BvhPointers get_bvh_gpu_addresses() const;
     /// Submits a kernel that computes the traversal cost of all trees (surface area
-    /// heuristic, m^2). read_tree_cost() waits for the cost and returns it. It returns
-    /// nothing if no measurement was recorded. A rebuild is useful if the cost is much
-    /// higher than after the last build.
-    void record_tree_cost_measurement(Stream& stream);
-    std::optional<double> read_tree_cost(Stream& stream);
+    /// heuristic, m^2). read_traversal_cost() waits for the cost and returns it. It
+    /// returns nothing if no measurement was recorded. A rebuild is useful if the cost is
+    /// much higher than after the last build.
+    void record_traversal_cost_measurement(Stream& stream);
+    std::optional<double> read_traversal_cost(Stream& stream);
     /// Copies the BVH to the host, for tests. Waits for the device. The caller must have
     /// submitted all recorded commands.
     HostBvhCopy download_bvh() const;

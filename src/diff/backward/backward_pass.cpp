@@ -72,7 +72,7 @@ struct BackwardPass::Impl {
         : model(m),
           options(o),
           trace(device, "diff/backward/trace",
-                choose_float_add_kernel_variant(device, get_traversal_kernel_variant(device)),
+                choose_atomic_float_add_kernel_variant(device, get_traversal_kernel_variant(device)),
                 make_backward_kernel_constants(device, m, proxy, o, backward)),
           poses(device),
           gather(should_sum_gradients_without_atomics(device, backward.reduction, m.sh_direction)
@@ -92,7 +92,7 @@ BackwardPass::BackwardPass(Device& device, const ImageFormationModel& model, Pro
 
 BackwardPass::~BackwardPass() = default;
 void BackwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
-const Array<std::uint32_t>* BackwardPass::get_device_max_hit_count() const {
+const Array<std::uint32_t>* BackwardPass::get_max_hit_count_on_device() const {
     return impl_->gather ? &impl_->gather->get_max_hit_count_array() : nullptr;
 }
 std::uint64_t BackwardPass::get_hit_capacity() const {
@@ -112,7 +112,7 @@ void BackwardPass::record_backward_pass(Stream& stream, DeviceScene& scene,
     RELIDAR_ASSERT_LE(16 * std::size_t(scene.count_gradient_rows()), gradients.records.size());
     const ImageFormationModel& model = impl_->model;
     const bool has_pose_gradients = gradients.poses.size() > 0,
-               lists = scene.can_skip_untouched_surfels() && !gradients.zero_untouched;
+               lists = scene.can_skip_surfels_without_gradient() && !gradients.zero_untouched;
     shared::BackwardParams params{};
     params.scene =
         make_trace_scene_params(scene, accel, batch.rays, model, impl_->options, impl_->pass_cap.address());

@@ -203,10 +203,10 @@ DensifyReport Densifier::Impl::densify_surfels(Stream& stream, DeviceScene& scen
         stream.submit_and_wait();
         return report;
     }
-    arrays.compute_new_row_indices(stream, plan, before);
-    arrays.move_surfels_to_new_rows(stream, scene.get_surfel_parameters(), false, plan.size());
-    arrays.move_surfels_to_new_rows(stream, adam.get_first_moments(), true, plan.size());
-    arrays.move_surfels_to_new_rows(stream, adam.get_second_moments(), true, plan.size());
+    arrays.compute_new_surfel_indices(stream, plan, before);
+    arrays.move_surfels_to_new_indices(stream, scene.get_surfel_parameters(), false, plan.size());
+    arrays.move_surfels_to_new_indices(stream, adam.get_first_moments(), true, plan.size());
+    arrays.move_surfels_to_new_indices(stream, adam.get_second_moments(), true, plan.size());
     relidar::run(stream, spawn, before,
                  {.surfels = get_surfel_pointers(scene.get_surfel_parameters()),
                   .action = arrays.action.address(),
@@ -214,7 +214,7 @@ DensifyReport Densifier::Impl::densify_surfels(Stream& stream, DeviceScene& scen
                   .starts = arrays.starts.address(),
                   .n_surfels = before,
                   .key = static_cast<std::uint32_t>(compute_random_key(RandomPurpose::classify, step))});
-    arrays.move_statistics_to_new_rows(stream);
+    arrays.move_statistics_to_new_indices(stream);
     stream.submit_and_wait();
     scene.set_models(plan.assign_new_surfel_ranges(scene.get_scene_layout().models, counted));
     return report;

@@ -52,8 +52,8 @@ std::size_t SurfelReorderer::compute_bytes_per_surfel() const {
     return 4 * (count_floats_per_surfel(scratch_surfels_.get_parameter_set()) + 6 + 2 * statistics.n_words);
 }
 
-void SurfelReorderer::compute_new_row_indices(Stream& stream, const GrowthPlan& plan,
-                                              std::uint32_t n_surfels_before) {
+void SurfelReorderer::compute_new_surfel_indices(Stream& stream, const GrowthPlan& plan,
+                                                 std::uint32_t n_surfels_before) {
     RELIDAR_ASSERT_LE(std::max(n_surfels_before, plan.size()), capacity());
     before_ = n_surfels_before;
     prefix_sum_.run(stream, {.address = weight.address().cast_meaning<shared::ScanCounts>()},
@@ -72,8 +72,8 @@ void SurfelReorderer::compute_new_row_indices(Stream& stream, const GrowthPlan& 
 }
 
 template <class T>
-void SurfelReorderer::move_rows_and_swap(Stream& stream, Array<T>& rows, Array<T>& scratch_rows,
-                                         std::uint32_t words_per_row, bool zero_new_rows) {
+void SurfelReorderer::move_rows_to_scratch_and_swap(Stream& stream, Array<T>& rows, Array<T>& scratch_rows,
+                                                    std::uint32_t words_per_row, bool zero_new_rows) {
     run(stream, move_, before_,
         {.from = rows.template address_as<std::uint32_t, shared::OldRows>(),
          .to = scratch_rows.template address_as<std::uint32_t, shared::NewRows>(),
@@ -86,16 +86,18 @@ void SurfelReorderer::move_rows_and_swap(Stream& stream, Array<T>& rows, Array<T
     std::swap(rows, scratch_rows);
 }
 
-void SurfelReorderer::move_surfels_to_new_rows(Stream& stream, SurfelArrays& surfel_arrays,
-                                               bool zero_new_rows, std::uint32_t n_surfels_after) {
+void SurfelReorderer::move_surfels_to_new_indices(Stream& stream, SurfelArrays& surfel_arrays,
+                                                  bool zero_new_rows, std::uint32_t n_surfels_after) {
     for (const SurfelParameterGroup& group : list_parameter_groups(surfel_arrays.get_parameter_set()))
-        move_rows_and_swap(stream, group.mutable_device(surfel_arrays),
-                           group.mutable_device(scratch_surfels_), group.count_floats(), zero_new_rows);
+        move_rows_to_scratch_and_swap(stream, group.mutable_device(surfel_arrays),
+                                      group.mutable_device(scratch_surfels_), group.count_floats(),
+                                      zero_new_rows);
     surfel_arrays.n = n_surfels_after;
 }
 
-void SurfelReorderer::move_statistics_to_new_rows(Stream& stream) {
-    move_rows_and_swap<std::uint32_t>(stream, statistics.frames, scratch_frames_, statistics.n_words, false);
+void SurfelReorderer::move_statistics_to_new_indices(Stream& stream) {
+    move_rows_to_scratch_and_swap<std::uint32_t>(stream, statistics.frames, scratch_frames_,
+                                                 statistics.n_words, false);
     reset_gradient_sums(stream);
 }
 

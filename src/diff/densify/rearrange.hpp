@@ -25,16 +25,16 @@ public:
     /// Submits the kernels that decide which surfels are copied, and compute the new
     /// array index of each surfel. Reads `action` and `weight`.
     /// @param n_surfels_before number of surfels before surfels are added and removed
-    void compute_new_row_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_surfels_before);
+    void compute_new_surfel_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_surfels_before);
     /// Submits the kernels that move the rows of all arrays in `surfel_arrays` to the new
     /// positions of the surfels.
     /// @param zero_new_rows true: values of new and changed surfels are set to zero
     /// @param n_surfels_after number of surfels after the densification
-    void move_surfels_to_new_rows(Stream& stream, SurfelArrays& surfel_arrays, bool zero_new_rows,
-                                  std::uint32_t n_surfels_after);
+    void move_surfels_to_new_indices(Stream& stream, SurfelArrays& surfel_arrays, bool zero_new_rows,
+                                     std::uint32_t n_surfels_after);
     /// Submits the kernels that move the per-surfel statistics to the new array indices.
     /// Resets all statistics except the frames in which a surfel was visible.
-    void move_statistics_to_new_rows(Stream& stream);
+    void move_statistics_to_new_indices(Stream& stream);
     /// Submits commands that reset the sums of gradient norms and the numbers of batches
     /// to zero.
     void reset_gradient_sums(Stream& stream);
@@ -44,7 +44,7 @@ public:
     Array<std::uint32_t, shared::DensifyActions> action;
     Array<std::uint32_t, shared::GrowthWeights> weight;
     /// [n] index of each surfel after the densification. Copies of a surfel get the next
-    /// indices. Before compute_new_row_indices() computes these indices, it uses the
+    /// indices. Before compute_new_surfel_indices() computes these indices, it uses the
     /// array for the prefix sums of `weight`.
     Array<std::uint32_t, shared::RowStarts> starts;
     Array<std::uint32_t, shared::RowCounts> n_rows;
@@ -59,8 +59,8 @@ private:
     std::uint32_t before_ = 0;
 
     template <class T>
-    void move_rows_and_swap(Stream& stream, Array<T>& rows, Array<T>& scratch_rows,
-                            std::uint32_t words_per_row, bool zero_new_rows);
+    void move_rows_to_scratch_and_swap(Stream& stream, Array<T>& rows, Array<T>& scratch_rows,
+                                       std::uint32_t words_per_row, bool zero_new_rows);
 };
 
 }  // namespace relidar

@@ -78,8 +78,8 @@ void ForwardPass::record_forward_pass(Stream& stream, const DeviceScene& scene,
     relidar::run(stream, impl_->trace, count_trace_threads(batch), params);
 }
 
-const Array<std::uint32_t>& ForwardPass::get_device_truncated_ray_count() const { return impl_->pass_cap; }
-const Array<std::uint32_t>& ForwardPass::get_device_hit_overflow_ray_count() const {
+const Array<std::uint32_t>& ForwardPass::get_truncated_ray_count_on_device() const { return impl_->pass_cap; }
+const Array<std::uint32_t>& ForwardPass::get_hit_overflow_ray_count_on_device() const {
     return impl_->n_overfull;
 }
 

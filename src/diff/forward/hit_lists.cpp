@@ -83,7 +83,7 @@ bool HitListTracer::has_hit_list_overflowed(Stream& stream) {
 /// (`kept_hits`) if it is large enough.
 shared::HitLists HitListTracer::reserve_hit_lists(Stream& stream, std::size_t n_threads,
                                                   const StoredRayHits* kept_hits) {
-    const std::size_t n = StoredRayHits::round_up_to_interleaved_threads(n_threads);
+    const std::size_t n = StoredRayHits::round_up_to_interleave_group_size(n_threads);
     if (n > kMostLists) return {};
     if (has_hit_list_overflowed(stream)) {
         hits_per_list_ = std::min(2 * hits_per_list_, max_hits_per_list_);

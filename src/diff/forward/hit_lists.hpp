@@ -41,7 +41,7 @@ public:
     /// enough, lists use the same memory, which avoids a copy
     void render_with_hit_lists(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
                                const StoredRayHits* kept_hits = nullptr);
-    std::uint32_t get_hits_per_list() const { return hits_per_list_; }  ///< capacity of a list in hits
+    std::uint32_t get_hit_list_capacity() const { return hits_per_list_; }  ///< capacity of a list in hits
 
 private:
     Device& device_;

@@ -71,10 +71,10 @@ struct ChamferLoss::Impl {
           nearest_simulated(device, count, "nearest simulated points"),
           d_nearest_simulated(device, 2 * count, "gradients of nearest points"),
           counts(device, 2, "points"),
-          points(device, "diff/loss/chamfer_points", choose_float_add_kernel_variant(device)),
+          points(device, "diff/loss/chamfer_points", choose_atomic_float_add_kernel_variant(device)),
           boxes(device, "diff/loss/chamfer_boxes"),
           nearest(device, "diff/loss/chamfer_nearest"),
-          chamfer(device, "diff/loss/chamfer", choose_float_add_kernel_variant(device)),
+          chamfer(device, "diff/loss/chamfer", choose_atomic_float_add_kernel_variant(device)),
           vjp(device, "diff/loss/chamfer_vjp") {}
 
     void compute_tile_bounds(Stream& stream, const TiledPointCloud& cloud,

@@ -23,8 +23,8 @@ struct ImageLoss::Impl {
 
 ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays)
     : impl_(new Impl{weights,
-                     {device, "diff/loss/image_loss", choose_float_add_kernel_variant(device)},
-                     {device, "diff/loss/ssim", choose_float_add_kernel_variant(device)},
+                     {device, "diff/loss/image_loss", choose_atomic_float_add_kernel_variant(device)},
+                     {device, "diff/loss/ssim", choose_atomic_float_add_kernel_variant(device)},
                      {device, "diff/loss/ssim_vjp"},
                      {device, weights.intensity_ssim > 0.0f ? std::size_t(n_rays) * RELIDAR_SSIM_FLOATS : 0,
                       "structural similarity"}}) {}

@@ -19,8 +19,8 @@ struct LikelihoodLoss::Impl {
 };
 
 LikelihoodLoss::LikelihoodLoss(Device& device, const LossWeights& weights)
-    : impl_(new Impl{weights,
-                     {device, "diff/loss/likelihood_loss", choose_float_add_kernel_variant(device)}}) {}
+    : impl_(new Impl{
+          weights, {device, "diff/loss/likelihood_loss", choose_atomic_float_add_kernel_variant(device)}}) {}
 LikelihoodLoss::~LikelihoodLoss() = default;
 std::unique_ptr<Loss> make_likelihood_loss(Device& device, const LossWeights& weights, std::uint32_t) {
     return std::make_unique<LikelihoodLoss>(device, weights);

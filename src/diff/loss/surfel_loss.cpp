@@ -19,7 +19,8 @@ struct ActorBoxLoss::Impl {
 };
 
 ActorBoxLoss::ActorBoxLoss(Device& device, const LossWeights& weights)
-    : impl_(new Impl{weights, {device, "diff/loss/surfel_loss", choose_float_add_kernel_variant(device)}}) {}
+    : impl_(new Impl{weights,
+                     {device, "diff/loss/surfel_loss", choose_atomic_float_add_kernel_variant(device)}}) {}
 ActorBoxLoss::~ActorBoxLoss() = default;
 std::unique_ptr<Loss> make_surfel_loss(Device& device, const LossWeights& weights, std::uint32_t) {
     return std::make_unique<ActorBoxLoss>(device, weights);

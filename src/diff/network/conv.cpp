@@ -30,7 +30,7 @@ std::uint32_t count_partial_sums_per_weight(const ImageBatchSize& grid, std::siz
 std::uint32_t require_supported_taps(const Device& device, std::uint32_t kernel_taps) {
     RELIDAR_ASSERT_EQ(kernel_taps == 1 || kernel_taps == 9, true);
     const DeviceInfo& info = device.info();
-    const std::string missing = list_missing_network_features(device);
+    const std::string missing = list_missing_neural_network_features(device);
     if (!missing.empty())
         throw DeviceError(
             fmt::format("cannot use the ray-drop network on {}: the device lacks {}; use --set "

@@ -53,7 +53,7 @@ std::vector<float> compute_channel_normalisation(const std::vector<RayDropImage>
 
 RayDropInputs::RayDropInputs(Device& device, const RayDropNetwork& network)
     : n_channels_(std::uint32_t(network.inputs.size())),
-      n_fixed_(count_sensor_pixel_channels(network)),
+      n_fixed_(count_scene_independent_channels(network)),
       logit_channel_(find_drop_logit_channel(network)),
       kernel_(device, "diff/network/drop_inputs") {
     std::vector<glm::vec2> scale_shift_pairs;
@@ -76,7 +76,7 @@ void RayDropInputs::upload_training_images(Device& device, std::span<const RayDr
                                                             [](float value) { return value >= 0.0f; })));
 }
 
-void RayDropInputs::make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
+void RayDropInputs::fill_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                                      const Tensor& output_images) {
     shared::DropInputsParams params{};
     params.samples = samples_.address();
@@ -85,20 +85,20 @@ void RayDropInputs::make_input_batch(Stream& stream, std::span<const RotatedSamp
         params.targets = targets_.address();
         params.target = target_.address();
     }
-    make_input_batch(stream, selection, params, output_images);
+    fill_input_batch(stream, selection, params, output_images);
 }
 
-void RayDropInputs::make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
+void RayDropInputs::fill_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                                      Address<float, shared::DropSamples> samples,
                                      const Tensor& output_images) {
     shared::DropInputsParams params{};
     params.samples = samples;
-    make_input_batch(stream, selection, params, output_images);
+    fill_input_batch(stream, selection, params, output_images);
 }
 
 /// Submits the kernel that copies the chosen images into a batch.
 /// @param params must contain the addresses of samples and targets
-void RayDropInputs::make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
+void RayDropInputs::fill_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                                      shared::DropInputsParams params, const Tensor& output_images) {
     std::vector<std::uint32_t> samples, column_shifts;
     for (const RotatedSample& c : selection) {

@@ -32,25 +32,27 @@ public:
     };
     /// Submits the kernel that creates a batch from the uploaded images.
     /// @param output_images output, [n, channels, rows, columns]
-    void make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
+    void fill_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                           const Tensor& output_images);
     /// Submits the kernel that creates a batch from images that are already on the
     /// device. Does not update get_measured_drops(), because it is unknown which rays of
     /// these images were dropped (had no return).
     /// @param samples device address of images, [samples, channels, rows, columns]
-    void make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
+    void fill_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                           Address<float, shared::DropSamples> samples, const Tensor& output_images);
 
     /// Returns the rendered ray-drop probabilities of the last batch as logits, [n, rows,
     /// columns]. A network with `residual` predicts a correction that is added to these
     /// logits.
-    const Array<float, shared::StartLogits>& get_rendered_logits() const { return start_; }
+    const Array<float, shared::StartLogits>& get_rendered_drop_logits() const { return start_; }
     /// Returns which rays of the last batch were dropped (had no return) in the log, [n,
     /// rows, columns]. Same values as RayDropImage::dropped.
     const Array<float, shared::DropTargets>& get_measured_drops() const { return target_; }
     bool has_measured_drops() const { return targets_.size() > 0; }
     /// Returns the number of pixels for which the log shows whether the ray was dropped.
-    std::size_t count_known_pixels(std::uint32_t image_index) const { return n_known_pixels_[image_index]; }
+    std::size_t count_pixels_with_known_target(std::uint32_t image_index) const {
+        return n_known_pixels_[image_index];
+    }
 
 private:
     std::uint32_t n_channels_, n_fixed_, logit_channel_;
@@ -62,7 +64,7 @@ private:
     Array<glm::vec2> scale_shift_;
     std::vector<std::size_t> n_known_pixels_;
 
-    void make_input_batch(Stream& stream, std::span<const RotatedSample> selection,
+    void fill_input_batch(Stream& stream, std::span<const RotatedSample> selection,
                           shared::DropInputsParams params, const Tensor& output_images);
 };
 

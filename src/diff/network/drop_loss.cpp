@@ -37,7 +37,7 @@ void RayDropLoss::compute_drop_loss(Stream& stream, std::size_t n_pixels, const 
                   .weight = 1.0f / float(std::max<std::size_t>(n_known_pixels, 1))});
 }
 
-RayDropScore RayDropLoss::read_drop_score(std::size_t n_known_pixels) const {
+RayDropScore RayDropLoss::read_loss_and_accuracy(std::size_t n_known_pixels) const {
     RayDropScore score;
     const std::vector<float> partial = partial_.download();
     for (std::size_t part = 0; part < n_parts_; ++part) {

@@ -36,7 +36,7 @@ public:
                            std::size_t n_known_pixels);
     /// Returns loss and accuracy of the last run, which must be finished.
     /// @param n_known_pixels number of pixels with a known target
-    RayDropScore read_drop_score(std::size_t n_known_pixels) const;
+    RayDropScore read_loss_and_accuracy(std::size_t n_known_pixels) const;
 
 private:
     std::uint32_t lanes_, n_parts_;

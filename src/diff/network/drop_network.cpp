@@ -97,7 +97,7 @@ std::uint32_t find_drop_logit_channel(const RayDropNetwork& network) {
                          network.inputs.begin());
 }
 
-std::uint32_t count_sensor_pixel_channels(const RayDropNetwork& network) {
+std::uint32_t count_scene_independent_channels(const RayDropNetwork& network) {
     return std::uint32_t(std::count_if(
         network.inputs.begin(), network.inputs.end(),
         [](const std::string& name) { return name == "elevation" || name.starts_with("origin"); }));

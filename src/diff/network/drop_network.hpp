@@ -37,7 +37,7 @@ std::uint32_t find_drop_logit_channel(const RayDropNetwork& network);
 
 /// Returns the number of input channels that are constant for the sensor (do not depend
 /// on the scene). They are the last channels.
-std::uint32_t count_sensor_pixel_channels(const RayDropNetwork& network);
+std::uint32_t count_scene_independent_channels(const RayDropNetwork& network);
 
 /// Checks the size and the values of an image.
 /// @param description description of the image for error messages

@@ -124,13 +124,13 @@ const Array<float, shared::DropProbabilities>& RayDropInference::record_network_
     RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.count_pixels_per_image(), input_channels.size());
     SizedRayDropNetwork& shaped = r.get_or_make_network_for_image_size(stream, grid);
     const refine::RayDropInputs::RotatedSample unrotated_sample{};
-    shaped.inputs.make_input_batch(stream, {&unrotated_sample, 1}, input_channels.address(),
+    shaped.inputs.fill_input_batch(stream, {&unrotated_sample, 1}, input_channels.address(),
                                    shaped.unet.get_input_images());
     shaped.unet.run_inference(stream);
     shaped.loss->compute_drop_loss(
         stream, grid.count_pixels_per_image(),
         {.logit = shaped.unet.get_drop_logits().values.address().cast_meaning<shared::DropLogits>(),
-         .start = r.network.residual ? shaped.inputs.get_rendered_logits().address()
+         .start = r.network.residual ? shaped.inputs.get_rendered_drop_logits().address()
                                      : Address<float, shared::StartLogits>(),
          .probability = shaped.probability.address()},
         0);

@@ -99,14 +99,14 @@ RayDropScore RayDropTraining::train_on_batch(std::span<const RayDropInputs::Rota
     Impl& t = *impl_;
     std::size_t n_known_pixels = 0;
     for (const RayDropInputs::RotatedSample& c : selection)
-        n_known_pixels += t.inputs.count_known_pixels(c.sample);
-    t.inputs.make_input_batch(t.stream, selection, t.unet.get_input_images());
+        n_known_pixels += t.inputs.count_pixels_with_known_target(c.sample);
+    t.inputs.fill_input_batch(t.stream, selection, t.unet.get_input_images());
     t.unet.run_training_forward_pass(t.stream, std::uint32_t(step) * kKeysOfStep,
                                      float(get_regularisation(t.options).dropout));
     t.loss.compute_drop_loss(
         t.stream, t.grid.count_all_pixels(),
         {.logit = t.unet.get_drop_logits().values.address().cast_meaning<shared::DropLogits>(),
-         .start = t.network.residual ? t.inputs.get_rendered_logits().address()
+         .start = t.network.residual ? t.inputs.get_rendered_drop_logits().address()
                                      : Address<float, shared::StartLogits>(),
          .target = t.inputs.get_measured_drops().address(),
          .d_logit =
@@ -117,7 +117,7 @@ RayDropScore RayDropTraining::train_on_batch(std::span<const RayDropInputs::Rota
         t.stream, t.unet.get_network_parameters(), t.unet.get_parameter_gradients(),
         interpolate_exponentially(t.options.rate, kLastRate * t.options.rate, step, n_steps), step);
     t.stream.submit_and_wait();
-    return t.loss.read_drop_score(n_known_pixels);
+    return t.loss.read_loss_and_accuracy(n_known_pixels);
 }
 
 RayDropNetwork RayDropTraining::download_network() const {

@@ -44,7 +44,8 @@ void NormalisationKernels::reserve_channel_sums(Device& device, std::uint32_t n_
                      "partial sums of channels");
 }
 
-void NormalisationKernels::sum_channels_in_parts(Stream& stream, shared::ChannelSumsParams params) const {
+void NormalisationKernels::compute_partial_channel_sums(Stream& stream,
+                                                        shared::ChannelSumsParams params) const {
     RELIDAR_ASSERT_LE(2 * std::size_t(params.n_channels) * params.n_parts, partial_.size());
     const std::uint32_t of_workgroup = kNormThreads / lanes_, jobs = params.n_channels * params.n_parts;
     run(stream, sums_, std::size_t((jobs + of_workgroup - 1) / of_workgroup) * kNormThreads, params);
@@ -88,18 +89,18 @@ void NormalisationKernels::run_norm_relu_dropout_for_training(Stream& stream, co
                                                               const NormWeights& weights,
                                                               NormActivations& state,
                                                               const ChannelSlice& output) {
-    sum_channels_in_parts(stream, {.from = input.view,
-                                   .d_to = input.view,
-                                   .partial = partial_.address(),
-                                   .scale_shift = {},
-                                   .moments = {},
-                                   .kind = shared::kSums_moments,
-                                   .n_images = input.grid.n,
-                                   .n_pixels = std::uint32_t(input.grid.count_pixels_per_image()),
-                                   .n_channels = input.channels,
-                                   .n_parts = count_partial_sums_per_channel(input.grid),
-                                   .dropout_key = 0,
-                                   .dropout = 0.0f});
+    compute_partial_channel_sums(stream, {.from = input.view,
+                                          .d_to = input.view,
+                                          .partial = partial_.address(),
+                                          .scale_shift = {},
+                                          .moments = {},
+                                          .kind = shared::kSums_moments,
+                                          .n_images = input.grid.n,
+                                          .n_pixels = std::uint32_t(input.grid.count_pixels_per_image()),
+                                          .n_channels = input.channels,
+                                          .n_parts = count_partial_sums_per_channel(input.grid),
+                                          .dropout_key = 0,
+                                          .dropout = 0.0f});
     compute_scale_and_shift(stream, input, weights, state, true);
     apply_scale_shift_and_relu(stream, input, state, output, true);
 }
@@ -117,18 +118,18 @@ void NormalisationKernels::backpropagate_norm_layer(Stream& stream, const Channe
                                                     const NormGradientTarget& gradient, bool accumulate) {
     const auto n_pixels = std::uint32_t(input.grid.count_pixels_per_image()),
                n_parts = count_partial_sums_per_channel(input.grid);
-    sum_channels_in_parts(stream, {.from = input.view,
-                                   .d_to = d_output.view,
-                                   .partial = partial_.address(),
-                                   .scale_shift = state.scale_shift.address(),
-                                   .moments = state.moments.address(),
-                                   .kind = shared::kSums_norm_vjp,
-                                   .n_images = input.grid.n,
-                                   .n_pixels = n_pixels,
-                                   .n_channels = input.channels,
-                                   .n_parts = n_parts,
-                                   .dropout_key = state.dropout_key,
-                                   .dropout = state.dropout});
+    compute_partial_channel_sums(stream, {.from = input.view,
+                                          .d_to = d_output.view,
+                                          .partial = partial_.address(),
+                                          .scale_shift = state.scale_shift.address(),
+                                          .moments = state.moments.address(),
+                                          .kind = shared::kSums_norm_vjp,
+                                          .n_images = input.grid.n,
+                                          .n_pixels = n_pixels,
+                                          .n_channels = input.channels,
+                                          .n_parts = n_parts,
+                                          .dropout_key = state.dropout_key,
+                                          .dropout = state.dropout});
     run(stream, sum_parts_, 2 * input.channels,
         {.partial = partial_.address(),
          .sum = gradient.all.address_as<float, shared::SumOfParts>(gradient.first),
@@ -152,18 +153,18 @@ void NormalisationKernels::backpropagate_norm_layer(Stream& stream, const Channe
 void NormalisationKernels::backpropagate_bias(Stream& stream, const ChannelSlice& d_output,
                                               Address<float, shared::ConvBias> d_bias) {
     const std::uint32_t n_parts = count_partial_sums_per_channel(d_output.grid);
-    sum_channels_in_parts(stream, {.from = d_output.view,
-                                   .d_to = d_output.view,
-                                   .partial = partial_.address(),
-                                   .scale_shift = {},
-                                   .moments = {},
-                                   .kind = shared::kSums_plain,
-                                   .n_images = d_output.grid.n,
-                                   .n_pixels = std::uint32_t(d_output.grid.count_pixels_per_image()),
-                                   .n_channels = d_output.channels,
-                                   .n_parts = n_parts,
-                                   .dropout_key = 0,
-                                   .dropout = 0.0f});
+    compute_partial_channel_sums(stream, {.from = d_output.view,
+                                          .d_to = d_output.view,
+                                          .partial = partial_.address(),
+                                          .scale_shift = {},
+                                          .moments = {},
+                                          .kind = shared::kSums_plain,
+                                          .n_images = d_output.grid.n,
+                                          .n_pixels = std::uint32_t(d_output.grid.count_pixels_per_image()),
+                                          .n_channels = d_output.channels,
+                                          .n_parts = n_parts,
+                                          .dropout_key = 0,
+                                          .dropout = 0.0f});
     run(stream, sum_parts_, d_output.channels,
         {.partial = partial_.address(),
          .sum = d_bias.cast_meaning<shared::SumOfParts>(),

@@ -72,7 +72,7 @@ private:
     Kernel<shared::SumPartsParams> sum_parts_;
     Array<float, shared::PartSums> partial_;
 
-    void sum_channels_in_parts(Stream& stream, shared::ChannelSumsParams params) const;
+    void compute_partial_channel_sums(Stream& stream, shared::ChannelSumsParams params) const;
     void apply_scale_shift_and_relu(Stream& stream, const ChannelSlice& input, const NormActivations& state,
                                     const ChannelSlice& output, bool is_training) const;
     void compute_scale_and_shift(Stream& stream, const ChannelSlice& input, const NormWeights& weights,

@@ -93,7 +93,7 @@ void Adam::record_adam_step(Stream& stream, SurfelArrays& parameters, const Surf
         const std::size_t from = std::size_t(first) * stride;
         const bool by_model = group.rate == &LearningRates::mean && !learning_rates.mean_factors.empty();
         const std::size_t n_threads = std::size_t(n_rows) * (a.per_float ? n_blocks * n_active : 1u);
-        run(stream, a.kernel, listed ? a.list->choose_threads_for_touched_rows(n_threads) : n_threads,
+        run(stream, a.kernel, listed ? a.list->choose_thread_count_for_touched_rows(n_threads) : n_threads,
             {.values = group.device(parameters).address_as<float, shared::AdamValues>(from),
              .gradients = group.device(gradients).address_as<float, shared::AdamGradients>(from),
              .moment1 = group.device(a.moment1).address_as<float, shared::FirstMoments>(),

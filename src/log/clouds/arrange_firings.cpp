@@ -62,11 +62,12 @@ SweepFirings estimate_sweep_and_assign_firings(LidarPoints& points, const std::v
     std::map<int, double> heads =
         compute_head_azimuth_per_firing(points, firing_numbers, sensor, azimuth_step_rad);
     append_firings_without_returns_at_end(heads, sensor.columns, azimuth_step_rad);
-    return make_sweep_of_firings_by_azimuth(points, firing_numbers, heads);
+    return sort_firings_by_azimuth_and_assign_points(points, firing_numbers, heads);
 }
 
-SweepFirings make_sweep_of_firings_by_azimuth(LidarPoints& points, const std::vector<int>& firing_numbers,
-                                              const std::map<int, double>& head_azimuth_by_firing) {
+SweepFirings sort_firings_by_azimuth_and_assign_points(LidarPoints& points,
+                                                       const std::vector<int>& firing_numbers,
+                                                       const std::map<int, double>& head_azimuth_by_firing) {
     std::vector<std::pair<double, int>> by_azimuth;
     for (const auto& [number, head] : head_azimuth_by_firing) by_azimuth.emplace_back(-head, number);
     std::sort(by_azimuth.begin(), by_azimuth.end());

@@ -31,7 +31,8 @@ SweepFirings estimate_sweep_and_assign_firings(LidarPoints& points, const std::v
 /// @param firing_numbers  [points] number of the firing that measured each point
 /// @param head_azimuth_by_firing  head azimuth in radians for each firing number, also
 /// for firings without points
-SweepFirings make_sweep_of_firings_by_azimuth(LidarPoints& points, const std::vector<int>& firing_numbers,
-                                              const std::map<int, double>& head_azimuth_by_firing);
+SweepFirings sort_firings_by_azimuth_and_assign_points(LidarPoints& points,
+                                                       const std::vector<int>& firing_numbers,
+                                                       const std::map<int, double>& head_azimuth_by_firing);
 
 }  // namespace relidar

@@ -19,7 +19,8 @@ void ScanErrorCollector::record_broken_scan(std::size_t scan_index, const std::s
     reasons_.try_emplace(scan_index, reason);
 }
 
-void ScanErrorCollector::add_broken_scan_notes_or_throw(LidarSequence& sequence, std::size_t n_scans) const {
+void ScanErrorCollector::note_broken_scans_or_throw_if_all_broken(LidarSequence& sequence,
+                                                                  std::size_t n_scans) const {
     if (!reasons_.empty() && reasons_.size() == n_scans)
         throw DataError(fmt::format("{}: none of the {} scans can be read; the first error is: {}",
                                     sequence.source, n_scans, reasons_.begin()->second));
@@ -28,7 +29,7 @@ void ScanErrorCollector::add_broken_scan_notes_or_throw(LidarSequence& sequence,
 }
 
 void ScanErrorCollector::remove_broken_frames(LidarSequence& sequence) const {
-    add_broken_scan_notes_or_throw(sequence, sequence.frames.size());
+    note_broken_scans_or_throw_if_all_broken(sequence, sequence.frames.size());
     if (reasons_.empty()) return;
     std::vector<LidarFrame> remaining_frames;
     std::set<double> times_s;

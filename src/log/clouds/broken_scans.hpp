@@ -45,7 +45,7 @@ public:
     /// Adds a note for the user about each broken scan.
     /// @param n_scans  total number of scans
     /// @throws DataError if all scans are broken
-    void add_broken_scan_notes_or_throw(LidarSequence& sequence, std::size_t n_scans) const;
+    void note_broken_scans_or_throw_if_all_broken(LidarSequence& sequence, std::size_t n_scans) const;
     /// Removes the frames of broken scans, and the vehicle poses that only these frames
     /// use. Adds a note for the user about each broken scan. Requires that each recorded
     /// scan index is an index in `sequence.frames`.

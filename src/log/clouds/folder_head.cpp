@@ -73,9 +73,8 @@ glm::dquat read_quaternion(const JsonField& field) {
 Pose read_vehicle_from_sensor(const JsonField& field, const std::string& error_location) {
     if (field.is_array()) {
         const auto m = field.get_numbers<16>();
-        return make_pose_from_checked_rotation(
-            glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]), {m[3], m[7], m[11]},
-            error_location);
+        return check_rotation_and_make_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
+                                            {m[3], m[7], m[11]}, error_location);
     }
     field.require_only_known_members({"translation", "quaternion"});
     const auto t = field.at("translation").get_numbers<3>();

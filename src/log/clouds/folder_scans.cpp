@@ -234,7 +234,7 @@ private:
         for (std::size_t k = 0; k < n; ++k) add_sample(frame_indices[k * frame_indices.size() / n]);
         for (std::size_t k = 0; samples.empty() && k < frame_indices.size(); ++k)
             add_sample(frame_indices[k]);
-        if (samples.empty()) broken_.add_broken_scan_notes_or_throw(sequence_, broken_.size());
+        if (samples.empty()) broken_.note_broken_scans_or_throw_if_all_broken(sequence_, broken_.size());
         plan.has_rings = !samples[0].ring.empty();
         plan.has_times = !samples[0].time_offset_s.empty();
         plan.undo = head_.motion_compensated && has_poses_ && plan.has_times;

@@ -12,8 +12,8 @@
 
 namespace relidar {
 
-Pose make_pose_from_checked_rotation(const glm::dmat3& rotation, const glm::dvec3& translation,
-                                     const std::string& error_location) {
+Pose check_rotation_and_make_pose(const glm::dmat3& rotation, const glm::dvec3& translation,
+                                  const std::string& error_location) {
     const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
     double worst = 0.0;
     for (int c = 0; c < 3; ++c) {

@@ -177,7 +177,7 @@ PointTable parse_pcd_points(const SharedBytes& file, const std::string& error_lo
     const std::size_t n = std::size_t(header.points);
     if (header.data == "ascii") return parse_point_lines(data, fields, n, error_location);
     if (header.data == "binary")
-        return make_table_of_binary_points(file.share_memory_with_subview(data), fields, n,
+        return make_table_of_binary_points(file.make_shared_subview(data), fields, n,
                                            PointMemoryLayout::by_point, error_location);
     if (header.data == "binary_compressed")
         return make_table_of_binary_points(make_shared_bytes(decompress_pcd_points(data, error_location)),

@@ -90,7 +90,7 @@ PointTable parse_ply_points(const SharedBytes& file, const std::string& error_lo
     const std::string_view data = file.bytes.substr(header.length);
     if (header.format == "ascii") return parse_point_lines(data, header.fields, header.n, error_location);
     if (header.format == "binary_little_endian")
-        return make_table_of_binary_points(file.share_memory_with_subview(data), header.fields, header.n,
+        return make_table_of_binary_points(file.make_shared_subview(data), header.fields, header.n,
                                            PointMemoryLayout::by_point, error_location);
     throw DataError(fmt::format("{}: found the format '{}', expected ascii or binary_little_endian",
                                 error_location, shorten_for_error_message(header.format)));

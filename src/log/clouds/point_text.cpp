@@ -200,8 +200,8 @@ PointTable parse_structured_npy_points(const SharedBytes& file, const std::strin
         NumpyFieldListParser(header.substr(fields_at + 8), error_location).parse_field_list();
     const std::size_t n =
         NumpyFieldListParser(header.substr(shape_at + 8), error_location).parse_shape_and_count_elements();
-    return make_table_of_binary_points(file.share_memory_with_subview(bytes.substr(start + length)), fields,
-                                       n, PointMemoryLayout::by_point, error_location);
+    return make_table_of_binary_points(file.make_shared_subview(bytes.substr(start + length)), fields, n,
+                                       PointMemoryLayout::by_point, error_location);
 }
 
 }  // namespace relidar::folder

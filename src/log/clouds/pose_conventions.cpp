@@ -71,7 +71,7 @@ void OverlapScanPairs::add_scan_pair(double first_time_s, std::vector<glm::vec3>
             {first_time_s, second_time_s, std::move(first_points_m), std::move(second_points_m)});
 }
 
-double OverlapScanPairs::compute_scan_overlap(const PoseTrack& world_from_vehicle) const {
+double OverlapScanPairs::compute_scan_overlap_fraction(const PoseTrack& world_from_vehicle) const {
     double sum = 0.0;
     for (const OverlapScanPair& pair : pairs_) {
         const Pose first_from_second = inverse(world_from_vehicle.interpolate_pose(pair.first_s)) *
@@ -103,11 +103,12 @@ std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& in
     if (n_possible == 0) return 0;
     const OverlapScanPairs scans = read_scan_pairs_or_null ? read_scan_pairs_or_null() : OverlapScanPairs();
     std::size_t best = 0;
-    double best_overlap = scans.compute_scan_overlap(interpretations[0].world_from_vehicle) + kMoreOverlap;
+    double best_overlap =
+        scans.compute_scan_overlap_fraction(interpretations[0].world_from_vehicle) + kMoreOverlap;
     for (std::size_t k = 1; k < interpretations.size(); ++k) {
         if (!is_possible(k)) continue;
         if (scans.empty() && (interpretations[k].needs_scans || best > 0)) continue;
-        const double overlap = scans.compute_scan_overlap(interpretations[k].world_from_vehicle);
+        const double overlap = scans.compute_scan_overlap_fraction(interpretations[k].world_from_vehicle);
         if (!scans.empty() && overlap <= best_overlap) continue;
         best = k;
         best_overlap = overlap;

@@ -33,7 +33,7 @@ public:
     bool empty() const { return pairs_.empty(); }
     /// Returns how well the scans overlap with the given poses. This is the share of
     /// points of the second scan that are in a grid cell with a point of the first scan.
-    double compute_scan_overlap(const PoseTrack& world_from_vehicle) const;
+    double compute_scan_overlap_fraction(const PoseTrack& world_from_vehicle) const;
 
 private:
     struct OverlapScanPair {

@@ -306,7 +306,7 @@ std::vector<fs::path> add_frames_and_get_scan_files(LidarSequence& sequence, con
     return files;
 }
 
-void require_pose_file_or_user_choice(const fs::path& pose_file, const DatasetOptions& options) {
+void require_pose_file_or_poses_option(const fs::path& pose_file, const DatasetOptions& options) {
     if (!options.poses_file.empty() || does_path_exist(pose_file)) return;
     throw DataError(
         fmt::format("{}: no such file; expected poses; use dataset.poses=FILE to name another file, or "
@@ -344,8 +344,8 @@ void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& 
     folder::read_scans(sequence, head, source, options);
 }
 
-DatasetIntensityScale estimate_full_scale_file_intensity(const std::vector<fs::path>& scan_files,
-                                                         const std::vector<std::string>& column_names) {
+DatasetIntensityScale estimate_dataset_intensity_scale(const std::vector<fs::path>& scan_files,
+                                                       const std::vector<std::string>& column_names) {
     std::vector<folder::PointTable> samples;
     const std::size_t n = std::min(kSamples, scan_files.size());
     for (std::size_t k = 0; k < n; ++k) {

@@ -86,7 +86,7 @@ std::vector<std::filesystem::path> add_frames_and_get_scan_files(LidarSequence& 
 
 /// Checks that the log has a pose file, or that the user selects another source of poses.
 /// @throws DataError if there are no poses
-void require_pose_file_or_user_choice(const std::filesystem::path& pose_file, const DatasetOptions& options);
+void require_pose_file_or_poses_option(const std::filesystem::path& pose_file, const DatasetOptions& options);
 
 /// Format of the files that contain the points of a LiDAR.
 struct PointFileFormat {
@@ -117,7 +117,7 @@ struct DatasetIntensityScale {
 };
 /// Estimates which intensity value in the files must be converted to intensity 1.
 /// @param scan_files  scan files; only some are read, and unreadable files are skipped
-DatasetIntensityScale estimate_full_scale_file_intensity(const std::vector<std::filesystem::path>& scan_files,
-                                                         const std::vector<std::string>& column_names);
+DatasetIntensityScale estimate_dataset_intensity_scale(const std::vector<std::filesystem::path>& scan_files,
+                                                       const std::vector<std::string>& column_names);
 
 }  // namespace relidar::stamped

@@ -117,7 +117,7 @@ int BlockWriter::get_number_of_firings_per_packet() const {
                count_blocks_per_firing());
 }
 
-std::vector<FiringColumn> BlockWriter::join_scan_columns_to_firings(
+std::vector<FiringColumn> BlockWriter::merge_scan_columns_into_firings(
     std::vector<FiringColumn> scan_columns) const {
     if (columns_per_firing_ == 1) return scan_columns;
     std::vector<FiringColumn> firings;

@@ -75,8 +75,9 @@ public:
     int firings_per_packet() const override { return blocks_.get_number_of_firings_per_packet(); }
     int get_packets_per_firing() const override { return blocks_.get_packets_per_firing(); }
     int get_scan_columns_per_firing() const override { return blocks_.get_scan_columns_per_firing(); }
-    std::vector<FiringColumn> join_scan_columns_to_firings(std::vector<FiringColumn> columns) const override {
-        return blocks_.join_scan_columns_to_firings(std::move(columns));
+    std::vector<FiringColumn> merge_scan_columns_into_firings(
+        std::vector<FiringColumn> columns) const override {
+        return blocks_.merge_scan_columns_into_firings(std::move(columns));
     }
     double get_firing_period_us() const override {
         return blocks_.layout().cycle_us * double(blocks_.layout().count_firing_sequences());

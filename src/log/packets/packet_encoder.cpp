@@ -270,7 +270,7 @@ PacketEncoder::PacketEncoder(const SpinningSensor& sensor, const PacketOptions& 
 PacketEncoder::~PacketEncoder() = default;
 
 std::vector<SensorPacket> PacketEncoder::encode_scan_as_packets(const Scan& scan, double time_s) {
-    std::vector<FiringColumn> firings = impl_->format->join_scan_columns_to_firings(
+    std::vector<FiringColumn> firings = impl_->format->merge_scan_columns_into_firings(
         packets::extract_firings(scan, time_s, impl_->sensor, impl_->offsets_us));
     const std::int64_t start = impl_->last ? 0 : impl_->find_packet_slot_of_first_firing(firings);
     for (FiringColumn& firing : firings) impl_->add_firing_and_fill_gap(std::move(firing), start);

@@ -64,7 +64,7 @@ public:
     /// Converts scan columns to firings. If a scan stores the two sequences of a firing
     /// as two columns, joins them to one firing. Each of the two columns also has
     /// simulated rays of lasers that do not fire in its sequence. Removes these rays.
-    virtual std::vector<FiringColumn> join_scan_columns_to_firings(
+    virtual std::vector<FiringColumn> merge_scan_columns_into_firings(
         std::vector<FiringColumn> scan_columns) const {
         return scan_columns;
     }
@@ -110,7 +110,7 @@ public:
     int get_number_of_firings_per_packet() const;
     int get_packets_per_firing() const;
     int get_scan_columns_per_firing() const { return columns_per_firing_; }
-    std::vector<FiringColumn> join_scan_columns_to_firings(std::vector<FiringColumn> scan_columns) const;
+    std::vector<FiringColumn> merge_scan_columns_into_firings(std::vector<FiringColumn> scan_columns) const;
     const std::vector<double>& get_beam_delays_us() const { return offsets_us_; }
     /// Returns the manufacturer's number of the laser that measures a ring (row) of the
     /// scans, from 0.

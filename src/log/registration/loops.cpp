@@ -196,7 +196,7 @@ private:
     /// @return length of the step
     double align_scan_by_one_step(const std::vector<WorldPointWithOrigin>& points, Pose& pose, int level,
                                   double& fraction_on_planes) const {
-        const double scale_m = maps_.get_level_settings(level).scale_m;
+        const double scale_m = maps_.get_round_settings_of_level(level).scale_m;
         const SinglePoseEquations equations =
             parallel_sum_over_ranges(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 SinglePoseEquations part;
@@ -212,7 +212,7 @@ private:
         if (equations.empty()) return 0.0;
         const Twist x = equations.solve_for_pose_step(kLoopPrior);
         pose = apply_twist(pose, x);
-        return compute_pose_change_m(x);
+        return compute_pose_change_size_m(x);
     }
 
     double refine_pose_and_get_plane_fraction(const std::vector<WorldPointWithOrigin>& points,

@@ -166,7 +166,7 @@ private:
         if (maps_.empty() || scan.empty()) return {start_pose, 0.0};
         double share = 0.0;
         for (int level = 0; level < MultiScalePlaneMaps::kLevels; ++level) {
-            const double scale_m = maps_.get_level_settings(level).scale_m;
+            const double scale_m = maps_.get_round_settings_of_level(level).scale_m;
             for (int i = 0; i < kMostSteps && align_scan_by_one_step(pose_index, start_pose, scan, level,
                                                                      scale_m, share) > kConverged_m;
                  ++i) {}
@@ -196,7 +196,7 @@ private:
         const Twist x =
             equations.solve_for_pose_step(kPrior, compute_twist(start_pose, track_.pose[pose_index]));
         set_pose_and_predict_next(pose_index, apply_twist(track_.pose[pose_index], x));
-        return compute_pose_change_m(x);
+        return compute_pose_change_size_m(x);
     }
 };
 

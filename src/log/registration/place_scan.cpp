@@ -85,7 +85,7 @@ ScanAlignment align_scan_with_scene(const LidarSequence& sequence, std::size_t p
         const Twist step =
             equations.solve_for_pose_step(kPosePriorWeight, compute_twist(before, track.pose[pose_index]));
         track.pose[pose_index] = apply_twist(track.pose[pose_index], step);
-        step_m = compute_pose_change_m(step);
+        step_m = compute_pose_change_size_m(step);
     }
     const double moved_m = glm::distance(before.translation, track.pose[pose_index].translation);
     if (!PlanePoseAdjustment::has_enough_points_on_planes(result.on_surfaces, n) ||

@@ -85,7 +85,7 @@ const LocalPlane* PlaneMap::find_plane_at(const glm::dvec3& point_m) const {
 PlanePoseAdjustment::PlanePoseAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
                                          std::vector<SubsampledPoint> points, std::vector<bool> gauge)
     : initial_track_(initial_track), track_(start), points_(std::move(points)), gauge_(std::move(gauge)) {
-    remove_mean_correction();
+    remove_mean_pose_correction();
     start_ = track_;
 }
 
@@ -130,7 +130,7 @@ RegistrationRound PlanePoseAdjustment::adjust_poses_in_one_round(RegistrationRou
         track_, compute_twists_between_tracks(start_, track_), kAdjustmentPrior);
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
         track_.pose[k] = apply_twist(track_.pose[k], get_twist_from_stacked_vector(step, k));
-    remove_mean_correction();
+    remove_mean_pose_correction();
     round_settings.planes = parts[0].n_planes();
     round_settings.residual_m = parts[0].compute_rms_residual_m();
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
@@ -149,11 +149,11 @@ void PlanePoseAdjustment::add_correction_prior(PoseEquations& equations) const {
         equations.add_zero_correction_prior(k, prior_->pull, of_pose(k));
         if (k + 1 == track_.pose.size()) break;
         const double share = kLinkTime_s / (track_.time_s[k + 1] - track_.time_s[k]);
-        equations.add_equal_neighbour_correction_prior(k, share * prior_->link, of_pose(k + 1) - of_pose(k));
+        equations.add_correction_smoothness_prior(k, share * prior_->link, of_pose(k + 1) - of_pose(k));
     }
 }
 
-void PlanePoseAdjustment::remove_mean_correction() {
+void PlanePoseAdjustment::remove_mean_pose_correction() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
     // Moves all poses so that the mean of their corrections becomes zero. Three passes
     // are needed, because the mean of rotation vectors is only approximate. Each pass
@@ -242,7 +242,7 @@ double PlanePoseAdjustment::compute_deviation_from_neighbours_m(std::size_t pose
     return least;
 }
 
-std::vector<std::size_t> PlanePoseAdjustment::interpolate_unregistered_poses(
+std::vector<std::size_t> PlanePoseAdjustment::find_and_interpolate_unregistered_poses(
     const PlaneMap& map, const std::vector<bool>& has_pose_points, double kernel_scale_m,
     double max_deviation_m) {
     std::vector<std::span<const SubsampledPoint>> scans(has_pose_points.size());

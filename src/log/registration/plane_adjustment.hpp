@@ -60,9 +60,10 @@ public:
     /// interpolation between the nearest valid poses.
     /// @param has_pose_points  [poses] true for the poses that have points
     /// @return indices of the failed poses
-    std::vector<std::size_t> interpolate_unregistered_poses(const PlaneMap& map,
-                                                            const std::vector<bool>& has_pose_points,
-                                                            double kernel_scale_m, double max_deviation_m);
+    std::vector<std::size_t> find_and_interpolate_unregistered_poses(const PlaneMap& map,
+                                                                     const std::vector<bool>& has_pose_points,
+                                                                     double kernel_scale_m,
+                                                                     double max_deviation_m);
     /// Moves one pose by a Gauss-Newton step that moves its points towards fixed planes.
     /// All other poses stay unchanged.
     void align_pose_to_planes(const PlaneMap& map, std::size_t pose_index,
@@ -90,7 +91,7 @@ private:
 
     RegistrationRound adjust_poses_in_one_round(RegistrationRound round_settings, double grid_shift_cells);
     void add_correction_prior(PoseEquations& equations) const;
-    void remove_mean_correction();
+    void remove_mean_pose_correction();
     void interpolate_corrections(const std::vector<bool>& is_correction_known);
     /// Returns the nearest earlier and the nearest later pose with `is_selected`. If no
     /// pose on one side is selected, returns `pose_index` for this side.

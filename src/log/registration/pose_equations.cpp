@@ -80,7 +80,7 @@ Twist SinglePoseEquations::solve_for_pose_step(double prior_weight, const Twist&
     return {x[0], x[1], x[2], x[3], x[4], x[5]};
 }
 
-double compute_pose_change_m(const Twist& pose_change) {
+double compute_pose_change_size_m(const Twist& pose_change) {
     return glm::length(glm::dvec3(pose_change[0], pose_change[1], pose_change[2])) +
            10.0 * glm::length(glm::dvec3(pose_change[3], pose_change[4], pose_change[5]));
 }
@@ -174,8 +174,8 @@ void PoseEquations::add_zero_correction_prior(std::size_t pose_index, const Vect
     gradient_.segment<6>(6 * Eigen::Index(pose_index)) += weights.cwiseProduct(current_correction);
 }
 
-void PoseEquations::add_equal_neighbour_correction_prior(std::size_t pose_index, const Vector6& weights,
-                                                         const Vector6& correction_difference) {
+void PoseEquations::add_correction_smoothness_prior(std::size_t pose_index, const Vector6& weights,
+                                                    const Vector6& correction_difference) {
     diagonal_[pose_index].diagonal() += weights;
     diagonal_[pose_index + 1].diagonal() += weights;
     next_[pose_index].diagonal() -= weights;

@@ -59,7 +59,7 @@ private:
 
 /// Returns the size of a pose change in metres: the distance by which points ten metres
 /// away move.
-double compute_pose_change_m(const Twist& pose_change);
+double compute_pose_change_size_m(const Twist& pose_change);
 
 /// Returns the 6x6 matrix that converts the twist (v, w) of a rigid body to another
 /// reference point. The result is (v + w x `offset_m`, w).
@@ -89,8 +89,8 @@ public:
     /// @param pose_index  index of the first pose
     /// @param weights  weights of translations and rotations
     /// @param correction_difference  second minus first correction
-    void add_equal_neighbour_correction_prior(std::size_t pose_index, const Vector6& weights,
-                                              const Vector6& correction_difference);
+    void add_correction_smoothness_prior(std::size_t pose_index, const Vector6& weights,
+                                         const Vector6& correction_difference);
 
     /// Solves for the step of all poses, [n_poses,6], by conjugate gradients. The
     /// preconditioner consists of the diagonal blocks and a direct solution for rigid

@@ -157,7 +157,8 @@ RegistrationResult register_scans(const LidarSequence& sequence, const TrainTest
             sequence.name, split.train.size()));
     const PlaneMap map = adjustment.fit_planes_to_all_points(kLast);
     result.on_planes = compute_median_fraction_on_planes(adjustment, map, scans, is_train);
-    result.lost = adjustment.interpolate_unregistered_poses(map, is_train, kLast.scale_m, options.largest_m);
+    result.lost =
+        adjustment.find_and_interpolate_unregistered_poses(map, is_train, kLast.scale_m, options.largest_m);
     const std::vector<std::vector<SubsampledPoint>> held_out =
         downsample_selected_sweeps(sequence, sweeps, is_test, options, thin_m);
     const std::vector<std::size_t> lost = align_test_sweeps_to_training_planes(

@@ -336,7 +336,7 @@ float IntensityScatterModel::quantise_intensity(float intensity) const {
     return step > 0.0 ? static_cast<float>(std::round(double(intensity) / step) * step) : intensity;
 }
 
-IntensityScatterModel fit_intensity_scatter(std::span<const PairedIntensities> images) {
+IntensityScatterModel fit_intensity_scatter_model(std::span<const PairedIntensities> images) {
     require_equal_image_array_sizes(images);
     const std::vector<ImageRayIndex> return_locations = sample_return_locations(images, kMostReturns);
     IntensityScatterModel result;

@@ -119,8 +119,8 @@ double read_divergence_rad_or_zero(const JsonField& field) {
     return 1e-3 * read_number_member_or_default(field, "divergence_mrad", 0.0, 0.0, 1000.0);
 }
 
-CommonSensorMembers read_members_of_all_sensor_kinds(const JsonField& field, const std::string& default_name,
-                                                     double min_period_s) {
+CommonSensorMembers read_common_sensor_members(const JsonField& field, const std::string& default_name,
+                                               double min_period_s) {
     const CommonSensorMembers common{
         field.has_member("name") ? field.at("name").get_string() : default_name,
         {read_number_member_or_default(field, "min_range_m", 0.0, 0.0, kLargestRange_m),

@@ -84,8 +84,8 @@ struct CommonSensorMembers {
 };
 /// Reads the JSON members that all kinds of sensors can have.
 /// @param min_period_s  smallest allowed period
-CommonSensorMembers read_members_of_all_sensor_kinds(const JsonField& field, const std::string& default_name,
-                                                     double min_period_s = 1e-6);
+CommonSensorMembers read_common_sensor_members(const JsonField& field, const std::string& default_name,
+                                               double min_period_s = 1e-6);
 /// Throws if a sensor's JSON object has an unknown member. Known members are those of all
 /// sensors, and `allowed_member_names`. An angle NAME is stored as NAME_rad or NAME_deg.
 /// @throws DataError for an unknown member

@@ -171,7 +171,9 @@ void store_scans_above_limit_in_file(std::uint64_t max_bytes, const fs::path& ov
         max_bytes > 0 ? max_bytes : get_physical_or_cgroup_memory_bytes() / 2 / std::uint64_t(m.processes);
 }
 
-void set_scan_process_count(int n_processes) { get_scan_memory_state().processes = std::max(n_processes, 1); }
+void divide_scan_memory_among_processes(int n_processes) {
+    get_scan_memory_state().processes = std::max(n_processes, 1);
+}
 
 ScanMemoryUse get_scan_memory_use() {
     const MappedFile* file = get_scan_memory_state().file;

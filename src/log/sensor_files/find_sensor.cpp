@@ -81,14 +81,14 @@ SensorModel read_sensor_file(const SensorSpecifier& sensor_specifier, double def
             "sensor '{}:{}': found columns for a table of rays, but such a sensor does not spin; use "
             "only the file name",
             sensor_specifier.name, sensor_specifier.columns));
-    sensor_files::set_missing_max_range(sensor, default_max_range_m, sensor_specifier.name);
+    sensor_files::set_max_range_if_missing(sensor, default_max_range_m, sensor_specifier.name);
     return sensor;
 }
 
 }  // namespace
 
-void sensor_files::set_missing_max_range(SensorModel& sensor, double max_range_m,
-                                         const std::string& error_location) {
+void sensor_files::set_max_range_if_missing(SensorModel& sensor, double max_range_m,
+                                            const std::string& error_location) {
     if (!std::isinf(sensor.limits.max_m)) return;
     if (!(sensor.limits.min_m < max_range_m))
         throw DataError(fmt::format(

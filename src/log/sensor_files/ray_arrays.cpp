@@ -73,9 +73,9 @@ void require_valid_ray_arrays(const RayFileArrays& ray_arrays, const std::string
 
 }  // namespace
 
-std::vector<double> combine_per_ray_and_common_divergence(std::vector<double> ray_divergence_rad,
-                                                          std::optional<double> common_divergence_mrad,
-                                                          const std::string& error_location) {
+std::vector<double> select_per_ray_or_common_divergence(std::vector<double> ray_divergence_rad,
+                                                        std::optional<double> common_divergence_mrad,
+                                                        const std::string& error_location) {
     if (!ray_divergence_rad.empty() && common_divergence_mrad)
         throw DataError(fmt::format("{}: found both divergence and divergence_mrad, expected one of them",
                                     error_location));
@@ -83,8 +83,8 @@ std::vector<double> combine_per_ray_and_common_divergence(std::vector<double> ra
     return ray_divergence_rad;
 }
 
-SensorModel make_ray_sensor(const RayFileArrays& ray_arrays, const std::string& sensor_name,
-                            const std::string& error_location) {
+SensorModel make_sensor_from_ray_arrays(const RayFileArrays& ray_arrays, const std::string& sensor_name,
+                                        const std::string& error_location) {
     require_valid_ray_arrays(ray_arrays, error_location);
     const std::size_t n = ray_arrays.direction.size() / 3;
     RayTable rays;
@@ -144,9 +144,9 @@ SensorModel read_ray_npz(const std::string& path, const std::string& sensor_name
     c.rows = shape.size() == 3 ? static_cast<int>(shape[0]) : 1;
     c.columns = static_cast<int>(shape[shape.size() - 2]);
     c.divergence_rad =
-        combine_per_ray_and_common_divergence(values("divergence"), one("divergence_mrad"), path);
+        select_per_ray_or_common_divergence(values("divergence"), one("divergence_mrad"), path);
     c.limits = {one("min_range_m").value_or(c.limits.min_m), one("max_range_m").value_or(c.limits.max_m)};
-    return make_ray_sensor(c, sensor_name, path);
+    return make_sensor_from_ray_arrays(c, sensor_name, path);
 }
 
 }  // namespace relidar::sensor_files

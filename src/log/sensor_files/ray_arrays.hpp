@@ -31,16 +31,16 @@ struct RayFileArrays {
 /// @param error_location  name of the file in error messages
 /// @throws DataError if the arrays have different lengths, values are not finite or out
 /// of range, or directions do not have unit length
-SensorModel make_ray_sensor(const RayFileArrays& ray_arrays, const std::string& sensor_name,
-                            const std::string& error_location);
+SensorModel make_sensor_from_ray_arrays(const RayFileArrays& ray_arrays, const std::string& sensor_name,
+                                        const std::string& error_location);
 
 /// Returns the beam divergences in radians. A file may contain one number per ray or one
 /// number for all rays.
 /// @param ray_divergence_rad  [n] divergence of each ray, or empty
 /// @throws DataError if the file contains both forms
-std::vector<double> combine_per_ray_and_common_divergence(std::vector<double> ray_divergence_rad,
-                                                          std::optional<double> common_divergence_mrad,
-                                                          const std::string& error_location);
+std::vector<double> select_per_ray_or_common_divergence(std::vector<double> ray_divergence_rad,
+                                                        std::optional<double> common_divergence_mrad,
+                                                        const std::string& error_location);
 
 /// Parses the text of a ray table in CSV format.
 /// @throws DataError naming the line and the value that is wrong
@@ -59,6 +59,6 @@ SensorModel parse_sensor_json(const std::string& json_text, const std::string& s
 
 /// Sets the maximum range if the sensor has no maximum range.
 /// @throws DataError if the maximum range is not above the minimum range
-void set_missing_max_range(SensorModel& sensor, double max_range_m, const std::string& error_location);
+void set_max_range_if_missing(SensorModel& sensor, double max_range_m, const std::string& error_location);
 
 }  // namespace relidar::sensor_files

@@ -101,7 +101,7 @@ SensorModel parse_ray_csv(const std::string& csv_text, const std::string& sensor
     }
     rays.columns = static_cast<int>(std::min(rays.time_s.size(), kMaxRays + 1));
     rays.limits = {first[kMinRange], first[kMaxRange]};
-    return make_ray_sensor(rays, sensor_name, error_location);
+    return make_sensor_from_ray_arrays(rays, sensor_name, error_location);
 }
 
 }  // namespace relidar::sensor_files

@@ -61,7 +61,7 @@ SensorModel read_sensor_model(const Json& sensor_json, const std::string& sensor
     }
     const std::string object = error_location + ": sensor";
     SensorModel model = parse_sensor_json_text(sensor_json.at("sensor").dump(), sensor_name, object);
-    sensor_files::set_missing_max_range(model, kDefaultMaxRange_m, object);
+    sensor_files::set_max_range_if_missing(model, kDefaultMaxRange_m, object);
     return model;
 }
 

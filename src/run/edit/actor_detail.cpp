@@ -35,10 +35,10 @@ bool is_box_hit_by_ray(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_dir
 
 }  // namespace
 
-ActorModelResolution compare_ray_and_surfel_count_of_actor(std::span<const glm::vec3> ray_origins,
-                                                           std::span<const glm::vec3> ray_directions,
-                                                           const Pose& box_from_sensor,
-                                                           const glm::dvec3& size_m, std::size_t n_surfels) {
+ActorModelResolution compute_actor_model_resolution(std::span<const glm::vec3> ray_origins,
+                                                    std::span<const glm::vec3> ray_directions,
+                                                    const Pose& box_from_sensor, const glm::dvec3& size_m,
+                                                    std::size_t n_surfels) {
     ActorModelResolution detail{glm::length(box_from_sensor.translation), 0.0, 0, n_surfels};
     const glm::vec3 centre_m(inverse(box_from_sensor).translation);
     const float radius_m = float(0.5 * glm::length(size_m)) * 1.001f + 0.01f;
@@ -58,8 +58,8 @@ ActorModelResolution compare_ray_and_surfel_count_of_actor(std::span<const glm::
     return detail;
 }
 
-ActorModelResolution compare_ray_and_surfel_count_of_actor(const SceneWithLog& scene_and_log,
-                                                           const std::string& track, int lidar_index) {
+ActorModelResolution compute_actor_model_resolution(const SceneWithLog& scene_and_log,
+                                                    const std::string& track, int lidar_index) {
     const LidarSequence& log = scene_and_log.sequence;
     const auto instance = std::ranges::find_if(scene_and_log.scene.instances,
                                                [&](const ModelInstance& i) { return i.track == track; });
@@ -83,8 +83,8 @@ ActorModelResolution compare_ray_and_surfel_count_of_actor(const SceneWithLog& s
     }
     if (detail.nearest_m == std::numeric_limits<double>::infinity()) return detail;
     const RayTable rays = make_nominal_rays(log.lidars[std::size_t(lidar_index)], detail.time_s);
-    detail.rays = compare_ray_and_surfel_count_of_actor(rays.origin, rays.direction, box_from_sensor,
-                                                        box->size_m, detail.surfels)
+    detail.rays = compute_actor_model_resolution(rays.origin, rays.direction, box_from_sensor, box->size_m,
+                                                 detail.surfels)
                       .rays;
     return detail;
 }

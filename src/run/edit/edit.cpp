@@ -161,7 +161,7 @@ void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, const std::s
     const std::uint32_t number = scene.instances[get_actor_instance_index(scene_and_log, track_id)].model;
     SurfelModel& model = scene.models[number];
     if (!model.surface || model.surface->is_completed ||
-        model.surface->compute_mirrored_area_fraction() == 0.0 ||
+        model.surface->compute_mirrorable_area_fraction() == 0.0 ||
         !is_vehicle(get_actor_box_track(scene_and_log, track_id)) ||
         std::size_t(model.first) + model.count > scene.surfels.size())
         return;

@@ -304,9 +304,9 @@ std::optional<double> measure_ground_clearance(const SceneWithLogView& actor_sce
     return estimate_median_ground_clearance_m(actor_scene, get_box_track_of_actor(actor_scene, track));
 }
 
-NewActorMotion compute_actor_start_on_ground(const SceneWithLogView& scene_and_log,
-                                             const GroundPlacement& ground_place,
-                                             const SceneWithLogView& actor_scene, const std::string& track) {
+NewActorMotion compute_actor_motion_on_ground(const SceneWithLogView& scene_and_log,
+                                              const GroundPlacement& ground_place,
+                                              const SceneWithLogView& actor_scene, const std::string& track) {
     const LidarSequence& sequence = scene_and_log.sequence;
     const BoxTrack& box = get_box_track_of_actor(actor_scene, track);
     const glm::dvec3 offset_m = sequence.world_offset_m;

@@ -257,7 +257,7 @@ Scene load_scene_from_model_file(const std::filesystem::path& path) {
             fmt::format("{}: the array \"mean\" (centres of the surfels) has the shape [{}], expected [n, 3] "
                         "with n of at most {}",
                         file, fmt::join(mean.shape, ", "), kMaxSurfels));
-    const SurfelParameterSet parameters = read_parameter_set(
+    const SurfelParameterSet parameters = read_surfel_parameter_set(
         metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
     // Checks the number of rows of every array before memory is allocated.
     for (const SurfelParameterGroup& group : list_parameter_groups(parameters)) {

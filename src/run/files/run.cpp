@@ -191,7 +191,7 @@ void overwrite_run(const TrainedRun& run, const std::function<void()>& remove_ea
     if (!does_path_exist(run.folder)) {
         const StagedFolder staged(run.folder);
         write_run_to_staging_folder(run, staged.path(), false);
-        return staged.move_folder_unless_name_is_used();
+        return staged.move_folder_without_replacing_existing();
     }
     create_folder(run.folder);  // throws an error with the reason if the path is a file and not a folder
     const TemporaryFolder staged(run.folder);

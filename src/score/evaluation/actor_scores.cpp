@@ -144,8 +144,8 @@ FrameActorScores compute_actor_scores(const RangeImage& rendered, const std::vec
                                       const RangeImage& real, const LidarSequence& sequence,
                                       const SweepTiming& sweep) {
     FrameActorScores scores;
-    const CometTailStatistics tails = count_motion_trail_points(rendered, point_ranges_m, sequence, sweep),
-                              real_tails = count_motion_trail_points(real, real.range_m, sequence, sweep);
+    const CometTailStatistics tails = count_comet_tail_points(rendered, point_ranges_m, sequence, sweep),
+                              real_tails = count_comet_tail_points(real, real.range_m, sequence, sweep);
     if (tails.n_of_box.empty()) return scores;
     scores.metrics["actors/tail_share"] = tails.share;
     scores.metrics["actors/tail_share_real"] = real_tails.share;

@@ -66,11 +66,11 @@ struct CometTailPointCounts {
     }
 };
 
-CometTailPointCounts count_motion_trail_points_by_box(const RangeImage& image,
-                                                      const std::vector<float>& point_ranges_m,
-                                                      const LidarSequence& sequence,
-                                                      const std::vector<SweptBoxVolume>& swept_volumes,
-                                                      const SweepTiming& sweep) {
+CometTailPointCounts count_comet_tail_points_by_box(const RangeImage& image,
+                                                    const std::vector<float>& point_ranges_m,
+                                                    const LidarSequence& sequence,
+                                                    const std::vector<SweptBoxVolume>& swept_volumes,
+                                                    const SweepTiming& sweep) {
     // Number of rays that a thread processes in one step.
     constexpr std::size_t kRays = 2048;
     const Pose& mounted = sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor;
@@ -102,13 +102,12 @@ CometTailPointCounts count_motion_trail_points_by_box(const RangeImage& image,
 
 }  // namespace
 
-CometTailStatistics count_motion_trail_points(const RangeImage& image,
-                                              const std::vector<float>& point_ranges_m,
-                                              const LidarSequence& sequence, const SweepTiming& sweep) {
+CometTailStatistics count_comet_tail_points(const RangeImage& image, const std::vector<float>& point_ranges_m,
+                                            const LidarSequence& sequence, const SweepTiming& sweep) {
     const std::vector<SweptBoxVolume> swept = compute_swept_volumes(sequence);
     if (swept.empty()) return {};
     const CometTailPointCounts point_counts =
-        count_motion_trail_points_by_box(image, point_ranges_m, sequence, swept, sweep);
+        count_comet_tail_points_by_box(image, point_ranges_m, sequence, swept, sweep);
     CometTailStatistics counts;
     counts.share =
         double(point_counts.n_tail_points) / double(std::max<std::size_t>(point_counts.n_points, 1));

@@ -27,8 +27,7 @@ struct CometTailStatistics {
 /// 0.3 m. Points in the lowest 0.3 m of a box belong to the ground, not to a tail. The
 /// time of a point is the time at which the LiDAR's head faces the point.
 /// @param point_ranges_m [n] ranges of the points of the image
-CometTailStatistics count_motion_trail_points(const RangeImage& image,
-                                              const std::vector<float>& point_ranges_m,
-                                              const LidarSequence& sequence, const SweepTiming& sweep);
+CometTailStatistics count_comet_tail_points(const RangeImage& image, const std::vector<float>& point_ranges_m,
+                                            const LidarSequence& sequence, const SweepTiming& sweep);
 
 }  // namespace relidar

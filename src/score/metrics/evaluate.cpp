@@ -55,17 +55,17 @@ struct ImagePair {
 /// dropped
 ImagePair make_depth_image_pair(const RangeImage& rendered, const RangeImage& real, double drop_threshold,
                                 double max_range_m) {
-    return {clamp_values_and_floor_unmasked(rendered.range_m,
-                                            make_undropped_pixel_mask(rendered, drop_threshold), max_range_m),
-            clamp_values_and_floor_unmasked(real.range_m, make_undropped_pixel_mask(real, kRealDropThreshold),
-                                            max_range_m),
+    return {clamp_values_and_set_unmasked_to_minimum(
+                rendered.range_m, make_undropped_pixel_mask(rendered, drop_threshold), max_range_m),
+            clamp_values_and_set_unmasked_to_minimum(
+                real.range_m, make_undropped_pixel_mask(real, kRealDropThreshold), max_range_m),
             real.rows, real.columns, max_range_m};
 }
 ImagePair make_intensity_image_pair(const RangeImage& rendered, const RangeImage& real,
                                     double drop_threshold) {
-    return {clamp_values_and_floor_unmasked(
+    return {clamp_values_and_set_unmasked_to_minimum(
                 rendered.intensity, make_undropped_pixel_mask(rendered, drop_threshold), kMaxIntensity),
-            clamp_values_and_floor_unmasked(
+            clamp_values_and_set_unmasked_to_minimum(
                 real.intensity, make_undropped_pixel_mask(real, kRealDropThreshold), kMaxIntensity),
             real.rows, real.columns, kMaxIntensity};
 }

@@ -78,8 +78,8 @@ PixelMask make_positive_range_mask(const RangeImage& image, double drop_threshol
     return mask;
 }
 
-PixelValues clamp_values_and_floor_unmasked(const std::vector<float>& values, const PixelMask& mask,
-                                            double maximum) {
+PixelValues clamp_values_and_set_unmasked_to_minimum(const std::vector<float>& values, const PixelMask& mask,
+                                                     double maximum) {
     PixelValues result(values.size());
     for (std::size_t i = 0; i < values.size(); ++i)
         result[i] = clamp_value(mask[i] ? values[i] : 0.0f, maximum);

@@ -33,8 +33,8 @@ PixelMask make_positive_range_mask(const RangeImage& image, double drop_threshol
 
 /// Returns all pixels, clamped to [1e-6, maximum]. Pixels outside the mask get the value
 /// 1e-6.
-PixelValues clamp_values_and_floor_unmasked(const std::vector<float>& values, const PixelMask& mask,
-                                            double maximum);
+PixelValues clamp_values_and_set_unmasked_to_minimum(const std::vector<float>& values, const PixelMask& mask,
+                                                     double maximum);
 /// Returns only the values of pixels in the mask, clamped to [1e-6, maximum].
 PixelValues select_and_clamp_masked_values(const std::vector<float>& values, const PixelMask& mask,
                                            double maximum);

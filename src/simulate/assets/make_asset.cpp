@@ -63,7 +63,7 @@ LidarSequence make_log_of_actor_without_scans(const LidarSequence& sequence_of_l
 
 }  // namespace
 
-ObservedBoxSurface mark_observed_box_surface(const glm::dvec3& box_size_m,
+ObservedBoxSurface make_observed_box_surface(const glm::dvec3& box_size_m,
                                              const ActorObservations& observations) {
     ObservedBoxSurface surface(box_size_m);
     for (std::size_t i = 0; i < observations.points_m.size(); ++i)
@@ -87,7 +87,7 @@ ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
             fmt::format("cannot make an asset of \"{}\": the run has no such actor, expected one of: {}",
                         track, fmt::join(others, ", ")));
 
-    ObservedBoxSurface surface = mark_observed_box_surface(box->size_m, observations);
+    ObservedBoxSurface surface = make_observed_box_surface(box->size_m, observations);
     ActorAsset asset;
     AssetDescription& facts = asset.facts;
     facts = {make_asset_name(*box),
@@ -111,7 +111,7 @@ ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
     surfels = surfels.reorder(shown);
     if (facts.kind == ObjectKind::vehicle) {
         facts.mirrored = replace_unobserved_by_mirrored_surfels(surfels, surface);
-        facts.completed = surface.is_completed ? surface.compute_mirrored_area_fraction() : 0.0;
+        facts.completed = surface.is_completed ? surface.compute_mirrorable_area_fraction() : 0.0;
     }
     surfels = surfels.reorder(compute_kd_tree_order(surfels.mean));
     facts.surfels = surfels.size();

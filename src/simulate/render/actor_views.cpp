@@ -70,8 +70,9 @@ std::vector<ActorVisibility> ScanRenderer::Impl::count_first_hits_per_instance(
 /// For each actor, traces the nearby rays in a scene that contains only this actor, and
 /// counts their hits. Then removes the background and actors without hits from
 /// `actor_views`.
-void ScanRenderer::Impl::count_hits_without_occluders(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
-                                                      std::vector<ActorVisibility>& actor_views) {
+void ScanRenderer::Impl::count_unoccluded_hits_per_actor(const SimulatedSweep& sweep,
+                                                         const ScanRenderPlan& plan,
+                                                         std::vector<ActorVisibility>& actor_views) {
     const std::vector<FiredRay> rays = compute_fired_rays_in_world(sweep);
     for (std::size_t i = 0; i < actor_views.size() && !rays.empty(); ++i) {
         if (actor_views[i].track.empty() || !sweep.instances[i].present) continue;

@@ -45,10 +45,10 @@ void copy_device_points(std::span<const shared::ReturnedPoint> returned_points,
 }  // namespace
 
 /// Records GPU commands that render a sweep and compute its points.
-PendingPoints ScanRenderer::Impl::record_commands_for_points(const SimulatedSweep& sweep,
-                                                             const Pose& dataset_from_points,
-                                                             const ScanRenderPlan& plan,
-                                                             SubmissionTiming submit_mode) try {
+PendingPoints ScanRenderer::Impl::record_point_rendering_commands(const SimulatedSweep& sweep,
+                                                                  const Pose& dataset_from_points,
+                                                                  const ScanRenderPlan& plan,
+                                                                  SubmissionTiming submit_mode) try {
     const int side_by_side = sweeps.get_scene_layout().blocks.empty() ? lanes->get_parallel_scan_limit() : 1;
     const bool joins =
         side_by_side > 1 && (lanes->has_open_batch() || submit_mode == SubmissionTiming::with_next);
@@ -66,13 +66,13 @@ PendingPoints ScanRenderer::Impl::record_commands_for_points(const SimulatedSwee
                        .renderer = &lanes->get_renderer(lane)};
     const PoseTrack points_from_sensor =
         convert_track_to_frame(scan.dataset_from_sensor, dataset_from_points);
-    scan.points = lane.points.record_point_compute_and_copy(
+    scan.points = lane.points.record_point_computation_and_readback(
         scan.renderer->stream(), *scan.rays,
         {.points_from_sensor = points_from_sensor,
          .time_s = sweep.time_s,
          .of_image = config.render.points != "median",
          .refined = corrects_drops},
-        scan.renderer->forward_pass().get_device_truncated_ray_count());
+        scan.renderer->forward_pass().get_truncated_ray_count_on_device());
     if (!joins) scan.renderer->stream().submit_commands();
     else if (submit_mode == SubmissionTiming::now) lanes->submit_batched_scan_commands();
     return scan;
@@ -101,13 +101,13 @@ RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& pending_points,
     copy_device_points(gathered.points, steps, result.points);
     if (settings.coverage.empty()) return result;
     const auto ray_at = [&](std::size_t index) {
-        const std::size_t i = DevicePointComputer::get_sampled_ray_index(index, rays.size());
+        const std::size_t i = DevicePointComputer::get_evenly_sampled_ray_index(index, rays.size());
         return RayWithSurfaceRange{pending_points.dataset_from_sensor.interpolate_pose(
                                        pending_points.time_s + double(rays.time_offset_s[i])),
                                    glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i]),
                                    gathered.requested_m[index]};
     };
-    result.unseen_share = relidar::compute_unobserved_ray_fraction(
+    result.unseen_share = relidar::compute_fraction_of_unobserved_rays(
         gathered.requested_m.size(), ray_at,
         {settings.coverage, sweeps.get_log().world_offset_m, pending_points.max_range_m});
     return result;
@@ -132,7 +132,7 @@ void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanReques
     const Pose dataset_from_points = request.dataset_from_sensor.interpolate_pose(points_at_s);
     const ScanRenderPlan plan = s.plan_steps_for_sweep(sweep, sample.has_value());
     if (plan.points_on_device) {
-        s.pending.push_back(s.record_commands_for_points(sweep, dataset_from_points, plan, mode));
+        s.pending.push_back(s.record_point_rendering_commands(sweep, dataset_from_points, plan, mode));
         return;
     }
     const RenderedScan scan = s.render_sweep(sweep, sample);

@@ -164,8 +164,8 @@ void add_traced_ray_channels(RenderedScan& scan, std::span<const shared::Measure
     }
 }
 
-void add_joined_beam_channels(RenderedScan& scan, const ChannelInputs& context,
-                              const std::vector<ChannelInfo>& channels) {
+void add_beam_channels(RenderedScan& scan, const ChannelInputs& context,
+                       const std::vector<ChannelInfo>& channels) {
     for (const ChannelInfo& channel : channels) {
         const ChannelComputation maker = find_channel_computation(channel);
         if (!maker.of_scan) continue;

@@ -52,7 +52,7 @@ void add_traced_ray_channels(RenderedScan& scan, std::span<const shared::Measure
 /// Adds the optional channels that are computed for each beam. A beam can consist of
 /// several traced sub-rays. Call this function before a network or random sampling
 /// changes the drop probabilities. Leaves out channels without values.
-void add_joined_beam_channels(RenderedScan& scan, const ChannelInputs& context,
-                              const std::vector<ChannelInfo>& channels);
+void add_beam_channels(RenderedScan& scan, const ChannelInputs& context,
+                       const std::vector<ChannelInfo>& channels);
 
 }  // namespace relidar

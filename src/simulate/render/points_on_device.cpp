@@ -29,9 +29,10 @@ void DevicePointComputer::reserve_ray_memory(Stream& stream, std::size_t n_rays)
     points_ = Array<shared::ReturnedPoint>(device_, n_rays, "returned points");
 }
 
-std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_point_compute_and_copy(
-    Stream& stream, const DeviceSensorRays& rays, const PointComputeOptions& options,
-    const Array<std::uint32_t>& capped_ray_count) {
+std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::
+    record_point_computation_and_readback(Stream& stream, const DeviceSensorRays& rays,
+                                          const PointComputeOptions& options,
+                                          const Array<std::uint32_t>& truncated_ray_count) {
     const std::size_t n = rays.get_ray_table().size();
     reserve_ray_memory(stream, n);
     const std::vector<shared::SensorPose> poses =
@@ -57,9 +58,9 @@ std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::rec
          .asked = sampled_ranges_.address(),
          .n_rays = std::uint32_t(n),
          .n_poses = std::uint32_t(poses.size()),
-         .n_requested = std::uint32_t(count_sampled_rays(n)),
+         .n_requested = std::uint32_t(count_evenly_sampled_rays(n)),
          .of_image = options.of_image ? 1u : 0u});
-    return record_point_copy_to_host(stream, n, capped_ray_count);
+    return record_point_readback(stream, n, truncated_ray_count);
 }
 
 DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
@@ -67,8 +68,8 @@ DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
       sampled_ranges(device, kSampledRays * sizeof(float), "ranges of rays"),
       capped(device, sizeof(std::uint32_t), "number of truncated rays") {}
 
-std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_point_copy_to_host(
-    Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& capped_ray_count) {
+std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_point_readback(
+    Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& truncated_ray_count) {
     auto free_slot = std::ranges::find_if(
         slots_, [](const std::shared_ptr<PointReadbackSlot>& slot) { return slot.use_count() == 1; });
     if (free_slot == slots_.end())
@@ -82,8 +83,8 @@ std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::rec
     slot.points->record_copy_to_host(stream, points_.buffer(), n_rays * sizeof(shared::ReturnedPoint));
     slot.count.record_copy_to_host(stream, count_.buffer(), sizeof(std::uint32_t));
     slot.sampled_ranges.record_copy_to_host(stream, sampled_ranges_.buffer(),
-                                            count_sampled_rays(n_rays) * sizeof(float));
-    slot.capped.record_copy_to_host(stream, capped_ray_count.buffer(), sizeof(std::uint32_t));
+                                            count_evenly_sampled_rays(n_rays) * sizeof(float));
+    slot.capped.record_copy_to_host(stream, truncated_ray_count.buffer(), sizeof(std::uint32_t));
     return *free_slot;
 }
 
@@ -95,7 +96,7 @@ DevicePointComputer::GatheredPoints DevicePointComputer::wait_for_copied_points(
     return {{static_cast<const shared::ReturnedPoint*>(host_buffers.points->wait_for_copied_bytes(stream)),
              number(host_buffers.count)},
             {static_cast<const float*>(host_buffers.sampled_ranges.wait_for_copied_bytes(stream)),
-             count_sampled_rays(host_buffers.n_rays)},
+             count_evenly_sampled_rays(host_buffers.n_rays)},
             number(host_buffers.capped)};
 }
 

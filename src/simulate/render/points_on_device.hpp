@@ -47,18 +47,18 @@ public:
     explicit DevicePointComputer(Device& device);
     /// Records GPU commands that compute the points of a measured scan and copy them to
     /// the host.
-    /// @param capped_ray_count device counter of rays whose search for hits was stopped
-    /// by its limit
+    /// @param truncated_ray_count device counter of rays whose search for hits was
+    /// stopped by its limit
     /// @return host buffers that receive the points; reused after the caller has released
     /// the pointer
-    std::shared_ptr<PointReadbackSlot> record_point_compute_and_copy(
+    std::shared_ptr<PointReadbackSlot> record_point_computation_and_readback(
         Stream& stream, const DeviceSensorRays& rays, const PointComputeOptions& options,
-        const Array<std::uint32_t>& capped_ray_count);
+        const Array<std::uint32_t>& truncated_ray_count);
 
     struct GatheredPoints {
         std::span<const shared::ReturnedPoint> points;
-        /// [count_sampled_rays()] distance to the surface in metres, for an evenly spaced
-        /// sample of the rays
+        /// [count_evenly_sampled_rays()] distance to the surface in metres, for an evenly
+        /// spaced sample of the rays
         std::span<const float> requested_m;
         std::uint32_t n_capped;
     };
@@ -67,11 +67,13 @@ public:
     static GatheredPoints wait_for_copied_points(Stream& stream, PointReadbackSlot& host_buffers);
     /// Returns the ray index of a sample. The samples are evenly spaced. For each sample,
     /// the host receives the distance to the surface, even if the ray has no return.
-    /// @param sample_index index of the sample, below count_sampled_rays()
-    static std::size_t get_sampled_ray_index(std::size_t sample_index, std::size_t n_rays) {
-        return sample_index * n_rays / count_sampled_rays(n_rays);
+    /// @param sample_index index of the sample, below count_evenly_sampled_rays()
+    static std::size_t get_evenly_sampled_ray_index(std::size_t sample_index, std::size_t n_rays) {
+        return sample_index * n_rays / count_evenly_sampled_rays(n_rays);
     }
-    static std::size_t count_sampled_rays(std::size_t n_rays) { return std::min(n_rays, kSampledRays); }
+    static std::size_t count_evenly_sampled_rays(std::size_t n_rays) {
+        return std::min(n_rays, kSampledRays);
+    }
 
 private:
     Device& device_;
@@ -86,8 +88,8 @@ private:
     std::vector<std::shared_ptr<PointReadbackSlot>> slots_;
 
     void reserve_ray_memory(Stream& stream, std::size_t n_rays);
-    std::shared_ptr<PointReadbackSlot> record_point_copy_to_host(
-        Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& capped_ray_count);
+    std::shared_ptr<PointReadbackSlot> record_point_readback(Stream& stream, std::size_t n_rays,
+                                                             const Array<std::uint32_t>& truncated_ray_count);
 };
 
 }  // namespace relidar

@@ -168,14 +168,14 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace_commands(Para
             return sweeps.get_permanent_drop_probability(sensor, rays.channel[index], rays.direction[index]);
         });
     Renderer& renderer = lanes->get_renderer(lane);
-    recorded->record_transform_to_world(renderer.stream(), sweep.world_from_sensor, sweep.time_s);
+    recorded->record_ray_transform_to_world(renderer.stream(), sweep.world_from_sensor, sweep.time_s);
     renderer.record_forward_pass(recorded->get_world_ray_batch());
     recorded->record_measurement(
         renderer.stream(), renderer.get_last_rendered_batch(),
         {config.render.range, sensor.beams, sweeps.get_log().intensity_response, sensor.limits, kMinWeight});
     if (with_drop_network)
-        recorded->record_drop_network(
-            renderer.stream(), lanes->get_or_create_drop_refiner(lane).get_ray_drop_inference(),
+        recorded->record_ray_drop_inference(
+            renderer.stream(), lanes->get_or_create_ray_drop_refiner(lane).get_ray_drop_inference(),
             glm::vec3(sweep.pose.translation + sweeps.get_log().world_offset_m - first_origin_m));
     return recorded;
 } catch (...) {
@@ -242,10 +242,11 @@ RenderedScan ScanRenderer::Impl::trace_beams_with_sub_rays(const SimulatedSweep&
 }
 
 /// Runs the ray-drop network on the host.
-void ScanRenderer::Impl::correct_drops_with_network(RenderedScan& scan) {
-    replace_drop_probabilities(scan, lanes->get_or_create_drop_refiner(lanes->get_unbatched_scan_resources())
-                                         .predict_drop_probabilities(make_network_input_image(
-                                             scan, lanes->get_drop_network()->inputs, first_origin_m)));
+void ScanRenderer::Impl::correct_drop_probabilities_with_network(RenderedScan& scan) {
+    replace_drop_probabilities(
+        scan, lanes->get_or_create_ray_drop_refiner(lanes->get_unbatched_scan_resources())
+                  .predict_drop_probabilities(
+                      make_network_input_image(scan, lanes->get_drop_network()->inputs, first_origin_m)));
 }
 
 /// Converts expected values to random measurements: draws returns, adds weather, and
@@ -290,16 +291,16 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep,
     auto [scan, drops] = plan.has_sub_rays()
                              ? TracedScan{trace_beams_with_sub_rays(sweep, plan.beams), {}}
                              : trace_rays(sweep, sweep.get_rays(), plan.network == Network::device);
-    add_joined_beam_channels(scan, make_channel_inputs(sweep), settings.channels);
+    add_beam_channels(scan, make_channel_inputs(sweep), settings.channels);
     estimate_and_set_unobserved_fraction(scan, make_observed_space(sensor));
     std::vector<ActorVisibility> views;
     if (settings.has_views) views = count_first_hits_per_instance(scan);
     if (plan.network == Network::cells) scan = project_points_into_grid_image(scan, *sensor.grid);
     if (plan.network == Network::device) replace_drop_probabilities(scan, drops);
-    else if (plan.network != Network::none) correct_drops_with_network(scan);
-    // count_hits_without_occluders() traces more rays, which invalidates the drop
+    else if (plan.network != Network::none) correct_drop_probabilities_with_network(scan);
+    // count_unoccluded_hits_per_actor() traces more rays, which invalidates the drop
     // probabilities in `drops`.
-    if (settings.has_views) count_hits_without_occluders(sweep, plan, views);
+    if (settings.has_views) count_unoccluded_hits_per_actor(sweep, plan, views);
     if (!is_optional_channel_enabled(kIncidence))
         std::erase_if(scan.channels,
                       [](const ScanChannel& channel) { return channel.info.name == kIncidence; });
@@ -318,7 +319,7 @@ ScanRenderer::ScanRenderer(Device& device, const TrainedRun& run)
     if (run.config.refine.enabled && !run.drop_network.empty()) set_drop_network(run.drop_network);
     set_observed_voxels(run.coverage);
     set_background_classes(run.classes);
-    set_intensity_scatter(run.intensity_scatter);
+    set_intensity_scatter_models(run.intensity_scatter);
 }
 
 void ScanRenderer::set_visible_instances(const std::vector<bool>& visible_flags) {
@@ -370,7 +371,7 @@ void ScanRenderer::set_observed_voxels(const ObservedVoxelSet& observed_voxels) 
     impl_->settings.coverage = observed_voxels;
 }
 
-void ScanRenderer::set_intensity_scatter(const std::vector<IntensityScatterModel>& scatter) {
+void ScanRenderer::set_intensity_scatter_models(const std::vector<IntensityScatterModel>& scatter) {
     impl_->settings.scatter = scatter;
     impl_->settings.scatter.resize(impl_->sweeps.get_log().lidars.size());
 }
@@ -397,7 +398,7 @@ const KernelTimes& ScanRenderer::times() const { return impl_->scene.get_kernel_
 
 RenderedScan ScanRenderer::render(const SimulatedSensor& sensor, double time_s, const Pose& sensor_offset,
                                   std::optional<std::uint64_t> sample) {
-    const SimulatedSensor followed = impl_->sweeps.align_azimuths_with_log(sensor, time_s);
+    const SimulatedSensor followed = impl_->sweeps.copy_sensor_with_logged_azimuths(sensor, time_s);
     return impl_->render_sweep(impl_->sweeps.make_sweep_on_recorded_path(followed, time_s, sensor_offset),
                                sample);
 }

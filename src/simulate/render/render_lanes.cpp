@@ -55,7 +55,7 @@ void ParallelScanResourcePool::set_drop_network(const RayDropNetwork& network) {
     if (!network.empty()) first_.refiner.emplace(device_, network);
 }
 
-RayDropRefiner& ParallelScanResourcePool::get_or_create_drop_refiner(ParallelScanResources& lane) {
+RayDropRefiner& ParallelScanResourcePool::get_or_create_ray_drop_refiner(ParallelScanResources& lane) {
     if (!lane.refiner) lane.refiner.emplace(device_, first_.refiner->network());
     return *lane.refiner;
 }

@@ -69,7 +69,7 @@ public:
     }
     /// Returns the object that runs the ray-drop network with these resources. The first
     /// call creates the object.
-    RayDropRefiner& get_or_create_drop_refiner(ParallelScanResources& lane);
+    RayDropRefiner& get_or_create_ray_drop_refiner(ParallelScanResources& lane);
     int get_parallel_scan_limit() const { return most_; }
     void set_parallel_scan_limit(int count);
 

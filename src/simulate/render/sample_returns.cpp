@@ -20,7 +20,7 @@ constexpr std::uint64_t kOfIntensities = 0x696E74656E736974ull;
 
 }  // namespace
 
-RenderedIntensityImage copy_inputs_of_random_intensities(const RenderedScan& scan) {
+RenderedIntensityImage make_rendered_intensity_image(const RenderedScan& scan) {
     const RangeImage& image = scan.image;
     const RangeImageRays rays{image.rows, image.columns, image.origin, image.direction, scan.median_range_m};
     RenderedIntensityImage result{
@@ -37,7 +37,7 @@ RenderedIntensityImage copy_inputs_of_random_intensities(const RenderedScan& sca
 void sample_random_returns(RenderedScan& scan, const RangeNoiseTable& noise,
                            const IntensityScatterModel& scatter, std::uint64_t seed) {
     const std::uint64_t of_scan = hash_integer_pair(seed, std::bit_cast<std::uint64_t>(scan.time_s));
-    const RenderedIntensityImage likely = copy_inputs_of_random_intensities(scan);
+    const RenderedIntensityImage likely = make_rendered_intensity_image(scan);
     const std::vector<float>& likely_m = likely.range_m;
     std::vector<float> ranges_m = likely_m;
     std::vector<std::uint8_t> returning(likely_m.size());

@@ -72,15 +72,16 @@ struct ScanRenderer::Impl {
                           bool with_drop_network = false);
     RenderedScan trace_beams_with_sub_rays(const SimulatedSweep& sweep, SensorConfig beam_config);
     std::vector<ActorVisibility> count_first_hits_per_instance(const RenderedScan& scan) const;
-    void count_hits_without_occluders(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
-                                      std::vector<ActorVisibility>& actor_views);
-    void correct_drops_with_network(RenderedScan& scan);
+    void count_unoccluded_hits_per_actor(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
+                                         std::vector<ActorVisibility>& actor_views);
+    void correct_drop_probabilities_with_network(RenderedScan& scan);
     void apply_noise_and_weather(RenderedScan& scan, const SimulatedSweep& sweep,
                                  std::optional<std::uint64_t> noise_seed);
     RenderedScan render_sweep(const SimulatedSweep& sweep, std::optional<std::uint64_t> noise_seed);
 
-    PendingPoints record_commands_for_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
-                                             const ScanRenderPlan& plan, SubmissionTiming submit_mode);
+    PendingPoints record_point_rendering_commands(const SimulatedSweep& sweep,
+                                                  const Pose& dataset_from_points, const ScanRenderPlan& plan,
+                                                  SubmissionTiming submit_mode);
     RenderedPoints collect_points(PendingPoints& pending_points, LidarPoints reusable_memory = {});
     void finish_pending_scans();
     void wait_for_device() noexcept;

@@ -33,9 +33,9 @@ float compute_observed_path_fraction(const RayWithSurfaceRange& ray, const LogOb
 
 }  // namespace
 
-double compute_unobserved_ray_fraction(std::size_t n_rays,
-                                       const std::function<RayWithSurfaceRange(std::size_t)>& get_ray,
-                                       const LogObservedSpace& observed_space) {
+double compute_fraction_of_unobserved_rays(std::size_t n_rays,
+                                           const std::function<RayWithSurfaceRange(std::size_t)>& get_ray,
+                                           const LogObservedSpace& observed_space) {
     std::vector<float> shares(n_rays);
     parallel_for_in_blocks(n_rays, [&](std::size_t index) {
         shares[index] = compute_observed_path_fraction(get_ray(index), observed_space);
@@ -58,14 +58,14 @@ void estimate_and_set_unobserved_fraction(RenderedScan& scan, const LogObservedS
     const std::size_t n = scan.median_range_m.size();
     if (observed_space.coverage.empty() || n == 0) return;
     const auto ray_at = [&](std::size_t index) {
-        return get_ray_with_surface_range(scan, DevicePointComputer::get_sampled_ray_index(index, n));
+        return get_ray_with_surface_range(scan, DevicePointComputer::get_evenly_sampled_ray_index(index, n));
     };
     if (const std::vector<float>* shares = find_channel_values<float>(scan.channels, "seen"))
         scan.unseen_share =
             double(std::ranges::count_if(*shares, is_mostly_unobserved)) / double(shares->size());
     else
-        scan.unseen_share = compute_unobserved_ray_fraction(DevicePointComputer::count_sampled_rays(n),
-                                                            ray_at, observed_space);
+        scan.unseen_share = compute_fraction_of_unobserved_rays(
+            DevicePointComputer::count_evenly_sampled_rays(n), ray_at, observed_space);
 }
 
 }  // namespace relidar

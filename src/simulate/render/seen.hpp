@@ -27,9 +27,9 @@ struct RayWithSurfaceRange {
 /// Returns the share of rays that count as unobserved. A ray counts as unobserved if the
 /// log observed less than half of its path.
 /// @param get_ray returns the ray with an index below `n_rays`
-double compute_unobserved_ray_fraction(std::size_t n_rays,
-                                       const std::function<RayWithSurfaceRange(std::size_t)>& get_ray,
-                                       const LogObservedSpace& observed_space);
+double compute_fraction_of_unobserved_rays(std::size_t n_rays,
+                                           const std::function<RayWithSurfaceRange(std::size_t)>& get_ray,
+                                           const LogObservedSpace& observed_space);
 
 /// Returns, for each selected ray, which fraction of its path is in space that the log
 /// has observed. The path ends at the surface that the ray hits, or at the maximum range.

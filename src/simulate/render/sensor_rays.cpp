@@ -149,8 +149,8 @@ std::vector<shared::SensorPose> DeviceSensorRays::list_poses_during_sweep(const 
                                            double(last_s_));
 }
 
-void DeviceSensorRays::record_transform_to_world(Stream& stream, const PoseTrack& world_from_sensor,
-                                                 double sweep_time_s) {
+void DeviceSensorRays::record_ray_transform_to_world(Stream& stream, const PoseTrack& world_from_sensor,
+                                                     double sweep_time_s) {
     const auto poses = this->list_poses_during_sweep(world_from_sensor, sweep_time_s);
     run(stream, fire_, table_.size(),
         {.rays = rays_.address(),
@@ -197,8 +197,8 @@ void DeviceSensorRays::record_measurement(Stream& stream, const RenderedBatch& r
     refined_ = nullptr;
 }
 
-void DeviceSensorRays::record_drop_network(Stream& stream, RayDropInference& network,
-                                           const glm::vec3& relative_sensor_position_m) {
+void DeviceSensorRays::record_ray_drop_inference(Stream& stream, RayDropInference& network,
+                                                 const glm::vec3& relative_sensor_position_m) {
     const std::vector<std::uint32_t> channels = list_drop_network_channel_numbers(network.network().inputs);
     if (channels.size() * table_.size() > samples_.size()) {
         stream.submit_and_wait();

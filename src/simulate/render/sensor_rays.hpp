@@ -46,7 +46,8 @@ public:
     /// transformed rays.
     /// @param world_from_sensor poses of the sensor; a single pose if the sensor does not
     /// move
-    void record_transform_to_world(Stream& stream, const PoseTrack& world_from_sensor, double sweep_time_s);
+    void record_ray_transform_to_world(Stream& stream, const PoseTrack& world_from_sensor,
+                                       double sweep_time_s);
     /// Returns the rays in the world frame, with the rows and columns of the sensor's ray
     /// table.
     RayBatch get_world_ray_batch() const;
@@ -59,8 +60,8 @@ public:
     /// @param relative_sensor_position_m sensor position relative to the first vehicle
     /// position of the log
     /// @throws DataError if the image or the channels do not match the network
-    void record_drop_network(Stream& stream, RayDropInference& network,
-                             const glm::vec3& relative_sensor_position_m);
+    void record_ray_drop_inference(Stream& stream, RayDropInference& network,
+                                   const glm::vec3& relative_sensor_position_m);
     /// Copies the measurements to the host and waits for them.
     /// @return [rays] valid until the next call
     std::span<const shared::MeasuredRay> wait_for_measurements(Stream& stream);
@@ -76,7 +77,7 @@ public:
     const Array<shared::SensorRay>& get_device_rays() const { return rays_; }
     const Array<shared::MeasuredRay>& get_device_measurements() const { return measured_; }
     /// Returns the device address of the drop probabilities from the last
-    /// record_drop_network().
+    /// record_ray_drop_inference().
     Address<float, shared::DropProbabilities> get_drop_probability_address() const {
         return get_device_address_or_null(refined_);
     }

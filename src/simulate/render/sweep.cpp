@@ -73,8 +73,8 @@ void SimulatedSweepBuilder::set_visible_instances(const std::vector<bool>& shown
     shown_ = shown;
 }
 
-SimulatedSensor SimulatedSweepBuilder::align_azimuths_with_log(const SimulatedSensor& sensor,
-                                                               double time_s) const {
+SimulatedSensor SimulatedSweepBuilder::copy_sensor_with_logged_azimuths(const SimulatedSensor& sensor,
+                                                                        double time_s) const {
     return copy_sensor_with_azimuths_of_sweep(sensor, shifted_, log_.lidars, time_s);
 }
 

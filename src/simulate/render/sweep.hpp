@@ -36,7 +36,7 @@ public:
     void set_visible_instances(const std::vector<bool>& shown);
     /// Returns a copy of the sensor with the azimuths that the LiDAR of the log measured
     /// in the sweep at `time_s`.
-    SimulatedSensor align_azimuths_with_log(const SimulatedSensor& sensor, double time_s) const;
+    SimulatedSensor copy_sensor_with_logged_azimuths(const SimulatedSensor& sensor, double time_s) const;
     /// Returns the sweep of a sensor on the vehicle of the log. The vehicle drives along
     /// its recorded path.
     /// @param sensor must outlive the sweep

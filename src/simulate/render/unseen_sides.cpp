@@ -66,7 +66,8 @@ struct PartlyObservedActor {
     void count_ray_on_unobserved_side(const glm::dvec3& ray_origin, const glm::dvec3& ray_direction,
                                       double range_m, bool hits_actor) {
         if (hits_actor && range_m > 0.0)
-            if (const auto side = surface->find_mirror_completed_side(ray_origin + range_m * ray_direction))
+            if (const auto side =
+                    surface->find_side_filled_by_mirroring(ray_origin + range_m * ray_direction))
                 ++n_completed[std::size_t(*side)];
         const auto [enter_m, axis] = find_ray_entry_into_box(ray_origin, ray_direction, half_m);
         if (!std::isfinite(enter_m) || (range_m > 0.0 && range_m < enter_m)) return;

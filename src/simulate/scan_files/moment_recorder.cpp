@@ -61,8 +61,8 @@ std::uint64_t SweepRecorder::make_time_stamp_ns(double time_s) const {
     return convert_to_nanoseconds(time_s + *shift_s_);
 }
 
-void SweepRecorder::require_recordable_scan_times(const RenderedScan& scan,
-                                                  const SweepInterval& combined_sweep) {
+void SweepRecorder::require_valid_scan_times_and_set_time_shift(const RenderedScan& scan,
+                                                                const SweepInterval& combined_sweep) {
     const bool falls = shift_s_ && scan.time_s < last_scan_s_;
     if (!shift_s_) shift_s_ = combined_sweep.first_s < 0.0 ? std::ceil(-combined_sweep.first_s) : 0.0;
     if (falls ||
@@ -89,7 +89,7 @@ RecordedSweep SweepRecorder::convert_scans_to_recorded_sweep(std::span<const Ren
     SweepInterval all = sweeps.front();
     for (const SweepInterval& sweep : sweeps)
         all = {std::min(all.first_s, sweep.first_s), std::max(all.last_s, sweep.last_s)};
-    require_recordable_scan_times(scans[0], all);
+    require_valid_scan_times_and_set_time_shift(scans[0], all);
     RecordedSweep moment{make_time_stamp_ns(all.first_s), make_time_stamp_ns(all.last_s), {}, {}, {}};
     std::vector<double> times_s;
     append_pose_sample_times(times_s, scans[0].track, all.first_s, all.last_s);
@@ -130,7 +130,7 @@ LidarPoints SweepRecorder::make_point_cloud(const RenderedScan& scan, const Scan
                                             const SweepInterval& sweep) const {
     LidarPoints points = convert_scan_to_points(
         scan, format.config,
-        compute_output_frame_pose(format, interpolate_sensor_pose_in_scan(scan, sweep.first_s)));
+        compute_world_from_output_frame(format, interpolate_sensor_pose_in_scan(scan, sweep.first_s)));
     for (float& time_s : points.time_offset_s)
         time_s = static_cast<float>(double(time_s) - (sweep.first_s - scan.time_s));
     points.time_s = sweep.first_s + *shift_s_;

@@ -39,7 +39,8 @@ private:
     std::optional<std::uint64_t> last_pose_ns_;
 
     std::uint64_t make_time_stamp_ns(double time_s) const;
-    void require_recordable_scan_times(const RenderedScan& scan, const SweepInterval& combined_sweep);
+    void require_valid_scan_times_and_set_time_shift(const RenderedScan& scan,
+                                                     const SweepInterval& combined_sweep);
     std::vector<RecordedPose> compute_vehicle_poses(const RenderedScan& scan, std::vector<double> times_s);
     LidarPoints make_point_cloud(const RenderedScan& scan, const ScanOutputOptions& format,
                                  const SweepInterval& sweep) const;

@@ -40,7 +40,7 @@ void PacketFileWriter::write_scans_as_packets(std::span<const RenderedScan> scan
     write_packets(packets_.encode_scans_as_packets(scans));
 }
 
-void PacketFileWriter::finish() {
+void PacketFileWriter::finish_writing() {
     write_packets(packets_.flush_remaining_packets());
     for (std::size_t s = 0; s < files_.size(); ++s) {
         OpenPacketFile& file = files_[s];

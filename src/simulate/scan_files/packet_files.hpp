@@ -21,13 +21,13 @@ public:
     /// Creates the capture files under temporary names.
     /// @throws UsageError if relidar cannot write packets of a sensor
     PacketFileWriter(std::filesystem::path folder, const std::vector<ScanOutputOptions>& sensors);
-    /// Removes the temporary files if finish() was not called.
+    /// Removes the temporary files if finish_writing() was not called.
     ~PacketFileWriter();
     PacketFileWriter(const PacketFileWriter&) = delete;
     PacketFileWriter& operator=(const PacketFileWriter&) = delete;
 
     void write_scans_as_packets(std::span<const RenderedScan> scans);
-    void finish();
+    void finish_writing();
     std::vector<std::string> list_packet_file_names() const;
     /// Returns true if this class may have written a file with this name.
     static bool is_packet_file_name(const std::filesystem::path& file_name);

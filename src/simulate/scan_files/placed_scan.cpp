@@ -6,8 +6,8 @@
 #include <relidar/simulate/place_points.hpp>
 
 namespace relidar::scan_files {
-std::optional<Pose> compute_output_frame_pose(const ScanOutputOptions& format,
-                                              const Pose& world_from_deskewed) {
+std::optional<Pose> compute_world_from_output_frame(const ScanOutputOptions& format,
+                                                    const Pose& world_from_deskewed) {
     if (format.frame == PointCoordinateFrame::world) return Pose{};
     return format.deskew ? std::optional(world_from_deskewed) : std::nullopt;
 }
@@ -15,7 +15,8 @@ std::optional<Pose> compute_output_frame_pose(const ScanOutputOptions& format,
 ScanInOutputFrame transform_scan_to_output_frame(const RenderedScan& scan, const ScanOutputOptions& format,
                                                  const Pose& world_from_deskewed, int frame_number,
                                                  FileMetadata file_notes) {
-    const std::optional<Pose> dataset_from_points = compute_output_frame_pose(format, world_from_deskewed);
+    const std::optional<Pose> dataset_from_points =
+        compute_world_from_output_frame(format, world_from_deskewed);
     LidarPoints ends = convert_scan_to_points(scan, format.config, dataset_from_points, PointSelection::rays);
     ScanInOutputFrame placed{.scan = scan,
                              .format = format,

@@ -35,7 +35,7 @@ struct ScanInOutputFrame {
 /// Calls visit(info, values) for each channel of the output files, in the order of the
 /// files. Second returns have the channels range_2 and intensity_2.
 template <class Visit>
-void for_each_file_channel(const ScanInOutputFrame& placed_scan, Visit&& visit) {
+void for_each_channel_written_to_files(const ScanInOutputFrame& placed_scan, Visit&& visit) {
     const RenderedScan& scan = placed_scan.scan;
     const BasicChannels& basic = get_basic_channels();
     visit(basic.range, scan.image.range_m);
@@ -73,8 +73,8 @@ ScanInOutputFrame transform_scan_to_output_frame(const RenderedScan& scan, const
 /// written in the sensor frame at the firing time of its ray.
 /// @param world_from_deskewed pose of the sensor frame in which deskewed
 /// (motion-compensated) points are expressed
-std::optional<Pose> compute_output_frame_pose(const ScanOutputOptions& format,
-                                              const Pose& world_from_deskewed);
+std::optional<Pose> compute_world_from_output_frame(const ScanOutputOptions& format,
+                                                    const Pose& world_from_deskewed);
 /// Returns one point for each return of the scan.
 LidarPoints make_points_of_returns(const ScanInOutputFrame& output_scan);
 /// Returns the number of rays that have a return.

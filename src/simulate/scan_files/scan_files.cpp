@@ -40,8 +40,9 @@ std::vector<double> get_row_major_matrix(const Pose& pose) {
 
 std::string describe_point_frame(const ScanOutputOptions& format) {
     if (format.frame == PointCoordinateFrame::world) return "world: the dataset's own";
-    return are_points_in_one_frame(format) ? "sensor at time_s: x forward, y left, z up"
-                                           : "sensor at each ray's firing time: x forward, y left, z up";
+    return are_points_in_one_coordinate_frame(format)
+               ? "sensor at time_s: x forward, y left, z up"
+               : "sensor at each ray's firing time: x forward, y left, z up";
 }
 
 FileMetadata make_scan_file_metadata(const ScanOutputOptions& format, int frame_number,
@@ -78,7 +79,7 @@ std::vector<NamedArray> make_npz_arrays(const ScanInOutputFrame& output_scan) {
     const std::vector<double> pose = get_row_major_matrix(scan.world_from_sensor);
     const bool world = output_scan.format.frame == PointCoordinateFrame::world;
     const std::int32_t number = output_scan.frame,
-                       deskewed = are_points_in_one_frame(output_scan.format) ? 1 : 0;
+                       deskewed = are_points_in_one_coordinate_frame(output_scan.format) ? 1 : 0;
     std::vector<NamedArray> arrays{make_text_array("instance_names", output_scan.format.instance_names),
                                    make_image_array("directions", image, output_scan.direction),
                                    make_image_array("origin", image, output_scan.origin),
@@ -91,7 +92,7 @@ std::vector<NamedArray> make_npz_arrays(const ScanInOutputFrame& output_scan) {
                                    make_single_text_array("sensor", output_scan.format.sensor),
                                    make_single_text_array("run", output_scan.format.run),
                                    make_single_text_array("units", kUnits)};
-    for_each_file_channel(output_scan, [&](const ChannelInfo& channel, const auto& values) {
+    for_each_channel_written_to_files(output_scan, [&](const ChannelInfo& channel, const auto& values) {
         arrays.push_back(make_image_array(channel.name, image, values));
     });
     if (scan.unseen_share) arrays.push_back(make_array("unseen", {}, &*scan.unseen_share, 1));
@@ -111,8 +112,8 @@ void write_exr_file(const fs::path& path, const ScanInOutputFrame& output_scan) 
     };
     add("origin", output_scan.origin);
     add("direction", output_scan.direction);
-    for_each_file_channel(output_scan,
-                          [&](const ChannelInfo& channel, const auto& values) { add(channel.name, values); });
+    for_each_channel_written_to_files(
+        output_scan, [&](const ChannelInfo& channel, const auto& values) { add(channel.name, values); });
     const RangeImage& image = output_scan.scan.image;
     write_exr(path, image.rows, image.columns, channels, output_scan.notes);
 }
@@ -176,7 +177,7 @@ ScanOutputOptions make_default_output_options(const TrainedRun& run, const Simul
     return format;
 }
 
-bool are_points_in_one_frame(const ScanOutputOptions& output_options) {
+bool are_points_in_one_coordinate_frame(const ScanOutputOptions& output_options) {
     return output_options.frame == PointCoordinateFrame::world || output_options.deskew ||
            !output_options.rolling_shutter;
 }

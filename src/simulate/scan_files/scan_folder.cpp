@@ -86,7 +86,7 @@ ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format, Jo
     channels_ = parse_channel_names(format_.config.render.channels);
 }
 
-ScanFolderWriter ScanFolderWriter::open_shared_folder(fs::path folder, ScanOutputOptions format) {
+ScanFolderWriter ScanFolderWriter::open_folder_of_other_process(fs::path folder, ScanOutputOptions format) {
     ScanFolderWriter joined(std::move(folder), std::move(format), JoinExistingTag{});
     for (const std::string& name : joined.format_.formats)
         if (is_recording_format(name))
@@ -103,7 +103,7 @@ ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format)
 }
 
 void ScanFolderWriter::finish_scan_folder() {
-    if (recordings_) recordings_->finish_recordings();
+    if (recordings_) recordings_->finish_recording_files();
     write_summary_file();
 }
 
@@ -113,7 +113,7 @@ void ScanFolderWriter::write_summary_file() const {
     const std::string range = config.render.points == "median" ? "median" : config.render.range;
     const Json points = {
         {"frame", world ? "world" : "sensor"},
-        {"deskewed", are_points_in_one_frame(format_)},
+        {"deskewed", are_points_in_one_coordinate_frame(format_)},
         {"range", range},
         {"returned", "drop_prob < 0.5"},
         {"returns", config.sensor.returns == 2 ? "1: the strongest return, 2: the last return, or the second "

@@ -56,7 +56,7 @@ void RecordingFileWriter::write_sweep_messages(const RecordedSweep& moment, doub
     writer_.write_pending_chunk();
 }
 
-void RecordingFileWriter::finish() {
+void RecordingFileWriter::finish_writing() {
     writer_.write_summary_and_close();
     // Flushes the file to disk, and then renames it to its final name.
     write_file_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });

@@ -11,8 +11,8 @@
 
 namespace relidar::scan_files {
 
-/// Writes one recording. Until finish() is called, the file has a temporary name in the
-/// same folder.
+/// Writes one recording. Until finish_writing() is called, the file has a temporary name
+/// in the same folder.
 class RecordingFileWriter {
 public:
     /// Creates the file and writes the descriptions of its topics.
@@ -20,7 +20,7 @@ public:
     /// @throws DataError if the file cannot be written
     RecordingFileWriter(std::filesystem::path path, const RecordingFormat& format, const RecordedRig& rig,
                         const FileMetadata& notes);
-    /// Removes the temporary file if finish() was not called.
+    /// Removes the temporary file if finish_writing() was not called.
     ~RecordingFileWriter();
     RecordingFileWriter(const RecordingFileWriter&) = delete;
     RecordingFileWriter& operator=(const RecordingFileWriter&) = delete;
@@ -29,7 +29,7 @@ public:
     /// @param time_shift_s offset that converts times of the log to times of the file.
     /// All calls must use the same offset
     void write_sweep_messages(const RecordedSweep& moment, double time_shift_s);
-    void finish();
+    void finish_writing();
 
 private:
     std::filesystem::path path_, temporary_;

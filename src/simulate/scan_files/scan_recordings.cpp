@@ -76,7 +76,8 @@ void require_unique_topic_names(const std::vector<scan_files::RecordedTopic>& to
 /// Describes the coordinate frame of the points, for the metadata of a recording.
 const char* describe_frame_of_points(const ScanOutputOptions& format) {
     if (format.frame == PointCoordinateFrame::world) return "world";
-    return are_points_in_one_frame(format) ? "sensor at the stamp" : "sensor at each ray's firing time";
+    return are_points_in_one_coordinate_frame(format) ? "sensor at the stamp"
+                                                      : "sensor at each ray's firing time";
 }
 
 /// Returns the metadata of a recording.
@@ -150,9 +151,9 @@ void ScanRecordingsWriter::write_scans(std::span<const RenderedScan> scans) {
         file->write_sweep_messages(moment, impl_->recorder.get_time_shift_s());
 }
 
-void ScanRecordingsWriter::finish_recordings() {
-    for (const auto& file : impl_->files) file->finish();
-    if (impl_->packets) impl_->packets->finish();
+void ScanRecordingsWriter::finish_recording_files() {
+    for (const auto& file : impl_->files) file->finish_writing();
+    if (impl_->packets) impl_->packets->finish_writing();
 }
 
 std::vector<std::string> ScanRecordingsWriter::list_file_names() const { return impl_->names; }

@@ -124,11 +124,11 @@ ResumeFingerprint compute_scene_fingerprint(const Scene& scene) {
     return {"scene", "the scene", hash.get_hex_digest()};
 }
 
-void store_in_checkpoint_texts(const ConfigKey& setting, std::map<std::string, std::string>& texts) {
+void add_entry_to_checkpoint_texts(const ConfigKey& setting, std::map<std::string, std::string>& texts) {
     texts[kSetting + setting.key] = setting.value;
 }
-void store_in_checkpoint_texts(const ResumeFingerprint& fingerprint,
-                               std::map<std::string, std::string>& texts) {
+void add_entry_to_checkpoint_texts(const ResumeFingerprint& fingerprint,
+                                   std::map<std::string, std::string>& texts) {
     texts[fingerprint.key] = fingerprint.value;
 }
 

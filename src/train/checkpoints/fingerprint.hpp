@@ -31,9 +31,9 @@ std::vector<ResumeFingerprint> compute_log_fingerprints(const LidarSequence& seq
 ResumeFingerprint compute_scene_fingerprint(const Scene& scene);
 
 /// Adds a setting, or a hash (second overload), to the texts that a checkpoint stores.
-void store_in_checkpoint_texts(const ConfigKey& setting, std::map<std::string, std::string>& texts);
-void store_in_checkpoint_texts(const ResumeFingerprint& fingerprint,
-                               std::map<std::string, std::string>& texts);
+void add_entry_to_checkpoint_texts(const ConfigKey& setting, std::map<std::string, std::string>& texts);
+void add_entry_to_checkpoint_texts(const ResumeFingerprint& fingerprint,
+                                   std::map<std::string, std::string>& texts);
 /// Compares settings or a hash with the values in a checkpoint.
 /// @param error_prefix  start of the error message
 /// @throws UsageError if a setting has another value

@@ -78,9 +78,9 @@ std::map<std::string, std::string> list_settings_and_hashes_for_resume(const Lid
                                                                        const TrainTestSplit& split,
                                                                        const Config& config) {
     std::map<std::string, std::string> texts;
-    for (const ConfigKey& key : list_config_keys(config)) store_in_checkpoint_texts(key, texts);
+    for (const ConfigKey& key : list_config_keys(config)) add_entry_to_checkpoint_texts(key, texts);
     for (const ResumeFingerprint& mark : compute_log_fingerprints(sequence, split))
-        store_in_checkpoint_texts(mark, texts);
+        add_entry_to_checkpoint_texts(mark, texts);
     return texts;
 }
 

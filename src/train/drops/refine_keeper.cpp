@@ -37,9 +37,9 @@ RayDropCheckpointKeeper::RayDropCheckpointKeeper(const TrainedRun& run, const Ra
     texts_ = std::async(std::launch::async, [&run] {
         std::map<std::string, std::string> texts;
         for (const ConfigKey& key : list_config_keys(run.config))
-            if (can_affect_drop_network(key.key)) store_in_checkpoint_texts(key, texts);
+            if (can_affect_drop_network(key.key)) add_entry_to_checkpoint_texts(key, texts);
         for (const ResumeFingerprint& mark : compute_run_fingerprints(run))
-            store_in_checkpoint_texts(mark, texts);
+            add_entry_to_checkpoint_texts(mark, texts);
         return texts;
     });
 }

@@ -129,7 +129,7 @@ SampledBatch BatchSampler::gather_nth_batch(Stream& stream, const TrainingFrameD
         const std::uint32_t n = image.rows * columns.n;
         run(stream, b.gather, n,
             {.rays = frame.get_device_rays().address(),
-             .targets = frame.get_device_targets().address(),
+             .targets = frame.get_loss_targets_on_device().address(),
              .batch_rays = b.rays.address(),
              .batch_targets = b.targets.address(),
              .rows = image.rows,
@@ -154,10 +154,11 @@ SampledBatch BatchSampler::gather_nth_batch(Stream& stream, const TrainingFrameD
     const std::uint32_t stride = count_batches_covering_frame(frame);
     first_column = (first_column + batch_index) % stride;
     const RayBatch rays = frame.make_strided_batch(first_column, stride);
-    return {rays,
-            {&frame.get_device_targets(), first_column, stride, rays.n_rays, frame.n_returned / stride,
-             frame.n_known_rays / stride, stride == 1 ? frame.image : ImageShape{}},
-            {}};
+    return {
+        rays,
+        {&frame.get_loss_targets_on_device(), first_column, stride, rays.n_rays, frame.n_returned / stride,
+         frame.n_known_rays / stride, stride == 1 ? frame.image : ImageShape{}},
+        {}};
 }
 
 }  // namespace relidar

@@ -97,7 +97,7 @@ RayBatch TrainingFrameData::make_strided_batch(std::uint32_t first_ray, std::uin
             stride,
             (n_rays - first_ray + stride - 1) / stride,
             is_column_subset ? image.columns / stride : 0,
-            &get_device_targets()};
+            &get_loss_targets_on_device()};
 }
 
 }  // namespace relidar

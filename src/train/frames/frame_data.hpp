@@ -51,7 +51,7 @@ struct TrainingFrameData {
     glm::vec3 sensor_position_m{0.0f};  ///< sensor position at the reference time, world frame
 
     const Array<DeviceRay>& get_device_rays() const { return moved_rays ? *moved_rays : arrays->rays; }
-    const Array<DeviceTarget>& get_device_targets() const { return arrays->targets; }
+    const Array<DeviceTarget>& get_loss_targets_on_device() const { return arrays->targets; }
     /// Returns a batch with every stride-th ray of the frame, starting at ray
     /// `first_ray`.
     RayBatch make_strided_batch(std::uint32_t first_ray, std::uint32_t stride) const;

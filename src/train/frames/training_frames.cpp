@@ -101,7 +101,7 @@ TrainingFrames::TrainingFrames(Device& device, const LidarSequence& sequence,
         if (bytes > use_.resident_bytes) break;
         ++n_staying_;
     }
-    upload_resident_frames(device);
+    upload_frames_to_keep_resident(device);
     const std::uint32_t n = find_max_rays_per_frame(std::span(frames_).subspan(n_staying_));
     if (n == 0) return;
     shared_ = std::make_shared<FrameArrays>(
@@ -113,7 +113,7 @@ TrainingFrames::TrainingFrames(Device& device, const LidarSequence& sequence,
 
 TrainingFrames::~TrainingFrames() = default;
 
-void TrainingFrames::upload_resident_frames(Device& device) {
+void TrainingFrames::upload_frames_to_keep_resident(Device& device) {
     for (std::size_t first = 0; first < n_staying_; first += kPreparedAtOnce) {
         std::vector<HostFrameArrays> batch(std::min(kPreparedAtOnce, n_staying_ - first));
         parallel_for(static_cast<int>(batch.size()), [&](int k) {

@@ -70,7 +70,7 @@ private:
 
     HostFrameArrays compute_host_frame_arrays(std::size_t frame_index) const;
     HostFrameArrays take_prefetched_or_compute_frame(std::size_t frame_index);
-    void upload_resident_frames(Device& device);
+    void upload_frames_to_keep_resident(Device& device);
     std::size_t count_bytes_per_ray() const;
 };
 

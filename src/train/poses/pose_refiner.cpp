@@ -126,7 +126,8 @@ void PoseRefiner::record_pose_gradients(Stream& stream, std::size_t frame_index,
                                         floats_of_instances_);
 }
 
-std::span<float> PoseRefiner::fetch_pending_gradient(Stream& stream, std::size_t pending_index) {
+std::span<float> PoseRefiner::wait_for_gradient_of_pending_iteration(Stream& stream,
+                                                                     std::size_t pending_index) {
     const std::size_t n = floats_of_rays_ + floats_of_instances_,
                       slot = pending_iterations_.step[pending_index] % kReadbackLag;
     const std::span<float> gradient(pending_iterations_.gradient.data() + pending_index * n, n);
@@ -140,11 +141,12 @@ std::span<float> PoseRefiner::fetch_pending_gradient(Stream& stream, std::size_t
 }
 
 void PoseRefiner::wait_for_pending_gradients(Stream& stream) {
-    for (std::size_t i = 0; i < pending_iterations_.step.size(); ++i) fetch_pending_gradient(stream, i);
+    for (std::size_t i = 0; i < pending_iterations_.step.size(); ++i)
+        wait_for_gradient_of_pending_iteration(stream, i);
 }
 
 void PoseRefiner::apply_oldest_pose_update(Stream& stream) {
-    const std::span<const float> gradient = fetch_pending_gradient(stream, 0);
+    const std::span<const float> gradient = wait_for_gradient_of_pending_iteration(stream, 0);
     const int step = static_cast<int>(pending_iterations_.step.front());
     if (rays_) {
         for (const PoseGradient& g :

@@ -90,7 +90,7 @@ private:
         /// visible
         std::vector<double> actor_time_s;
         /// [iterations, floats_of_rays_ + floats_of_instances_] gradients; written by
-        /// fetch_pending_gradient()
+        /// wait_for_gradient_of_pending_iteration()
         std::vector<float> gradient;
     };
 
@@ -110,7 +110,7 @@ private:
 
     /// Returns the gradients of the i-th pending iteration. Waits until the gradients are
     /// on the host.
-    std::span<float> fetch_pending_gradient(Stream& stream, std::size_t pending_index);
+    std::span<float> wait_for_gradient_of_pending_iteration(Stream& stream, std::size_t pending_index);
     void apply_oldest_pose_update(Stream& stream);
     void update_corrected_poses();
 };

@@ -28,7 +28,7 @@ protected:
         test::TraversalCase random_case = test::make_random_case(3, kSurfels, 0);
         if (primitive == PrimitiveType::gaussian) random_case = test::to_gaussians(random_case, 4);
         Surfels surfels = random_case.surfels;
-        surfels.add_gait_without_motion();
+        surfels.add_motionless_gait();
         std::mt19937 random(6);
         std::uniform_real_distribution<float> u(-1.0f, 1.0f);
         for (GaitPhaseWindow& gait : surfels.gait)

@@ -75,9 +75,9 @@ protected:
             return bvh.download_bvh();
         }
         double cost() {
-            bvh.record_tree_cost_measurement(stream);
+            bvh.record_traversal_cost_measurement(stream);
             stream.submit_commands();
-            return bvh.read_tree_cost(stream).value();
+            return bvh.read_traversal_cost(stream).value();
         }
     };
 

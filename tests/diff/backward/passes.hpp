@@ -106,9 +106,10 @@ struct GatheredHits {
 };
 inline GatheredHits download_gathered_hits(Passes& passes) {
     const BackwardPass& backward = passes.differentiable.backward_pass();
-    if (!backward.get_device_max_hit_count()) return {};
-    const GatheredHits hits{backward.get_device_max_hit_count()->download()[0], backward.get_hit_capacity()};
-    passes.renderer.stream().fill(*backward.get_device_max_hit_count());
+    if (!backward.get_max_hit_count_on_device()) return {};
+    const GatheredHits hits{backward.get_max_hit_count_on_device()->download()[0],
+                            backward.get_hit_capacity()};
+    passes.renderer.stream().fill(*backward.get_max_hit_count_on_device());
     passes.renderer.stream().submit_and_wait();
     return hits;
 }

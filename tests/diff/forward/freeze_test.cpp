@@ -27,7 +27,7 @@ protected:
         std::mt19937 random(7);
         std::uniform_real_distribution<float> u(-1.0f, 1.0f);
         for (float& v : scene.surfels.sh) v = 0.2f * u(random);
-        scene.surfels.add_gait_without_motion();
+        scene.surfels.add_motionless_gait();
         for (GaitPhaseWindow& gait : scene.surfels.gait)
             gait = {u(random), u(random), 0.3f * glm::vec3(u(random), u(random), u(random))};
         scene.models = {{"background", 0, 900}};

@@ -291,10 +291,10 @@ TEST_F(Lists, Grow) {
         run(placed.stream, trace, count_trace_threads(placed.batch()), params);
         placed.stream.submit_and_wait();
         EXPECT_EQ(count_differences(rendered.download(), expected), 0u)
-            << "room " << lists.get_hits_per_list();
+            << "room " << lists.get_hit_list_capacity();
     }
-    EXPECT_GE(lists.get_hits_per_list(), std::min(most, compute_max_hits_per_list(device())));
-    EXPECT_LT(lists.get_hits_per_list(), 4 * most);
+    EXPECT_GE(lists.get_hit_list_capacity(), std::min(most, compute_max_hits_per_list(device())));
+    EXPECT_LT(lists.get_hit_list_capacity(), 4 * most);
 }
 
 TEST_F(Lists, RoomThatCannotBeIsRefused) {

@@ -62,7 +62,7 @@ TEST_F(DropLossTest, AgreesWithReference) {
                  d_logit.address_as<float, shared::DropLogitGradients>(), probability.address()},
                 d.n_known_targets);
             stream.submit_and_wait();
-            const RayDropScore score = loss.read_drop_score(d.n_known_targets);
+            const RayDropScore score = loss.read_loss_and_accuracy(d.n_known_targets);
             EXPECT_NEAR(score.entropy, expected.mean, 1e-5 * expected.mean);
             EXPECT_NEAR(score.accuracy, expected.accuracy, 1e-6);
             std::vector<double> gradient = test::to_doubles(d_logit), p = test::to_doubles(probability);
@@ -95,7 +95,7 @@ TEST_F(DropLossTest, DerivativeIsThatOfTheScore) {
                                 {}},
                                d.n_known_targets);
         stream.submit_and_wait();
-        return loss.read_drop_score(d.n_known_targets).entropy;
+        return loss.read_loss_and_accuracy(d.n_known_targets).entropy;
     };
     for (std::size_t i = 0; i < n; i += 5) {
         std::vector<double> logits = test::make_random_floats(n, 9), above = logits, below = logits;
@@ -127,8 +127,8 @@ TEST_F(DropLossTest, NothingKnown) {
                                0);
         stream.submit_and_wait();
         for (const double x : test::to_doubles(d_logit)) EXPECT_EQ(x, 0.0);
-        EXPECT_EQ(loss.read_drop_score(0).entropy, 0.0);
-        EXPECT_EQ(loss.read_drop_score(0).accuracy, 0.0);
+        EXPECT_EQ(loss.read_loss_and_accuracy(0).entropy, 0.0);
+        EXPECT_EQ(loss.read_loss_and_accuracy(0).accuracy, 0.0);
     }
     // no derivative requested: only probabilities
     loss.compute_drop_loss(

@@ -288,7 +288,7 @@ TEST_F(FirstUseTest, WrongAtomicsLeadToGatheredGradients) {
     Surfels surfels;
     surfels.resize(1);
     DifferentiableRenderer differentiable(opened, make_background_scene(surfels), model);
-    EXPECT_NE(differentiable.backward_pass().get_device_max_hit_count(), nullptr);
+    EXPECT_NE(differentiable.backward_pass().get_max_hit_count_on_device(), nullptr);
     EXPECT_EQ(notes.size(), device().info().float_atomics ? 1u : 0u);
 }
 

@@ -82,7 +82,7 @@ double compute_binomial(int count, int k) {
 }
 
 TEST(Scatter, DrawsTheDistributionOfEachBrightness) {
-    const IntensityScatterModel scatter = fit_intensity_scatter(make_scans(60, coins));
+    const IntensityScatterModel scatter = fit_intensity_scatter_model(make_scans(60, coins));
     ASSERT_FALSE(scatter.empty());
     EXPECT_NEAR(scatter.step, 0.01, 1e-8);
     const RenderedIntensityImage image = make_panels();
@@ -120,7 +120,7 @@ double grain(double rendered, double before, Random& random) {
 }
 
 TEST(Scatter, IsCorrelatedAlongABeam) {
-    const IntensityScatterModel scatter = fit_intensity_scatter(make_scans(100, grain));
+    const IntensityScatterModel scatter = fit_intensity_scatter_model(make_scans(100, grain));
     EXPECT_EQ(scatter.step, 0.0) << "a continuous log stays continuous";
     EXPECT_EQ(scatter.quantise_intensity(0.123456f), 0.123456f);
     const RenderedIntensityImage image = make_panels();
@@ -148,7 +148,7 @@ double even(double rendered, double, Random& random) {
 }
 
 TEST(Scatter, ContinuousDrawsFollowTheirDistributionFunction) {
-    const IntensityScatterModel scatter = fit_intensity_scatter(make_scans(60, even));
+    const IntensityScatterModel scatter = fit_intensity_scatter_model(make_scans(60, even));
     const RenderedIntensityImage image = make_panels();
     const std::vector<float> drawn = sample_random_intensities(scatter, image, kAll, 5);
     for (const int panel : {1, 2, 3, 4}) {
@@ -167,8 +167,8 @@ TEST(Scatter, ContinuousDrawsFollowTheirDistributionFunction) {
 }
 
 TEST(Scatter, TheSeedReproducesAndDroppedRaysHaveNone) {
-    const IntensityScatterModel scatter = fit_intensity_scatter(make_scans(10, coins)),
-                                again = fit_intensity_scatter(make_scans(10, coins));
+    const IntensityScatterModel scatter = fit_intensity_scatter_model(make_scans(10, coins)),
+                                again = fit_intensity_scatter_model(make_scans(10, coins));
     EXPECT_EQ(scatter.values, again.values);
     std::vector<std::uint8_t> returns(kRays);
     for (std::size_t i = 0; i < kRays; ++i) returns[i] = i % 3 != 0;
@@ -201,7 +201,7 @@ RenderedIntensityImage crop_image(const RenderedIntensityImage& image, int rows,
 /// The result must equal drawing ray after ray. The widths give a narrow last tile, a
 /// single tile, and a tile narrower than the columns ahead.
 TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
-    const IntensityScatterModel scatter = fit_intensity_scatter(make_scans(40, grain));
+    const IntensityScatterModel scatter = fit_intensity_scatter_model(make_scans(40, grain));
     for (const auto& [rows, columns] :
          {std::pair(kRows, kColumns), {kRows, 129}, {kRows, 64}, {1, kColumns}, {kRows, 2}}) {
         const RenderedIntensityImage image = crop_image(make_panels(), rows, columns);
@@ -229,10 +229,10 @@ TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
 TEST(Scatter, FewReturnsTellNothingAndSizesAreChecked) {
     PairedIntensities image = measured(1, coins);
     std::fill(image.measured.begin() + 900, image.measured.end(), kNoIntensity);
-    EXPECT_TRUE(fit_intensity_scatter(std::vector{image}).empty());
-    EXPECT_TRUE(fit_intensity_scatter({}).empty());
+    EXPECT_TRUE(fit_intensity_scatter_model(std::vector{image}).empty());
+    EXPECT_TRUE(fit_intensity_scatter_model({}).empty());
     image.rendered.cosine.pop_back();
-    EXPECT_THROW(fit_intensity_scatter(std::vector{image}), DataError);
+    EXPECT_THROW(fit_intensity_scatter_model(std::vector{image}), DataError);
 }
 
 TEST(Scatter, FindsTheStepOfALog) {

@@ -60,7 +60,7 @@ TEST(ScanMemory, ProcessesOfAMachineShareTheDefault) {
         store_scans_above_limit_in_file(0, fs::temp_directory_path());
         const ScanArray<float> alone(1 << 18, 1.0f);
         EXPECT_EQ(get_scan_memory_use().in_file, 0u);
-        set_scan_process_count(10'000'000);  // each may use some kilobytes
+        divide_scan_memory_among_processes(10'000'000);  // each may use some kilobytes
         store_scans_above_limit_in_file(0, fs::temp_directory_path());
         const ScanArray<float> one_of_many(1 << 18, 1.0f);
         EXPECT_EQ(get_scan_memory_use().in_file, 1u << 20);

@@ -76,7 +76,7 @@ TEST_F(ModelFile, KeepsWhichPatchesWereSeen) {
     ASSERT_TRUE(read.models[1].surface);
     EXPECT_TRUE(read.models[1].surface->is_completed);
     EXPECT_TRUE(read.models[1].surface->is_patch_of_point_observed({2.25, 0.3, 0.2}));
-    EXPECT_TRUE(read.models[1].surface->is_observed_only_in_mirror({2.25, -0.3, 0.2}));
+    EXPECT_TRUE(read.models[1].surface->is_only_mirror_patch_observed({2.25, -0.3, 0.2}));
     EXPECT_EQ(read.models[1].surface->compute_covered_fraction_of_each_side(),
               surface.compute_covered_fraction_of_each_side());
     arrays = read_safetensors(path, &metadata);
@@ -138,7 +138,7 @@ TEST_F(ModelFile, EveryPrimitiveComesBack) {
 }
 
 TEST_F(ModelFile, AGaitAndItsStrideComeBack) {
-    scene.surfels.add_gait_without_motion();
+    scene.surfels.add_motionless_gait();
     scene.surfels.gait[3] = {0.25f, 2.5f, {0.1f, -0.2f, 0.3f}};
     scene.models[1].stride_m = 1.25f;
     save_scene_to_model_file(path, scene);

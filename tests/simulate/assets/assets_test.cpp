@@ -27,7 +27,7 @@ protected:
     double seen(const relidar::TrainedRun& run, BoxSide side) {
         const auto sightings = collect_actor_observations(device(), run);
         return sightings.empty() ? 0.0
-                                 : mark_observed_box_surface(kCarSize_m, sightings.at("7"))
+                                 : make_observed_box_surface(kCarSize_m, sightings.at("7"))
                                        .compute_observed_area_fraction(side);
     }
 };

@@ -383,7 +383,7 @@ TEST_F(PointsOfScans, HaveTheStepsOfTheLog) {
     const double step = 1.0 / 64.0;
     IntensityScatterModel scatter;
     scatter.step = step;
-    renderer->set_intensity_scatter({scatter});
+    renderer->set_intensity_scatter_models({scatter});
     const RenderedPoints expected = on_host(wish);
     ask(wish);
     const RenderedPoints actual = renderer->wait_for_points();

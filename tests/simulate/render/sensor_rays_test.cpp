@@ -44,7 +44,7 @@ double measure_largest_error(Device& device, const RayTable& rays, const PoseTra
     DeviceSensorRays on_device(device);
     Stream stream(device);
     on_device.upload_ray_table(rays, "test", [](std::size_t) { return 0.0f; });
-    on_device.record_transform_to_world(stream, track, time_s);
+    on_device.record_ray_transform_to_world(stream, track, time_s);
     stream.submit_and_wait();
     const std::vector<DeviceRay> fired = on_device.get_world_ray_batch().rays->download();
     double farthest = 0.0;
@@ -149,7 +149,7 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     DeviceSensorRays on_device(device());
     on_device.upload_ray_table(rays, "test", never);
     Stream firing(device());
-    on_device.record_transform_to_world(firing, bend(0.0, 1), 0.0);
+    on_device.record_ray_transform_to_world(firing, bend(0.0, 1), 0.0);
     firing.submit_and_wait();
     const std::vector<DeviceRay> fired = on_device.get_world_ray_batch().rays->download();
     for (const std::string range : {"normalised", "expected", "mode", "median"}) {
@@ -251,7 +251,7 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
     DeviceSensorRays on_device(device());
     on_device.upload_ray_table(rays, "test", [](std::size_t) { return 0.0f; });
     Stream stream(device());
-    on_device.record_transform_to_world(stream, bend(0.0, 1), 0.0);
+    on_device.record_ray_transform_to_world(stream, bend(0.0, 1), 0.0);
     std::vector<shared::RenderedSurface> of_rays(rays.size());
     for (std::size_t i = 0; i < rays.size(); ++i)
         of_rays[i].normal = {std::sin(0.3f * float(i)), std::cos(0.3f * float(i)), 0.2f};
@@ -279,8 +279,8 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
         RayDropRefiner refiner(device(), trained);
         const std::vector<float> expected = refiner.predict_drop_probabilities(image);
         measure();
-        on_device.record_drop_network(stream, refiner.get_ray_drop_inference(),
-                                      glm::vec3(scan.world_from_sensor.translation - first_origin_m));
+        on_device.record_ray_drop_inference(stream, refiner.get_ray_drop_inference(),
+                                            glm::vec3(scan.world_from_sensor.translation - first_origin_m));
         on_device.wait_for_measurements(stream);
         const std::span<const float> actual = on_device.wait_for_drop_probabilities(stream);
         double changed = 0.0;

@@ -220,11 +220,11 @@ protected:
 TEST_F(RenderedWeather, NeedsALogWithIntensities) {
     ScanRenderer renderer(device(), scene, config, log);
     IntensityScatterModel scatter{.nodes = {{.first = 0, .count = 2}}, .values = {0.0f, 0.0f}};
-    renderer.set_intensity_scatter({scatter});
+    renderer.set_intensity_scatter_models({scatter});
     EXPECT_THROW(renderer.set_weather({.fog_visibility_m = 30.0}), UsageError);
     EXPECT_NO_THROW(renderer.set_weather({}));
     scatter.values.back() = 0.1f;
-    renderer.set_intensity_scatter({scatter});
+    renderer.set_intensity_scatter_models({scatter});
     EXPECT_NO_THROW(renderer.set_weather({.fog_visibility_m = 30.0}));
 }
 

@@ -198,7 +198,7 @@ TEST_F(Recordings, OfARigAreOne) {
     recordings.write_scans(scans);
     EXPECT_THAT(error_message<UsageError>([&] { recordings.write_scans(std::span(scans).first(1)); }),
                 Names("found 1 scans, expected 2"));
-    recordings.finish_recordings();
+    recordings.finish_recording_files();
     EXPECT_THAT(recordings.list_file_names(), ElementsAre("scans.mcap", "rosbag.mcap"));
     EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap"));
     for (const char* name : {"scans.mcap", "rosbag.mcap"})

@@ -70,9 +70,8 @@ BenchTimes measure_benchmark_times(Device& device, const BenchCase& bench_case) 
         image.record_view_preparation(bench_case.placed, bench_case.view_origin_m);
         return image.render_rays(bench_case.rays);
     };
-    TrainingStep step(
-        device, bench_case, options,
-        make_loss_targets_from_noisy_image(rendered(), bench_case.config.loss.normalised_depth));
+    TrainingStep step(device, bench_case, options,
+                      make_noisy_loss_targets(rendered(), bench_case.config.loss.normalised_depth));
     Renderer& renderer = step.renderer;
     Stream& stream = renderer.stream();
     const Array<DeviceRay> rays(device, std::span<const DeviceRay>(to_device_rays(bench_case.rays)), "rays");

@@ -10,8 +10,8 @@
 
 namespace relidar::cli {
 
-std::vector<DeviceTarget> make_loss_targets_from_noisy_image(const RenderedRayValues& rendering,
-                                                             bool is_depth_divided_by_weight) {
+std::vector<DeviceTarget> make_noisy_loss_targets(const RenderedRayValues& rendering,
+                                                  bool is_depth_divided_by_weight) {
     constexpr float kRangeNoise_m = 0.1f, kIntensityNoise = 0.05f, kSolid = 0.5f;
     std::mt19937 random(1);
     const auto noise = [&] { return static_cast<float>(random()) / 2147483648.0f - 1.0f; };

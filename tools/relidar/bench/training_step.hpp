@@ -16,8 +16,8 @@ struct BenchCase;
 /// Creates target values for the losses: a rendered image plus uniform noise. Without
 /// noise, the gradient of an L1 loss would be zero. Rays with a low sum of blending
 /// weights become rays without a return.
-std::vector<DeviceTarget> make_loss_targets_from_noisy_image(const RenderedRayValues& rendering,
-                                                             bool is_depth_divided_by_weight);
+std::vector<DeviceTarget> make_noisy_loss_targets(const RenderedRayValues& rendering,
+                                                  bool is_depth_divided_by_weight);
 
 /// Runs one training step for a benchmark. All learning rates are 0, so that the step
 /// does not change the scene.

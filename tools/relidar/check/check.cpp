@@ -100,10 +100,10 @@ std::vector<DeviceCheck> list_device_checks_and_run_checks(const std::string& ru
     const auto bench =
         std::make_shared<const BenchCase>(make_benchmark_from_run(load_run(run_folder_or_empty)));
     checks.push_back({"run, software", [bench](CheckedDevice& c) {
-                          return check_run_rendering(c, RayTracingBackend::software, *bench);
+                          return check_rendering_of_trained_run(c, RayTracingBackend::software, *bench);
                       }});
     checks.push_back({"run, ray query", [bench](CheckedDevice& c) {
-                          return check_run_rendering(c, RayTracingBackend::ray_query, *bench);
+                          return check_rendering_of_trained_run(c, RayTracingBackend::ray_query, *bench);
                       }});
     return checks;
 }

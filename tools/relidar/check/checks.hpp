@@ -69,7 +69,7 @@ CheckResult check_largest_buffer(CheckedDevice& tested_device);
 CheckResult check_device_memory(CheckedDevice& tested_device);
 CheckResult check_long_kernel_dispatch(CheckedDevice& tested_device);
 /// Compares rendered rays of a run with a reference renderer in double precision.
-CheckResult check_run_rendering(CheckedDevice& tested_device, RayTracingBackend backend,
-                                const BenchCase& bench_case);
+CheckResult check_rendering_of_trained_run(CheckedDevice& tested_device, RayTracingBackend backend,
+                                           const BenchCase& bench_case);
 
 }  // namespace relidar::cli

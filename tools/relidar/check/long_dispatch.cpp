@@ -17,8 +17,8 @@ CheckResult check_long_kernel_dispatch(CheckedDevice& tested_device) {
     // second at most.
     for (std::uint32_t n_threads = 1u << 18; n_threads <= 1u << 28; n_threads *= 4) {
         double seconds = 0.0;
-        const double error =
-            test_swap_adds_and_get_max_error(tested_device.get_default_device(), n_threads, seconds);
+        const double error = test_compare_and_swap_adds_and_get_max_error(tested_device.get_default_device(),
+                                                                          n_threads, seconds);
         if (error != 0.0)
             return make_failed_check_result(fmt::format(
                 "a computation of {:.2f} s gave sums with an error of {:.1e}, expected exact sums", seconds,

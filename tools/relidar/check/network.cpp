@@ -89,7 +89,7 @@ double compute_convolution_error_on_gpu(Device& device, int n_kernel_taps) {
 
 CheckResult check_network_convolutions(CheckedDevice& tested_device) {
     Device& device = tested_device.get_default_device();
-    if (const std::string missing = list_missing_network_features(device); !missing.empty())
+    if (const std::string missing = list_missing_neural_network_features(device); !missing.empty())
         return make_unsupported_check_result("missing " + missing);
     return make_check_result_from_error(
         std::max(compute_convolution_error_on_gpu(device, 1), compute_convolution_error_on_gpu(device, 9)),

@@ -97,8 +97,8 @@ double compute_max_ray_value_difference(const RenderedRayValues& rendering, std:
 
 }  // namespace
 
-CheckResult check_run_rendering(CheckedDevice& tested_device, RayTracingBackend backend,
-                                const BenchCase& bench_case) {
+CheckResult check_rendering_of_trained_run(CheckedDevice& tested_device, RayTracingBackend backend,
+                                           const BenchCase& bench_case) {
     const std::string missing =
         explain_unsupported_backend(tested_device.get_default_device().info(), backend);
     if (!missing.empty()) return make_unsupported_check_result("missing " + missing);

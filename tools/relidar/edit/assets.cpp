@@ -119,7 +119,7 @@ void run_assets_command(const AssetOptions& options) {
         add_number_to_used_asset_name(asset, used_names);
         save_asset(asset, folder.path() / asset.facts.name);
         const Image views =
-            draw_asset_picture(device, asset, mark_observed_box_surface(asset.facts.size_m, actor_sightings));
+            draw_asset_picture(device, asset, make_observed_box_surface(asset.facts.size_m, actor_sightings));
         write_png(folder.path() / asset.facts.name / "views.png", views);
         rows.push_back(format_asset_table_row(asset.facts));
     }

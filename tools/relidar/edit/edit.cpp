@@ -56,7 +56,7 @@ std::string format_warnings_of_too_few_surfels(const SceneWithLog& driving_scene
                                                const LidarSequence& original_log) {
     std::string text;
     for (const std::string& track : list_added_or_moved_track_ids(driving_scene, original_log)) {
-        const ActorModelResolution detail = compare_ray_and_surfel_count_of_actor(driving_scene, track);
+        const ActorModelResolution detail = compute_actor_model_resolution(driving_scene, track);
         if (!detail.has_too_few_surfels()) continue;
         text += fmt::format(
             "note: actor {} is {:.1f} m from the sensor at {:.2f} s, where {} rays hit its box. It will show "

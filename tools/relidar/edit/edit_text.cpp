@@ -111,8 +111,8 @@ NewActorMotion parse_actor_start_pose_and_speed(const EditArgument& edit_for_err
             parse_ground_placement_if_present(edit_for_errors, position_text)) {
         ground->speed_mps = speed_mps;
         ground->clearance_m = actor.clearance_m;
-        return compute_actor_start_on_ground({driving_scene.scene, driving_scene.sequence}, *ground,
-                                             {actor.owner.scene, actor.owner.sequence}, actor.track);
+        return compute_actor_motion_on_ground({driving_scene.scene, driving_scene.sequence}, *ground,
+                                              {actor.owner.scene, actor.owner.sequence}, actor.track);
     }
     const std::vector<double> pose = parse_comma_separated_edit_numbers(edit_for_errors, position_text, 4, 6);
     if (pose.size() == 5)
@@ -151,7 +151,7 @@ std::string describe_unobserved_sides_of_actor(const SceneWithLog& driving_scene
     if (!surface) return "";
     std::vector<std::string> parts;
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        const double share = surface->compute_mirrored_area_fraction(BoxSide(s));
+        const double share = surface->compute_mirrorable_area_fraction(BoxSide(s));
         if (surface->is_completed && share >= double(kUnseenSide))
             parts.push_back(fmt::format("{:.0f} % of the {}", 100.0 * share, get_name(BoxSide(s))));
     }

@@ -138,7 +138,7 @@ void select_frames_of_this_process(std::vector<int>& frame_positions, const MpiP
 /// edited street instead.
 /// @return exact scans of the street before the edits; empty if the scans were copied
 std::vector<Scan> set_held_out_scans_of_run(TrainedRun& run, const LidarSequence& log) {
-    if (is_edited_synthetic_street_run(run)) return replace_held_out_by_exact_scans(run);
+    if (is_edited_synthetic_street_run(run)) return replace_held_out_scans_by_noise_free_scans(run);
     copy_scans_into_run(run, run.split.test, log);
     return {};
 }
@@ -151,7 +151,7 @@ void evaluate_trained_run(const EvalOptions& options, const MpiProcessGroup& ran
         lock.emplace(options.target);
     std::vector<std::string> setting_names = list_rendering_setting_names();
     setting_names.push_back("dataset.");
-    require_settings_with_effect(options.sets, setting_names, "eval");
+    require_settings_used_by_command(options.sets, setting_names, "eval");
     TrainedRun run = load_run(options.target);
     apply_setting_overrides(run.config, options);
     run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
@@ -211,11 +211,11 @@ const std::vector<std::string> kBaselineSettings = {
 
 /// Scores a baseline on a log. A baseline needs neither a trained run nor a GPU.
 void evaluate_baseline_on_log(const EvalOptions& options, const MpiProcessGroup& ranks) {
-    require_settings_with_effect(options.sets, kBaselineSettings, "eval LOG --baseline");
+    require_settings_used_by_command(options.sets, kBaselineSettings, "eval LOG --baseline");
     Config config = make_preset_config("default");
     apply_setting_overrides(config, options);
     config.dataset.path = make_dataset_path_absolute(options.target);
-    set_log_frames_and_sequence(config, options.part);
+    apply_log_selection_to_config(config, options.part);
     const EvaluationOutputs output(options.out, options.pictures, ranks);
     const LidarSequence log = load_dataset(config, options.quiet);
     if (!options.quiet)

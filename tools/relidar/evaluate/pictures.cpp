@@ -82,7 +82,7 @@ void write_comparison_pictures(const std::filesystem::path& folder, const Scored
     }
 }
 
-Image draw_real_above_rendered_range(const ScoredFrame& frame, double max_range_m) {
+Image draw_stacked_real_and_rendered_range(const ScoredFrame& frame, double max_range_m) {
     return stack_images_vertically(
         {draw_range_picture(frame.real, max_range_m), draw_range_picture(frame.rendered.image, max_range_m)},
         compute_vertical_scale(frame.real));

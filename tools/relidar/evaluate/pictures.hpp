@@ -32,7 +32,7 @@ void write_comparison_pictures(const std::filesystem::path& folder, const Scored
                                double max_range_m);
 
 /// Draws the real range image above the rendered range image.
-Image draw_real_above_rendered_range(const ScoredFrame& frame, double max_range_m);
+Image draw_stacked_real_and_rendered_range(const ScoredFrame& frame, double max_range_m);
 
 /// Draws the ray pattern of a sensor. Each ray is a dot whose colour shows its firing
 /// time. Azimuth increases to the right as seen from the sensor, and elevation increases

@@ -51,7 +51,7 @@ void print_log_info(const InfoOptions& options) {
     constexpr std::size_t kMostScans = 64;
     Config config = make_config_from_settings(options.settings);
     config.dataset.path = options.path;
-    set_log_frames_and_sequence(config, options.part);
+    apply_log_selection_to_config(config, options.part);
     LogSummary summary =
         summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
     const bool is_long = std::ranges::any_of(
@@ -81,7 +81,7 @@ void add_info_command(CLI::App& app, ParsedCommand& selected_command) {
     command->callback([&selected_command, options] {
         selected_command.run = [options] {
             const bool is_of_run = is_run_folder(options->path) || contains_run(options->path);
-            require_settings_with_effect(
+            require_settings_used_by_command(
                 options->settings.sets,
                 is_of_run ? std::vector<std::string>{}
                           : std::vector<std::string>{"dataset.", "sensor.rolling_shutter", "init."},

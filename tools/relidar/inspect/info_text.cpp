@@ -266,7 +266,7 @@ LogSummary summarise(const LidarSequence& sequence, const SceneInitialisationOpt
     log.n_scans_read = std::size_t(std::ranges::count_if(
         sequence.frames, [](const LidarFrame& f) { return f.scan.range_m.size() > 0; }));
     for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box));
-    log.masked = format_box_list(find_unselected_moving_boxes(sequence, options));
+    log.masked = format_box_list(find_moving_boxes_not_selected_as_actors(sequence, options));
     return log;
 }
 

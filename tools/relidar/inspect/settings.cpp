@@ -16,7 +16,7 @@ void add_list_settings_command(CLI::App& list_command, ParsedCommand& selected_c
         list_command.add_subcommand("settings", "print settings with their values and descriptions, as TOML");
     const auto settings = std::make_shared<SettingsCommandOptions>();
     const auto all = std::make_shared<bool>(false);
-    add_preset_config_and_set_options(*command, *settings);
+    add_settings_options(*command, *settings);
     command->add_flag("--all", *all,
                       "also print all expert settings (default: only those that differ from the preset)");
     command->footer(

@@ -63,7 +63,8 @@ void write_and_send_log_as_packets(const LidarSequence& sequence, const ConvertO
 }
 
 void run_convert_command(const ConvertOptions& options) {
-    require_settings_with_effect(options.settings.sets, {"dataset.", "sensor.rolling_shutter"}, "convert");
+    require_settings_used_by_command(options.settings.sets, {"dataset.", "sensor.rolling_shutter"},
+                                     "convert");
     require_valid_packet_destination(options.packets);
     const bool writes_packets = std::filesystem::path(options.out).extension() == ".pcap";
     if (!options.packets.address.empty() && !writes_packets)

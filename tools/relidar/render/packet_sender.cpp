@@ -154,7 +154,7 @@ void PacketSender::send_or_queue_scans(std::span<const RenderedScan> scans) {
 
 void PacketSender::send_queued_packets() { impl_->queue.send_queued_packets(); }
 
-std::string PacketSender::send_remaining_and_describe_result() {
+std::string PacketSender::send_remaining_packets_and_describe_result() {
     impl_->queue.send_or_queue_packets(impl_->packets.flush_remaining_packets());
     impl_->queue.send_queued_packets();
     return fmt::format("{} packets sent by UDP\n", impl_->queue.get_sent_packet_count());

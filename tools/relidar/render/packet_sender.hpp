@@ -78,14 +78,14 @@ public:
     ~PacketSender();
 
     /// Sends the packets of one sweep, or stores them until send_queued_packets() or
-    /// send_remaining_and_describe_result() sends them.
+    /// send_remaining_packets_and_describe_result() sends them.
     /// @param scans  one scan for each sensor
     void send_or_queue_scans(std::span<const RenderedScan> scans);
     /// Sends the stored packets with the timing of the sensor.
     void send_queued_packets();
     /// Sends the remaining packets.
     /// @return a line that tells the user how many packets were sent
-    std::string send_remaining_and_describe_result();
+    std::string send_remaining_packets_and_describe_result();
 
 private:
     struct Impl;

@@ -268,7 +268,7 @@ RenderOutputs create_output_folders(const RenderOptions& options, const TrainedR
     if (!ranks.is_first_mpi_process()) ranks.wait_for_all_ranks();
     const auto add = [&](const std::filesystem::path& folder, const ScanOutputOptions& format) {
         if (!ranks.is_first_mpi_process())
-            return output.folders.push_back(ScanFolderWriter::open_shared_folder(folder, format));
+            return output.folders.push_back(ScanFolderWriter::open_folder_of_other_process(folder, format));
         if (folder != options.out) {
             require_no_files_overwritten(folder, options);
             std::filesystem::create_directories(folder);
@@ -294,9 +294,9 @@ RenderOutputs create_output_folders(const RenderOptions& options, const TrainedR
 
 /// Writes the list of scans of all MPI processes, and completes the recordings.
 void finish_output_files(RenderOutputs& output, const MpiProcessGroup& ranks, bool quiet) {
-    if (output.recordings) output.recordings->finish_recordings();
+    if (output.recordings) output.recordings->finish_recording_files();
     if (output.sender) {
-        const std::string sent = output.sender->send_remaining_and_describe_result();
+        const std::string sent = output.sender->send_remaining_packets_and_describe_result();
         if (!quiet) print(sent);
     }
     for (ScanFolderWriter& folder : output.folders) {
@@ -397,7 +397,7 @@ void run_render_command(const RenderOptions& command_options) {
     std::optional<LockedFolder> folder;
     // Only the first MPI process locks the folder, and removes it if it stays empty.
     if (ranks.is_first_mpi_process()) folder.emplace(options.out);
-    require_settings_with_effect(options.sets, list_rendering_setting_names(), "render");
+    require_settings_used_by_command(options.sets, list_rendering_setting_names(), "render");
     TrainedRun run = load_run(options.run);
     parse_and_apply_setting_texts(run.config, options.sets);
     run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
@@ -415,8 +415,8 @@ void run_render_command(const RenderOptions& command_options) {
     if (options.boxes) renderer.enable_actor_visibility();
     renderer.set_weather(parse_weather(options.weather));
     RenderOutputs output = create_output_folders(options, run, targets, offset, ranks);
-    if (options.sample && !options.quiet) print_notes_on_missing_noise(run, lidar);
-    if (!options.quiet) print_sensor_assumptions_of_weather(parse_weather(options.weather));
+    if (options.sample && !options.quiet) print_notes_on_missing_noise_models(run, lidar);
+    if (!options.quiet) print_assumed_sensor_properties(parse_weather(options.weather));
     for (const MountedSimulatedSensor& w : targets)
         if (!options.quiet) print_notes_on_sensor(run, renderer, w.sensor);
     install_interrupt_handlers();

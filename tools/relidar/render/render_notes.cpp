@@ -43,7 +43,7 @@ void print_notes_on_sensor(const TrainedRun& run, const ScanRenderer& renderer,
     print_note_if_drop_network_is_unused(run, renderer, sensor);
 }
 
-void print_notes_on_missing_noise(const TrainedRun& run, int lidar_index) {
+void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index) {
     const auto at = std::size_t(lidar_index);
     if (run.sequence.lidars[at].range_noise.sigma_m.empty())
         print_note(fmt::format("{} has no range noise: --sample keeps ranges exact", run.folder.string()));
@@ -52,7 +52,7 @@ void print_notes_on_missing_noise(const TrainedRun& run, int lidar_index) {
                            run.folder.string()));
 }
 
-void print_sensor_assumptions_of_weather(const Weather& weather) {
+void print_assumed_sensor_properties(const Weather& weather) {
     if (weather.is_clear()) return;
     print_note(
         fmt::format("weather {}: the wavelength of the sensors is unknown, so 905 nm is assumed; if a beam "

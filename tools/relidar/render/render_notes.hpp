@@ -18,10 +18,10 @@ void print_notes_on_sensor(const TrainedRun& run, const ScanRenderer& renderer,
 
 /// Prints a note if sampled ranges or intensities have no noise, because training did not
 /// measure the noise of this LiDAR.
-void print_notes_on_missing_noise(const TrainedRun& run, int lidar_index);
+void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index);
 
 /// Prints a note with the sensor properties that the weather simulation assumes.
-void print_sensor_assumptions_of_weather(const Weather& weather);
+void print_assumed_sensor_properties(const Weather& weather);
 
 /// Prints a note about scans in which many rays cross space that the log has not
 /// observed. Prints another note about rays that hit a side of an actor that the log has

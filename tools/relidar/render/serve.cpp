@@ -135,7 +135,7 @@ public:
 private:
     /// Requires that the caller holds `mutex_`.
     void finish_stream() {
-        if (sender_) (void)sender_->send_remaining_and_describe_result();
+        if (sender_) (void)sender_->send_remaining_packets_and_describe_result();
         sender_.reset();
     }
 
@@ -166,7 +166,7 @@ void run_serve_command(const ServeCommandOptions& options) {
                                             const std::string& name, const RenderedScan& scan) {
             sender.send_or_queue_packets_of_scan(run, sensor, name, scan);
         };
-    if (!options.quiet) print_sensor_assumptions_of_weather(server_settings.weather);
+    if (!options.quiet) print_assumed_sensor_properties(server_settings.weather);
     const std::string host = server_settings.listen.substr(0, server_settings.listen.rfind(':'));
     if (!is_loopback_host(host))
         print_note(fmt::format(

@@ -76,7 +76,7 @@ void run_view_command(const ViewOptions& options) {
     // Checks the address of the server before the run is loaded, because loading takes a
     // long time.
     const view::WebServerOptions server_settings = make_server_options(options);
-    require_settings_with_effect(options.sets, list_rendering_setting_names(), "view");
+    require_settings_used_by_command(options.sets, list_rendering_setting_names(), "view");
     TrainedRun run = load_run(options.run);
     parse_and_apply_setting_texts(run.config, options.sets);
     run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
@@ -126,7 +126,7 @@ void run_view_command(const ViewOptions& options) {
     while (!is_interrupted())
         session.wait_for_and_run_next_request(foxglove.send_scan_if_due_and_get_wait_time(kViewPatience));
     session.run_pending_requests_and_stop();
-    server.reject_new_and_close_after_sending(kGoodbye);
+    server.reject_new_clients_and_close_after_sending(kGoodbye);
 }
 
 constexpr const char* kViewHelp =

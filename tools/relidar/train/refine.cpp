@@ -106,7 +106,7 @@ void run_refine_command(const RefineCommandOptions& options) {
     if (start) copy_network_settings_into_config(*start, run.config);
     std::vector<std::string> used = list_rendering_setting_names();
     used.insert(used.end(), {"dataset.", "refine.", "train.seed", "train.checkpoint_minutes"});
-    require_settings_with_effect(options.sets, used, "refine");
+    require_settings_used_by_command(options.sets, used, "refine");
     parse_and_apply_setting_texts(run.config, options.sets);
     run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
     run.config.refine.enabled = true;

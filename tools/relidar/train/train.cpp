@@ -95,7 +95,7 @@ Config make_training_config(const TrainOptions& options) {
                         options.dataset));
     if (!options.dataset.empty()) config.dataset.path = make_dataset_path_absolute(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = make_absolute_path(config.dataset.poses);
-    set_log_frames_and_sequence(config, options.part);
+    apply_log_selection_to_config(config, options.part);
     if (std::string length = options.blocks; !length.empty()) {
         if (length.ends_with('m')) length.pop_back();
         set_config_value(config, "blocks.length_m", length);
@@ -220,7 +220,8 @@ Error make_error_with_resume_command(const char* interrupted_step, const Trained
 /// network. These steps align the held-out scans and learn the intensity noise.
 void align_held_out_and_learn_noise_or_throw(Device& device, TrainedRun& run, const TrainOptions& options,
                                              StageTimes& stage_times) {
-    if (align_held_out_and_learn_noise(device, run, options.quiet, stage_times) == TrainingEndReason::stopped)
+    if (align_held_out_scans_and_fit_intensity_noise(device, run, options.quiet, stage_times) ==
+        TrainingEndReason::stopped)
         throw make_error_with_resume_command("held-out scans were aligned and intensity scatter was learned",
                                              run, options);
 }
@@ -427,7 +428,7 @@ void run_train_command(const TrainOptions& command_options, const std::string& c
     require_blocks_for_multiple_ranks(ranks, in_blocks);
     std::optional<RunOutputFolder> folder;
     if (ranks.is_first_mpi_process()) folder.emplace(options.out, choose_existing_run_policy(options));
-    if (resume && in_blocks) require_settings_of_trained_blocks(options.out, config);
+    if (resume && in_blocks) require_same_settings_as_all_trained_blocks(options.out, config);
     std::optional<Checkpoint> start =
         resume && !in_blocks ? load_newest_checkpoint_if_resuming(options) : std::nullopt;
     Device device(convert_to_device_options(options.device));
@@ -484,7 +485,7 @@ void add_train_command(CLI::App& app, ParsedCommand& selected_command) {
     command->add_option("DATASET", options->dataset, "log: a path, whose format is recognised, or KIND:PATH");
     command->add_option("--out", options->out, "run folder to create")->type_name("RUN");
     add_frames_and_sequence_options(*command, options->part);
-    add_preset_config_and_set_options(*command, options->settings);
+    add_settings_options(*command, options->settings);
     command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")
         ->type_name("S");
     command

@@ -252,7 +252,7 @@ private:
 
 }  // namespace
 
-void require_settings_of_trained_blocks(const fs::path& run_folder, const Config& config) {
+void require_same_settings_as_all_trained_blocks(const fs::path& run_folder, const Config& config) {
     std::error_code failed;
     std::vector<fs::path> folders;
     for (const auto& entry : fs::directory_iterator(get_blocks_folder(run_folder), failed))

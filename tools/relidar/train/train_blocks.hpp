@@ -32,6 +32,7 @@ TrainResult train_blocks(Device& device, TrainedRun& run, const BlockTrainingOpt
 /// Checks that the trained blocks of a run match the current settings. Otherwise they
 /// could not be joined with blocks that are trained now.
 /// @throws DataError that names the first block with other settings
-void require_settings_of_trained_blocks(const std::filesystem::path& run_folder, const Config& config);
+void require_same_settings_as_all_trained_blocks(const std::filesystem::path& run_folder,
+                                                 const Config& config);
 
 }  // namespace relidar::cli

@@ -132,14 +132,14 @@ TrainResult train_scene_with_progress(Device& device, const LidarSequence& seque
     return result;
 }
 
-TrainingEndReason align_held_out_and_learn_noise(Device& device, TrainedRun& run, bool quiet,
-                                                 StageTimes& stage_times) {
+TrainingEndReason align_held_out_scans_and_fit_intensity_noise(Device& device, TrainedRun& run, bool quiet,
+                                                               StageTimes& stage_times) {
     stage_times.start_stage("place");
     align_held_out_scans_with_progress(device, run, quiet);
     stage_times.start_stage("scatter");
     TerminalProgress progress(quiet);
     // After Ctrl-C, the noise of the intensities remains unknown.
-    run.intensity_scatter = fit_intensity_scatter_per_lidar(
+    run.intensity_scatter = fit_intensity_scatter_model_per_lidar(
         device, run, {make_terminal_progress_callback(progress), is_interrupted});
     end_progress_line();
     if (is_interrupted()) return TrainingEndReason::stopped;

@@ -33,8 +33,8 @@ TrainResult train_scene_with_progress(Device& device, const LidarSequence& seque
 /// @param stage_times receives the times of these stages: "place", "scatter" and "save"
 /// @return `stopped` if the user interrupted; the results of these steps are then not
 /// saved
-TrainingEndReason align_held_out_and_learn_noise(Device& device, TrainedRun& run, bool quiet,
-                                                 StageTimes& stage_times);
+TrainingEndReason align_held_out_scans_and_fit_intensity_noise(Device& device, TrainedRun& run, bool quiet,
+                                                               StageTimes& stage_times);
 
 /// Trains the ray-drop network of a run and shows a progress line. The scans of the log
 /// must be loaded.

@@ -196,7 +196,7 @@ LidarSweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vect
 void append_sweeps_as_frames(LidarSequence& sequence, const std::vector<SweepFile>& sweep_files,
                              const PoseTrack& vehicle_poses, LidarSweepPairs sweeps,
                              const ProgressReporter& progress, const ScanErrorCollector& broken_scans) {
-    broken_scans.add_broken_scan_notes_or_throw(sequence, sweep_files.size());
+    broken_scans.note_broken_scans_or_throw_if_all_broken(sequence, sweep_files.size());
     std::vector<LidarSweepPoints*> of_frame;
     std::size_t missing = 0;
     for (std::size_t at = 0; at < sweep_files.size(); ++at) {

@@ -70,7 +70,7 @@ folder::PointTable make_point_table(const CloudMessage& cloud, const SharedBytes
                            (cloud.height <= 1 || cloud.row_step == cloud.width * cloud.point_step);
     const std::vector<folder::PointField> layout = make_point_layout(cloud, point_fields);
     const SharedBytes points = is_packed
-                                   ? message_bytes.share_memory_with_subview(cloud.data.substr(0, n_bytes))
+                                   ? message_bytes.make_shared_subview(cloud.data.substr(0, n_bytes))
                                    : make_shared_bytes(copy_points_as_packed_bytes(cloud, point_fields));
     folder::PointTable table = folder::make_table_of_binary_points(
         points, layout, cloud.size(), folder::PointMemoryLayout::by_point, "points");

@@ -61,7 +61,7 @@ SharedBytes decompress_records_of_mcap_chunk(const SharedBytes& chunk_record_bod
     const auto sum = reader.read_little_endian_number<std::uint32_t>();
     const std::string_view compression = reader.read_length_prefixed_string();
     SharedBytes records = unpack_chunk(compression,
-                                       chunk_record_body.share_memory_with_subview(reader.read_bytes(
+                                       chunk_record_body.make_shared_subview(reader.read_bytes(
                                            reader.read_little_endian_number<std::uint64_t>())),
                                        n);
     if (sum != 0 &&
@@ -108,13 +108,13 @@ public:
     SharedBytes read_message_bytes(const MessagePosition& message_position) const override {
         if (message_position.in_chunk == MessagePosition::kNoChunk) {
             const SharedBytes body = read_record_body(message_position.at);
-            return body.share_memory_with_subview(parse_message(body.bytes).bytes);
+            return body.make_shared_subview(parse_message(body.bytes).bytes);
         }
         const SharedBytes records = chunks_.get_or_unpack_chunk(message_position.at, [&] {
             return decompress_records_of_mcap_chunk(read_record_body(message_position.at));
         });
         ByteReader reader(records.bytes.substr(std::size_t(message_position.in_chunk)));
-        return records.share_memory_with_subview(parse_message(read_next_record(reader).body).bytes);
+        return records.make_shared_subview(parse_message(read_next_record(reader).body).bytes);
     }
 
     std::string get_points_frame_name() const override { return points_in_; }

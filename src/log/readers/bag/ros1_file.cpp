@@ -100,7 +100,7 @@ public:
         const SharedBytes records = chunks_.get_or_unpack_chunk(
             place.at, [&] { return read_records_in_chunk(*read_header_and_locate_record_data(place.at)); });
         ByteReader reader(records.bytes.substr(std::size_t(place.in_chunk)));
-        return records.share_memory_with_subview(read_next_ros1_record(reader).data);
+        return records.make_shared_subview(read_next_ros1_record(reader).data);
     }
 
 private:

@@ -61,7 +61,7 @@ ForwardDirection read_forward_direction(const fs::path& calibration_file) {
     const auto& at = *m;
     const glm::dmat3 rotation(at[0], at[4], at[8], at[1], at[5], at[9], at[2], at[6], at[10]);
     const Pose applanix_from_lidar =
-        make_pose_from_checked_rotation(rotation, {at[3], at[7], at[11]}, calibration_file.string());
+        check_rotation_and_make_pose(rotation, {at[3], at[7], at[11]}, calibration_file.string());
     return {inverse(applanix_from_lidar).rotation * glm::dvec3(0, 1, 0), true};
 }
 
@@ -151,7 +151,7 @@ LidarSequence load_boreas_dataset(const fs::path& log_folder, const DatasetOptio
                             {},
                             folder / "applanix/lidar_poses.csv",
                             kMostGap_s};
-    stamped::require_pose_file_or_user_choice(log.poses_file, options);
+    stamped::require_pose_file_or_poses_option(log.poses_file, options);
     ForwardDirection forward = read_forward_direction(folder / "calib/T_applanix_lidar.txt");
     if (does_path_exist(log.poses_file)) {
         log.world_from_vehicle = read_boreas_poses(log.poses_file, log, forward, sequence.notes);

@@ -264,7 +264,7 @@ std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBe
 
 }  // namespace
 
-std::vector<Beam> BeamFiringGrid::make_beams_with_elevations_of_cones(const BeamCones& cones) const {
+std::vector<Beam> BeamFiringGrid::make_beams_with_fitted_elevations(const BeamCones& cones) const {
     std::vector<Beam> beams(kRings);
     for (std::size_t k = 0; k < kRings; ++k) {
         const double elevation = std::atan(cones[k].tan_el);

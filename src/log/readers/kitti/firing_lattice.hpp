@@ -32,7 +32,7 @@ struct BeamFiringGrid {
     /// Returns the beams of the sensor. Uses the azimuth and lateral offsets of this
     /// struct, and the elevations and heights of `cones`. Each cone was fitted to the
     /// points of one rotating beam.
-    std::vector<Beam> make_beams_with_elevations_of_cones(const BeamCones& cones) const;
+    std::vector<Beam> make_beams_with_fitted_elevations(const BeamCones& cones) const;
 };
 
 /// Estimates the azimuth grid at which the head fires, and the offsets of all beams, from

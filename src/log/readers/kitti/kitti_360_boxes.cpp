@@ -104,8 +104,8 @@ void set_box_size_and_pose_from_transform(BoxLabel& label, const glm::dmat4& wor
                         error_location, label.size_m.x, label.size_m.y, label.size_m.z, kSmallest_m));
     for (int c = 0; c < 3; ++c) axes[c] /= label.size_m[c];
     if (glm::determinant(axes) < 0.0) axes[1] = -axes[1];
-    label.world_from_box = make_pose_from_checked_rotation(axes, glm::dvec3(world_from_unit_box[3]),
-                                                           error_location + ": transform");
+    label.world_from_box = check_rotation_and_make_pose(axes, glm::dvec3(world_from_unit_box[3]),
+                                                        error_location + ": transform");
 }
 
 /// Returns the track id of an object: semanticId * 1000 + instanceId. Objects of drive

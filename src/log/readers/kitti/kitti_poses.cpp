@@ -67,8 +67,8 @@ std::vector<double> parse_finite_numbers(const std::string& line, std::size_t ex
 /// Parses a 3x4 matrix, row-major.
 Pose parse_pose_matrix(const std::string& line, const std::string& error_location) {
     const std::vector<double> m = parse_finite_numbers(line, 12, error_location);
-    return make_pose_from_checked_rotation(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
-                                           {m[3], m[7], m[11]}, error_location);
+    return check_rotation_and_make_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
+                                        {m[3], m[7], m[11]}, error_location);
 }
 
 fs::path make_oxts_file_path(const fs::path& drive_folder, int frame_number) {
@@ -146,8 +146,8 @@ Pose read_calibration_transform(const fs::path& file) {
                         "and a line 'T:' with 3 numbers",
                         file.string(), r.empty() ? "R" : "T"));
     }
-    return make_pose_from_checked_rotation(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]),
-                                           {t[0], t[1], t[2]}, file.string());
+    return check_rotation_and_make_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]),
+                                        {t[0], t[1], t[2]}, file.string());
 }
 
 Pose read_transform_of_key(const fs::path& file, const std::string& key) {

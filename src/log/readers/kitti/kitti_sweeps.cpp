@@ -203,7 +203,7 @@ void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& sca
                 broken.is_scan_broken(at) ? "" : scan_sizes.explain_incomplete_scan(at, file_of(at).string());
             !why.empty())
             broken.record_broken_scan(at, why + "; the file is probably truncated or damaged");
-    if (broken.size() == raw.size()) broken.add_broken_scan_notes_or_throw(sequence, raw.size());
+    if (broken.size() == raw.size()) broken.note_broken_scans_or_throw_if_all_broken(sequence, raw.size());
     for (std::size_t at = 0; at < raw.size(); ++at)
         // Removes the points of a broken scan. The fits below then ignore the scan.
         if (broken.is_scan_broken(at)) raw[at] = {};
@@ -230,7 +230,7 @@ void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& sca
             });
         });
     SpinningSensor& sensor = sequence.lidars[0].sensor;
-    sensor.beams = lattice.make_beams_with_elevations_of_cones(cones);
+    sensor.beams = lattice.make_beams_with_fitted_elevations(cones);
     for (const auto& sweep : firings)
         sensor.columns = std::max(sensor.columns, static_cast<int>(sweep.size()));
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;

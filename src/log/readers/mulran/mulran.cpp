@@ -129,8 +129,8 @@ PoseTrack read_mulran_poses(const fs::path& pose_file, const stamped::StampedLog
         const std::vector<double>& m = row.values;
         track.time_s.push_back(log.convert_stamp_to_seconds(row.stamp));
         track.pose.push_back(
-            make_pose_from_checked_rotation(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
-                                            {m[3], m[7], m[11]}, row.where));
+            check_rotation_and_make_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
+                                         {m[3], m[7], m[11]}, row.where));
     }
     const glm::dvec3 driven = stamped::estimate_driving_direction(track).mean;
     if (driven != glm::dvec3(0.0) && driven.x < kForward)
@@ -154,7 +154,7 @@ stamped::PointFileFormat make_mulran_point_format(LidarSequence& sequence,
                                                   const std::vector<fs::path>& scan_files) {
     stamped::PointFileFormat format;
     const stamped::DatasetIntensityScale brightness =
-        stamped::estimate_full_scale_file_intensity(scan_files, {});
+        stamped::estimate_dataset_intensity_scale(scan_files, {});
     format.units.intensity_max = brightness.most;
     if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
     format.sweep_duration_s = kRevolution_s;
@@ -193,7 +193,7 @@ LidarSequence load_mulran_dataset(const fs::path& log_folder, const DatasetOptio
     stamped::StampedLog log{kNanosecond, stamped::list_timestamped_scan_files(scans_folder),
                             {},          folder / "global_pose.csv",
                             kMostGap_s,  0.5 * kRevolution_s};
-    stamped::require_pose_file_or_user_choice(log.poses_file, options);
+    stamped::require_pose_file_or_poses_option(log.poses_file, options);
     if (options.poses_file.empty())
         log.world_from_vehicle = read_mulran_poses(log.poses_file, log, sequence.notes);
     Lidar& lidar = sequence.lidars[0];

@@ -53,7 +53,7 @@ SubRayHit choose_second_return_of_beam(const std::vector<SubRayHit>& returns,
 
 }  // namespace
 
-RayTable replace_rays_by_rays_in_beam_cones(const RayTable& rays) {
+RayTable split_rays_into_cone_rays(const RayTable& rays) {
     RayTable cone;
     cone.rows = rays.rows;
     cone.columns = rays.columns * kConeRays;

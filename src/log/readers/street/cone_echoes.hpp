@@ -11,7 +11,7 @@ inline constexpr int kConeRays = 53;  ///< number of thin rays that represent th
 
 /// Replaces each ray by kConeRays thin rays, which form a spiral in the cone of the beam.
 /// @param rays  rays with a divergence, which is the opening angle of the cone
-RayTable replace_rays_by_rays_in_beam_cones(const RayTable& rays);
+RayTable split_rays_into_cone_rays(const RayTable& rays);
 
 /// Computes two returns per ray from the hits in the cone of the beam. Hits whose ranges
 /// differ by less than 0.5 m from the next hit form one return. The range of the return
@@ -22,7 +22,7 @@ RayTable replace_rays_by_rays_in_beam_cones(const RayTable& rays);
 /// least a tenth of the light of the first. If at most half of the thin rays have hits,
 /// the ray is dropped.
 /// @param scan_of_cone_rays  scan with the hits of the rays from
-/// replace_rays_by_rays_in_beam_cones(rays)
+/// split_rays_into_cone_rays(rays)
 Scan combine_cone_returns(const RayTable& rays, const Scan& scan_of_cone_rays);
 
 }  // namespace relidar::street

@@ -148,8 +148,8 @@ Scan cast_noise_free_scan_with_two_returns(const street::SyntheticStreet& street
             "has only one return");
     return street::combine_cone_returns(
         rays, cast_noise_free_scan_with_one_return(street, world_origin_in_street_m,
-                                                   street::replace_rays_by_rays_in_beam_cones(rays),
-                                                   sensor_track, scan_time_s));
+                                                   street::split_rays_into_cone_rays(rays), sensor_track,
+                                                   scan_time_s));
 }
 
 /// Returns the random seed of a frame. The seeds of the first LiDAR do not depend on the

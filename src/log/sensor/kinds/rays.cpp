@@ -53,12 +53,12 @@ struct RayTableFunctions {
         c.columns = static_cast<int>(std::min(c.direction.size() / 3 / rows, kMaxRays));
         std::optional<double> of_all_mrad;
         if (field.has_member("divergence_mrad")) of_all_mrad = field.at("divergence_mrad").get_number();
-        c.divergence_rad = sensor_files::combine_per_ray_and_common_divergence(
-            list("divergence"), of_all_mrad, field.get_location_for_errors());
+        c.divergence_rad = sensor_files::select_per_ray_or_common_divergence(list("divergence"), of_all_mrad,
+                                                                             field.get_location_for_errors());
         if (field.has_member("divergence_rad")) c.divergence_rad = {field.at("divergence_rad").get_number()};
         c.limits = {field.has_member("min_range_m") ? field.at("min_range_m").get_number() : c.limits.min_m,
                     field.has_member("max_range_m") ? field.at("max_range_m").get_number() : c.limits.max_m};
-        return sensor_files::make_ray_sensor(
+        return sensor_files::make_sensor_from_ray_arrays(
             c, field.has_member("name") ? field.at("name").get_string() : default_name,
             field.get_location_for_errors());
     }

@@ -41,7 +41,7 @@ struct RosetteFunctions {
         pattern_detail::require_only_known_sensor_members(field, {"rays", "first_hz", "second_hz"},
                                                           {"deflection"});
         const auto [name, limits, period_s, divergence_rad] =
-            pattern_detail::read_members_of_all_sensor_kinds(field, default_name);
+            pattern_detail::read_common_sensor_members(field, default_name);
         return {
             name, "", limits,
             RosetteSensor{

@@ -75,7 +75,7 @@ struct SpinningFunctions {
         pattern_detail::require_only_known_sensor_members(field, {"beams", "columns", "clockwise"},
                                                           {"first_azimuth"});
         SpinningSensor sensor;
-        const auto common = pattern_detail::read_members_of_all_sensor_kinds(field, default_name, 0.0);
+        const auto common = pattern_detail::read_common_sensor_members(field, default_name, 0.0);
         sensor.name = common.name;
         sensor.period_s = common.period_s;
         sensor.min_range_m = common.limits.min_m;

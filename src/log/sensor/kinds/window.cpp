@@ -48,7 +48,7 @@ struct WindowScanFunctions {
         pattern_detail::require_only_known_sensor_members(field, {"rows", "columns"},
                                                           {"left", "right", "top", "bottom"});
         const auto [name, limits, period_s, divergence_rad] =
-            pattern_detail::read_members_of_all_sensor_kinds(field, default_name);
+            pattern_detail::read_common_sensor_members(field, default_name);
         const WindowScanSensor window{
             .name = name,
             .rows = static_cast<int>(field.at("rows").get_integer_in_range(1, 65535)),

@@ -158,7 +158,7 @@ void PacketIndex::sort_packets_and_find_revolutions() {
 
 /// Only for a sensor that fires at fixed azimuths. Returns the number of packets sent
 /// since the previous packet; 1 if no packet was lost.
-std::size_t PacketIndex::count_packets_since_previous(std::size_t packet_index) const {
+std::size_t PacketIndex::count_packets_sent_since_previous(std::size_t packet_index) const {
     const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
     const double n = ((entry.azimuth_deg - before.azimuth_deg) / compute_column_step_deg() -
                       entry.first_slot + before.first_slot) /
@@ -184,7 +184,7 @@ std::size_t PacketIndex::count_lost_packets_before_packet(std::size_t packet_ind
     if (fires.empty())
         return std::size_t(std::clamp(
             std::round(count_lost_firings_before_packet(packet_index) / double(n_slots_)), 0.0, 1e9));
-    const std::size_t n = count_packets_since_previous(packet_index) - 1;
+    const std::size_t n = count_packets_sent_since_previous(packet_index) - 1;
     if (n * std::size_t(n_slots_) > 2 * fires.size()) return n;
     // A received packet without a firing is not lost.
     const std::size_t n_lost = n - std::min<std::size_t>(n, packets_[packet_index].n_empty_before);
@@ -524,7 +524,7 @@ Scan PacketIndex::make_scan_of_revolution(const PacketRevolution& revolution,
     if (!decoder_->get_laser_timing().fires.empty())
         return make_scan_of_fixed_azimuth_sensor(revolution_points, decoder_->get_laser_timing().fires,
                                                  find_lost_columns(revolution), sensor);
-    const SweepFirings sweep = make_sweep_of_firings_by_azimuth(
+    const SweepFirings sweep = sort_firings_by_azimuth_and_assign_points(
         revolution_points.points, revolution_points.numbers, revolution_points.head_rad);
     // `scan_sensor` is a copy of the sensor with the number of columns of this scan. The
     // sensor never fires in the sector `skipped_`, so a revolution has no columns there.

@@ -112,7 +112,7 @@ private:
                                  const SpinningSensor& sensor) const;
     int compute_column_of_azimuth(const PacketRevolution& revolution, double azimuth_deg) const;
     void find_complete_revolutions();
-    std::size_t count_packets_since_previous(std::size_t packet_index) const;
+    std::size_t count_packets_sent_since_previous(std::size_t packet_index) const;
     double count_lost_firings_before_packet(std::size_t packet_index) const;
     std::size_t count_lost_packets_before_packet(std::size_t packet_index) const;
     void count_and_store_lost_packets(PacketRevolution& revolution) const;
