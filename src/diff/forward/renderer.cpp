@@ -123,7 +123,7 @@ void Renderer::record_instance_poses_and_view(const std::vector<InstancePose>& i
 void Renderer::record_forward_pass(const RayBatch& rays) {
     Impl& r = *impl_;
     if (!r.placed)
-        throw UsageError("cannot render: no poses were set for the models of the scene; set them first");
+        throw UsageError("cannot render: the models of the scene have no poses yet; place them first");
     if (rays.n_rays > r.rendered.size()) {
         r.stream.submit_and_wait();
         r.allocate_ray_arrays(rays.n_rays);
