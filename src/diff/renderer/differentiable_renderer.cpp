@@ -111,7 +111,7 @@ HostGradients DifferentiableRenderer::compute_gradients(const RenderedGradients&
     const RenderedBatch last = get_last_rendered_batch();
     const std::size_t n_rays = last.rays.n_rays;
     if (last.rays.rays == nullptr)
-        throw UsageError("cannot compute gradients: no rays were rendered; render rays first");
+        throw UsageError("cannot compute gradients: no rays were rendered; run the forward pass first");
     Stream& stream = impl_->renderer.stream();
     stream.submit_and_wait();
     impl_->upstream.upload(make_ray_gradients(rendered_gradients, n_rays));
