@@ -215,9 +215,9 @@ endif()
 # --- tests -----------------------------------------------------------------------------------------------------------
 if((RELIDAR_BUILD_TESTS OR RELIDAR_FUZZ) AND NOT RELIDAR_FOR_PACKAGE)
     relidar_dependency(gtest APT libgtest-dev PACKAGE GTest TARGETS GTest::gtest)
+    relidar_dependency(gmock APT libgmock-dev PACKAGE GTest TARGETS GTest::gmock LINK relidar::dep_gtest)
 endif()
 if(RELIDAR_BUILD_TESTS AND NOT RELIDAR_FOR_PACKAGE)
-    relidar_dependency(gmock APT libgmock-dev PACKAGE GTest TARGETS GTest::gmock LINK relidar::dep_gtest)
     # Embree 3 and 4 both call their target `embree`; only the header's folder differs.
     find_package(embree QUIET GLOBAL)
     relidar_dependency(embree APT libembree-dev PACKAGE embree TARGETS embree DEFINE "RELIDAR_EMBREE_VERSION=${embree_VERSION_MAJOR}")
