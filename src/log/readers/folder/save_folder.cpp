@@ -2,6 +2,7 @@
 // Writes a log as a plain folder.
 #include <relidar/log/dataset.hpp>
 
+#include <algorithm>
 #include <cmath>
 
 #include <fmt/format.h>
@@ -99,6 +100,16 @@ std::string format_boxes_json(const LidarSequence& sequence) {
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
+/// Returns true if save_folder() may have written an entry of a log folder.
+bool is_entry_of_saved_log(const fs::path& entry) {
+    const std::string name = entry.filename().string();
+    if (name == folder::kHeadFile || name == folder::kPosesFile || name == folder::kBoxesFile) return true;
+    if (name.starts_with("sensor_") && entry.extension() == ".json") return true;
+    return name == "scans" && std::ranges::all_of(list_folder_entries(entry), [](const fs::path& scan) {
+               return scan.extension() == ".npz";
+           });
+}
+
 void require_writable_target_folder(const fs::path& folder, bool overwrite) {
     if (!does_path_exist(folder) || (fs::is_directory(folder) && list_folder_entries(folder).empty())) return;
     if (!fs::is_directory(folder) || !does_path_exist(folder / folder::kHeadFile))
@@ -111,6 +122,12 @@ void require_writable_target_folder(const fs::path& folder, bool overwrite) {
             fmt::format("{}: this folder exists and contains a log, expected a new name; use --force to "
                         "replace the log",
                         folder.string()));
+    for (const fs::path& entry : list_folder_entries(folder))
+        if (!is_entry_of_saved_log(entry))
+            throw UsageError(fmt::format(
+                "cannot replace the log in {}: {} is not a file that relidar writes, and would be "
+                "deleted; expected another folder",
+                folder.string(), entry.filename().string()));
 }
 
 }  // namespace

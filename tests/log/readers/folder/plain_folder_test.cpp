@@ -274,6 +274,17 @@ TEST(SaveFolder, LeavesNothingUnfinished) {
     EXPECT_TRUE(fs::exists(folder.parent_path() / "other/thing.txt"));
 }
 
+TEST(SaveFolder, DeletesNoFilesOfOthers) {
+    const LidarSequence street = make_rich_street();
+    for (const char* name : {"notes.txt", "labels/a.txt", "scans/000000.bin"}) {
+        const fs::path folder = make_fresh_folder_path("theirs");
+        save_folder(street, folder);
+        test::write_text(folder / name, "x");
+        EXPECT_THROW(save_folder(street, folder, {.overwrite = true}), UsageError) << name;
+        EXPECT_TRUE(fs::exists(folder / name));
+    }
+}
+
 TEST(PlainFolder, PcdAsText) { expect_street({"pcd_text", "pcd", test::make_pcd_text, kStamped}, 1e-6); }
 TEST(PlainFolder, PcdPacked) { expect_street({"pcd_binary", "pcd", test::make_pcd_binary, kStamped}, 1e-6); }
 TEST(PlainFolder, PcdCompressed) {
