@@ -33,6 +33,9 @@ namespace fs = std::filesystem;
 constexpr std::size_t kSamples = 6;  // number of scans per LiDAR that are used to estimate its beams
 // sweep period in seconds that is assumed if the log has only one frame
 constexpr double kUsualPeriod_s = 0.1;
+// Plausible time from the first to the last point of a scan, relative to the time between
+// scans. The lower limit is small, because a log may contain only some of the scans.
+constexpr double kShortestSpan = 0.01, kLongestSpan = 3.0;
 
 /// Counts the points that are the first return of their ray. Ignores points at the
 /// sensor.
@@ -206,9 +209,9 @@ private:
 
     /// Returns the duration of a revolution that the user gave. Otherwise returns the
     /// median time between frames of the LiDAR.
-    double get_or_estimate_sweep_duration_s(std::size_t lidar_index) const {
-        if (head_.lidars[lidar_index].sweep_duration_s > 0.0)
-            return head_.lidars[lidar_index].sweep_duration_s;
+    /// Returns the median time between consecutive frames of a LiDAR.
+    /// @return no value if the LiDAR has only one frame
+    std::optional<double> find_median_frame_step_s(std::size_t lidar_index) const {
         std::vector<double> steps;
         double before_s = NAN;
         for (const LidarFrame& frame : sequence_.frames) {
@@ -216,7 +219,34 @@ private:
             if (frame.time_s > before_s) steps.push_back(frame.time_s - before_s);
             before_s = frame.time_s;
         }
-        return steps.empty() ? kUsualPeriod_s : compute_median(std::move(steps));
+        return steps.empty() ? std::nullopt : std::optional(compute_median(std::move(steps)));
+    }
+
+    double get_or_estimate_sweep_duration_s(std::size_t lidar_index) const {
+        if (head_.lidars[lidar_index].sweep_duration_s > 0.0)
+            return head_.lidars[lidar_index].sweep_duration_s;
+        return find_median_frame_step_s(lidar_index).value_or(kUsualPeriod_s);
+    }
+
+    /// Adds a note if the points of a scan were measured in a time that does not fit the
+    /// time between scans. The usual cause is a wrong unit of the times.
+    void add_note_if_point_times_implausible(std::size_t lidar_index,
+                                             const std::vector<LidarPoints>& samples) {
+        const std::optional<double> frame_step_s = find_median_frame_step_s(lidar_index);
+        std::vector<double> spans_s;
+        for (const LidarPoints& points : samples) {
+            if (points.time_offset_s.empty()) continue;
+            const auto [first_s, last_s] = std::ranges::minmax(points.time_offset_s);
+            spans_s.push_back(double(last_s) - double(first_s));
+        }
+        if (!frame_step_s || spans_s.empty()) return;
+        const double span_s = compute_median(std::move(spans_s));
+        if (span_s < kShortestSpan * *frame_step_s || span_s > kLongestSpan * *frame_step_s)
+            add_note_once(lidar_index,
+                          fmt::format("the times of the points are probably wrong: those of one scan span "
+                                      "{:.3g} s, but a new scan begins every {:.3g} s; check the unit of the "
+                                      "times, and whether 32-bit numbers store absolute times",
+                                      span_s, *frame_step_s));
     }
 
     void choose_point_conversion_of_lidar(std::size_t lidar_index,
@@ -246,8 +276,11 @@ private:
         if (!plan.ordered) sensor.period_s = 0.0;
         if (plan.ordered && !plan.has_times && !head_.motion_compensated)
             add_note_once(lidar_index,
-                          "the points have no times; relidar computes them from the azimuths and assumes "
-                          "that the LiDAR's head faces forward at the time of the frame");
+                          fmt::format("the points have no times; relidar computes them from the azimuths and "
+                                      "assumes that a sweep takes {:.3g} s and that the LiDAR's head faces "
+                                      "forward at the time of the frame",
+                                      sensor.period_s));
+        if (!head_.motion_compensated) add_note_if_point_times_implausible(lidar_index, samples);
         if (head_.motion_compensated && !plan.undo)
             add_note_once(lidar_index,
                           "the scans are motion-compensated. This cannot be undone without times of points "
