@@ -69,7 +69,9 @@ void read_points(std::string_view input, const fs::path& folder) {
     put(file, input.substr(1));
     std::vector<std::string> columns = {"x", "y", "z", "intensity", "ring"};
     if (ending == kEndings[3]) columns.push_back("timestamp");
-    folder::convert_table_to_points(folder::read_point_file(file, columns), {}, 0.0, "scan");
+    folder::PointFileUnits units;
+    units.intensity_max = 255.0;
+    folder::convert_table_to_points(folder::read_point_file(file, columns), units, 0.0, "scan");
 }
 
 fs::path log_in(const fs::path& folder) {

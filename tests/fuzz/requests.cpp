@@ -32,7 +32,7 @@ namespace fs = std::filesystem;
 
 std::vector<std::string> make_request_seeds(const fs::path&) {
     const std::string edits =
-        R"({"copies": [{"of": "7", "at": [1, 2, 0, 90, 5]}], "moves": {"8": [1, 0, 0, 10]},
+        R"({"copies": [{"of": "7", "from": "", "at": [1, 2, 0, 90, 5, 0, 0]}], "moves": {"8": [1, 0, 0, 10]},
         "removed": ["9"], "hidden": ["7"]})";
     return {
         R"({"do": "scan", "id": 7, "time_s": 1.5, "place": [1, 2, 3, 10, 0, 0], "sensor": "VLP-16", "lidar": 0,

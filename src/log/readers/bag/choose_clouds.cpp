@@ -19,13 +19,23 @@ namespace {
 // A further LiDAR is loaded only if its sweep rate, divided by the rate of the main
 // LiDAR, is in this interval.
 constexpr double kLeastRate = 0.5, kMostRate = 2.0;
+// Maximum numbers of topics and of reasons in an error message.
+constexpr std::size_t kMostTopics = 10, kMostReasons = 3;
+
+/// Limits the length of a list of texts. The last text then says how many are missing.
+void shorten_list(std::vector<std::string>& texts, std::size_t max_count) {
+    if (texts.size() <= max_count) return;
+    const std::size_t n_more = texts.size() - max_count;
+    texts.resize(max_count);
+    texts.push_back(fmt::format("and {} more", n_more));
+}
 
 std::string format_topics(const BagRecording& bag) {
     std::vector<std::string> texts;
     for (const BagTopic& topic : bag.topics())
-        if (texts.size() < 20)
-            texts.push_back(fmt::format("{} ({})", shorten_for_error_message(topic.name),
-                                        shorten_for_error_message(topic.type)));
+        texts.push_back(fmt::format("{} ({})", shorten_for_error_message(topic.name),
+                                    shorten_for_error_message(topic.type)));
+    shorten_list(texts, kMostTopics);
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
@@ -45,35 +55,37 @@ constexpr PacketDriver kDrivers[] = {
 /// Returns the end of the error message for a bag without clouds. The text explains why
 /// topics that may contain clouds could not be read.
 std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagIndex& bag_index) {
-    std::string text;
-    for (const std::string& note : bag.get_file_problems()) text += fmt::format(" ({})", note);
+    std::vector<std::string> reasons = bag.get_file_problems();
     for (const BagTopic& topic : bag.topics())
         for (const PacketDriver& packet_driver : kDrivers)
             if (topic.type.starts_with(packet_driver.package))
-                text += fmt::format(
-                    " ({}: relidar cannot decode these packets; play the recording with the driver {}, and "
-                    "record its point clouds)",
-                    shorten_for_error_message(topic.name), packet_driver.driver);
+                reasons.push_back(fmt::format(
+                    "{}: relidar cannot decode these packets; play the recording with the driver {}, and "
+                    "record its point clouds",
+                    shorten_for_error_message(topic.name), packet_driver.driver));
     for (std::size_t t = 0; t < bag_index.facts.size(); ++t) {
         const BagTopic& topic = bag.topics()[t];
+        const std::string name = shorten_for_error_message(topic.name);
         const auto clouds = std::ranges::find(bag_index.clouds, t, &CloudTopic::topic);
         const bool is_empty = clouds != bag_index.clouds.end() && clouds->clouds.empty();
         if (is_empty && !clouds->packets.empty())
-            text +=
-                fmt::format(" (topic {} contains {} packets of a {}: {})",
-                            shorten_for_error_message(topic.name), clouds->packets.size(),
-                            clouds->packets.describe_lidar_product(), clouds->packets.describe_problems());
+            reasons.push_back(fmt::format("topic {} contains {} packets of a {}: {}", name,
+                                          clouds->packets.size(), clouds->packets.describe_lidar_product(),
+                                          clouds->packets.describe_problems()));
         else if (is_empty)
-            text += fmt::format(" (topic {} contains {} clouds without points)",
-                                shorten_for_error_message(topic.name), clouds->n_empty);
+            reasons.push_back(
+                fmt::format("topic {} contains {} clouds without points", name, clouds->n_empty));
         if (bag_index.facts[t].n_broken > 0)
-            text +=
-                fmt::format(" ({}: {})", shorten_for_error_message(topic.name), bag_index.facts[t].broken);
+            reasons.push_back(fmt::format("{}: {}", name, bag_index.facts[t].broken));
         if (topic.type == packets::kOtherDatagrams)
-            text += fmt::format(" ({} contains {} datagrams that relidar cannot decode as LiDAR packets)",
-                                shorten_for_error_message(topic.name), bag_index.facts[t].n);
+            reasons.push_back(
+                fmt::format("{} contains {} datagrams that relidar cannot decode as LiDAR packets", name,
+                            bag_index.facts[t].n));
     }
-    if (bag.topics().empty()) text += " (the recording has no messages)";
+    if (bag.topics().empty()) reasons.push_back("the recording has no messages");
+    shorten_list(reasons, kMostReasons);
+    std::string text;
+    for (const std::string& reason : reasons) text += fmt::format(" ({})", reason);
     return text;
 }
 
