@@ -53,6 +53,7 @@ public:
     /// Divides a box surface into patches, none of which is observed yet.
     /// @param size_m [3] length, width, height, all above 0
     explicit ObservedBoxSurface(const glm::dvec3& size_m);
+    bool operator==(const ObservedBoxSurface&) const = default;
     /// Marks the patch of a point as observed by a ray. The ray must hit the side from
     /// outside and must not graze it. Rays from inside are ignored, because they have
     /// passed through a window to the far side. The centre of the box and points below

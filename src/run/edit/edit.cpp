@@ -153,18 +153,40 @@ PoseTrack insert_interpolated_poses(const PoseTrack& track, double max_step_s) {
     return fine;
 }
 
+/// Returns the model that an earlier edit has made from `model` by completing it.
+/// @return no value if there is none
+std::optional<std::uint32_t> find_completed_copy_of_model(const Scene& scene, const SurfelModel& model) {
+    ObservedBoxSurface completed = *model.surface;
+    completed.is_completed = true;
+    const auto copy = std::ranges::find_if(scene.models, [&](const SurfelModel& other) {
+        return other.name == model.name && other.surface == completed;
+    });
+    if (copy == scene.models.end()) return std::nullopt;
+    return static_cast<std::uint32_t>(copy - scene.models.begin());
+}
+
 /// Fills the unobserved sides of a vehicle by symmetry, because after an edit these sides
-/// can face a sensor. Does nothing if the surfels are not in memory, or if it is unknown
-/// which sides the log has observed.
+/// can face a sensor. If other actors have the same model, they keep it, and this actor
+/// gets a completed copy. Does nothing if the surfels are not in memory, or if it is
+/// unknown which sides the log has observed.
 void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, const std::string& track_id) {
     Scene& scene = scene_and_log.scene;
-    const std::uint32_t number = scene.instances[get_actor_instance_index(scene_and_log, track_id)].model;
-    SurfelModel& model = scene.models[number];
-    if (!model.surface || model.surface->is_completed ||
-        model.surface->compute_mirrorable_area_fraction() == 0.0 ||
+    ModelInstance& instance = scene.instances[get_actor_instance_index(scene_and_log, track_id)];
+    const SurfelModel& shared_model = scene.models[instance.model];
+    if (!shared_model.surface || shared_model.surface->is_completed ||
+        shared_model.surface->compute_mirrorable_area_fraction() == 0.0 ||
         !is_vehicle(get_actor_box_track(scene_and_log, track_id)) ||
-        std::size_t(model.first) + model.count > scene.surfels.size())
+        std::size_t(shared_model.first) + shared_model.count > scene.surfels.size())
         return;
+    if (std::ranges::count(scene.instances, instance.model, &ModelInstance::model) > 1) {
+        if (const std::optional<std::uint32_t> copy = find_completed_copy_of_model(scene, shared_model)) {
+            instance.model = *copy;
+            return;
+        }
+        instance.model = append_model(scene, scene, instance.model);
+    }
+    const std::uint32_t number = instance.model;
+    SurfelModel& model = scene.models[number];
     Surfels completed = scene.surfels.slice(model.first, model.count);
     if (replace_unobserved_by_mirrored_surfels(completed, *model.surface) == 0) return;
     const std::size_t behind = std::size_t(model.first) + model.count;

@@ -103,6 +103,30 @@ TEST(Edit, SaysHowManyFramesLoseAnActor) {
     EXPECT_EQ(describe_frames_without_actor(van, move_track(before, "van", at(0, 1)).sequence), "");
 }
 
+/// The recorded actor keeps its surfels, because the recording shows them. All copies of
+/// the actor share one model, which is that of a moved actor.
+TEST(Edit, CopyDoesNotChangeRecordedActor) {
+    SceneWithLog recorded = example();
+    ObservedBoxSurface left_side({4.0, 2.0, 1.5});
+    for (double x = -1.95; x < 2.0; x += 0.1)
+        for (double z = -0.7; z < 0.75; z += 0.1)
+            left_side.mark_patch_of_point_as_observed({x, 1.0, z}, {0.0, -1.0, 0.0});
+    recorded.scene.models[2].surface = left_side;
+    for (std::size_t k = 0; k < 4; ++k) recorded.scene.surfels.mean[5 + k] = {-1.5f + float(k), 1.0f, 0.2f};
+    const SceneWithLog once = copy_track(recorded, "car", {at(1020, -60), 0.0}),
+                       twice = copy_track(once, "car", {at(1030, -60), 0.0}),
+                       moved = move_track(recorded, "car", at(0, 1));
+    EXPECT_EQ(model_of(moved, 2).second, 8u) << "four surfels and their mirror images";
+    for (const SceneWithLog* edited : {&once, &twice}) {
+        EXPECT_EQ(edited->scene.instances[2].model, 2u);
+        EXPECT_EQ(model_of(*edited, 2).second, 4u);
+        EXPECT_FALSE(edited->scene.models[2].surface->is_completed);
+        EXPECT_EQ(model_of(*edited, 3), model_of(moved, 2));
+    }
+    EXPECT_EQ(twice.scene.instances[4].model, twice.scene.instances[3].model);
+    EXPECT_EQ(twice.scene.models.size(), 4u);
+}
+
 TEST(Edit, MoveIsInTheFrameOfTheBoxAtEachTime) {
     const SceneWithLog before = example(),
                        after = move_track(example(), "van",

@@ -117,7 +117,10 @@ NewActorMotion parse_actor_start_pose_and_speed(const EditArgument& edit_for_err
     const std::vector<double> pose = parse_comma_separated_edit_numbers(edit_for_errors, position_text, 4, 6);
     if (pose.size() == 5)
         throw_edit_error(edit_for_errors, get_expected_value_syntax_of_option(edit_for_errors));
-    return {make_pose_from_numbers(pose), speed_mps};
+    const Pose start = make_pose_from_numbers(pose);
+    if (!(glm::distance(start.translation, driving_scene.sequence.world_offset_m) < kFarOff_m))
+        throw_edit_error(edit_for_errors, "a position less than 1e6 m from the log");
+    return {start, speed_mps};
 }
 
 /// Returns the position and tilt of an actor that the program has placed on the ground.
