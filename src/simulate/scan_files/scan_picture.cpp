@@ -16,6 +16,24 @@ namespace {
 constexpr double kPictureAspect = 8.0;
 // Upper end of the colour scale in metres. All larger ranges have the same colour.
 constexpr float kFarthest_m = 80.0f;
+// Rays without image rows are drawn in their order, in lines of this length.
+constexpr int kRaysPerLine = 2048;
+
+/// Arranges the rays of a scan without image rows in lines. The last line ends with
+/// dropped rays. The result has only the values that a picture shows.
+RangeImage arrange_rays_in_lines(const RangeImage& image) {
+    RangeImage lines;
+    lines.columns = kRaysPerLine;
+    lines.rows = (image.columns + kRaysPerLine - 1) / kRaysPerLine;
+    const std::size_t n_pixels = std::size_t(lines.rows) * std::size_t(lines.columns);
+    lines.range_m = image.range_m;
+    lines.range_m.resize(n_pixels, 0.0f);
+    lines.intensity = image.intensity;
+    lines.intensity.resize(n_pixels, 0.0f);
+    lines.drop_prob = image.drop_prob;
+    lines.drop_prob.resize(n_pixels, 1.0f);
+    return lines;
+}
 
 }  // namespace
 
@@ -47,7 +65,9 @@ int compute_vertical_scale(const RangeImage& image) {
 }
 
 Image draw_scan_picture(const RenderedScan& scan) {
-    const RangeImage& image = scan.image;
+    const bool has_rows = scan.image.rows > 1 || scan.image.columns <= kRaysPerLine;
+    const RangeImage lines = has_rows ? RangeImage() : arrange_rays_in_lines(scan.image);
+    const RangeImage& image = has_rows ? scan.image : lines;
     float farthest = 1.0f;
     for (const float range : image.range_m) farthest = std::max(farthest, range);
     return stack_images_vertically(

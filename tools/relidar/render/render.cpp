@@ -437,10 +437,12 @@ void run_render_command(const RenderOptions& command_options) {
 
 void add_trajectory_options(CLI::App& command, TrajectoryOptions& trajectory) {
     command
-        .add_option("--trajectory", trajectory.file,
-                    "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in "
-                    "the dataset's world and the log's time; `relidar export RUN --out FILE.csv` writes the "
-                    "path of the log; --offset shifts the sensor from the path")
+        .add_option(
+            "--trajectory", trajectory.file,
+            "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in "
+            "the dataset's world and the log's time; `relidar export RUN --out FILE.csv` writes the "
+            "path of the log; --offset shifts the sensor from the path; rays have the nominal angles of "
+            "the sensor, unlike those of --frames, which repeat a recorded scan")
         ->type_name("FILE.csv");
     command
         .add_option("--rate", trajectory.rate_hz,
