@@ -178,17 +178,18 @@ void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, const std::s
         !is_vehicle(get_actor_box_track(scene_and_log, track_id)) ||
         std::size_t(shared_model.first) + shared_model.count > scene.surfels.size())
         return;
-    if (std::ranges::count(scene.instances, instance.model, &ModelInstance::model) > 1) {
-        if (const std::optional<std::uint32_t> copy = find_completed_copy_of_model(scene, shared_model)) {
-            instance.model = *copy;
-            return;
-        }
-        instance.model = append_model(scene, scene, instance.model);
+    const bool is_shared = std::ranges::count(scene.instances, instance.model, &ModelInstance::model) > 1;
+    if (const auto copy = find_completed_copy_of_model(scene, shared_model); is_shared && copy) {
+        instance.model = *copy;
+        return;
     }
+    ObservedBoxSurface surface = *shared_model.surface;
+    Surfels completed = scene.surfels.slice(shared_model.first, shared_model.count);
+    if (replace_unobserved_by_mirrored_surfels(completed, surface) == 0) return;
+    if (is_shared) instance.model = append_model(scene, scene, instance.model);
     const std::uint32_t number = instance.model;
     SurfelModel& model = scene.models[number];
-    Surfels completed = scene.surfels.slice(model.first, model.count);
-    if (replace_unobserved_by_mirrored_surfels(completed, *model.surface) == 0) return;
+    model.surface = surface;
     const std::size_t behind = std::size_t(model.first) + model.count;
     Surfels all = scene.surfels.slice(0, model.first);
     all.append_surfels(completed);

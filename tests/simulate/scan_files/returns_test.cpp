@@ -184,5 +184,25 @@ TEST_F(Returns, AreAsManyInEveryFormat) {
         n);
 }
 
+/// A merged scan of a rig has no image rows. 5,000 rays need three lines of 2,048.
+TEST(ScanPicture, RaysWithoutRowsAreDrawnInLines) {
+    constexpr std::size_t kRays = 5000;
+    RenderedScan scan;
+    scan.image.rows = 1;
+    scan.image.columns = int(kRays);
+    scan.image.range_m.assign(kRays, 10.0f);
+    scan.image.intensity.assign(kRays, 0.5f);
+    scan.image.drop_prob.assign(kRays, 0.0f);
+    const Image picture = draw_scan_picture(scan);
+    EXPECT_EQ(picture.columns, 2048);
+    EXPECT_LT(picture.rows, 1000);
+    const auto pixel_of = [&](std::size_t ray) {
+        const std::size_t line_height = std::size_t(std::lround(2048 / (8.0 * 3)));
+        return picture.rgb.data() + 3 * (ray / 2048 * line_height * 2048 + ray % 2048);
+    };
+    EXPECT_TRUE(std::equal(pixel_of(0), pixel_of(0) + 3, pixel_of(kRays - 1)));
+    EXPECT_FALSE(std::equal(pixel_of(0), pixel_of(0) + 3, pixel_of(kRays))) << "there is no such ray";
+}
+
 }  // namespace
 }  // namespace relidar

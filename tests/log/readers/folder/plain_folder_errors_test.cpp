@@ -7,6 +7,7 @@
 #include <filesystem>
 
 #include <fmt/format.h>
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
@@ -235,6 +236,21 @@ TEST_F(FolderDamage, OfDeskewedPoints) {
     }
     expect("scans/a.pcd", "# points_in sensor at each ray's firing time\n" + test::make_pcd_binary(points),
            "nothing");
+}
+
+/// The two scans are 0.1 s apart. The points of a scan were measured within 0.09 s.
+TEST_F(FolderDamage, TimesInWrongUnitAreNoted) {
+    const auto load_notes = [&](double unit_s) {
+        for (int scan = 0; scan < 2; ++scan) {
+            for (std::size_t i = 0; i < points.size(); ++i)
+                points[i].time_s = (0.1 * scan + 0.001 * double(i % 90)) / unit_s;
+            put(scan == 0 ? "scans/a.pcd" : "scans/b.pcd", test::make_pcd_binary(points));
+        }
+        return fmt::format("{}", fmt::join(load_sequence("folder:" + folder.string(), {}).notes, "; "));
+    };
+    EXPECT_THAT(load_notes(1.0), testing::Not(test::Names("times of the points are probably wrong")));
+    EXPECT_THAT(load_notes(1000.0), test::Names("times of the points are probably wrong ... 0.1 s"));
+    EXPECT_THAT(load_notes(1e60), test::Names("span 0 s")) << "all times are equal";
 }
 
 TEST_F(FolderDamage, OfValues) {
