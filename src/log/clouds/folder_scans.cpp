@@ -207,8 +207,6 @@ private:
         return points;
     }
 
-    /// Returns the duration of a revolution that the user gave. Otherwise returns the
-    /// median time between frames of the LiDAR.
     /// Returns the median time between consecutive frames of a LiDAR.
     /// @return no value if the LiDAR has only one frame
     std::optional<double> find_median_frame_step_s(std::size_t lidar_index) const {
@@ -222,6 +220,8 @@ private:
         return steps.empty() ? std::nullopt : std::optional(compute_median(std::move(steps)));
     }
 
+    /// Returns the duration of a revolution that the user gave. Otherwise returns the
+    /// median time between frames of the LiDAR.
     double get_or_estimate_sweep_duration_s(std::size_t lidar_index) const {
         if (head_.lidars[lidar_index].sweep_duration_s > 0.0)
             return head_.lidars[lidar_index].sweep_duration_s;

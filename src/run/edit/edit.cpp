@@ -179,9 +179,11 @@ void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, const std::s
         std::size_t(shared_model.first) + shared_model.count > scene.surfels.size())
         return;
     const bool is_shared = std::ranges::count(scene.instances, instance.model, &ModelInstance::model) > 1;
-    if (const auto copy = find_completed_copy_of_model(scene, shared_model); is_shared && copy) {
-        instance.model = *copy;
-        return;
+    if (is_shared) {
+        if (const auto copy = find_completed_copy_of_model(scene, shared_model)) {
+            instance.model = *copy;
+            return;
+        }
     }
     ObservedBoxSurface surface = *shared_model.surface;
     Surfels completed = scene.surfels.slice(shared_model.first, shared_model.count);

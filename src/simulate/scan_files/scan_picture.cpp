@@ -64,16 +64,24 @@ int compute_vertical_scale(const RangeImage& image) {
     return std::max(1, static_cast<int>(std::lround(image.columns / (kPictureAspect * image.rows))));
 }
 
-Image draw_scan_picture(const RenderedScan& scan) {
-    const bool has_rows = scan.image.rows > 1 || scan.image.columns <= kRaysPerLine;
-    const RangeImage lines = has_rows ? RangeImage() : arrange_rays_in_lines(scan.image);
-    const RangeImage& image = has_rows ? scan.image : lines;
+namespace {
+
+/// Draws range, intensity and ray-drop one above the other.
+Image draw_channels_of_image(const RangeImage& image) {
     float farthest = 1.0f;
     for (const float range : image.range_m) farthest = std::max(farthest, range);
     return stack_images_vertically(
         {draw_range_picture(image, static_cast<double>(std::min(farthest, kFarthest_m))),
          draw_intensity_picture(image), draw_ray_drop_picture(image)},
         compute_vertical_scale(image));
+}
+
+}  // namespace
+
+Image draw_scan_picture(const RenderedScan& scan) {
+    if (scan.image.rows == 1 && scan.image.columns > kRaysPerLine)
+        return draw_channels_of_image(arrange_rays_in_lines(scan.image));
+    return draw_channels_of_image(scan.image);
 }
 
 }  // namespace relidar
