@@ -457,6 +457,7 @@ own_paths() {
     bad 2 "rate: found 0; expected" render run --out x --trajectory way.csv --rate 0
     bad 2 "1e\+06" render run --out x --trajectory way.csv --rate 1e9
     bad 2 "times: found \"0:1\"; expected FIRST:LAST:STEP" render run --out x --trajectory way.csv --times 0:1
+    bad 2 "times: found \"0:1:fast\"; expected FIRST:LAST:STEP" render run --out x --trajectory way.csv --times 0:1:fast
     bad 2 "times: found 0 to 50 s; expected" render run --out x --trajectory way.csv --times 0:50:1
     bad 2 "expected FIRST < LAST and a STEP above 0" render run --out x --trajectory way.csv --times 1:0:0.1
     bad 2 "\.ply .*\.csv" export run --out way.txt

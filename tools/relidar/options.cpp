@@ -206,14 +206,19 @@ void print_note_if_frames_after_log_end(const FrameRange& requested_frames, int 
                                last_frame_number));
 }
 
+std::optional<double> parse_finite_number(const std::string& text) {
+    const std::optional<double> value = parse_number_text<double>(trim_spaces_and_tabs(text));
+    return value && std::isfinite(*value) ? value : std::nullopt;
+}
+
 std::vector<double> parse_number_list(const std::string& option_name, const std::string& text) {
     std::vector<double> numbers;
     for (const std::string& typed : split_text(text, ',')) {
-        const std::string word = trim_spaces_and_tabs(typed);
-        const std::optional<double> value = parse_number_text<double>(word);
-        if (!value || !std::isfinite(*value))
-            throw UsageError(fmt::format("{}: found \"{}\" in \"{}\", expected numbers separated by commas",
-                                         option_name, word, text));
+        const std::optional<double> value = parse_finite_number(typed);
+        if (!value)
+            throw UsageError(
+                fmt::format("{}: found \"{}\" in \"{}\", expected finite numbers separated by commas",
+                            option_name, trim_spaces_and_tabs(typed), text));
         numbers.push_back(*value);
     }
     return numbers;

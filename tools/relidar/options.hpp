@@ -79,6 +79,9 @@ FrameRange parse_frame_range(const std::string& text);
 /// @param last_frame_number number of the last frame of the log or run
 void print_note_if_frames_after_log_end(const FrameRange& requested_frames, int last_frame_number,
                                         const std::string& run_or_log_path);
+/// Parses a number, with spaces around it. Returns no value if the text is not a finite
+/// number.
+std::optional<double> parse_finite_number(const std::string& text);
 /// Parses a list of numbers that are separated by commas.
 /// @throws UsageError if a word is not a number; the message names the option
 std::vector<double> parse_number_list(const std::string& option_name, const std::string& text);

@@ -33,6 +33,11 @@ namespace fs = std::filesystem;
 constexpr std::size_t kSamples = 6;  // number of scans per LiDAR that are used to estimate its beams
 // sweep period in seconds that is assumed if the log has only one frame
 constexpr double kUsualPeriod_s = 0.1;
+// The slowest spinning LiDARs of vehicles make five revolutions per second. If scans are
+// farther apart, the log has only some of the scans.
+constexpr double kLongestPeriod_s = 0.25;
+// If a larger share of the points fits no ray, the sensor of the log is probably wrong.
+constexpr double kMostSkipped = 0.1;
 // Plausible time from the first to the last point of a scan, relative to the time between
 // scans. The lower limit is small, because a log may contain only some of the scans.
 constexpr double kShortestSpan = 0.01, kLongestSpan = 3.0;
@@ -142,7 +147,9 @@ public:
         const auto sample = samples_.find(frame_index);
         LidarPoints points =
             sample == samples_.end() ? read_points(frame_index, plan.undo) : std::move(sample->second);
-        if (plan.has_rings == points.ring.empty() || plan.has_times == points.time_offset_s.empty())
+        const bool has_points = points.size() > 0;
+        if (has_points &&
+            (plan.has_rings == points.ring.empty() || plan.has_times == points.time_offset_s.empty()))
             throw DataError(fmt::format(
                 "{}: its points have {} and {}, unlike the points of other scans of this LiDAR; expected the "
                 "same fields in all scans",
@@ -172,8 +179,11 @@ public:
         if (const std::size_t n = sum(behind_), all = sum(n_first_); n > 0)
             add_note_once(
                 fmt::format("{} of {} points ({:.2g} %) are skipped, because their ray has a nearer point "
-                            "and no neighbouring ray is free",
-                            n, all, 100.0 * double(n) / double(all)));
+                            "and no neighbouring ray is free{}",
+                            n, all, 100.0 * double(n) / double(all),
+                            double(n) > kMostSkipped * double(all)
+                                ? "; check whether the log's sensor is the one that measured these points"
+                                : ""));
     }
 
 private:
@@ -221,11 +231,13 @@ private:
     }
 
     /// Returns the duration of a revolution that the user gave. Otherwise returns the
-    /// median time between frames of the LiDAR.
+    /// median time between frames of the LiDAR, divided by the number of revolutions if
+    /// the log has only every n-th scan.
     double get_or_estimate_sweep_duration_s(std::size_t lidar_index) const {
         if (head_.lidars[lidar_index].sweep_duration_s > 0.0)
             return head_.lidars[lidar_index].sweep_duration_s;
-        return find_median_frame_step_s(lidar_index).value_or(kUsualPeriod_s);
+        const double step_s = find_median_frame_step_s(lidar_index).value_or(kUsualPeriod_s);
+        return step_s > kLongestPeriod_s ? step_s / std::round(step_s / kUsualPeriod_s) : step_s;
     }
 
     /// Adds a note if the points of a scan were measured in a time that does not fit the

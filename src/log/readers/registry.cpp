@@ -14,6 +14,7 @@
 #include "base/files.hpp"
 #include "base/parallel.hpp"
 #include "log/clouds/far_marker.hpp"
+#include "log/clouds/implausible_values.hpp"
 #include "log/clouds/log_files.hpp"
 #include "log/clouds/other_formats.hpp"
 #include "log/clouds/point_table.hpp"
@@ -241,33 +242,6 @@ void apply_range_limits_to_lidars_and_scans(LidarSequence& sequence, const Range
     add_notes_about_dropped_returns(sequence, counts);
 }
 
-/// Adds a note for the user if all returns of the log have the same intensity. The log
-/// then does not contain real intensities.
-void add_note_if_intensities_missing(LidarSequence& sequence) {
-    constexpr float kNone = -1.0f, kSeveral = -2.0f;
-    // [frames] intensity that all returns of a frame share; kNone if the frame has no
-    // returns, kSeveral if the intensities differ
-    std::vector<float> common(sequence.frames.size(), kNone);
-    const auto add = [&](float& all, float intensity) {
-        if (all == kNone) all = intensity;
-        else if (intensity != kNone && intensity != all) all = kSeveral;
-    };
-    parallel_for(static_cast<int>(common.size()), [&](int index) {
-        const Scan& scan = sequence.frames[std::size_t(index)].scan;
-        for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray)
-            if (scan.range_m[ray] > 0.0f) add(common[std::size_t(index)], scan.intensity[ray]);
-    });
-    float all = kNone;
-    for (const float intensity : common) add(all, intensity);
-    if (all < 0.0f) return;
-    const std::string note =
-        fmt::format("all intensities of the log are {}, so rendered intensities have no meaning{}",
-                    all == 0.0f ? "0" : fmt::format("{:.4g} of the maximum", all),
-                    all == 0.0f ? " and are not scored" : "");
-    // a converted log may already have the note
-    if (std::ranges::find(sequence.notes, note) == sequence.notes.end()) sequence.notes.push_back(note);
-}
-
 /// Keeps only the named LiDARs. Removes the frames of all other LiDARs, and the poses
 /// that are then unused.
 void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<std::string>& lidar_names) {
@@ -406,7 +380,7 @@ LidarSequence load_sequence(const std::string& dataset, const DatasetOptions& op
     set_sweep_starts_and_azimuth_shifts(sequence);
     remove_returns_that_mark_dropped_rays(sequence);
     apply_range_limits_to_lidars_and_scans(sequence, {options.min_range_m, options.max_range_m});
-    add_note_if_intensities_missing(sequence);
+    folder::add_notes_about_implausible_values(sequence);
     return sequence;
 }
 

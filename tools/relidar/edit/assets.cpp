@@ -2,6 +2,7 @@
 // The command `relidar assets` saves the actors of a run as a folder of assets. A user
 // can insert assets into other runs. A client of the render service can add assets to its
 // scene.
+#include <algorithm>
 #include <filesystem>
 #include <memory>
 #include <set>
@@ -105,6 +106,7 @@ void run_assets_command(const AssetOptions& options) {
                                                 "top", "mirrored", "nearest_m", "surfels"}};
     std::set<std::string> used_names;
     std::string skipped;
+    double highest_score = 0.0;
     for (const std::string& track : tracks) {
         const auto match = sightings.find(track);
         const ActorObservations actor_sightings =
@@ -113,6 +115,7 @@ void run_assets_command(const AssetOptions& options) {
         if (const std::string reason =
                 explain_why_asset_is_not_saved(asset.facts, actor_sightings, options.least);
             !reason.empty()) {
+            highest_score = std::max(highest_score, asset.facts.get_observed_or_mirrored_fraction());
             skipped += fmt::format("skipped {} ({}): {}\n", track, asset.facts.category, reason);
             continue;
         }
@@ -126,8 +129,9 @@ void run_assets_command(const AssetOptions& options) {
     end_progress_line();
     if (rows.size() == 1)
         throw DataError(
-            fmt::format("no asset is saved, because no actor of run {} has a sufficient score: {}",
-                        options.run, replace_control_characters(skipped)));
+            fmt::format("no asset is saved: the highest score of the {} actors of run {} is {:.2f}, expected "
+                        "at least {:.2f} (--least)",
+                        tracks.size(), options.run, highest_score, options.least));
     folder.move_folder_and_replace_existing();
     if (options.quiet) return;
     print(format_table(rows) + skipped +

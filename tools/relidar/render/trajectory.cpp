@@ -37,13 +37,14 @@ std::vector<double> list_scan_times_on_trajectory(const TrajectoryOptions& traje
                                      *trajectory_options.rate_hz));
     TimeSteps steps{begin, end, 1.0 / trajectory_options.rate_hz.value_or(log_rate_hz)};
     if (!trajectory_options.times.empty()) {
-        const std::vector<std::string> words = split_text(trajectory_options.times, ':');
-        if (words.size() != 3)
+        std::vector<double> numbers;
+        for (const std::string& word : split_text(trajectory_options.times, ':'))
+            if (const std::optional<double> number = parse_finite_number(word)) numbers.push_back(*number);
+        if (numbers.size() != 3 || std::ranges::count(trajectory_options.times, ':') != 2)
             throw UsageError(fmt::format(
                 "--times: found \"{}\"; expected FIRST:LAST:STEP in seconds, for example 2:4:0.05",
                 trajectory_options.times));
-        const auto number = [&](std::size_t k) { return parse_number_list("--times", words[k]).at(0); };
-        steps = {number(0), number(1), number(2)};
+        steps = {numbers[0], numbers[1], numbers[2]};
     }
     if (!(steps.step > 0.0) || !(steps.last >= steps.first))
         throw UsageError(fmt::format("--times: found \"{}\"; expected FIRST < LAST and a STEP above 0",

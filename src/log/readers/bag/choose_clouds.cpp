@@ -75,6 +75,8 @@ std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagI
         else if (is_empty)
             reasons.push_back(
                 fmt::format("topic {} contains {} clouds without points", name, clouds->n_empty));
+        if (bag_index.facts[t].n == 0 && get_message_purpose_of_topic(topic) == MessagePurpose::cloud)
+            reasons.push_back(fmt::format("topic {} contains no messages", name));
         if (bag_index.facts[t].n_broken > 0)
             reasons.push_back(fmt::format("{}: {}", name, bag_index.facts[t].broken));
         if (topic.type == packets::kOtherDatagrams)
@@ -149,8 +151,9 @@ std::vector<std::size_t> find_cloud_topic_indices(const BagRecording& bag, const
             bag_index.clouds, [&](const CloudTopic& c) { return bag.topics()[c.topic].name == name; });
         if (matching_cloud_topic == bag_index.clouds.end() || matching_cloud_topic->clouds.empty())
             throw UsageError(fmt::format(
-                "dataset.lidars: found '{}', expected a topic of point clouds; the recording contains {}",
-                shorten_for_error_message(name), format_topics(bag)));
+                "dataset.lidars: found '{}', expected a topic with point clouds{}; the recording contains {}",
+                shorten_for_error_message(name), explain_why_no_clouds_were_found(bag, bag_index),
+                format_topics(bag)));
         lidars.push_back(std::size_t(matching_cloud_topic - bag_index.clouds.begin()));
     }
     std::ranges::sort(lidars);

@@ -136,8 +136,9 @@ private:
                             "transforms is used",
                             frame));
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
-            if (const std::string text = describe_time_jumps(get_cloud_topic(l)); !text.empty())
-                add_note_if_not_empty(get_topic_name(get_cloud_topic(l)) + ": " + text);
+            for (const std::string& text : {describe_clouds_with_other_frame(get_cloud_topic(l)),
+                                            describe_time_jumps(get_cloud_topic(l))})
+                if (!text.empty()) add_note_if_not_empty(get_topic_name(get_cloud_topic(l)) + ": " + text);
     }
 
     /// Lists the frames of the log. Each cloud of the main LiDAR starts a frame. Clouds

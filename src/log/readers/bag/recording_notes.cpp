@@ -105,6 +105,16 @@ std::string describe_missing_sweeps(const std::vector<double>& sweep_times_s, do
                         n, missing, longest_s, at_s);
 }
 
+std::string describe_clouds_with_other_frame(const CloudTopic& cloud_topic) {
+    if (cloud_topic.n_other_frame == 0) return "";
+    return fmt::format(
+        "{} clouds have another frame than the first cloud, for example '{}'; relidar assumes that all "
+        "clouds "
+        "are in the frame '{}'",
+        cloud_topic.n_other_frame, shorten_for_error_message(cloud_topic.other_frame),
+        shorten_for_error_message(cloud_topic.frame));
+}
+
 std::string describe_time_jumps(const CloudTopic& cloud_topic) {
     std::size_t n_falls = 0, n_jumps = 0;
     double largest_s = 0.0;

@@ -84,6 +84,8 @@ private:
             clouds.fields = cloud.fields;
             clouds.frame = cloud.header.frame;
         }
+        if (cloud.header.frame != clouds.frame && clouds.n_other_frame++ == 0)
+            clouds.other_frame = cloud.header.frame;
         if (cloud.size() == 0) {
             ++clouds.n_empty;
             return;

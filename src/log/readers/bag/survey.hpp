@@ -43,7 +43,9 @@ struct CloudIndexEntry {
 
 struct CloudTopic {
     std::size_t topic = 0;
-    std::string frame;  ///< frame of the first cloud
+    std::string frame;              ///< frame of the first cloud
+    std::size_t n_other_frame = 0;  ///< number of clouds that have another frame than the first cloud
+    std::string other_frame;        ///< frame of the first of these clouds
     /// For Ouster packets: the frame names (`frame_id`) that Ouster's driver uses for the
     /// clouds that it computes from these packets. Empty for other topics.
     std::vector<std::string> driver_frames;

@@ -1,0 +1,15 @@
+// SPDX-License-Identifier: Apache-2.0
+// Declares the search for values of a log that are valid but probably wrong.
+#pragma once
+
+#include <relidar/log/sequence.hpp>
+
+namespace relidar::folder {
+
+/// Adds a note for the user about each of these findings:
+/// - The vehicle moves faster than any car, so the poses or times are probably wrong.
+/// - Some scans of a LiDAR have far fewer returns than its other scans.
+/// - All intensities are equal, tiny, or mostly at the maximum.
+void add_notes_about_implausible_values(LidarSequence& sequence);
+
+}  // namespace relidar::folder

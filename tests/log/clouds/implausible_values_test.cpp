@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: Apache-2.0
+// Checks the notes about values that are valid but probably wrong. A good log gets none.
+#include "log/clouds/implausible_values.hpp"
+
+#include <functional>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <relidar/log/dataset.hpp>
+
+namespace relidar {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+
+std::vector<std::string> get_notes_after(const std::function<void(LidarSequence&)>& change) {
+    static const LidarSequence log = make_synthetic_street({.n_frames = 5, .rows = 8, .columns = 128});
+    LidarSequence changed = log;
+    changed.notes.clear();
+    change(changed);
+    folder::add_notes_about_implausible_values(changed);
+    return changed.notes;
+}
+
+void change_intensities(LidarSequence& log, const std::function<float(float)>& change) {
+    for (LidarFrame& frame : log.frames)
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
+            if (frame.scan.range_m[ray] > 0.0f)
+                frame.scan.intensity[ray] = change(frame.scan.intensity[ray]);
+}
+
+TEST(ImplausibleValues, AGoodLogGetsNoNote) {
+    EXPECT_THAT(get_notes_after([](LidarSequence&) {}), IsEmpty());
+}
+
+TEST(ImplausibleValues, PosesInMillimetresAndOutliersAreReported) {
+    EXPECT_THAT(get_notes_after([](LidarSequence& log) {
+                    for (Pose& pose : log.world_from_vehicle.pose) pose.translation *= 1000.0;
+                }),
+                ElementsAre(HasSubstr("in 4 of 4 steps")));
+    // Both the step to the outlier and the step back are too fast.
+    EXPECT_THAT(get_notes_after(
+                    [](LidarSequence& log) { log.world_from_vehicle.pose[2].translation.y += 30.0; }),
+                ElementsAre(HasSubstr("in 2 of 4 steps")));
+    // Without poses there is nothing to report.
+    EXPECT_THAT(get_notes_after([](LidarSequence& log) {
+                    log.world_from_vehicle.pose[2].translation.y += 30.0;
+                    log.has_poses = false;
+                }),
+                IsEmpty());
+}
+
+TEST(ImplausibleValues, ScansWithFewReturnsAreReported) {
+    EXPECT_THAT(get_notes_after([](LidarSequence& log) {
+                    Scan& scan = log.frames[3].scan;
+                    for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray)
+                        if (ray % 3 != 0) scan.range_m[ray] = scan.intensity[ray] = 0.0f;
+                }),
+                ElementsAre(AllOf(HasSubstr("1 of 5 scans"), HasSubstr("frame 3 has only"))));
+}
+
+TEST(ImplausibleValues, WrongScalesOfIntensitiesAreReported) {
+    EXPECT_THAT(get_notes_after([](LidarSequence& log) {
+                    change_intensities(log, [](float value) { return value / 255.0f; });
+                }),
+                ElementsAre(HasSubstr("the largest intensity of the log is")));
+    EXPECT_THAT(get_notes_after([](LidarSequence& log) {
+                    change_intensities(log, [](float value) { return std::min(255.0f * value, 1.0f); });
+                }),
+                ElementsAre(HasSubstr("% of the returns have the maximum intensity")));
+    EXPECT_THAT(
+        get_notes_after([](LidarSequence& log) { change_intensities(log, [](float) { return 0.5f; }); }),
+        ElementsAre(HasSubstr("all intensities of the log are 0.5 of the maximum")));
+}
+
+}  // namespace
+}  // namespace relidar
