@@ -240,7 +240,7 @@ def test_mcap():
     head = check("MCAP, zstd, Velodyne, /tf", bag, stamps="last")
     notes = "\n".join(head["notes"])
     for text in ("topic /points: sensor_msgs/PointCloud2, 5 messages", "frame 'lidar'", "ring U16", "/chatter", "'map' ... /tf", ": used",
-                 "times of points ... in s, relative ... stamp"):
+                 "times of points ... in s; ... relative ... stamp"):
         expect(names(notes, text), f"info does not say '{text}':\n{notes}")
     bag = WORK / "ouster.mcap"
     bags.write_mcap(bag, log(ouster, "odometry"), compression="lz4", chunk=3, end=False)

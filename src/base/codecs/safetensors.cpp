@@ -171,7 +171,9 @@ std::pair<NamedArray, DataByteRange> parse_array_description(const std::string& 
                                                              std::size_t n_data_bytes) {
     if (!array_json.is_object() || !array_json.contains("dtype") || !array_json["dtype"].is_string())
         throw DataError(
-            fmt::format("array '{}' has no text 'dtype' in the header, expected one", array_name));
+            fmt::format("array '{}': the header of the file has no text with the key 'dtype' for this array, "
+                        "expected a data type such as 'F32'",
+                        array_name));
     NamedArray array{array_name,
                      convert_safetensors_to_numpy_type(array_name, array_json["dtype"].get<std::string>()),
                      parse_integer_list(array_name, array_json, "shape"),

@@ -106,10 +106,10 @@ void require_valid_frames_and_pose_times(const LidarSequence& sequence) {
             const double step_s = frame.time_s - before.time_s;
             if (!(step_s >= kLeastStep_s) && !(step_s == 0.0 && frame.lidar > before.lidar))
                 fail(where,
-                     fmt::format("the time {} s after the time {} s of frame {}", frame.time_s, before.time_s,
-                                 before.index),
-                     fmt::format("a time that is at least {} s later, or the same time with a higher LiDAR "
-                                 "index",
+                     fmt::format("the time {} s, but the previous frame {} has the time {} s", frame.time_s,
+                                 before.index, before.time_s),
+                     fmt::format("a time at least {} s after the previous frame, or the same time with a "
+                                 "higher LiDAR index",
                                  kLeastStep_s));
             pose += step_s != 0.0;
         }
@@ -188,10 +188,11 @@ void require_valid_scan(const Scan& scan, std::size_t n_beams, const std::string
             if (get_invalid_return_field_or_null(f.range_m[i], f.intensity[i]) ||
                 (scan.range_m[i] == 0.0f && f.range_m[i] != 0.0f))
                 fail(ray("second return"),
-                     fmt::format("a second return with range {} m and intensity {} after a first return at "
-                                 "{} m",
+                     fmt::format("a range of {} m and an intensity of {} for the second return, and a range "
+                                 "of {} m for the first return",
                                  f.range_m[i], f.intensity[i], scan.range_m[i]),
-                     "a range above 0 m and an intensity from 0 to 1, or both 0 without a second return");
+                     "a second return with a range above 0 m and an intensity from 0 to 1, or a range and an "
+                     "intensity of 0 if the ray has fewer than two returns");
     }
 }
 
@@ -215,7 +216,8 @@ void require_valid_boxes(const LidarSequence& sequence) {
             if (distance_m > kBoxReach_m)
                 fail(fmt::format("{}, pose {}", where, k),
                      fmt::format("a distance of {:.0f} m from the vehicle", distance_m),
-                     fmt::format("at most {} m, because boxes and poses must have the same world frame",
+                     fmt::format("a distance of at most {} m, because boxes and vehicle poses must be in the "
+                                 "same world frame",
                                  kBoxReach_m));
         }
     }

@@ -66,9 +66,11 @@ PointTimeReference find_reference_of_point_times(const std::vector<TimeRange>& t
 
 /// Returns a text for the user that says at which moment the times of points are 0.
 const char* describe_point_time_reference(PointTimeReference reference) {
-    if (reference == PointTimeReference::stamp) return "relative to the stamp of the cloud";
-    if (reference == PointTimeReference::epoch) return "in the same clock as the stamps of clouds";
-    return "in the clock of the sensor; the first time in a cloud is set to the stamp of the cloud";
+    if (reference == PointTimeReference::stamp) return "the times are relative to the stamp of the cloud";
+    if (reference == PointTimeReference::epoch)
+        return "the times use the same clock as the stamps of the clouds";
+    return "the times use the clock of the sensor, so the first time in a cloud is set to the stamp of the "
+           "cloud";
 }
 
 void set_point_time_unit_from_ranges(PointCloudUnits& units, const std::vector<TimeRange>& time_ranges,
@@ -85,7 +87,7 @@ void set_point_time_unit_from_ranges(PointCloudUnits& units, const std::vector<T
         units.zero = find_reference_of_point_times(time_ranges, unit.seconds);
         units.time_unit_s = unit.seconds;
         units.about = fmt::format(
-            "the times of points are read in {}, {}; a cloud lasts {:.1f} ms from its first to its last "
+            "the times of points are read in {}; {}; a cloud lasts {:.1f} ms from its first to its last "
             "point",
             unit.name, describe_point_time_reference(units.zero), 1e3 * span * unit.seconds);
         return;

@@ -131,8 +131,9 @@ SequenceHeaderLidar read_lidar(const JsonField& field, const std::string& json_f
         read_sensor_object_into_lidar(field.at("sensor"), lidar.spins, lidar.lidar);
     lidar.has_beams = !lidar.lidar.sensor.beams.empty();
     if (lidar.has_beams && !lidar.spins)
-        field.at("spins").throw_field_error("found false for a LiDAR with beams",
-                                            "expected true, or a LiDAR without beams");
+        field.at("spins").throw_field_error(
+            "found false, but the key sensor defines the beams of a spinning LiDAR",
+            "expected true, or a sensor without a list of beams");
     lidar.scans = read_text_or(field, "scans", "", kLongestPath);
     lidar.lowest_first = field.has_member("ring_0") &&
                          read_index_of_allowed_word(field.at("ring_0"), {"highest", "lowest"}) == 1;

@@ -81,8 +81,7 @@ std::string describe_or_reject_missing_scan_files(const fs::path& folder,
         fmt::format("{} of the scans with numbers {} to {} are missing ({}{})", n, frame_numbers.front(),
                     frame_numbers.back(), fmt::join(shown, ", "), n > kShown ? ", ..." : "");
     if (!allow_missing)
-        throw DataError(
-            fmt::format("{}: {}, expected one file for each of these numbers", folder.string(), gaps));
+        throw DataError(fmt::format("{}: {}, expected one file for each scan number", folder.string(), gaps));
     return gaps;
 }
 

@@ -260,10 +260,10 @@ DrivingDirection estimate_driving_direction(const PoseTrack& world_from_sensor) 
 void add_note_unless_driving_forward(std::vector<std::string>& notes, double forward_fraction) {
     constexpr double kMostlyForward = 0.9;
     if (forward_fraction < kMostlyForward)
-        notes.push_back(
-            fmt::format("poses: the vehicle drives forward only {:.2f} m per metre on average, expected "
-                        "nearly 1; use dataset.poses=none to estimate the poses from the scans",
-                        forward_fraction));
+        notes.push_back(fmt::format(
+            "poses: on average, the vehicle moves only {:.2f} m along its forward axis per metre of its "
+            "path, expected nearly 1 m; use dataset.poses=none to estimate the poses from the scans",
+            forward_fraction));
 }
 
 std::vector<fs::path> add_frames_and_get_scan_files(LidarSequence& sequence, const StampedLog& log,

@@ -152,7 +152,7 @@ RegistrationResult register_scans(const LidarSequence& sequence, const TrainTest
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)
         throw DataError(fmt::format(
-            "cannot register the scans of {}: no surface is visible in two of its {} training scans; "
+            "cannot register the scans of {}: no two of its {} training scans show the same surface; "
             "use train.refine_poses=none to keep the poses of the log",
             sequence.name, split.train.size()));
     const PlaneMap map = adjustment.fit_planes_to_all_points(kLast);

@@ -292,9 +292,10 @@ void require_equal_image_array_sizes(std::span<const PairedIntensities> images) 
         for (const std::size_t size : {r.intensity.size(), r.range_m.size(), r.spread_m.size(),
                                        r.cosine.size(), r.elevation_rad.size(), measured.size()})
             if (size != n)
-                throw DataError(fmt::format(
-                    "cannot fit the scatter of intensities: found an array of {} rays, expected {} x {}",
-                    size, r.rows, r.columns));
+                throw DataError(
+                    fmt::format("cannot fit the model of the random intensity scatter: found an array of {} "
+                                "values, expected {} x {}, one value per ray",
+                                size, r.rows, r.columns));
     }
 }
 

@@ -43,10 +43,11 @@ std::size_t round_up_to_page_size(std::size_t bytes) {
 
 [[noreturn]] void throw_scan_storage_error(const fs::path& folder, std::size_t missing_bytes, int error) {
     throw DataError(
-        fmt::format("cannot store scans that do not fit into memory in '{}': {} ({} more bytes are needed; "
-                    "set TMPDIR to a folder with enough space, or increase dataset.memory_mib to keep more "
-                    "scans in memory)",
-                    folder.string(), std::generic_category().message(error), missing_bytes));
+        fmt::format("the scans do not fit into memory, and relidar cannot store the remainder in the folder "
+                    "'{}': {} ({}set TMPDIR to a folder with enough space, or increase dataset.memory_mib to "
+                    "keep more scans in memory)",
+                    folder.string(), std::generic_category().message(error),
+                    missing_bytes > 0 ? fmt::format("{} more bytes are needed; ", missing_bytes) : ""));
 }
 
 /// Memory-mapped file without a name. Its parts are used as memory for arrays.

@@ -77,10 +77,10 @@ SensorModel read_sensor_file(const SensorSpecifier& sensor_specifier, double def
                             : parse_beam_table_sensor(text, sensor_specifier);
     }();
     if (sensor_specifier.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
-        throw UsageError(fmt::format(
-            "sensor '{}:{}': found columns for a table of rays, but such a sensor does not spin; use "
-            "only the file name",
-            sensor_specifier.name, sensor_specifier.columns));
+        throw UsageError(
+            fmt::format("sensor '{}:{}': the file describes a sensor that does not spin, so it accepts no "
+                        "number of columns; use only the file name",
+                        sensor_specifier.name, sensor_specifier.columns));
     sensor_files::set_max_range_if_missing(sensor, default_max_range_m, sensor_specifier.name);
     return sensor;
 }

@@ -103,7 +103,7 @@ TEST(CheckSequence, NamesLidarFramePoseOrBox) {
          "vehicle_from_sensor ... quaternion ... 2 ... 1"},
         {[](LidarSequence& s) { s.frames[1].lidar = 1; }, "frame 1 ... LiDAR ... 1"},
         {[](LidarSequence& s) { s.frames[2].time_s = s.frames[1].time_s; },
-         "frame 2 ... 0.1 s ... 0.1 s ... frame 1"},
+         "frame 2 ... 0.1 s ... frame 1 ... 0.1 s"},
         {[](LidarSequence& s) { s.frames[2].time_s = s.frames[1].time_s + 1e-5; }, "frame 2 ... time"},
         {[](LidarSequence& s) { s.frames[2].index = 1; }, "frame 1 ... second frame"},
         {[](LidarSequence& s) { s.frames[2].time_s = 0.21; }, "frame 2 ... pose ... 0.21 s"},

@@ -27,9 +27,11 @@ SelectedBoxTopic choose_box_topic(const BagRecording& bag, const BagIndex& bag_i
                                                    : fmt::format("; {} boxes without a track id are skipped",
                                                                  boxes.n_boxes - boxes.n_named)));
         else if (boxes.n_named > 0)
-            choice.notes.push_back(fmt::format(
-                "the boxes of {} are ignored: {} boxes have a track id, but {} boxes of {} have one", name,
-                boxes.n_named, choice.topic->n_named, shorten_for_error_message(get_name(*choice.topic))));
+            choice.notes.push_back(
+                fmt::format("the boxes of {} are ignored: {} of them have a track id, but relidar reads "
+                            "boxes from only one topic, {}, where {} boxes have one",
+                            name, boxes.n_named, shorten_for_error_message(get_name(*choice.topic)),
+                            choice.topic->n_named));
         else if (boxes.n_boxes > 0)
             choice.notes.push_back(
                 fmt::format("the boxes of {} are ignored, because none of the {} boxes has a track id", name,

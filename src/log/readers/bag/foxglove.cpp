@@ -95,10 +95,9 @@ void require_identity_pose(pbf_reader reader) {
         const bool turns = reader.tag() == 2;
         const glm::dvec4 v = read_xyzw(reader.get_message());
         if (!(glm::length(glm::dvec3(v)) <= 1e-9))
-            throw DataError(
-                fmt::format("the pose of the cloud {} its points, expected a pose without translation and "
-                            "rotation",
-                            turns ? "rotates" : "moves"));
+            throw DataError(fmt::format(
+                "the cloud has a pose with a {}, expected a pose without translation and rotation",
+                turns ? "rotation" : "translation"));
     }
 }
 

@@ -311,10 +311,10 @@ private:
                 "the recording has no poses; they must be estimated from the scans, like with "
                 "dataset.poses=none");
         sequence_.conventions = fmt::format(
-            "ROS frames: x forward, y left, z up, in metres. The time 0 s is {}.{:09} s of the {}. Frames "
-            "are numbered by the clouds of {}.",
+            "ROS frames: x forward, y left, z up, in metres. Time 0 s is {}.{:09} s on the clock of the {}. "
+            "Frame numbers count the clouds of {} from 0.",
             poses_.zero_ns / kSecond_ns, std::abs(poses_.zero_ns % kSecond_ns),
-            poses_.clock == LogClock::stamps ? "stamps" : "recorder's clock",
+            poses_.clock == LogClock::stamps ? "time stamps" : "recorder",
             get_topic_name(get_main_cloud_topic()));
         add_boxes_to_sequence();
         move_world_origin_of_log(sequence_);

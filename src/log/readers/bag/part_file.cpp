@@ -68,9 +68,9 @@ SharedBytes RandomAccessFile::read_bytes_at(std::uint64_t offset, std::uint64_t 
             const ssize_t k = ::pread(handle_, bytes.data() + got, bytes.size() - got, off_t(offset + got));
             if (k < 0 && errno == EINTR) continue;
             if (k <= 0)
-                throw DataError(
-                    fmt::format("cannot read {} bytes that start at byte {}: {}", n_bytes, offset,
-                                k < 0 ? get_system_error_text() : "the file ends before these bytes"));
+                throw DataError(fmt::format(
+                    "cannot read {} bytes that start at byte {}: {}", n_bytes, offset,
+                    k < 0 ? get_system_error_text() : "the file has become shorter since it was opened"));
             got += std::size_t(k);
         }
     });
@@ -112,10 +112,10 @@ SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& compre
                                     shorten_for_error_message(compression)));
     if (unpacked_size > UINT_MAX ||
         (unpacked_size > kAlwaysUnpacked && unpacked_size / kMostUnpacked > bytes.size()))
-        throw DataError(
-            fmt::format("found {} bytes that unpack to {} bytes, expected at most {} times as "
-                        "many",
-                        bytes.size(), unpacked_size, kMostUnpacked));
+        throw DataError(fmt::format(
+            "found {} compressed bytes that unpack to {} bytes, expected at most {} unpacked bytes",
+            bytes.size(), unpacked_size,
+            std::min(std::uint64_t(UINT_MAX), std::max(kAlwaysUnpacked, kMostUnpacked * bytes.size()))));
     return allocate_shared_bytes(std::size_t(unpacked_size), [&](std::span<char> target) {
         if (unpacked_size > 0 || !bytes.empty()) unpack(bytes, target);
     });

@@ -174,7 +174,7 @@ std::vector<PoseInterpretation> list_pose_interpretations(const PoseRows& pose_r
     };
     std::vector<PoseInterpretation> readings;
     if (pose_rows.rows[0].size() == 8) {
-        const std::string named = "columns with the meaning of their names";
+        const std::string named = "columns in the order of the header line";
         readings.push_back({pose_rows.has_names ? named : "qw qx qy qz",
                             make_pose_track_of_rows(
                                 pose_rows, [](const Row& r) { return glm::dquat(r[4], r[5], r[6], r[7]); })});

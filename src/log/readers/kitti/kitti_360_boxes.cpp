@@ -99,8 +99,8 @@ void set_box_size_and_pose_from_transform(BoxLabel& label, const glm::dmat4& wor
     constexpr double kSmallest_m = 1e-3;
     if (!(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) >= kSmallest_m))
         throw DataError(
-            fmt::format("{}: transform is a matrix that gives the box the size {} x {} x {} m, expected "
-                        "lengths of at least {} m",
+            fmt::format("{}: the matrix transform makes the box {} x {} x {} m large, expected each length "
+                        "to be at least {} m",
                         error_location, label.size_m.x, label.size_m.y, label.size_m.z, kSmallest_m));
     for (int c = 0; c < 3; ++c) axes[c] /= label.size_m[c];
     if (glm::determinant(axes) < 0.0) axes[1] = -axes[1];

@@ -168,10 +168,10 @@ void require_plausible_ray_counts(const std::vector<ScanWithRings>& raw_scans,
     constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
     if (firing_grid.head.n_ticks > kMostFirings)
-        throw DataError(
-            fmt::format("{}: the azimuths of neighbouring points differ by only 1/{} of a turn, expected at "
-                        "least 1/{}, because relidar expects at most {} firings per turn of an HDL-64E",
-                        error_location, firing_grid.head.n_ticks, kMostFirings, kMostFirings));
+        throw DataError(fmt::format(
+            "{}: the azimuths of neighbouring points differ by only {:.2g} degrees, which means {} firings "
+            "per turn, expected at most {} firings per turn of an HDL-64E",
+            error_location, 360.0 / firing_grid.head.n_ticks, firing_grid.head.n_ticks, kMostFirings));
     std::size_t n_points = 0;
     for (const ScanWithRings& scan : raw_scans) n_points += scan.points.size();
     const std::size_t n_rays =

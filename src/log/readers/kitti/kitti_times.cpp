@@ -137,8 +137,10 @@ double read_median_time_step_s(const fs::path& time_file) {
             lasts_s.push_back(static_cast<double>(*time_ns[i] - *time_ns[i - 1]) * 1e-9);
     }
     if (lasts_s.empty())
-        throw DataError(fmt::format("{}: no two consecutive lines have times, expected one time per sweep",
-                                    time_file.string()));
+        throw DataError(
+            fmt::format("{}: cannot compute the time between sweeps, because no two consecutive lines "
+                        "contain a time; expected one line with a time for each sweep",
+                        time_file.string()));
     return compute_sweep_period_s(std::move(lasts_s), time_file);
 }
 

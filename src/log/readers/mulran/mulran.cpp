@@ -161,8 +161,8 @@ stamped::PointFileFormat make_mulran_point_format(LidarSequence& sequence,
     format.turned_rad = kPi;
     const MulranPointOrder order = detect_point_order(scan_files);
     sequence.notes.push_back(
-        "the points have no times; they are computed from the position in the file, with the "
-        "middle of the sweep at the stamp");
+        "the points have no times; relidar computes the times from the order of the points in the file; the "
+        "stamp of a file is the middle of its sweep");
     format.complete = [order](folder::PointTable& table, const std::string& location) {
         add_ring_and_time_fields(table, order, location);
     };

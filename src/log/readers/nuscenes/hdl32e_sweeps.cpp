@@ -111,7 +111,7 @@ SweepWithColumns read_hdl32e_sweep(const SweepFiles& sweep_files,
     if (read.points.size() == 0)
         throw DataError(fmt::format(
             "{} has no points at a distance of {} m or more, expected at least one; nearer points "
-            "mean rays without a return",
+            "are read as rays without a return",
             file.string(), kNoReturn_m));
     read.sweep =
         estimate_sweep_and_assign_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));

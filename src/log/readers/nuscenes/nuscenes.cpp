@@ -57,12 +57,12 @@ constexpr NuscenesVariant kFormats[] = {
      "points is removed.",
      true, false},
     {".pcd", "TruckScenes",
-     "Each LiDAR has its own frame. Points are not motion-compensated. The time of a frame is the stamp of "
-     "the first LiDAR. World frame: UTM 32U.",
+     "Each LiDAR has its own coordinate system. Points are not motion-compensated. The time of a frame is "
+     "the stamp of the first LiDAR's sweep. World coordinates: UTM 32U.",
      false, true},
     {".bin", "Lyft Level 5",
-     "Each LiDAR has its own frame. Points are as in the files. The time of a frame is the stamp of the "
-     "first LiDAR. The world frame is that of the map.",
+     "Each LiDAR has its own coordinate system. Points are as in the files. The time of a frame is the stamp "
+     "of the first LiDAR's sweep. World coordinates are those of the map.",
      false, false},
 };
 
@@ -279,8 +279,8 @@ private:
             }
             if (!format_.has_times && apart_s > kStampsApart_s)
                 add_note(fmt::format(
-                    "{0}: its points have no times, so its sweeps use the times of the sweeps of {2}, which "
-                    "differ by up to {1:.3f} s",
+                    "{0}: its points have no times, so each of its sweeps gets the time of the nearest sweep "
+                    "of {2}; the stamps of two such sweeps differ by up to {1:.3f} s",
                     scene_.lidars[l].channel, apart_s, scene_.lidars[0].channel));
             if (n_left > 0)
                 add_note(fmt::format("{}: {} sweeps are skipped, because {} has no sweeps at similar times",

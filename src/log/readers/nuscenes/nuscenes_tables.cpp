@@ -128,9 +128,9 @@ std::vector<SceneLidar> read_lidars_of_scene(const fs::path& table_folder,
         for (const SweepRecord& sweep : lidar.sweeps)
             if (sweep.calibration != lidar.sweeps[0].calibration)
                 throw DataError(fmt::format(
-                    "{}, key 'calibrated_sensor_token': the file {} refers to another position "
-                    "of the LiDAR {} on the vehicle than the first file of the scene, expected the "
-                    "same position",
+                    "{}, key 'calibrated_sensor_token': the file {} and the first file of the LiDAR {} in "
+                    "the scene have different values, expected the same value, because the LiDAR must keep "
+                    "its position on the vehicle",
                     (table_folder / "sample_data.json").string(), shorten_for_error_message(sweep.file),
                     channel));
         lidars.push_back(std::move(lidar));
@@ -172,10 +172,11 @@ std::vector<Pose> read_ego_poses_of_sweeps(const fs::path& table_folder,
         const TimedPose& pose = poses[sweep.ego_pose];
         if (const double apart_s = double(pose.time_us - sweep.time_us) * 1e-6;
             !(std::abs(apart_s) <= kFarthestPose_s))
-            throw DataError(fmt::format(
-                "{}, key 'timestamp': the pose '{}' is {} s away from its file {}, expected at most {} s",
-                file.string(), shorten_for_error_message(sweep.ego_pose), apart_s,
-                shorten_for_error_message(sweep.file), kFarthestPose_s));
+            throw DataError(
+                fmt::format("{}, key 'timestamp': the times of the pose '{}' and of its file {} differ by {} "
+                            "s, expected at most {} s",
+                            file.string(), shorten_for_error_message(sweep.ego_pose),
+                            shorten_for_error_message(sweep.file), std::abs(apart_s), kFarthestPose_s));
         by_time[pose.time_us] = pose.pose;
     }
     const auto seconds = [&](std::int64_t time_us) { return double(time_us - sweeps[0].time_us) * 1e-6; };

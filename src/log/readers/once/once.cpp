@@ -135,9 +135,10 @@ LidarSequence load_once_dataset(const fs::path& log_folder, const DatasetOptions
     sequence.name = "ONCE " + folder.filename().string();
     sequence.source = log_folder.string();
     sequence.conventions =
-        "LiDAR frame: x forward, y left, z up, in metres (in ONCE's files, x points left and y back). "
-        "Times are seconds after the first scan. Points are as in the files. The world frame is the LiDAR "
-        "frame of the first scan, with x left and y back.";
+        "LiDAR coordinates: x forward, y left, z up, in metres. relidar rotates the points of ONCE's files, "
+        "which have x left and y back. Point positions are otherwise unchanged. Times are seconds after the "
+        "first scan. World coordinates are the LiDAR coordinates of the first scan in ONCE's files (x left, "
+        "y back).";
     sequence.notes = {
         content.n_boxes == 0
             ? std::string("this log has no labels")

@@ -77,11 +77,11 @@ RequestedSegment choose_segment(const fs::path& file_or_folder, const DatasetOpt
         if (name.starts_with(part.drive) || name.starts_with("segment-" + part.drive))
             return {file, part.frames, part.is_benchmark, part.test_frames};
     }
-    throw UsageError(fmt::format(
-        "dataset.sequence: found '{}', which selects none of the {} segments in {}; expected "
-        "the beginning of a segment's name, or a part that the LiDAR-RT paper uses (ws1 to ws4 or "
-        "wd1 to wd4) and whose segment is there",
-        shorten_for_error_message(options.sequence), files.size(), file_or_folder.string()));
+    throw UsageError(
+        fmt::format("dataset.sequence: found '{}', which selects none of the {} segments in {}; expected the "
+                    "beginning of a segment's name; ws1 to ws4 and wd1 to wd4 (parts of the LiDAR-RT paper) "
+                    "need the segments that the paper uses",
+                    shorten_for_error_message(options.sequence), files.size(), file_or_folder.string()));
 }
 
 /// Returns the records [begin, end) that contain the requested frames.

@@ -165,8 +165,8 @@ private:
             if (!files.empty()) {
                 angles_.clear();
                 angles_about_ = fmt::format(
-                    "beam angles from the data sheet, because {} and {} both have angles of {} lasers; "
-                    "give one of the two files the name of the recording",
+                    "beam angles from the data sheet, because {} and {} both have angles of {} lasers; give "
+                    "the file of this sensor the name of the recording, with the ending .csv",
                     files, correction.where, n);
                 return;
             }

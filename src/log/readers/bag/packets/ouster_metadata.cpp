@@ -103,8 +103,8 @@ std::vector<bool> mark_columns_in_azimuth_window(const Json& json, const std::st
     if (!part.has_member("column_window")) return std::vector<bool>(std::size_t(n_columns), true);
     const JsonField window = part.at("column_window");
     if (window.size() != 2)
-        window.throw_field_error(fmt::format("found {} numbers", window.size()),
-                                 "expected the first and the last column");
+        window.throw_field_error(fmt::format("found {} values", window.size()),
+                                 "expected two values, the first and the last column of the window");
     const auto first = window.at(std::size_t(0)).get_integer_in_range(0, n_columns - 1),
                last = window.at(std::size_t(1)).get_integer_in_range(0, n_columns - 1);
     std::vector<bool> fires(std::size_t(n_columns), false);
@@ -193,7 +193,9 @@ std::shared_ptr<const OusterMetadata> parse_ouster_metadata(const std::string& j
     const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
     if (!spinning)
         throw DataError(
-            fmt::format("{}: the sensor does not spin, expected the metadata of an Ouster", error_location));
+            fmt::format("{}: found the description of a sensor that does not spin, expected the metadata of "
+                        "an Ouster sensor, which spins",
+                        error_location));
     format->sensor = *spinning;
     format->profile = &find_ouster_profile_of_metadata(json, error_location);
     format->columns_per_packet =
@@ -304,10 +306,11 @@ std::string format_ouster_packet_error(const OusterMetadataList& metadata_list,
     if (std::ranges::any_of(metadata_list,
                             [&](const auto& format) { return format->packet_bytes == packet_size; }))
         return fmt::format(
-            "found packets of {} bytes{}, expected exactly one metadata file that belongs to them ({}), "
-            "but found {}",
-            packet_size, from, port > 0 ? "udp_port_lidar" : "the metadata topic in the same name space",
-            listed_formats);
+            "found packets of {} bytes{}, but the metadata describes {}; expected exactly one description of "
+            "these packets, {}",
+            packet_size, from, listed_formats,
+            port > 0 ? fmt::format("in a file with \"udp_port_lidar\": {}", port)
+                     : "on the metadata topic in the namespace of the packet topic");
     return fmt::format(
         "found packets of {} bytes{}, but the metadata describes {}; use the metadata of the same sensor "
         "and configuration",
