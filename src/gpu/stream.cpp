@@ -392,9 +392,11 @@ ConcurrentLaunchScope::~ConcurrentLaunchScope() { stream_.impl().end_concurrent_
 ConcurrentSequenceScope::ConcurrentSequenceScope(Stream& stream, std::size_t count) : stream_(stream) {
     Stream::Impl& s = stream.impl();
     if (count == 0 || !s.lanes.empty() || s.n_concurrent > 0)
-        throw Error(ExitCode::bug,
-                    "cannot record commands in lanes: expected at least one lane, no other lanes and no open "
-                    "ConcurrentLaunchScope");
+        throw Error(
+            ExitCode::bug,
+            fmt::format("cannot open a ConcurrentSequenceScope with {} lanes: expected at least one lane, "
+                        "and no open ConcurrentSequenceScope or ConcurrentLaunchScope on the stream",
+                        count));
     s.lanes.resize(count);
     s.lane = 0;
 }
@@ -410,9 +412,11 @@ ConcurrentSequenceScope::~ConcurrentSequenceScope() {
 void ConcurrentSequenceScope::select_sequence_to_record(std::size_t sequence_index) {
     Stream::Impl& s = stream_.impl();
     if (sequence_index >= s.lanes.size() || s.n_concurrent > 0)
-        throw Error(ExitCode::bug, fmt::format("cannot select command lane {} of {}: expected the index of a "
-                                               "lane and no open ConcurrentLaunchScope",
-                                               sequence_index, s.lanes.size()));
+        throw Error(
+            ExitCode::bug,
+            fmt::format("cannot select the lane with index {}: expected an index below {}, the number of "
+                        "lanes, and no open ConcurrentLaunchScope",
+                        sequence_index, s.lanes.size()));
     s.lane = sequence_index;
 }
 

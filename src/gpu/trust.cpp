@@ -158,7 +158,7 @@ void disable_methods_that_failed_test(Device::Impl& device, const DeviceTestResu
     note(fmt::format(
         "hardware ray queries of this device find other surfels than a search through all surfels; {}",
         info.software ? "relidar uses software traversal instead"
-                      : "images that are rendered with them are wrong"));
+                      : "images that are rendered with ray queries are wrong; update the driver"));
     if (info.software) device.traversal = RayTracingBackend::software;
 }
 

@@ -181,10 +181,10 @@ DeformingActorSurfels make_surfels_of_deforming_actor(const std::vector<LidarSam
                                                       const ProgressReporter& progress) {
     const SamplesByFrame frames = group_samples_by_frame(samples);
     if (frames.size() < kFewestChanging)
-        return {
-            {},
-            0.0,
-            fmt::format("it has points in {} frames, expected at least {}", frames.size(), kFewestChanging)};
+        return {{},
+                0.0,
+                fmt::format("the actor has LiDAR points in only {} frames, expected at least {}",
+                            frames.size(), kFewestChanging)};
     const double recorded_m = frames.back()->walked_m - frames.front()->walked_m;
     if (recorded_m < kFewestWalked_m)
         return {

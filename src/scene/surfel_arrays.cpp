@@ -30,8 +30,8 @@ SurfelParameterSet read_surfel_parameter_set(const std::map<std::string, std::st
     for (const PrimitiveProperties& kind : kPrimitives) names.emplace_back(kind.name);
     const auto text = metadata.find(primitive_key);
     if (text == metadata.end())
-        throw DataError(fmt::format("the metadata key \"{}\" is missing, expected one of {}", primitive_key,
-                                    fmt::join(names, ", ")));
+        throw DataError(fmt::format("the metadata key \"{}\" is missing; its value must be one of {}",
+                                    primitive_key, fmt::join(names, ", ")));
     for (const PrimitiveProperties& kind : kPrimitives)
         if (kind.name == text->second) return {kind.primitive, has_array(kParameterGroups.front().name)};
     throw DataError(fmt::format("{}: found \"{}\", expected one of {}", primitive_key,

@@ -317,7 +317,7 @@ void require_contiguous_model_ranges(const Scene& scene) {
     if (next != scene.surfels.size() || scene.models.size() > kMaxModels)
         throw DataError(
             fmt::format("cannot export the scene: its {} models have {} surfels in total, expected at most "
-                        "{} models, which have all {} surfels of the scene",
+                        "{} models that together have all {} surfels of the scene",
                         scene.models.size(), next, kMaxModels, scene.surfels.size()));
 }
 

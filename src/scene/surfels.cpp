@@ -23,7 +23,8 @@ constexpr bool are_primitives_in_order() {
         if (kPrimitives[i].primitive != static_cast<PrimitiveType>(i)) return false;
     return true;
 }
-static_assert(are_primitives_in_order(), "the numbers of primitives count up from 0");
+static_assert(are_primitives_in_order(),
+              "kPrimitives must list the primitives in the order of PrimitiveType");
 
 /// Returns true if surfels with this parameter set have the parameters of `group`.
 bool has_parameter_group(SurfelParameterSet parameter_set, const SurfelParameterGroup& group) {

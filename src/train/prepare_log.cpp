@@ -191,7 +191,8 @@ void calibrate_beam_range_offsets(LidarSequence& sequence, const TrainTestSplit&
             "range calibration of {} beams ({:.1f} million returns): the mean distance of points from planes "
             "is {:.1f} mm without and {:.1f} mm with a range offset for each beam; {}",
             n, double(calibration.returns) * 1e-6, calibration.rms_before * 1e3, calibration.rms_after * 1e3,
-            calibration.adopted ? "relidar uses the offsets" : "relidar does not use the offsets"));
+            calibration.adopted ? "relidar uses these range offsets"
+                                : "relidar does not use these range offsets"));
     }
 }
 

@@ -252,7 +252,7 @@ class Render(TestCase):
         self.assert_same(run().render(time=time, sample=1, weather="clear")["range"], clear["range"])
         sunny = run().render(time=time, sample=1, weather="sun=0:5,bloom")
         self.assertIn(5, np.unique(sunny["source"]))
-        self.assertRaisesRegex(relidar.UsageError, "weather: found snow=-1, expected a rate of 0 to 100", run().render, time=time, weather="snow=-1")
+        self.assertRaisesRegex(relidar.UsageError, "weather: found snow=-1, expected a snowfall rate of 0 to 100", run().render, time=time, weather="snow=-1")
 
     def test_world_frame(self):
         time = run().times[3]
@@ -287,7 +287,7 @@ class Render(TestCase):
         self.assert_fails(relidar.DataError, "pose ... mirrored", render, time=time, pose=np.diag([1.0, 1.0, -1.0, 1.0]))
         self.assert_fails(relidar.DataError, "finite", render, time=time, pose=np.full((4, 4), np.nan))
         self.assert_fails(relidar.DataError, "2 times and 1 poses", render, time=time, pose=(np.zeros(2), np.eye(4)[None]))
-        self.assert_fails(relidar.DataError, "found a pose at the time 0 s ... expected times that increase", render, time=time, pose=(np.zeros(2), np.stack([np.eye(4)] * 2)))
+        self.assert_fails(relidar.DataError, "found the time 0 s of a pose ... expected times that increase", render, time=time, pose=(np.zeros(2), np.stack([np.eye(4)] * 2)))
         self.assert_fails(relidar.DataError, "time_s: found nan", render, time=float("nan"))
         self.assert_fails(relidar.UsageError, "nobody", render, time=time, actors={"nobody": np.eye(4)})
         self.assert_fails(relidar.UsageError, '"background"', render, time=time, only=["backgrund"])

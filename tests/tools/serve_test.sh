@@ -81,7 +81,7 @@ bad 3 "nowhere" serve nowhere
 bad 2 "queue: found 0; expected" serve run --queue 0
 bad 2 "memory-mib: found -1" serve run --memory-mib -1
 bad 3 "run: .* MiB .*1.0 MiB \(--memory-mib\)" serve run --memory-mib 1
-bad 2 "weather: found snow=-1, expected a rate of 0 to 100 mm/h" serve run --weather snow=-1
+bad 2 "weather: found snow=-1, expected a snowfall rate of 0 to 100 mm/h" serve run --weather snow=-1
 bad 2 "tls-cert .*--tls-key" serve run --tls-cert x.pem
 bad 3 "run/config.toml: .*PEM" serve run --tls-cert run/config.toml --tls-key run/config.toml
 bad 2 "\"run\"; use NAME=RUN" serve run "$PWD/run"

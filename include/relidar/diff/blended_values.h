@@ -25,19 +25,20 @@
     VALUE(weight, true, 1.0, nowhere, 0.0, "sum of w")                               \
     VALUE(intensity, true, channels.x, d_channel.x, 1.0, "sum of w times intensity") \
     VALUE(hit_logit, true, channels.y, d_channel.y, 1.0, "sum of w times hit logit") \
-    VALUE(drop_logit, true, channels.z, d_channel.z, 1.0, "sum of w times drop logit, + transmittance")
+    VALUE(drop_logit, true, channels.z, d_channel.z, 1.0,                            \
+          "sum of w times drop logit, plus the remaining transmittance")
 
 // Values that are blended from the hits of each ray and then copied to the host. A loss
 // that is computed on the host can provide the gradients dL/d(value).
-#define RELIDAR_IMAGE_VALUES(VALUE)                                                        \
-    VALUE(depth, true, hit.t, d_t, 1.0, "sum of w times distance, not normalised, metres") \
+#define RELIDAR_IMAGE_VALUES(VALUE)                                                                       \
+    VALUE(depth, true, hit.t, d_t, 1.0, "sum of w times distance in metres, not divided by the sum of w") \
     RELIDAR_CHANNEL_VALUES(VALUE)
 
 // Values that only some losses need. They are never copied to the host.
 #define RELIDAR_LOSS_VALUES(VALUE)                                         \
     VALUE(likelihood, LIKELIHOOD != 0u, evaluate_range_kernel(hit.t), d_t, \
           differentiate_range_kernel(hit.t),                               \
-          "sum of w times the kernel about the measured range (M12), 0 without one")
+          "sum of w times the likelihood of the measured range (docs/method.md M12), 0 without it")
 
 #define RELIDAR_BLENDED_VALUES(VALUE) \
     RELIDAR_IMAGE_VALUES(VALUE)       \

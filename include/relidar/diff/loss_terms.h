@@ -15,16 +15,18 @@
     TERM(2u, drop, drop, image, 0.01f, accept_at_least(0),                                                   \
          "weight of the ray-drop loss: cross-entropy over all rays")                                         \
     TERM(3u, opacity, opacity, image, 0.0f, accept_at_least(0),                                              \
-         mark_expert("weight of the opacity loss (1 - W)^2 over rays with a return; W: sum of weights"))     \
+         mark_expert("weight of the opacity loss (1 - W)^2 over rays with a return; W: sum of the blending " \
+                     "weights of a ray"))                                                                    \
     TERM(4u, ssim, intensity_ssim, image, 0.0f, accept_between(0, 1),                                        \
-         mark_expert("weight of 1 - SSIM within the intensity loss, from 0 to 1; the remaining weight is "   \
-                     "for Huber or L1; needs rays in rows and columns; 0: as in the paper"))                 \
+         mark_expert("weight of 1 - SSIM within the intensity loss, from 0 to 1; "                           \
+                     "the Huber or L1 loss gets the remaining weight; needs rays in rows and columns; "      \
+                     "0: as in the paper"))                                                                  \
     TERM(5u, box, box, surfel, 0.0f, accept_at_least(0),                                                     \
          mark_expert("weight of the loss for surfels of actors outside their box; 0: as in the paper"))      \
     TERM(6u, chamfer, chamfer, chamfer, 0.01f, accept_at_least(0),                                           \
          mark_expert("weight of the Chamfer distance between simulated and real points, in squared metres")) \
     TERM(7u, likelihood, likelihood, likelihood, 0.0f, accept_at_least(0),                                   \
-         mark_expert("weight of the negative log-likelihood of the measured range given the hits of the "    \
-                     "ray, averaged over rays with a return; 0: as in the paper"))
+         mark_expert("weight of the negative log-likelihood of the measured range "                          \
+                     "given the hits of the ray, averaged over rays with a return; 0: as in the paper"))
 
 #endif

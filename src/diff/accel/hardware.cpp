@@ -154,7 +154,8 @@ struct RayQueryAccel::Impl {
           radii(device, std::max<std::size_t>(layout.models.size(), 1), "radii of models"),
           moving(device, std::max<std::size_t>(layout.instances.size(), 1), "moving instances") {
         if (&mesh == &kIcosahedron && proxy == ProxyShape::triangles)
-            reach = Array<std::uint32_t>(device, 1, "sizes of the proxies of surfels");
+            reach = Array<std::uint32_t>(
+                device, 1, "largest distance from a hit to a corner of the bounding icosahedron");
     }
 
     void append_blas_build_input(const SurfelModel& model);

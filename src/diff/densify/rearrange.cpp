@@ -32,9 +32,10 @@ void SurfelReorderer::reserve_surfel_memory(std::uint32_t n_surfels) {
     prefix_sum_.reserve_scratch_memory(device_, n_surfels);
     scratch_surfels_.reserve(device_, n_surfels, "copy of surfels");
     statistics.gradient_sum.reserve(device_, n_surfels, "gradient statistics");
-    statistics.n_observing_batches.reserve(device_, n_surfels, "batches in which surfels were visible");
+    statistics.n_observing_batches.reserve(device_, n_surfels,
+                                           "number of batches in which each surfel was visible");
     statistics.frames.reserve(device_, n_words, "frames in which surfels were visible");
-    scratch_frames_.reserve(device_, n_words, "copy of the frames in which surfels were visible");
+    scratch_frames_.reserve(device_, n_words, "scratch memory for the frames in which surfels were visible");
     for (Array<std::uint32_t>* array :
          std::initializer_list<Array<std::uint32_t>*>{&action, &weight, &starts, &n_rows})
         array->reserve(device_, n_surfels, "densification");

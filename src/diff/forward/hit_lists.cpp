@@ -42,8 +42,8 @@ HitListTracer::HitListTracer(Device& device, const KernelVariant& variant,
       max_hits_per_list_(compute_max_hits_per_list(device)),
       hits_per_list_(std::min(static_cast<std::uint32_t>(initial_hits_per_list), max_hits_per_list_)),
       n_overflows_(device, std::vector<std::uint32_t>{0u},
-                   "number of rays with more hits than fit into their lists"),
-      overflows_(device, sizeof(std::uint32_t), "number of rays with more hits than fit into their lists") {}
+                   "number of rays with more hits than a hit list can store"),
+      overflows_(device, sizeof(std::uint32_t), "number of rays with more hits than a hit list can store") {}
 
 /// Allocates hit lists. Halves the capacity of a list until all lists fit into the device
 /// memory. Allocates none if no memory is free.

@@ -16,7 +16,8 @@ constexpr bool are_loss_terms_in_order() {
         if (index != next++) return false;
     return true;
 }
-static_assert(are_loss_terms_in_order(), "the places of loss terms count up from 0");
+static_assert(are_loss_terms_in_order(),
+              "RELIDAR_LOSS_TERMS must list the terms with the indices 0, 1, 2, ... in this order");
 
 }  // namespace
 

@@ -30,8 +30,7 @@ const RayDropNetwork& require_valid_network(const RayDropNetwork& network) {
     const auto check = [](const char* description, std::size_t found, std::size_t expected) {
         if (found != expected)
             throw DataError(
-                fmt::format("cannot use the ray-drop network: found {} {}, expected {} for a network with "
-                            "its input channels and levels",
+                fmt::format("cannot use the ray-drop network: it has {} {}, but its architecture requires {}",
                             found, description, expected));
     };
     check("parameters", network.parameters.size(), plan.n_parameters);
@@ -160,7 +159,7 @@ std::vector<float> RayDropRefiner::predict_drop_probabilities(const RayDropImage
     Impl& r = *impl_;
     refine::require_valid_network_image(network(), image, "cannot apply the ray-drop network to a scan");
     r.stream.submit_and_wait();
-    r.channels.reserve(r.device, image.channels.size(), "scan that the ray-drop network refines");
+    r.channels.reserve(r.device, image.channels.size(), "input channels of the ray-drop network");
     r.channels.upload(image.channels);
     const auto& probability =
         r.pass.record_network_evaluation(r.stream, image.rows, image.columns, r.channels);

@@ -44,9 +44,9 @@ CollectedHits collect_ray_hits(Device& device, const PosedScene& posed_scene, co
     stream.submit_and_wait();
     if (const std::uint32_t capped = pass_cap.download()[0])
         throw DeviceError(
-            fmt::format("cannot collect the hits of {} rays: the search for surfels along {} of them stopped "
-                        "at its limit ({} passes, or a full stack), because too many surfels of the scene "
-                        "overlap",
+            fmt::format("cannot collect the hits of {} rays: too many surfels overlap, so that the search "
+                        "stopped {} times at its limit of {} passes or at a full stack; use a scene with "
+                        "smaller or fewer surfels",
                         n, capped, RELIDAR_MAX_PASSES));
     return {max_hits_per_ray, counts.download(), t.download(), instance.download(), surfel.download()};
 }

@@ -100,10 +100,11 @@ void visit_dataset_settings(C& config, Visitor&& visitor) {
     visitor("dataset.min_range_m", config.dataset.min_range_m, accept_at_least(0),
             "minimum range in metres; nearer returns of the log count as dropped, and the simulated "
             "sensor of the log returns nothing nearer");
-    visitor("dataset.max_range_m", config.dataset.max_range_m, accept_at_least(0),
-            "maximum range in metres; farther returns of the log count as dropped, and the simulated sensor "
-            "of the log returns nothing farther; 0: the limit of the sensor, or the farthest return of the "
-            "log if this limit is unknown");
+    visitor(
+        "dataset.max_range_m", config.dataset.max_range_m, accept_at_least(0),
+        "maximum range in metres; farther returns count as dropped, both in the log and in simulated scans "
+        "of its sensor; 0: the limit of the sensor, or the farthest return of the log if this limit is "
+        "unknown");
     visitor("dataset.waymo_intensity", config.dataset.waymo_intensity, accept_one_of({"tanh", "clamp"}),
             mark_expert("how intensities of Waymo Open, which have no upper limit, are mapped to the range "
                         "from 0 to 1: tanh: by the function tanh; clamp: values above 1 become 1"));
@@ -318,12 +319,13 @@ void visit_all_settings(C& config, Visitor&& visitor) {
     visitor("densify.strategy", config.densify.strategy, accept_one_of({"none", "adaptive"}),
             "how training adds and removes surfels; adaptive: by their gradients (as in the paper)");
     visit_refinement_settings(config, visitor);
-    visitor("render.range", config.render.range, accept_one_of({"expected", "normalised", "median", "mode"}),
-            mark_expert("range of a ray in range images: expected: the blended range D (as in the paper); "
-                        "normalised: D / "
-                        "W, where W is the sum of the weights; median: the range at which the transmittance "
-                        "falls below 0.5; mode: the mean range of the surface with the largest weight, where "
-                        "hits closer together than sensor.return_separation_m form one surface"));
+    visitor(
+        "render.range", config.render.range, accept_one_of({"expected", "normalised", "median", "mode"}),
+        mark_expert("range of a ray in range images; \"expected\": the blended range D (as in the paper); "
+                    "\"normalised\": D / W, where W is the sum of the weights; \"median\": the range at "
+                    "which the transmittance falls below 0.5; \"mode\": the mean range of the surface with "
+                    "the largest weight (hits closer together than sensor.return_separation_m form one "
+                    "surface)"));
     visitor("render.channels", config.render.channels, accept_some_of(list_optional_channel_names()),
             "additional channels of scans, in all output files; `relidar render --help` describes "
             "them");

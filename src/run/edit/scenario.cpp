@@ -170,7 +170,7 @@ PoseTrack read_polyline_trajectory(const ScenarioDocument& document, const Scena
     if (!trajectory) trajectory = follow.child("Trajectory");
     if (!trajectory)
         document.fail(error_location, "no element Trajectory",
-                      "a Trajectory in this file, because catalogs are not supported");
+                      "an element Trajectory in this file; relidar does not read catalogs");
     const pugi::xml_node polyline = trajectory.child("Shape").child("Polyline"),
                          other = trajectory.child("Shape").first_child();
     if (!polyline)
@@ -210,10 +210,9 @@ void read_bounding_box(const ScenarioDocument& document, const pugi::xml_node& o
     for (const char* kind : {"Vehicle", "Pedestrian", "MiscObject"})
         if (!box) box = object.child(kind).child("BoundingBox");
     if (!box)
-        document.fail(
-            error_location, "no element BoundingBox",
-            "a BoundingBox in this file, because it relates the reference point of the trajectory to "
-            "the box");
+        document.fail(error_location, "no element BoundingBox",
+                      "a BoundingBox in this file, which gives the size of the box and its offset from the "
+                      "reference point of the trajectory");
     const pugi::xml_node centre = box.child("Center"), size = box.child("Dimensions");
     entity.centre_m = {document.read_attribute_number(centre, "x", error_location),
                        document.read_attribute_number(centre, "y", error_location),

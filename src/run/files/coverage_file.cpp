@@ -56,9 +56,9 @@ const NamedArray& require_array_with_columns(const std::vector<NamedArray>& arra
     if (!array) throw DataError(fmt::format("{}: array {} is missing", file_name, name));
     if (array->dtype != dtype || array->shape.size() != 2 || array->shape[1] != n_columns)
         throw DataError(fmt::format(
-            "{}: the array {} has the type {} and the shape [{}], expected the type {} and the shape [number "
-            "of {}, {}]",
-            file_name, name, array->dtype, fmt::join(array->shape, ", "), dtype, row_unit, n_columns));
+            "{}: the array {} has the type {} and the shape [{}], expected the type {} and the shape "
+            "[n, {}], where n is the number of {}",
+            file_name, name, array->dtype, fmt::join(array->shape, ", "), dtype, n_columns, row_unit));
     return *array;
 }
 

@@ -110,7 +110,9 @@ void read_models_and_instances(const JsonField& layout, Scene& scene) {
         if (first != next)
             m.at("first").throw_field_error(
                 fmt::format("found {}", first),
-                fmt::format("expected {}, the first surfel after the previous model", next));
+                fmt::format(
+                    "expected {}, because the surfels of successive models follow each other without gaps",
+                    next));
         next = first + count;
         scene.models.push_back({m.at("name").get_string(), static_cast<std::uint32_t>(first),
                                 static_cast<std::uint32_t>(count), read_box_half_size_m(m),
@@ -120,7 +122,9 @@ void read_models_and_instances(const JsonField& layout, Scene& scene) {
         models.throw_field_error(fmt::format("found models of {} surfels", next),
                                  fmt::format("expected {} surfels", n));
     if (models.size() == 0 || instances.size() == 0)
-        models.throw_field_error("found no model or no instance", "expected at least one of each");
+        models.throw_field_error(
+            fmt::format("found {} models and {} instances", models.size(), instances.size()),
+            "expected at least one model and at least one instance");
     for (std::size_t i = 0; i < instances.size(); ++i) {
         const JsonField instance = instances.at(i);
         const std::int64_t model =
@@ -264,8 +268,9 @@ Scene load_scene_from_model_file(const std::filesystem::path& path) {
         const NamedArray& array = require_array_by_name(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])
             throw DataError(
-                fmt::format("{}: array {}: found shape [{}], expected {} rows like in the array mean", file,
-                            group.name, fmt::join(array.shape, ", "), mean.shape[0]));
+                fmt::format("{}: the array \"{}\" has the shape [{}], expected {} rows, as many as the array "
+                            "\"mean\" has",
+                            file, group.name, fmt::join(array.shape, ", "), mean.shape[0]));
     }
     Scene scene;
     scene.surfels.resize(mean.shape[0], parameters);

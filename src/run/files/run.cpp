@@ -86,9 +86,9 @@ void save_run_config(const TrainedRun& run, const fs::path& folder) {
     write_text_file(path, to_toml(run.config));
     if (load_saved_config(path) != run.config)
         throw DataError(
-            fmt::format("cannot save {}: the program changed a value of the preset {} that is not a setting, "
-                        "so the file cannot store it; change only the settings that `relidar list settings "
-                        "--all` prints",
+            fmt::format("cannot save {}: the file can store only the preset {} and settings, but the program "
+                        "changed a field of Config that is not a setting; change only the settings that "
+                        "`relidar list settings --all` prints",
                         (run.folder / kConfigFile).string(), run.config.preset));
 }
 

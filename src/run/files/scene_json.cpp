@@ -159,8 +159,8 @@ IntensityResponse read_intensity_response(const JsonField& field) {
                               field.at("incidence").get_number_in_range(0.0, 1.0)};
     if (r.factor.size() != r.range_m.size())
         field.at("factor").throw_field_error(
-            fmt::format("expected {} factors, one for each knot", r.factor.size()),
-            fmt::format("expected {}, one for each knot", r.range_m.size()));
+            fmt::format("found {} factors", r.factor.size()),
+            fmt::format("expected {}, one for each range in range_m", r.range_m.size()));
     if (!std::is_sorted(r.range_m.begin(), r.range_m.end()))
         field.at("range_m").throw_field_error("found decreasing ranges", "expected increasing ranges");
     if (!std::all_of(r.factor.begin(), r.factor.end(), [](double f) { return f > 0.0 && f < kHuge; }))
@@ -178,9 +178,9 @@ void read_frames_and_split(const JsonField& field, SceneJsonContents& scene) {
         frame.lidar = static_cast<int>(entry.at("lidar").get_integer_in_range(0, last_lidar));
         if (i > 0 && std::pair(frame.time_s, frame.lidar) <=
                          std::pair(scene.sequence.frames.back().time_s, scene.sequence.frames.back().lidar))
-            entry.at("time_s").throw_field_error(
-                fmt::format("found {}", frame.time_s),
-                "expected increasing times, or a LiDAR with a higher index at the same time");
+            entry.at("time_s").throw_field_error(fmt::format("found {}", frame.time_s),
+                                                 "expected frames in the order of their times, and at equal "
+                                                 "times in the order of their LiDARs, without duplicates");
         const std::string part = entry.at("split").get_string();
         if (part == "train") scene.split.train.push_back(static_cast<int>(i));
         else if (part == "test") scene.split.test.push_back(static_cast<int>(i));

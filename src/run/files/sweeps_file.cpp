@@ -26,10 +26,10 @@ LidarFrame& get_frame_by_array_name(const std::string& array_name, LidarSequence
         std::from_chars(array_name.data(), array_name.data() + array_name.size(), position);
     if (error != std::errc{} || end != array_name.data() + array_name.size() ||
         position >= sequence.frames.size())
-        throw DataError(
-            fmt::format("{}: the array {} belongs to no frame of the log; expected the position of a frame "
-                        "as its name, a number below {}",
-                        file_name, array_name, sequence.frames.size()));
+        throw DataError(fmt::format(
+            "{}: the array name \"{}\" is not the position of a frame in the log, counted from 0; expected "
+            "a number below {}",
+            file_name, array_name, sequence.frames.size()));
     return sequence.frames[position];
 }
 

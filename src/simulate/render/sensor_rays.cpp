@@ -130,7 +130,7 @@ void DeviceSensorRays::upload_ray_table(const RayTable& rays, const std::string&
         fired_ = {};
         measured_ = {};  // frees the old arrays before allocating larger ones
         rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
-        fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in the world");
+        fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in world coordinates");
         measured_ = Array<shared::MeasuredRay>(device_, all.size(), "measured rays");
         readback_.reset();
         refined_readback_.reset();
@@ -203,7 +203,7 @@ void DeviceSensorRays::record_ray_drop_inference(Stream& stream, RayDropInferenc
     if (channels.size() * table_.size() > samples_.size()) {
         stream.submit_and_wait();
         samples_ = Array<float, shared::DropSamples>(device_, channels.size() * table_.size(),
-                                                     "scan that the ray-drop network refines");
+                                                     "input channels of the ray-drop network");
     }
     run(stream, drop_channels_, table_.size(),
         {.rays = rays_.address(),

@@ -35,8 +35,8 @@ void require_valid_track_poses_and_times(const PoseTrack& track, const std::stri
             fail(fmt::format("an invalid pose at entry {}", i),
                  "a unit quaternion, and coordinates and times of at most 1e10");
         if (i > 0 && !(track.time_s[i] > track.time_s[i - 1])) {
-            fail(fmt::format("a pose at the time {} s after a pose at the time {} s", track.time_s[i],
-                             track.time_s[i - 1]),
+            fail(fmt::format("the time {} s of a pose directly after the time {} s of the previous pose",
+                             track.time_s[i], track.time_s[i - 1]),
                  "times that increase from pose to pose");
         }
     }

@@ -131,7 +131,7 @@ void ScanFolderWriter::write_summary_file() const {
           {"max_range_m", format_.limits.max_m}}},
         {"sensor_offset", make_matrix_json(format_.offset)},
         {"trajectory", format_.trajectory.empty() ? Json() : Json(format_.trajectory)},
-        {"units", "metres, seconds; time of a point in seconds from time_s; intensity and drop_prob 0 to 1"},
+        {"units", "metres, seconds; times of points are relative to time_s; intensity, drop_prob: 0 to 1"},
         {"points", points},
         {"channels", make_channels_json(channels_)},
         {"instances", format_.instance_names},

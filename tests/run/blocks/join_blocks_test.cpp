@@ -188,7 +188,7 @@ TEST_F(JoinedBlocks, NamesTheFileThatIsWrong) {
     fs::copy_file(folders[0] / kModelFile, folders[2] / kModelFile);
     EXPECT_THAT(
         get_data_error_message([&] { copy_scene_with_all_blocks_loaded(load_run(run.folder).scene); }),
-        Names("blocks/002/model.safetensors: the block"));
+        Names("blocks/002/model.safetensors: this file of a block"));
     Scene scene = run.scene;
     scene.blocks[1].file = folder / "aside" / kModelFile;  // outside of the run's folder
     save_scene_to_model_file(run.folder / kModelFile, scene);

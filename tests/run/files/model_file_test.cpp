@@ -211,7 +211,7 @@ TEST_F(ModelFile, ArraysAreChecked) {
     const float one_row[4] = {1, 0, 0, 0};
     array("rotation") = make_array("rotation", {1, 4}, one_row, 4);
     write_safetensors(path, arrays, metadata);
-    EXPECT_THAT(load_error(), test::Names("array rotation ... [1, 4] ... 4 rows"));
+    EXPECT_THAT(load_error(), test::Names("array \"rotation\" ... [1, 4] ... 4 rows"));
 }
 
 TEST_F(ModelFile, ValuesThatAreNotFiniteAreNamed) {

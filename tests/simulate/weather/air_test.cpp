@@ -95,7 +95,7 @@ TEST(Weather, WhatIsNoneIsRefusedInALine) {
         {"fog=", "weather: found fog= ... 1 to 1e6 metres"},
         {"rain=-1", "weather: found rain=-1, expected a rate of 0 to 500 mm/h"},
         {"rain=nan", "weather: found rain=nan, expected a rate of 0 to 500 mm/h"},
-        {"snow=1e9", "weather: found snow=1e9, expected a rate of 0 to 100 mm/h"},
+        {"snow=1e9", "weather: found snow=1e9, expected a snowfall rate of 0 to 100 mm/h"},
         {"bloom=", "weather: found bloom= ... 0 to 1"},
         {"fog=50:60", "weather: found fog=50:60 ... 1 to 1e6 metres"},
         {"rain=5mm", "weather: found rain=5mm, expected a rate of 0 to 500 mm/h"},
