@@ -49,10 +49,9 @@ bool ReadbackBuffer::has_pending_copy() const { return impl_->pending; }
 const void* ReadbackBuffer::wait_for_copied_bytes(Stream& stream) {
     Impl& r = *impl_;
     if (r.ticket == 0 || r.ticket > stream.impl().last_ticket)
-        throw Error(
-            ExitCode::bug,
-            fmt::format("cannot wait for {}: its copy was not submitted; call record() and submit() first",
-                        r.what));
+        throw Error(ExitCode::bug, fmt::format("cannot wait for {}: its copy was not submitted; call "
+                                               "record_copy_to_host() and submit_commands() first",
+                                               r.what));
     stream.wait_for_submission(r.ticket);
     r.pending = false;
     return r.host->mapped;

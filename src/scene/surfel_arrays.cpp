@@ -23,18 +23,19 @@ std::vector<std::size_t> SurfelParameterGroup::get_array_shape(std::size_t n_sur
     return {n_surfels};
 }
 
-SurfelParameterSet read_surfel_parameter_set(const std::map<std::string, std::string>& metadata,
+SurfelParameterSet read_surfel_parameter_set(const std::string& error_location,
+                                             const std::map<std::string, std::string>& metadata,
                                              const std::string& primitive_key,
                                              const std::function<bool(const char*)>& has_array) {
     std::vector<std::string> names;
     for (const PrimitiveProperties& kind : kPrimitives) names.emplace_back(kind.name);
     const auto text = metadata.find(primitive_key);
     if (text == metadata.end())
-        throw DataError(fmt::format("the metadata key \"{}\" is missing; its value must be one of {}",
-                                    primitive_key, fmt::join(names, ", ")));
+        throw DataError(fmt::format("{}: the metadata key \"{}\" is missing; its value must be one of {}",
+                                    error_location, primitive_key, fmt::join(names, ", ")));
     for (const PrimitiveProperties& kind : kPrimitives)
         if (kind.name == text->second) return {kind.primitive, has_array(kParameterGroups.front().name)};
-    throw DataError(fmt::format("{}: found \"{}\", expected one of {}", primitive_key,
+    throw DataError(fmt::format("{}: {}: found \"{}\", expected one of {}", error_location, primitive_key,
                                 text->second.substr(0, 40), fmt::join(names, ", ")));
 }
 

@@ -316,8 +316,9 @@ void TrainLoop::check_iteration_reports_until(int last_step) {
                reports_.take_oldest_report_until_step(stream_, last_step)) {
         if (report->pass_cap > 0)
             throw DeviceError(fmt::format(
-                "training failed in iterations {} to {}: {} rays exceeded the maximum number of traversal "
-                "passes or the traversal stack; the scene probably has too many overlapping surfels",
+                "training failed in iterations {} to {}: the search for surfels stopped {} times at its "
+                "limit "
+                "of passes or with a full stack; the scene probably has too many overlapping surfels",
                 report->first_step, report->last_step, report->pass_cap));
         increase_hit_capacity_if_needed(*report);
         increase_stored_hits_per_ray_if_needed(*report);

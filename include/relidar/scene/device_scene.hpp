@@ -194,11 +194,13 @@ constexpr std::span<const SurfelParameterGroup> list_parameter_groups(SurfelPara
 /// Metadata key in model and checkpoint files that stores the PrimitiveType.
 inline constexpr const char* kPrimitiveKey = "primitive";
 /// Reads from the metadata of a file which parameters the stored surfels have.
+/// @param error_location text at the beginning of error messages, usually a file name
 /// @param metadata metadata of the file
 /// @param primitive_key metadata key of the primitive
 /// @param has_array returns true if the file has an array with the given name
 /// @throws DataError if the key is missing or its value is not a primitive
-SurfelParameterSet read_surfel_parameter_set(const std::map<std::string, std::string>& metadata,
+SurfelParameterSet read_surfel_parameter_set(const std::string& error_location,
+                                             const std::map<std::string, std::string>& metadata,
                                              const std::string& primitive_key,
                                              const std::function<bool(const char*)>& has_array);
 /// Returns the number of floats that the parameters of one surfel have in total.

@@ -153,10 +153,11 @@ void Renderer::require_rays_fully_traced() {
     Impl& r = *impl_;
     r.stream.submit_and_wait();
     if (const std::uint32_t capped = r.forward.read_and_reset_truncated_ray_count())
-        throw DeviceError(
-            fmt::format("cannot trace {} rays: {} of them cross so many overlapping surfels that the search "
-                        "stopped at its limit of {} passes; use a scene with smaller or fewer surfels",
-                        r.batch.rays.n_rays, capped, RELIDAR_MAX_PASSES));
+        throw DeviceError(fmt::format(
+            "cannot trace {} rays: the search for surfels stopped {} times at its limit ({} passes "
+            "or a full stack), because too many surfels overlap; use a scene with smaller or "
+            "fewer surfels",
+            r.batch.rays.n_rays, capped, RELIDAR_MAX_PASSES));
 }
 
 RenderedRayValues Renderer::download_rendering() {

@@ -89,7 +89,8 @@ Surfels CheckpointReader::read_all_surfels(const std::string& name) const {
 
 Surfels CheckpointReader::read_surfels(const std::string& name, std::size_t n_surfels) const {
     const SurfelParameterSet parameters = read_surfel_parameter_set(
-        checkpoint_.texts, name + "/" + kPrimitiveKey,
+        fmt::format("checkpoint of iteration {}", checkpoint_.iteration), checkpoint_.texts,
+        name + "/" + kPrimitiveKey,
         [&](const char* group) { return find_array(checkpoint_.arrays, name + "/" + group) != nullptr; });
     // Checks the shapes of all arrays before memory is allocated.
     for (const SurfelParameterGroup& group : list_parameter_groups(parameters))

@@ -262,7 +262,7 @@ Scene load_scene_from_model_file(const std::filesystem::path& path) {
                         "with n of at most {}",
                         file, fmt::join(mean.shape, ", "), kMaxSurfels));
     const SurfelParameterSet parameters = read_surfel_parameter_set(
-        metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
+        file, metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
     // Checks the number of rows of every array before memory is allocated.
     for (const SurfelParameterGroup& group : list_parameter_groups(parameters)) {
         const NamedArray& array = require_array_by_name(arrays, group.name, file);
