@@ -399,7 +399,7 @@ difference() { paste <(od -An -v -t f4 -w4 "$1") <(od -An -v -t f4 -w4 "$2") | a
 # must be used if it fits the sensor, and --no-refine must turn it off.
 ray_drop() {
     good info run
-    says "^ray drop +corrected .* [0-9]+ .*native"
+    says "^ray drop +corrected .* [0-9]+ .*type native$"
     good render run --out refined --frames 5:6
     good render run --out unrefined --frames 5:6 --no-refine
     check "--no-refine changes nothing" test "$(cmp -s refined/frame_000005.npz unrefined/frame_000005.npz; echo $?)" = 1
@@ -409,7 +409,7 @@ ray_drop() {
     says '"baseline" has the scores without .*network'
     check "progress of the network lacks rate and remaining time" grep -Eq "^ray-drop network, epoch 1/1  step 3/3  [0-9.]+ steps/s  remaining 0:00  loss" err
     good info cells
-    says " kitti360 images$"
+    says "range images of type kitti360$"
     good render cells --out of_cells --frames 5:6 --sensor VLP-16
     check "render does not say that a network does not fit" \
         grep -q "^relidar: note: .*cells .*kitti360 .*8 x 8 pixels; .*VLP-16" err
@@ -520,7 +520,7 @@ XOSC
     says "0-insert-1 follows Van of cut_in.xosc"
     bad 2 'Van=TRACK, Van=RUN#TRACK, Van=ASSET or Van=-' edit run --out x --scenario cut_in.xosc
     bad 2 'entities .*Bus' edit run --out x --scenario cut_in.xosc@Van=1,Bus=0
-    bad 2 'trajectory, .*Ego' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
+    bad 2 'trajectory; .*Ego' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
     bad 2 'Van=TRACK .*RUN#TRACK' edit run --out x --scenario cut_in.xosc@Van=7
     bad 2 'scenario .*entity' edit run --out x --scenario cut_in.xosc@Van=-
     bad 2 'expected FILE.xosc\[@ENTITY=TRACK' edit run --out x --scenario cut_in.xosc@Van

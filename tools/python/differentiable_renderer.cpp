@@ -211,15 +211,18 @@ void bind_differentiable_renderer(py::module_& module) {
              "Computes gradients of a loss of the last forward pass. Poses, view_origin and "
              "parameters must be unchanged since then.\n\n"
              "d_rendered: dict of dL/d(value), [n] float32 each, for any of " RELIDAR_IMAGE_VALUES(
-                 RELIDAR_NAME) "missing ones are 0\n\n"
-                               "Returns a dict of dL/d(parameter) with the names of the parameters: mean "
-                               "[s,3], rotation [s,4], log_scale [s,2], opacity_logit [s], sh [s,3,16], "
-                               "log_scale_w [s] of 3D\n"
-                               "Gaussians, float32; touched [s] uint32, 1 if a surfel has a gradient; if "
-                               "enabled, poses [instances,6] and sensor [6], dL/d(v, w) of small motions "
-                               "along the\n"
-                               "world's axes (metres; radians about the origin of the model, or about "
-                               "view_origin), and rays [n,6], dL/d(origin, direction).")
+                 RELIDAR_NAME) "where missing gradients count as 0\n\n"
+                               "Returns a dict of gradients dL/d(parameter), float32, where s is the number "
+                               "of surfels:\n"
+                               "    mean [s,3], rotation [s,4], log_scale [s,2], opacity_logit [s], sh "
+                               "[s,3,16]\n"
+                               "    log_scale_w [s]: only for 3D Gaussians\n"
+                               "    touched [s] uint32: 1 if a surfel has a gradient\n"
+                               "    poses [instances,6], sensor [6], if enabled by `poses`: dL/d(v, w) of "
+                               "small motions along the world's axes. v: shift in metres,\n"
+                               "        w: rotation in radians about the origin of the model (poses) or "
+                               "about view_origin (sensor)\n"
+                               "    rays [n,6], if enabled by `rays`: dL/d(origin, direction)")
         .def("upload", &upload_surfels, py::arg("surfels"),
              "Replaces the values of all parameters. The number of surfels must be the same. Call "
              "place() afterwards.")

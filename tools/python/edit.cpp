@@ -135,8 +135,10 @@ void bind_edit_class(py::module_& module) {
             },
             py::arg("track"), same, "Removes an actor. Rays then hit the surfaces behind it.")
         .def("move", &move_actor, py::arg("track"), py::arg("pose"), same,
-             "Moves an actor along its full trajectory, in the frame of its box (forward, left, up).\n\n"
-             "pose: [4,4] float64, box from moved box, for example from relidar.pose()")
+             "Shifts the full trajectory of an actor by a constant pose in the frame of its box (forward, "
+             "left, up).\n\n"
+             "pose: [4,4] float64, pose of the moved box in the frame of the old box, for example from "
+             "relidar.pose()")
         .def(
             "retime",
             [](RunBeingEdited& edits, const std::string& track, double seconds) -> RunBeingEdited& {

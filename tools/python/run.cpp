@@ -65,7 +65,7 @@ ActorTracksByName convert_actor_pose_dict_to_tracks(const py::dict& poses_by_act
         const PoseTrack& added = poses[track] =
             convert_python_poses_to_track(pose, what, time_of_single_poses_s);
         require_time_within_track(added, time_of_single_poses_s, kBeside_s,
-                                  fmt::format("time relative to the poses of {}", what));
+                                  fmt::format("the scan time does not match the poses of {}", what));
     }
     return poses;
 }
@@ -231,7 +231,8 @@ constexpr const char* kHelpAfterWeather =
 /// Adds the methods of the Python class for runs.
 void bind_run_methods(py::class_<LoadedRun>& run_class) {
     const std::string render_help = fmt::format(
-        "{}{}; `sample` is its seed, or 0 without it;\n    adds `source` [rows,columns] int32: {}{}",
+        "{}{}.\n    The seed of the weather is `sample`, or 0 if `sample` is None. Weather adds the array "
+        "`source` [rows,columns] int32: {}{}",
         kHelpBeforeWeather, make_weather_help(), parse_channel_names("source").front().meaning,
         kHelpAfterWeather);
     run_class
@@ -276,7 +277,7 @@ void bind_run_methods(py::class_<LoadedRun>& run_class) {
                 return convert_to_array_dict(choice.rays);
             },
             py::arg("sensor") = py::none(), py::arg("lidar") = "",
-            "Returns the rays of a sensor, which has the same form as in render().")
+            "Returns the rays of a sensor. The arguments accept the same values as in render().")
         .def("with_surfels", &copy_run_with_replaced_surfels, py::arg("surfels"),
              "Returns a copy of the run with other values of all surfels. Raises DataError if the "
              "number of surfels differs.");

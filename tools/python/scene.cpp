@@ -152,11 +152,15 @@ void bind_scene_class(py::module_& module) {
         "immutable.")
         .def(py::init(&make_scene_from_dicts), py::arg("surfels"), py::arg("models") = py::none(),
              py::arg("instances") = py::none(),
-             "surfels: dict of float32 arrays: mean [n,3] metres, rotation [n,4] quaternion w x y z, "
-             "log_scale [n,2] ln metres, opacity_logit [n],\n"
-             "    sh [n,3,16] (intensity, hit logit, drop logit); log_scale_w [n] for 3D Gaussians,\n"
-             "    gait [n,5] for models that deform while walking (phase in turns, sharpness, swing "
-             "in metres)\n"
+             "surfels: dict of float32 arrays:\n"
+             "    mean [n,3]: metres\n"
+             "    rotation [n,4]: quaternion w x y z\n"
+             "    log_scale [n,2]: ln metres\n"
+             "    opacity_logit [n]\n"
+             "    sh [n,3,16]: for intensity, hit logit and drop logit\n"
+             "    log_scale_w [n]: ln metres, only for 3D Gaussians\n"
+             "    gait [n,5], only for models that deform while walking: phase in turns, sharpness, "
+             "swing x y z in metres\n"
              "models: dicts of name, first, count and, for a model that deforms, stride_m: "
              "consecutive ranges of surfels;\n"
              "    None: one model with all surfels, the background\n"
@@ -170,8 +174,9 @@ void bind_scene_class(py::module_& module) {
         .def_property_readonly(
             "models", &list_models_as_dicts,
             "Dicts of name, first (index of the first surfel) and count (number of surfels).")
-        .def_property_readonly("instances", &list_instances_as_dicts,
-                               "Dicts of model and track. Instance 0 is the background.")
+        .def_property_readonly(
+            "instances", &list_instances_as_dicts,
+            "List of dicts with the keys model (its index) and track. Entry 0 is the background.")
         .def(
             "__len__", [](const Scene& scene) { return scene.surfels.size(); }, "Number of surfels.");
 }

@@ -194,7 +194,7 @@ void add_demo_command(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("demo", "train, render, score and report on a synthetic street");
     const auto options = std::make_shared<DemoOptions>();
     command->add_option("--out", options->out, "folder for all results (default: demo)")->type_name("DIR");
-    command->add_option("--seed", options->seed, "seed of the street and of training (default: 1)")
+    command->add_option("--seed", options->seed, "seed of the synthetic street and of training (default: 1)")
         ->type_name("S");
     add_setting_override_option(*command, options->sets);
     add_device_options(*command, options->device);

@@ -190,7 +190,7 @@ FrameRange parse_frame_range(const std::string& text) {
               last = end.empty() ? -1 : parse_number_text<int>(end).value_or(-1);
     if (colon == std::string::npos || first < 0 || (!end.empty() && last < 0)) {
         throw UsageError(fmt::format(
-            "--frames: found \"{}\"; expected FIRST:END without frame END, for example 0:50", text));
+            "--frames: found \"{}\"; expected FIRST:END, for example 0:50 for the frames 0 to 49", text));
     }
     if (last != -1 && first >= last)
         throw UsageError(

@@ -40,7 +40,7 @@ double require_time_near_path(double time_s, const PoseTrack& sensor_path, const
     if (is_time_far_before_or_after_path(time_s, sensor_path))
         throw_invalid_field(
             field_name,
-            fmt::format("the time {} s for a path from {} to {} s", time_s, sensor_path.time_s.front(),
+            fmt::format("{} s, but the path covers {} to {} s", time_s, sensor_path.time_s.front(),
                         sensor_path.time_s.back()),
             fmt::format("a time in seconds on the path, or at most {} s before or after it", kBeyondPath_s));
     return time_s;
@@ -173,8 +173,9 @@ std::shared_ptr<const SimulatedSensor> RequestReader::find_requested_sensor(cons
         sensor = find_built_in_sensor(request.sensor.name(), scene_index, lidar_index);
     }
     if (count_rays_of_sensor(*sensor) == 0)
-        throw_invalid_field(request.field, "a LiDAR of the log whose beams are unknown",
-                            "another sensor, because this LiDAR has no rays outside the scans of the log");
+        throw_invalid_field(
+            request.field, "a LiDAR of the log whose beams are unknown",
+            "another sensor, because ray directions of this LiDAR are known only for the scans of the log");
     const int returns = int(request.returns);
     if (sensor->lidar == lidar_index && sensor->returns == returns) return sensor;
     SimulatedSensor placed = *sensor;
@@ -242,9 +243,8 @@ std::vector<ActorToSpawn> RequestReader::read_actors_to_spawn(const v1::SpawnAct
         if (std::ranges::find(run_actors, spawn.name()) != run_actors.end())
             throw RejectedRequest(
                 grpc::StatusCode::ALREADY_EXISTS,
-                fmt::format(
-                    "cannot read {}.name: found {}, which is an actor of the run, expected another name",
-                    field, shorten_and_quote_client_text(spawn.name())));
+                fmt::format("cannot spawn {}: an actor of the run already has the name {}; use another name",
+                            field, shorten_and_quote_client_text(spawn.name())));
         if (spawn.has_asset()) {
             const AssetCatalogue::CatalogueEntry* asset = assets_.find_asset(spawn.asset());
             if (!asset) throw_unknown_name(field + ".asset", spawn.asset(), list_asset_names(assets_));

@@ -50,7 +50,7 @@ std::vector<T> read_array_from_bytes(const std::string& bytes, std::size_t n_exp
                                      const std::string& field_name) {
     if (!bytes.empty() && bytes.size() != n_expected_values * sizeof(T))
         throw_invalid_field(field_name, fmt::format("{} bytes", bytes.size()),
-                            fmt::format("{} bytes: a value of {} bytes for each of {} rays",
+                            fmt::format("{} bytes, which are {} bytes for each of {} rays",
                                         n_expected_values * sizeof(T), sizeof(T), n_expected_values));
     std::vector<T> values(bytes.size() / sizeof(T));
     if (!bytes.empty()) std::memcpy(values.data(), bytes.data(), bytes.size());
@@ -205,7 +205,7 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
             sensor.pattern = read_rosette(message.rosette(), field_name + ".rosette");
             break;
         case v1::SensorSpec::PATTERN_NOT_SET:
-            throw_invalid_field(field_name, "no pattern", "one of rays, spinning, window and rosette");
+            throw_invalid_field(field_name, "no pattern", "the pattern rays, spinning, window or rosette");
     }
     const double divergence_rad = require_number_in_range(field_name + ".divergence_rad",
                                                           message.divergence_rad(), 0.0, kWidestBeam_rad);

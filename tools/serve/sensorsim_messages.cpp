@@ -84,7 +84,7 @@ std::shared_ptr<const SimulatedSensor> SensorsimReader::find_or_make_sensor_of_r
     if (count_rays_of_sensor(sensor) == 0)
         throw_invalid_field("lidar.logical_id",
                             shorten_and_quote_client_text(id) + ", a LiDAR whose beams are unknown",
-                            "another LiDAR, or the lidar_type PANDAR128 or AT128");
+                            "another LiDAR of the log, or lidar_type set to PANDAR128 or AT128");
     const double period_s = is_of_log ? lidars[std::size_t(lidar)].get_sweep_period_s()
                                       : get_sensor_of_supported_lidar_type(type).period_s;
     const float stretch = period_s > 0.0 ? float(double(frame_us) * kMicrosecond / period_s) : 1.0f;
@@ -122,7 +122,7 @@ PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const 
     if (frame.end_s > frame.start_s) return {{frame.start_s, frame.end_s}, {start, end}};
     if (start.translation != end.translation || start.rotation != end.rotation)
         throw_invalid_field(field_name, "two different poses in a frame without duration",
-                            "the same pose at start and end, or a frame_end_us after frame_start_us");
+                            "equal poses at start and end, or a frame_end_us greater than frame_start_us");
     return {{frame.start_s}, {start}};
 }
 
@@ -130,8 +130,9 @@ RenderRequest SensorsimReader::convert_to_checked_render_request(
     const sensorsim::LidarRenderRequest& message) {
     const std::uint64_t start_us = message.frame_start_us(), end_us = message.frame_end_us();
     if (end_us < start_us || end_us - start_us > kLongestFrame_us)
-        throw_invalid_field("frame_end_us", fmt::format("{} with frame_start_us {}", end_us, start_us),
-                            fmt::format("a time in microseconds that is at most {} later", kLongestFrame_us));
+        throw_invalid_field(
+            "frame_end_us", fmt::format("{} with frame_start_us {}", end_us, start_us),
+            fmt::format("a time from 0 to {} microseconds after frame_start_us", kLongestFrame_us));
     RenderRequest render_request;
     render_request.scene = find_scene_index_or_throw(message.scene_id());
     const SensorsimTimeFrame frame{

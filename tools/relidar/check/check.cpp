@@ -140,7 +140,8 @@ void run_check_command(const CheckOptions& options) {
         throw DataError(
             fmt::format("--json {}: this is a folder; expected the name of a file to write", options.json));
     if (!options.sensor.empty() && (options.run.empty() || !options.speed))
-        throw UsageError("--sensor can only be used with --speed and --run, because only they measure scans");
+        throw UsageError(
+            "--sensor requires both --speed and --run, because only both together measure scans");
     std::optional<OutputFolder> folder;
     if (const std::filesystem::path json = options.json; !json.empty())
         folder.emplace(json.has_parent_path() ? json.parent_path() : ".");

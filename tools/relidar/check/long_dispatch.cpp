@@ -20,14 +20,16 @@ CheckResult check_long_kernel_dispatch(CheckedDevice& tested_device) {
         const double error = test_compare_and_swap_adds_and_get_max_error(tested_device.get_default_device(),
                                                                           n_threads, seconds);
         if (error != 0.0)
-            return make_failed_check_result(fmt::format(
-                "a computation of {:.2f} s gave sums with an error of {:.1e}, expected exact sums", seconds,
-                error));
+            return make_failed_check_result(
+                fmt::format("after a computation of {:.2f} s, found sums with a relative error of {:.1e}, "
+                            "expected exact sums",
+                            seconds, error));
         if (seconds >= kLong_s)
             return {CheckResult::CheckOutcome::right,
                     fmt::format("exact sums after a computation of {:.2f} s", seconds)};
     }
-    return {CheckResult::CheckOutcome::right, "the GPU needs less than 0.25 s for 268 million threads"};
+    return {CheckResult::CheckOutcome::right,
+            "exact sums; the longest computation, with 268 million threads, took less than 0.25 s"};
 }
 
 }  // namespace relidar::cli

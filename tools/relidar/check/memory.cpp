@@ -50,8 +50,8 @@ CheckResult check_largest_buffer(CheckedDevice& tested_device) {
     stream.fill(buffer, 0x5a5a1234u);
     stream.submit_and_wait();
     if (!is_buffer_filled_with(buffer, 0x5a5a1234u))
-        return make_failed_check_result(
-            fmt::format("a buffer of {} contains other values than were written", format_byte_size(n_bytes)));
+        return make_failed_check_result(fmt::format(
+            "a buffer of {} does not contain the values that were written to it", format_byte_size(n_bytes)));
     return {CheckResult::CheckOutcome::right,
             fmt::format("{}{}", format_byte_size(n_bytes),
                         n_bytes < limit / 64 * 64

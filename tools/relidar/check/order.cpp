@@ -81,7 +81,8 @@ CheckResult check_radix_sort(CheckedDevice& tested_device) {
          {std::pair{0u, 10u}, {1u, 1u}, {4097u, 4097u}, {12'345u, 30'000u}, {most, most}})
         if (!is_radix_sort_correct(device, n_keys, capacity))
             return make_failed_check_result(fmt::format("{} keys are not sorted correctly", n_keys));
-    return {CheckResult::CheckOutcome::right, fmt::format("exact results for up to {} keys", most)};
+    return {CheckResult::CheckOutcome::right,
+            fmt::format("all arrays of up to {} keys are sorted correctly", most)};
 }
 
 }  // namespace relidar::cli

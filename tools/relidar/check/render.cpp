@@ -125,8 +125,8 @@ CheckResult check_bvh_ray_hits(CheckedDevice& tested_device, RayTracingBackend b
     if (n_built + n_refitted == 0)
         return {CheckResult::CheckOutcome::right, "all rays hit the same surfels as on the host"};
     return make_failed_check_result(
-        fmt::format("{} of 256 rays hit other surfels than on the host after the tree was built, and {} "
-                    "after it was refitted",
+        fmt::format("rays with other hits than in a search of all surfels: {} of 256 after the acceleration "
+                    "tree was built, {} of 256 after the tree was refitted",
                     n_built, n_refitted));
 }
 

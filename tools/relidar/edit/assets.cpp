@@ -44,8 +44,8 @@ std::string explain_why_asset_is_not_saved(const AssetDescription& asset_descrip
         side_shares +=
             fmt::format("{}{} {:.2f}", s ? ", " : "", get_name(BoxSide(s)), asset_description.seen_sides[s]);
     return fmt::format(
-        "the score of the actor is {:.2f}, expected at least {:.2f} (--least); the log observed these "
-        "shares of its sides: {}{}",
+        "the score of the actor is {:.2f}, expected at least {:.2f} (--least); share of each side that "
+        "rays of the log hit: {}{}",
         asset_description.get_observed_or_mirrored_fraction(), min_covered_fraction, side_shares,
         asset_description.completed > 0.0
             ? fmt::format("; mirroring completed a share of {:.2f} of its surface",

@@ -382,22 +382,22 @@ EditResult apply_openscenario_edit(SceneWithLog driving_scene, const EditArgumen
         if (role && what != "-" && !follows)
             throw_edit_error(
                 edit,
-                fmt::format("an entity with a trajectory, but the entity {} has no trajectory in the file",
+                fmt::format("only entities with a trajectory; the entity {} has no trajectory in the file",
                             entity.name));
         if (what.empty() && follows)
-            throw_edit_error(edit,
-                             fmt::format("also an actor for the entity: {0}=TRACK, {0}=RUN#TRACK, {0}=ASSET "
-                                         "or {0}=- (ignore), because the run has no actor with the name {0}",
-                                         entity.name));
+            throw_edit_error(
+                edit, fmt::format("one of {0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=- (ignore the "
+                                  "entity) after FILE.xosc@, because the run has no actor with the name {0}",
+                                  entity.name));
         if (follows && what != "-") find_or_insert_actor_and_move_it(edit, entity, what, applied);
         else
-            append_note_if_not_empty(applied.note,
-                                     fmt::format("entity {} {}", entity.name,
-                                                 follows ? "is ignored, because the option says so"
-                                                         : "is ignored, because it has no trajectory"));
+            append_note_if_not_empty(
+                applied.note, fmt::format("entity {} is ignored, because {}", entity.name,
+                                          follows ? fmt::format("--scenario contains {}=-", entity.name)
+                                                  : "it has no trajectory"));
     }
     if (!roles.empty())
-        throw_edit_error(edit, fmt::format("only entities of the file, but the file has no entity {}",
+        throw_edit_error(edit, fmt::format("only entities that the file contains; the file has no entity {}",
                                            roles.begin()->first));
     if (applied.said.empty())
         throw_edit_error(edit, "a scenario with at least one entity that follows a trajectory");
@@ -418,8 +418,8 @@ const std::vector<EditOption>& list_edit_options() {
     static const std::vector<EditOption> options{
         {"--remove", "TRACK", "remove an actor; rays then hit the surfaces behind it"},
         {"--move", "TRACK:dx,dy,dz[,yaw_deg]",
-         "shift an actor along its full path, in the frame of its box (forward, left, up), and "
-         "turn it to the left by yaw_deg"},
+         "shift the full path of an actor by these metres in the frame of its box (forward, left, up), and "
+         "turn the actor to the left by yaw_deg"},
         {"--retime", "TRACK:seconds",
          "delay all motion of an actor by this time in seconds; negative values make it earlier"},
         {"--trajectory", "TRACK:FILE.csv",
@@ -433,8 +433,9 @@ const std::vector<EditOption>& list_edit_options() {
          "add an actor of another run, or an asset of `relidar assets`; PLACE has the same form as in "
          "--copy"},
         {"--scenario", "FILE.xosc[@ENTITY=TRACK,ENTITY=RUN#TRACK,ENTITY=ASSET,ENTITY=-]",
-         "move actors along the timed trajectories of an OpenSCENARIO file. An entity of the file moves the "
-         "actor of the same name, the actor given here, or an inserted actor; -: ignore the entity"},
+         "move actors along the timed trajectories of an OpenSCENARIO file. Each entity of the file moves "
+         "the actor of the same name. ENTITY=TRACK selects another actor, ENTITY=RUN#TRACK and "
+         "ENTITY=ASSET insert an actor, and ENTITY=- ignores the entity"},
         {"--keep", "background|actors", "keep only the background or only the actors"}};
     return options;
 }

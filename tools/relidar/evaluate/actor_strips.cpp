@@ -210,7 +210,7 @@ std::optional<ReportFigure> draw_walking_actor_figure(Device& device, const Trai
     const float half = float(0.5 * walking_actor.box->size_m.y);
     return ReportFigure{
         fmt::format("{} {} {}, {:.0f} m away: successive frames, including training frames, seen from the "
-                    "right, coloured from right to left",
+                    "right side of the actor; colour: depth, from blue (right side) to red (left side)",
                     walking_actor.box->category, walking_actor.box->id,
                     parse_object_kind(walking_actor.box->category) == ObjectKind::cyclist ? "rides" : "walks",
                     walking_actor.distance_m),

@@ -29,25 +29,26 @@ constexpr const char* kStrict =
     "cm and 22.4 cm; drop_*: a dropped ray is a positive; drop_rmse: error of the drop probabilities of all "
     "pixels";
 constexpr const char* kPoints =
-    "same metrics as strict/depth_*, cd_* and f_*, but for the points that are written to files (setting "
-    "render.points, by default the dominant surface); strict/* uses the range image (setting render.range)";
+    "like strict/depth_*, cd_* and f_*, but computed from the points that are written to files (setting "
+    "render.points, by default the dominant surface) instead of the range image (setting render.range)";
 constexpr const char* kRegions =
-    "all pixels with a real return, also if the rendered ray drops; returned: share of these pixels with "
-    "drop_prob < 0.5; moving_boxes: inside labelled moving boxes; discovered_boxes: inside boxes of moving "
-    "objects without a label that training found";
+    "errors of all pixels with a real return, whether the rendered ray returns or drops; returned: share of "
+    "these pixels whose rendered ray returns (drop_prob < 0.5); moving_boxes: pixels inside labelled moving "
+    "boxes; discovered_boxes: pixels inside moving boxes that the dataset does not label, but training found";
 constexpr const char* kActors =
-    "trail points: simulated points above ground where a moving box is at another time of the log, but no "
-    "box is now; tail_share: trail points as a share of the returned points (drop_prob < 0.5); "
-    "tail_share_real: the same share for the real points; people_*: labelled moving boxes of people and "
-    "cyclists with at least 10 real points; vehicles_*: the same for all other labelled moving boxes; the "
-    "boxes are enlarged by 0.1 m, without the lowest 0.15 m; bias: signed median of the range errors; "
-    "Chamfer distance: sum of both directions; within 3 cm: share of the simulated points that are within 3 "
-    "cm of a real point; F1: score of the rays that return from the box, enlarged by 0.3 m; the table of "
-    "actors has these values for each labelled or discovered moving box; points are summed over the frames, "
-    "other values are means weighted by real points";
+    "trail point: a point above the ground at a place that a moving box occupies only at other times of the "
+    "log; tail_share: share of the simulated points (drop_prob < 0.5) that are trail points; "
+    "tail_share_real: the same share of the real points; people_*: labelled moving boxes of people and "
+    "cyclists with at least 10 real points; vehicles_*: all other labelled moving boxes with at least 10 "
+    "real points; these boxes are enlarged by 0.1 m, without the lowest 0.15 m; bias_m: median of the range "
+    "errors, simulated minus real; cd_m: Chamfer distance, sum of both directions; 3cm: share of the "
+    "simulated points with a real point within 3 cm; f1: F1 score of the rays that return from the box, "
+    "enlarged by 0.3 m; table of actors: one row for each labelled or discovered moving box; its numbers of "
+    "points are sums over the frames, its other values are means weighted by real points";
 constexpr const char* kClasses =
-    "all returns with a label, also if the rendered ray drops; accuracy: share of these rays with the same "
-    "class; mean_iou: intersection over union, mean over the labels of the frame";
+    "all real returns with a label, whether the rendered ray returns or drops; accuracy: share of these "
+    "returns whose rendered class equals the label; mean_iou: intersection over union of a class, mean over "
+    "the labels of the frame";
 constexpr const char* kColumns[] = {"pixels",      "returned",     "depth_medae_m",
                                     "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 

@@ -37,11 +37,11 @@ ReportView make_3d_view_of_real_and_rendered_points(const ScoredFrame& frame, co
 }
 
 ReportBars make_error_by_range_chart(const EvaluationResult& evaluation, const std::string& title) {
-    ReportBars bars{
-        title,
-        "Share of all rays that return in the real scan. Missed: the simulated ray does not return.",
-        {"below 5 cm", "5 to 20 cm", "20 cm to 1 m", "above 1 m", "missed"},
-        {}};
+    ReportBars bars{title,
+                    "Each row: rays that return in the real scan, by the range error of the simulated ray. "
+                    "Missed: the simulated ray does not return.",
+                    {"below 5 cm", "5 to 20 cm", "20 cm to 1 m", "above 1 m", "missed"},
+                    {}};
     constexpr auto& kEdges_m = RangeErrorCounts::kRangeEdges_m;
     for (std::size_t r = 0; r + 1 < kEdges_m.size(); ++r) {
         ReportBars::Row row{fmt::format("{} to {} m", kEdges_m[r], kEdges_m[r + 1]), 0.0,
@@ -64,23 +64,23 @@ std::vector<ReportKeyMetric> get_key_metrics() {
         {"strict/depth_rmse_m", "Range error with outliers, m",
          "root mean square error, dominated by missed edges; less is better"},
         {"moving_boxes/depth_medae_m", "Typical range error on moving objects, m",
-         "inside boxes of moving cars and people; less is better"},
+         "median of the absolute error inside labelled boxes of moving objects; less is better"},
         {"range_40_80_m/depth_medae_m", "Typical range error far away, m",
          "median error of ranges from 40 to 80 m; less is better"},
         {"strict/intensity_mae", "Intensity error",
          "mean over rays that return in both scans, for intensities from 0 to 1; less is better"},
         {"strict/drop_accuracy", "Rays that return or drop as in the real scan",
-         "share of all rays; 1 is best"},
+         "share of all rays for which this is true; 1 is best"},
         {"strict/drop_rmse", "Error of drop probabilities", "root mean square over all rays; less is better"},
         {"strict/drop_recall", "Dropped rays that were predicted",
-         "share of the rays that do not return in the real scan; 1 is best"},
+         "of the rays that drop in the real scan, the share that also drops in the simulation; 1 is best"},
         {"points/cd_mean_m", "Distance between the two point clouds, m",
          "mean distance to the nearest point of the other cloud, summed over both directions; less is "
          "better"},
-        {"points/f_22cm", "Points with a real point within 22 cm",
-         "F-score: also counts the real points with a simulated point within 22 cm; 1 is best"},
-        {"peer/depth_psnr_db", "Range image, PSNR as in publications, dB",
-         "peak signal to noise, dropped rays as 0 m; more is better"}};
+        {"points/f_22cm", "Points within 22 cm of the other point cloud",
+         "F-score: harmonic mean of the shares of simulated and of real points; 1 is best"},
+        {"peer/depth_psnr_db", "PSNR of the range image, dB",
+         "peak signal-to-noise ratio as in the tables of LiDAR-RT, dropped rays as 0 m; more is better"}};
 }
 
 std::string make_sentence_about_mean_quality(const MetricValues& mean_metrics) {

@@ -116,8 +116,8 @@ void add_evaluation_to_report(Report& report, const EvaluationResult& evaluation
     report.tables.push_back(
         {fmt::format("Moving objects, {}", labels.column),
          "Points of all frames in each moving box. The box with the highest share of errors above 0.3 m is "
-         "first. Bias: median of simulated minus real ranges. F1: score of the rays that return from the "
-         "box. Trail points: simulated points where the object is only at other times.",
+         "first. Bias: median of simulated minus real ranges. F1: agreement on which rays return from the "
+         "box, 1 is best. Trail points: points at places that the object occupies only at other times.",
          make_worst_actor_table_rows(evaluation)});
     for (ReportFigure& figure :
          make_comparison_figures(shown, name, labels.real, run.config.dataset.max_range_m))

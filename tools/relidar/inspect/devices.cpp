@@ -82,8 +82,8 @@ void add_list_devices_command(CLI::App& list_command, ParsedCommand& selected_co
     command->add_flag("--json", *json, "print JSON");
     command->footer(
         "The first column is the number for the option --device. \"traversal\" is the method to trace rays "
-        "that\nrelidar selects. \"software\" says whether relidar can search its own tree on the "
-        "device.\nExample: relidar list devices");
+        "that\nrelidar selects. \"software\" says whether relidar can trace rays on the device "
+        "without ray queries.\nExample: relidar list devices");
     command->callback([&selected_command, json] {
         selected_command.run = [json] {
             const std::vector<DeviceInfo> devices = list_devices();

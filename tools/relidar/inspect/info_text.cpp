@@ -331,8 +331,10 @@ std::string format_summary_as_text(const RunSummary& run) {
         fmt::format("{}, of which number 0 is the background and all others are actors", run.n_instances));
     if (run.n_drop_parameters > 0)
         text += format_name_value_line(
-            "ray drop", fmt::format("corrected by a network of {} parameters that reads {} images",
-                                    run.n_drop_parameters, run.drop_image));
+            "ray drop",
+            fmt::format(
+                "corrected by a network with {} parameters; the network reads range images of type {}",
+                run.n_drop_parameters, run.drop_image));
     for (const EditHistoryEntry& e : run.edits)
         text += format_name_value_line("  edit", fmt::format("{} (of run {})", e.edit, e.run));
     text += format_name_value_line("settings",

@@ -32,7 +32,8 @@ void add_topic_and_frame_id_options(CLI::App& command, RecordingNames& parsed_na
     command
         .add_option(
             "--frame-id", parsed_names.frame_id,
-            "frame id of the sensor in mcap and rosbag; may also contain {name} (default: lidar, or {name})")
+            "frame id of the sensor in mcap and rosbag; {name} stands for the sensor's name as in --topic "
+            "(default: lidar, or {name} if the sensor has a name)")
         ->type_name("NAME");
 }
 

@@ -46,7 +46,8 @@ void print_notes_on_sensor(const TrainedRun& run, const ScanRenderer& renderer,
 void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index) {
     const auto at = std::size_t(lidar_index);
     if (run.sequence.lidars[at].range_noise.sigma_m.empty())
-        print_note(fmt::format("{} has no range noise: --sample keeps ranges exact", run.folder.string()));
+        print_note(fmt::format("run {} has no model of the range noise, so --sample adds no noise to ranges",
+                               run.folder.string()));
     if (at < run.intensity_scatter.size() && !run.intensity_scatter[at].empty()) return;
     print_note(fmt::format("{} has no intensity noise: --sample keeps the most likely intensities",
                            run.folder.string()));
@@ -65,7 +66,7 @@ namespace {
 /// Prints a note if rays of the scans reach sides of actors that the log has never
 /// observed. Lists these sides, each with its numbers of scans and rays.
 /// @param sides_json_key key of the list of these sides in an entry of scans.json
-/// @param effect_text what happens to these rays, for example "pass through them"
+/// @param effect_text what happens to these rays, for example "pass through such a side"
 void print_unobserved_sides_note(const std::vector<nlohmann::json>& scans, const std::string& folder,
                                  const char* sides_json_key, const char* effect_text) {
     struct ScanRayCounts {
@@ -96,9 +97,9 @@ void print_note_on_unseen_space(const std::vector<std::string>& scan_json_entrie
     std::vector<nlohmann::json> scans;
     for (const std::string& entry : scan_json_entries) scans.push_back(nlohmann::json::parse(entry));
     print_unobserved_sides_note(scans, scan_folder, "unseen_sides",
-                                "pass through them, because these sides have no surfels");
+                                "pass through such a side, because it has no surfels");
     print_unobserved_sides_note(scans, scan_folder, "completed_sides",
-                                "return from mirror images of the other side");
+                                "hit surfels that were mirrored from the other side of the actor");
     std::size_t n_unseen = 0, n_scans_with_value = 0;
     double worst = 0.0;
     int worst_number = 0;
@@ -115,8 +116,8 @@ void print_note_on_unseen_space(const std::vector<std::string>& scan_json_entrie
     if (n_unseen == 0) return;
     print_note(fmt::format(
         "{}: in {} of {} scans, more than {:.0f} % of the rays cross space that the log has not "
-        "observed, so the surfaces there are guessed; scan {} has the largest share, {:.1f} %; see "
-        "\"unseen\" in scans.json for each scan, or use --channels seen for each ray",
+        "observed. The surfaces there are guessed. The share is largest in scan {} with {:.1f} %. "
+        "\"unseen\" in scans.json has the share of each scan; --channels seen shows it for each ray",
         scan_folder, n_unseen, n_scans_with_value, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
 }
 

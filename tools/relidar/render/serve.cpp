@@ -241,10 +241,9 @@ void add_serve_command(CLI::App& app, ParsedCommand& selected_command) {
                      "the default) or translation-first (R (p + t))")
         ->type_name("ORDER");
     add_channels_option(*command, options->server.channels);
-    add_weather_option(
-        *command, options->weather,
-        "scans whose request sets no weather; the seed is the request's sample_seed, or 0 if it "
-        "has none");
+    add_weather_option(*command, options->weather,
+                       "scans whose request sets no weather; the random seed of the weather is the request's "
+                       "sample_seed, or 0 if the request has no sample_seed");
     command
         ->add_option(
             "--queue", options->queue,

@@ -222,8 +222,8 @@ void align_held_out_and_learn_noise_or_throw(Device& device, TrainedRun& run, co
                                              StageTimes& stage_times) {
     if (align_held_out_scans_and_fit_intensity_noise(device, run, options.quiet, stage_times) ==
         TrainingEndReason::stopped)
-        throw make_error_with_resume_command("held-out scans were aligned and intensity scatter was learned",
-                                             run, options);
+        throw make_error_with_resume_command(
+            "held-out scans were being aligned or intensity noise was being learned", run, options);
 }
 
 /// Scores the held-out frames and writes the scores to metrics.json.
