@@ -74,8 +74,8 @@ CheckResult check_device_memory(CheckedDevice& tested_device) {
         return make_unsupported_check_result("the driver allows less than 256 MiB of device memory");
     for (std::size_t i = 0; i < pieces.size(); ++i)
         if (!is_buffer_filled_with(*pieces[i], static_cast<std::uint32_t>(i + 1)))
-            return make_failed_check_result(
-                fmt::format("buffer {} of {} contains other values than were written", i + 1, pieces.size()));
+            return make_failed_check_result(fmt::format(
+                "buffer {} of {} does not contain the values that were written to it", i + 1, pieces.size()));
     return {CheckResult::CheckOutcome::right,
             fmt::format("{} of memory tested, of {} that the driver allows to use",
                         format_byte_size(pieces.size() * kPiece),

@@ -123,7 +123,8 @@ CheckResult check_bvh_ray_hits(CheckedDevice& tested_device, RayTracingBackend b
               n_refitted = count_wrongly_traced_rays(tested_device.get_or_open_device_with_backend(backend),
                                                      AccelTreeState::refitted);
     if (n_built + n_refitted == 0)
-        return {CheckResult::CheckOutcome::right, "all rays hit the same surfels as on the host"};
+        return {CheckResult::CheckOutcome::right,
+                "all rays hit the same surfels as in a search of all surfels"};
     return make_failed_check_result(
         fmt::format("rays with other hits than in a search of all surfels: {} of 256 after the acceleration "
                     "tree was built, {} of 256 after the tree was refitted",

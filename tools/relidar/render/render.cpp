@@ -468,10 +468,9 @@ void add_output_file_options(CLI::App& command, RenderOptions& options) {
                     "dataset's (default: sensor)")
         ->type_name("WHAT");
     add_channels_option(command, options.channels);
-    command.add_flag(
-        "--boxes", options.boxes,
-        "add the boxes of actors to scans.json, with class, points and visible share (see below), "
-        "even if other objects hide the actor; traces the rays near each actor a second time");
+    command.add_flag("--boxes", options.boxes,
+                     "add the boxes of actors to scans.json, with class, points and visible share (see "
+                     "below), also of hidden actors; traces the rays near each actor a second time");
     command.add_flag("--deskew", options.deskew,
                      "transform all points of a scan to the sensor frame at the time of the scan (in mcap "
                      "and rosbag: of its stamp), as in a motion-compensated log");
@@ -529,9 +528,8 @@ void add_render_command(CLI::App& app, ParsedCommand& selected_command) {
                                          : std::string();
         })
         ->type_name("SEED");
-    add_weather_option(
-        *command, options->weather,
-        "all scans; the random seed of the weather is the value of --sample, or 0 without --sample");
+    add_weather_option(*command, options->weather,
+                       "all scans; the random seed is the value of --sample, or 0 without it");
     add_output_file_options(*command, *options);
     add_setting_override_option(*command, options->sets);
     add_device_options(*command, options->device);

@@ -49,8 +49,9 @@ void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index)
         print_note(fmt::format("run {} has no model of the range noise, so --sample adds no noise to ranges",
                                run.folder.string()));
     if (at < run.intensity_scatter.size() && !run.intensity_scatter[at].empty()) return;
-    print_note(fmt::format("{} has no intensity noise: --sample keeps the most likely intensities",
-                           run.folder.string()));
+    print_note(
+        fmt::format("run {} has no model of the intensity noise, so --sample adds no noise to intensities",
+                    run.folder.string()));
 }
 
 void print_assumed_sensor_properties(const Weather& weather) {
