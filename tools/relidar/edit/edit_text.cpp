@@ -372,8 +372,13 @@ EditResult apply_openscenario_edit(SceneWithLog driving_scene, const EditArgumen
     std::map<std::string, std::string> roles;
     if (at != std::string::npos)
         roles = parse_entity_actor_pairs(edit, split_text_at_required_separator(edit, edit.value, at).second);
+    const std::vector<ScenarioEntity> entities = read_openscenario_entities(file);
+    for (const auto& [name, actor] : roles)
+        if (std::ranges::find(entities, name, &ScenarioEntity::name) == entities.end())
+            throw_edit_error(
+                edit, fmt::format("only entities that the file contains; the file has no entity {}", name));
     EditResult applied{std::move(driving_scene), "", ""};
-    for (const ScenarioEntity& entity : read_openscenario_entities(file)) {
+    for (const ScenarioEntity& entity : entities) {
         const auto role = roles.extract(entity.name);
         const bool follows = !entity.world_from_reference.pose.empty();
         std::string what;
@@ -396,9 +401,6 @@ EditResult apply_openscenario_edit(SceneWithLog driving_scene, const EditArgumen
                                           follows ? fmt::format("--scenario contains {}=-", entity.name)
                                                   : "it has no trajectory"));
     }
-    if (!roles.empty())
-        throw_edit_error(edit, fmt::format("only entities that the file contains; the file has no entity {}",
-                                           roles.begin()->first));
     if (applied.said.empty())
         throw_edit_error(edit, "a scenario with at least one entity that follows a trajectory");
     return applied;

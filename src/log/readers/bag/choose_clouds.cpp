@@ -21,12 +21,19 @@ namespace {
 constexpr double kLeastRate = 0.5, kMostRate = 2.0;
 // Maximum numbers of topics and of reasons in an error message.
 constexpr std::size_t kMostTopics = 10, kMostReasons = 3;
+// Maximum number of characters of a list of topics or reasons, if it has several entries.
+constexpr std::size_t kMostCharacters = 400;
 
 /// Limits the length of a list of texts. The last text then says how many are missing.
 void shorten_list(std::vector<std::string>& texts, std::size_t max_count) {
-    if (texts.size() <= max_count) return;
-    const std::size_t n_more = texts.size() - max_count;
-    texts.resize(max_count);
+    std::size_t n_texts = 0;
+    for (std::size_t length = 0; n_texts < std::min(texts.size(), max_count); ++n_texts) {
+        length += texts[n_texts].size();
+        if (n_texts > 0 && length > kMostCharacters) break;
+    }
+    if (n_texts == texts.size()) return;
+    const std::size_t n_more = texts.size() - n_texts;
+    texts.resize(n_texts);
     texts.push_back(fmt::format("and {} more", n_more));
 }
 
