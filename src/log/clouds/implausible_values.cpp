@@ -21,7 +21,8 @@ constexpr double kLeastReturns = 0.5;
 // If the largest intensity of a log is smaller, the scale of the intensities is probably
 // wrong. The limit is above 1/255, the result of dividing values of 0 to 1 by 255.
 constexpr float kDarkest = 0.005f;
-// If a larger share of the returns has the maximum intensity, the scale is probably wrong.
+// If a larger share of the returns has the maximum intensity, the scale is probably
+// wrong.
 constexpr double kMostSaturated = 0.25;
 
 int find_frame_number_at(const LidarSequence& sequence, double time_s) {
