@@ -10,27 +10,28 @@ layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer Fix
 const float kFixedSteps = 1048576.0, kFixedWord = 4294967296.0;
 
 /// Returns -value for a 64-bit number of two words (two's complement).
-uvec2 negate(uvec2 value) { return uvec2(~value.x + 1u, ~value.y + uint(value.x == 0u)); }
+uvec2 negate_64_bit(uvec2 words) { return uvec2(~words.x + 1u, ~words.y + uint(words.x == 0u)); }
 
 /// Adds `value` to a sum. The sum is a fixed-point number of two words in `sums`, the low
 /// word first. `value` must be finite, with an absolute value below 1e12.
-void add_fixed(Uints sums, uint entry, float value) {
+void atomic_add_fixed_point(Uints sums, uint sum_index, float value) {
     // Converts |value| to a fixed-point number with a low and a high word. This is exact,
     // because a float has only 24 significant bits.
     float steps = trunc(abs(value) * kFixedSteps), high = floor(steps / kFixedWord);
     uvec2 amount = uvec2(uint(steps - high * kFixedWord), uint(high));
-    if (value < 0.0) amount = negate(amount);
+    if (value < 0.0) amount = negate_64_bit(amount);
     FixedWords words = FixedWords(uvec2(sums));
-    uint before = atomicAdd(words.at[2u * entry], amount.x);
-    atomicAdd(words.at[2u * entry + 1u], amount.y + uint(before + amount.x < before));
+    uint before = atomicAdd(words.at[2u * sum_index], amount.x);
+    atomicAdd(words.at[2u * sum_index + 1u], amount.y + uint(before + amount.x < before));
 }
 
-float read_fixed(Uints sums, uint entry) {
-    uvec2 sum = uvec2(sums.at[2u * entry], sums.at[2u * entry + 1u]);
+/// Returns a sum of atomic_add_fixed_point() as a float.
+float read_fixed_point_sum(Uints sums, uint sum_index) {
+    uvec2 sum = uvec2(sums.at[2u * sum_index], sums.at[2u * sum_index + 1u]);
     bool negative = (sum.y & 0x80000000u) != 0u;
     // In two's complement, the words of a small negative number are large. Their
     // conversion to float would lose digits. Therefore the absolute value is converted.
-    if (negative) sum = negate(sum);
+    if (negative) sum = negate_64_bit(sum);
     float steps = float(sum.y) * kFixedWord + float(sum.x);
     return (negative ? -steps : steps) / kFixedSteps;
 }

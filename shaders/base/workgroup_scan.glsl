@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prefix sums over a workgroup of at most 64 subgroups. get_scan_thread() numbers the
-// threads subgroup by subgroup, so that the sums are the same in every run. A shader must
-// assign its elements to threads by this number.
+// Prefix sums over a workgroup of at most 64 subgroups. A shader must assign its elements
+// to threads by get_subgroup_ordered_thread_index().
 #ifndef RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #define RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #extension GL_KHR_shader_subgroup_basic : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
 shared uvec2 scan_sums[64];
 
-uint get_scan_thread() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
+/// Returns the index of this thread in the workgroup, numbered subgroup by subgroup, so
+/// that prefix sums are the same in every run.
+uint get_subgroup_ordered_thread_index() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
 /// Returns the sum over all subgroups before this subgroup. Every thread of the workgroup
 /// must call this function.

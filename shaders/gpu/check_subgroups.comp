@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes the results of subgroup operations, so that the host can check them. The value
-// of a thread depends only on its number from get_scan_thread(), so the host knows every
-// correct result. Output: results.
+// of a thread depends only on get_subgroup_ordered_thread_index(), so the host knows all
+// correct results. Output: results.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -13,9 +13,9 @@
 RELIDAR_PARAMS(CheckSubgroupsParams);
 
 void main() {
-    uint lane = gl_SubgroupInvocationID, thread = get_scan_thread();
+    uint lane = gl_SubgroupInvocationID, thread = get_subgroup_ordered_thread_index();
     uint global = get_workgroup_index() * gl_WorkGroupSize.x + thread;
-    uint x = check_value(global);
+    uint x = compute_thread_test_value(global);
     bool odd = (x & 1u) != 0u;
     uint first = global * RELIDAR_CHECK_RESULTS;
     uint sum = subgroupAdd(params.fault != 0u && lane == 0u ? 0u : x);

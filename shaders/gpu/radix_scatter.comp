@@ -33,9 +33,12 @@ shared uint digit_start[RELIDAR_SORT_DIGITS];
 uint rank[ROUNDS];  // Ranks of this lane's keys. The lane ranks one key per round.
 
 /// Returns the number of subgroups that share one row of `counters`.
-uint count_sharing_subgroups() { return (gl_NumSubgroups + ROWS - 1u) / ROWS; }
+uint count_subgroups_per_counter_row() { return (gl_NumSubgroups + ROWS - 1u) / ROWS; }
 
-uint extract_half_word(uint word, uint digit) { return (word >> (16u * (digit & 1u))) & 0xffffu; }
+/// Returns the count of a digit value from a word with two counts.
+uint extract_count_of_digit(uint packed_counts, uint digit) {
+    return (packed_counts >> (16u * (digit & 1u))) & 0xffffu;
+}
 
 /// Returns a bit mask of the lanes whose keys have the same digit as the key of this
 /// lane. Lanes without a key form a separate group.
@@ -54,23 +57,23 @@ uvec2 find_lanes_with_same_digit(bool valid, uint digit) {
 /// number of earlier keys with the same digit in the same row of counters. Also counts
 /// the keys. Every subgroup must call this function, because a subgroup barrier waits for
 /// all subgroups on lavapipe.
-/// @param run first key of this lane
-/// @param count total number of keys
-/// @param row row of counters
-/// @param in_turn true if this subgroup ranks its keys in this call
-void compute_key_ranks(uint run, uint count, uint row, bool in_turn) {
+/// @param first_key first key of this lane
+/// @param key_count total number of keys
+/// @param counter_row row of counters
+/// @param ranks_now true if this subgroup ranks its keys in this call
+void compute_key_ranks_in_subgroup(uint first_key, uint key_count, uint counter_row, bool ranks_now) {
     for (uint r = 0u; r < ROUNDS; ++r) {
-        uint i = run + r * gl_SubgroupSize;
-        bool valid = in_turn && i < count;
-        uint digit = valid ? get_digit(i) : 0u;
+        uint i = first_key + r * gl_SubgroupSize;
+        bool valid = ranks_now && i < key_count;
+        uint digit = valid ? get_radix_digit_of_key(i) : 0u;
         uvec2 peers = find_lanes_with_same_digit(valid, digit), before = peers & gl_SubgroupLtMask.xy;
         uint smaller = bitCount(before.x) + bitCount(before.y);
-        if (in_turn) rank[r] = extract_half_word(counters[row + digit / 2u], digit) + smaller;
+        if (ranks_now) rank[r] = extract_count_of_digit(counters[counter_row + digit / 2u], digit) + smaller;
         subgroupMemoryBarrierShared();
         subgroupBarrier();
         if (valid && smaller == 0u)
-            atomicAdd(counters[row + digit / 2u], (bitCount(peers.x) + bitCount(peers.y))
-                                                      << (16u * (digit & 1u)));
+            atomicAdd(counters[counter_row + digit / 2u], (bitCount(peers.x) + bitCount(peers.y))
+                                                              << (16u * (digit & 1u)));
         subgroupMemoryBarrierShared();
         subgroupBarrier();
     }
@@ -78,9 +81,9 @@ void compute_key_ranks(uint run, uint count, uint row, bool in_turn) {
 
 /// Replaces the counts in each row of `counters` by the sums of all earlier rows.
 void sum_counters(uint n_rows) {
-    if (get_scan_thread() >= WORDS) return;
+    if (get_subgroup_ordered_thread_index() >= WORDS) return;
     uint sum = 0u;
-    for (uint at = get_scan_thread(); at < n_rows * WORDS; at += WORDS) {
+    for (uint at = get_subgroup_ordered_thread_index(); at < n_rows * WORDS; at += WORDS) {
         uint word = counters[at];
         counters[at] = sum;
         sum += word;
@@ -88,9 +91,9 @@ void sum_counters(uint n_rows) {
 }
 
 void main() {
-    uint tile = get_workgroup_index(), thread = get_scan_thread(), n = n_keys();
+    uint tile = get_workgroup_index(), thread = get_subgroup_ordered_thread_index(), n = n_keys();
     if (tile >= n_tiles()) return;
-    uint sharing = count_sharing_subgroups(), n_rows = gl_NumSubgroups / sharing,
+    uint sharing = count_subgroups_per_counter_row(), n_rows = gl_NumSubgroups / sharing,
          row = gl_SubgroupID / sharing * WORDS;
     uint run = tile * RELIDAR_TILE_SIZE + gl_SubgroupID * gl_SubgroupSize * ROUNDS + gl_SubgroupInvocationID;
     uvec2 unused;
@@ -99,7 +102,7 @@ void main() {
     for (uint i = thread; i < n_rows * WORDS; i += RELIDAR_TILE_THREADS) counters[i] = 0u;
     barrier();
     for (uint turn = 0u; turn < sharing; ++turn) {
-        compute_key_ranks(run, n, row, gl_SubgroupID % sharing == turn);
+        compute_key_ranks_in_subgroup(run, n, row, gl_SubgroupID % sharing == turn);
         barrier();
     }
     sum_counters(n_rows);
@@ -107,8 +110,8 @@ void main() {
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = run + r * gl_SubgroupSize;
         if (i >= n) continue;
-        uint digit = get_digit(i);
-        uint to = digit_start[digit] + extract_half_word(counters[row + digit / 2u], digit) + rank[r];
+        uint digit = get_radix_digit_of_key(i);
+        uint to = digit_start[digit] + extract_count_of_digit(counters[row + digit / 2u], digit) + rank[r];
         for (uint word = 0u; word < KEY_WORDS; ++word)
             params.sorted_keys.at[to * KEY_WORDS + word] = params.keys.at[i * KEY_WORDS + word];
         params.sorted_order.at[to] = !is_null(params.order) ? params.order.at[i] : i;

@@ -13,10 +13,10 @@ void main() {
     uint tile = get_workgroup_index(), first = tile * RELIDAR_TILE_SIZE;
     if (first >= params.n) return;
     uint sum = 0u;
-    for (uint i = first + get_scan_thread(); i < min(first + RELIDAR_TILE_SIZE, params.n);
+    for (uint i = first + get_subgroup_ordered_thread_index(); i < min(first + RELIDAR_TILE_SIZE, params.n);
          i += RELIDAR_TILE_THREADS)
         sum += params.counts.at[params.offset + i * params.stride];
     uvec2 total;
     compute_exclusive_sum(uvec2(sum, 0u), total);
-    if (get_scan_thread() == 0u) params.tile_sums.at[tile] = total.x;
+    if (get_subgroup_ordered_thread_index() == 0u) params.tile_sums.at[tile] = total.x;
 }

@@ -31,5 +31,6 @@ void main() {
         if (i < params.n) params.prefix.at[i] = run_start + before[r];
     }
     bool last = params.n - tile * RELIDAR_TILE_SIZE <= RELIDAR_TILE_SIZE;
-    if (last && get_scan_thread() == 0u && !is_null(params.total)) params.total.at[0] = start + in_tile.x;
+    if (last && get_subgroup_ordered_thread_index() == 0u && !is_null(params.total))
+        params.total.at[0] = start + in_tile.x;
 }

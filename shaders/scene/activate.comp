@@ -25,21 +25,21 @@ RELIDAR_PARAMS(ActivateParams);
 /// Every thread of the workgroup must call this function.
 /// @return false if an active coefficient is NaN or infinite. The values may hide a NaN,
 /// because max(NaN, 0) is 0
-bool compute_channels(uint surfel, bool is_surfel, vec3 direction, out vec3 values) {
+bool evaluate_channels_and_check_finite(uint surfel, bool has_surfel, vec3 direction, out vec3 channels) {
     float basis[16];
     evaluate_sh_basis(direction, params.sh_degree, basis);
     uint n = count_sh_coefficients(params.sh_degree);
     float size = 0.0;
-    set_sh_transfers(is_surfel, false);
+    set_sh_memory_access(has_surfel, false);
     for (uint c = 0u; c < 3u; ++c) {
-        load_channel(params.surfels.sh, surfel, c, n);
+        load_sh_channel(params.surfels.sh, surfel, c, n);
         float value = 0.5;
         for (uint k = 0u; k < n; ++k) {
             float x = load_coefficient(params.surfels.sh, surfel, c, k);
             value += basis[k] * x;
             size += abs(x);
         }
-        values[c] = value;
+        channels[c] = value;
     }
     return !isnan(size) && !isinf(size);
 }
@@ -48,19 +48,19 @@ bool is_finite_vector(vec3 vector) { return !any(isnan(vector)) && !any(isinf(ve
 
 void main() {
     uint i = get_thread_index();
-    bool is_surfel = i < params.n_surfels;
+    bool has_surfel = i < params.n_surfels;
     // If STAGED is set, threads without a surfel continue, because they help to load
     // coefficients into shared memory.
-    if (!STAGED && !is_surfel) return;
-    uint surfel = is_surfel ? i : 0u;
+    if (!STAGED && !has_surfel) return;
+    uint surfel = has_surfel ? i : 0u;
     Floats mean = params.surfels.mean, rotation = params.surfels.rotation,
            log_scale = params.surfels.log_scale;
     uint model = find_model(params.models, params.n_models, surfel);
-    Gait gait = evaluate_gait(params.surfels.gait, surfel,
-                              is_null(params.surfels.gait) ? -1.0 : params.phases.at[model]);
+    PeriodicMotion motion = evaluate_periodic_motion(
+        params.surfels.gait, surfel, is_null(params.surfels.gait) ? -1.0 : params.phases.at[model]);
     SurfelRecord s;
-    s.mean =
-        vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]) + gait.sine * gait.swing;
+    s.mean = vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]) +
+             motion.sine * motion.swing;
     vec4 q = vec4(rotation.at[4 * surfel], rotation.at[4 * surfel + 1], rotation.at[4 * surfel + 2],
                   rotation.at[4 * surfel + 3]);
     // Rejects quaternions whose squared length is outside 1e-30 ... 1e30. Their rotation
@@ -72,14 +72,14 @@ void main() {
     s.normal = r[2];
     // For a 3D Gaussian, `normal` is its third axis divided by the standard deviation.
     if (!is_null(params.surfels.log_scale_w)) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);
-    s.opacity = gait.presence / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
-    vec3 values;
-    bool finite_sh =
-        compute_channels(i, is_surfel, normalize(s.mean - params.view_origins.at[model]), values);
+    s.opacity = motion.presence / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
+    vec3 channels;
+    bool finite_sh = evaluate_channels_and_check_finite(
+        i, has_surfel, normalize(s.mean - params.view_origins.at[model]), channels);
     bool evaluate = params.sh_per_surfel != 0u;
-    s.intensity = evaluate ? max(values.x, 0.0) : 0.0;
-    s.hit_logit = evaluate ? values.y : 0.0;
-    s.drop_logit = evaluate ? values.z : 0.0;
+    s.intensity = evaluate ? max(channels.x, 0.0) : 0.0;
+    s.hit_logit = evaluate ? channels.y : 0.0;
+    s.drop_logit = evaluate ? channels.z : 0.0;
     // A surfel is invisible if a scale is outside 1e-6 m ... 1e6 m.
     vec3 inverse_scale = vec3(length(s.axis_u), length(s.axis_v), length(s.normal));
     bool finite = q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(inverse_scale, vec3(1e-6))) &&
@@ -91,5 +91,5 @@ void main() {
         s = SurfelRecord(placed ? s.mean : vec3(0.0), 0.0, vec3(1.0, 0.0, 0.0), 0.0, vec3(0.0, 1.0, 0.0), 0.0,
                          vec3(0.0, 0.0, 1.0), 0.0);
     }
-    if (is_surfel) params.records.at[surfel] = s;
+    if (has_surfel) params.records.at[surfel] = s;
 }

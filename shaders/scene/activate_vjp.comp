@@ -21,17 +21,18 @@
 RELIDAR_PARAMS(ActivateVjpParams);
 
 /// Computes the gradient of a surfel's spherical-harmonic coefficients. It is zero if
-/// `any_gradient` is false. Every thread of the workgroup must call this function.
+/// `has_gradient` is false. Every thread of the workgroup must call this function.
 /// @return dL/d(direction)
-vec3 backpropagate_channels(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel) {
+vec3 backpropagate_channels_to_sh_and_direction(uint surfel, bool has_gradient, vec3 direction,
+                                                vec3 d_channels) {
     float basis[16], d_basis[16];
     uint n = count_sh_coefficients(params.sh_degree);
     evaluate_sh_basis(direction, params.sh_degree, basis);
     for (uint k = 0u; k < 16u; ++k) d_basis[k] = 0.0;
     Floats sh = params.surfels.sh, d_sh = params.d_surfels.sh;
     for (uint c = 0u; c < 3u; ++c) {
-        load_channel(sh, surfel, c, n);
-        float d = d_channel[c];
+        load_sh_channel(sh, surfel, c, n);
+        float d = d_channels[c];
         if (c == 0u) {
             float intensity = 0.5;
             for (uint k = 0u; k < n; ++k) intensity += basis[k] * load_coefficient(sh, surfel, c, k);
@@ -40,9 +41,9 @@ vec3 backpropagate_channels(uint surfel, bool any_gradient, vec3 direction, vec3
         }
         for (uint k = 0u; k < n; ++k) {
             d_basis[k] += d * load_coefficient(sh, surfel, c, k);
-            set_coefficient(d_sh, surfel, c, k, any_gradient ? d * basis[k] : 0.0);
+            set_coefficient(d_sh, surfel, c, k, has_gradient ? d * basis[k] : 0.0);
         }
-        store_channel(d_sh, surfel, c, n);
+        store_sh_channel(d_sh, surfel, c, n);
     }
     return backpropagate_sh_basis(direction, params.sh_degree, d_basis);
 }
@@ -57,27 +58,27 @@ void store_view_gradient(uint surfel, vec3 gradient) {
 /// Loads the gradient of the 16 floats of a surfel's record (SurfelRecord), summed over
 /// all instances of its model.
 /// @return true if any component is not zero
-bool load_record_gradient(uint surfel, ModelEntry model, out float row[16]) {
-    for (uint k = 0u; k < 16u; ++k) row[k] = params.d_records.at[16u * surfel + k];
+bool load_record_gradient_and_check_nonzero(uint surfel, ModelEntry model, out float d_record[16]) {
+    for (uint k = 0u; k < 16u; ++k) d_record[k] = params.d_records.at[16u * surfel + k];
     for (uint p = 0u; p < model.n_more; ++p) {
         uint first = 16u * (params.more_rows.at[model.first_more + p] + surfel - model.first_surfel);
-        for (uint k = 0u; k < 16u; ++k) row[k] += params.d_records.at[first + k];
+        for (uint k = 0u; k < 16u; ++k) d_record[k] += params.d_records.at[first + k];
     }
-    bool any_gradient = false;
-    for (uint k = 0u; k < 16u; ++k) any_gradient = any_gradient || row[k] != 0.0;
-    return any_gradient;
+    bool has_gradient = false;
+    for (uint k = 0u; k < 16u; ++k) has_gradient = has_gradient || d_record[k] != 0.0;
+    return has_gradient;
 }
 
-bool has_third_scale() { return !is_null(params.surfels.log_scale_w); }
-bool has_gait() { return !is_null(params.surfels.gait); }
+bool has_third_axis_scale() { return !is_null(params.surfels.log_scale_w); }
+bool has_periodic_motion() { return !is_null(params.surfels.gait); }
 
-void store_zero(uint surfel) {
+void store_zero_gradients_of_surfel(uint surfel) {
     for (uint k = 0u; k < 3u; ++k) params.d_surfels.mean.at[3 * surfel + k] = 0.0;
     for (uint k = 0u; k < 4u; ++k) params.d_surfels.rotation.at[4 * surfel + k] = 0.0;
     for (uint k = 0u; k < 2u; ++k) params.d_surfels.log_scale.at[2 * surfel + k] = 0.0;
-    if (has_third_scale()) params.d_surfels.log_scale_w.at[surfel] = 0.0;
+    if (has_third_axis_scale()) params.d_surfels.log_scale_w.at[surfel] = 0.0;
     params.d_surfels.opacity_logit.at[surfel] = 0.0;
-    if (has_gait())
+    if (has_periodic_motion())
         for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = 0.0;
     if (STAGED || params.sh_per_surfel == 0u) return;
     for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k)
@@ -86,19 +87,19 @@ void store_zero(uint surfel) {
 
 /// Writes the gradients of all parameters of a surfel except its spherical-harmonic
 /// coefficients.
-/// @param d_mean gradient of the centre. Used instead of row[0..2], because it also
+/// @param d_mean gradient of the centre. Used instead of d_record[0..2], because it also
 /// includes the effect of the viewing direction
-/// @param row input: gradient of the 16 floats of the surfel's record (SurfelRecord)
-void write_geometry_gradients(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
-    vec3 d_axis_u = vec3(row[4], row[5], row[6]);
-    vec3 d_axis_v = vec3(row[8], row[9], row[10]);
-    vec3 d_normal = vec3(row[12], row[13], row[14]);
+/// @param d_record input: gradient of the 16 floats of the surfel's record (SurfelRecord)
+void write_surfel_gradients_except_sh(uint surfel, PeriodicMotion motion, vec3 d_mean, float d_record[16]) {
+    vec3 d_axis_u = vec3(d_record[4], d_record[5], d_record[6]);
+    vec3 d_axis_v = vec3(d_record[8], d_record[9], d_record[10]);
+    vec3 d_normal = vec3(d_record[12], d_record[13], d_record[14]);
     vec4 q = vec4(params.surfels.rotation.at[4 * surfel], params.surfels.rotation.at[4 * surfel + 1],
                   params.surfels.rotation.at[4 * surfel + 2], params.surfels.rotation.at[4 * surfel + 3]);
     mat3 r = make_rotation_matrix(q);
     vec3 inverse_scale =
         exp(-vec3(params.surfels.log_scale.at[2 * surfel], params.surfels.log_scale.at[2 * surfel + 1],
-                  has_third_scale() ? params.surfels.log_scale_w.at[surfel] : 0.0));
+                  has_third_axis_scale() ? params.surfels.log_scale_w.at[surfel] : 0.0));
     vec4 d_q = backpropagate_rotation_matrix(
         q, mat3(d_axis_u * inverse_scale.x, d_axis_v * inverse_scale.y, d_normal * inverse_scale.z));
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
@@ -107,41 +108,45 @@ void write_geometry_gradients(uint surfel, Gait gait, vec3 d_mean, float row[16]
     // from axis_u = a_u exp(-log_scale)
     params.d_surfels.log_scale.at[2 * surfel] = -dot(d_axis_u, r[0]) * inverse_scale.x;
     params.d_surfels.log_scale.at[2 * surfel + 1] = -dot(d_axis_v, r[1]) * inverse_scale.y;
-    if (has_third_scale()) params.d_surfels.log_scale_w.at[surfel] = -dot(d_normal, r[2]) * inverse_scale.z;
-    params.d_surfels.opacity_logit.at[surfel] = row[3] * gait.presence * opacity * (1.0 - opacity);
-    if (!has_gait()) return;
-    float d_gait[5];
-    backpropagate_gait(gait, d_mean, row[3] * opacity, d_gait);
-    for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = d_gait[k];
+    if (has_third_axis_scale())
+        params.d_surfels.log_scale_w.at[surfel] = -dot(d_normal, r[2]) * inverse_scale.z;
+    params.d_surfels.opacity_logit.at[surfel] = d_record[3] * motion.presence * opacity * (1.0 - opacity);
+    if (!has_periodic_motion()) return;
+    float d_parameters[5];
+    backpropagate_periodic_motion(motion, d_mean, d_record[3] * opacity, d_parameters);
+    for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = d_parameters[k];
 }
 
 /// Converts the gradient of a surfel's record, which tracing kernels read, to gradients
 /// of its parameters, which the optimizer changes. If STAGED is set, threads share data,
 /// so that all threads of the workgroup must call this function.
-void apply_chain_rule(uint surfel, bool is_surfel) {
+void backpropagate_surfel_record(uint surfel, bool has_surfel) {
     uint model = find_model(params.models, params.n_models, surfel);
-    float row[16];
-    bool any_gradient = is_surfel && load_record_gradient(surfel, params.models.at[model], row);
-    if (is_surfel) params.touched.at[surfel] = any_gradient ? 1u : 0u;
+    float d_record[16];
+    bool has_gradient =
+        has_surfel && load_record_gradient_and_check_nonzero(surfel, params.models.at[model], d_record);
+    if (has_surfel) params.touched.at[surfel] = has_gradient ? 1u : 0u;
 
-    Gait gait = evaluate_gait(params.surfels.gait, is_surfel ? surfel : 0u,
-                              has_gait() ? params.phases.at[model] : -1.0);
+    PeriodicMotion motion = evaluate_periodic_motion(params.surfels.gait, has_surfel ? surfel : 0u,
+                                                     has_periodic_motion() ? params.phases.at[model] : -1.0);
     vec3 d_to_mean = vec3(0.0);
-    if (params.sh_per_surfel != 0u && (STAGED || any_gradient)) {
-        vec3 mean = load_vec3(params.surfels.mean, 3 * (is_surfel ? surfel : 0u)) + gait.sine * gait.swing;
-        vec3 to_mean = any_gradient ? mean - params.view_origins.at[model] : vec3(1.0);
+    if (params.sh_per_surfel != 0u && (STAGED || has_gradient)) {
+        vec3 mean =
+            load_vec3(params.surfels.mean, 3 * (has_surfel ? surfel : 0u)) + motion.sine * motion.swing;
+        vec3 to_mean = has_gradient ? mean - params.view_origins.at[model] : vec3(1.0);
         float inverse_length = inversesqrt(dot(to_mean, to_mean));
         vec3 direction = to_mean * inverse_length;
-        set_sh_transfers(any_gradient, is_surfel && (any_gradient || params.zero_untouched != 0u));
-        vec3 d_direction =
-            backpropagate_channels(surfel, any_gradient, direction, vec3(row[7], row[11], row[15]));
+        set_sh_memory_access(has_gradient, has_surfel && (has_gradient || params.zero_untouched != 0u));
+        vec3 d_direction = backpropagate_channels_to_sh_and_direction(
+            surfel, has_gradient, direction, vec3(d_record[7], d_record[11], d_record[15]));
         d_to_mean = (d_direction - direction * dot(direction, d_direction)) * inverse_length;
     }
-    if (any_gradient) {
-        write_geometry_gradients(surfel, gait, vec3(row[0], row[1], row[2]) + d_to_mean, row);
+    if (has_gradient) {
+        write_surfel_gradients_except_sh(surfel, motion,
+                                         vec3(d_record[0], d_record[1], d_record[2]) + d_to_mean, d_record);
         store_view_gradient(surfel, -d_to_mean);
-    } else if (is_surfel) {
-        if (params.zero_untouched != 0u) store_zero(surfel);
+    } else if (has_surfel) {
+        if (params.zero_untouched != 0u) store_zero_gradients_of_surfel(surfel);
         store_view_gradient(surfel, vec3(0.0));
     }
 }
@@ -149,12 +154,12 @@ void apply_chain_rule(uint surfel, bool is_surfel) {
 void main() {
     uint i = get_thread_index(), n = is_null(params.rows) ? params.n_surfels : params.n_listed.at[0];
     if (STAGED) {
-        apply_chain_rule(i, i < n);  // threads without a surfel copy data of other threads
+        backpropagate_surfel_record(i, i < n);  // threads without a surfel copy data of other threads
         return;
     }
     if (i >= n) return;
     do {
-        apply_chain_rule(is_null(params.rows) ? i : params.rows.at[i], true);
+        backpropagate_surfel_record(is_null(params.rows) ? i : params.rows.at[i], true);
         i += get_thread_count();
     } while (i < n);
 }

@@ -21,23 +21,25 @@ shared bool staged_loads[gl_WorkGroupSize.x], staged_stores[gl_WorkGroupSize.x];
 
 /// Sets whether the spherical-harmonic coefficients of this thread's surfel are loaded
 /// and stored. All threads of the workgroup copy coefficients together. Therefore even a
-/// thread that sets false must call this function, load_channel() and store_channel().
-void set_sh_transfers(bool loads, bool stores) {
+/// thread that sets false must call this function, load_sh_channel() and
+/// store_sh_channel().
+void set_sh_memory_access(bool loads_coefficients, bool stores_coefficients) {
     if (!STAGED) return;
-    staged_loads[gl_LocalInvocationIndex] = loads;
-    staged_stores[gl_LocalInvocationIndex] = stores;
+    staged_loads[gl_LocalInvocationIndex] = loads_coefficients;
+    staged_stores[gl_LocalInvocationIndex] = stores_coefficients;
 }
 
-/// Loads the first `count` coefficients of a channel of a surfel.
-void load_channel(Floats sh, uint surfel, uint channel, uint count) {
+/// Loads the first `n_coefficients` coefficients of a channel of a surfel.
+void load_sh_channel(Floats sh, uint surfel, uint channel, uint n_coefficients) {
     if (!STAGED) return;
     barrier();  // Waits until all threads have stored the previous channel.
     uint first = surfel - gl_LocalInvocationIndex, k = gl_LocalInvocationIndex % 16u;
     float moved[16];  // Starts all loads before the first value is used, so that the loads overlap.
     [[unroll]] for (uint m = 0u; m < 16u; ++m) {
         uint s = (m * gl_WorkGroupSize.x + gl_LocalInvocationIndex) / 16u;
-        moved[m] =
-            k < count && staged_loads[s] ? sh.at[(first + s) * RELIDAR_SH_FLOATS + channel * 16u + k] : 0.0;
+        moved[m] = k < n_coefficients && staged_loads[s]
+                       ? sh.at[(first + s) * RELIDAR_SH_FLOATS + channel * 16u + k]
+                       : 0.0;
     }
     [[unroll]] for (uint m = 0u; m < 16u; ++m)
         staged_channel[(m * gl_WorkGroupSize.x + gl_LocalInvocationIndex) / 16u * kChannelPitch + k] =
@@ -46,19 +48,20 @@ void load_channel(Floats sh, uint surfel, uint channel, uint count) {
 }
 
 /// Stores the coefficients that set_coefficient() has written.
-void store_channel(Floats sh, uint surfel, uint channel, uint count) {
+void store_sh_channel(Floats sh, uint surfel, uint channel, uint n_coefficients) {
     if (!STAGED) return;
     barrier();
     uint first = surfel - gl_LocalInvocationIndex;
     for (uint e = gl_LocalInvocationIndex; e < 16u * gl_WorkGroupSize.x; e += gl_WorkGroupSize.x) {
         uint s = e / 16u, k = e % 16u;
-        if (k < count && staged_stores[s])
+        if (k < n_coefficients && staged_stores[s])
             sh.at[(first + s) * RELIDAR_SH_FLOATS + channel * 16u + k] =
                 staged_channel[s * kChannelPitch + k];
     }
 }
 
-/// Returns SH coefficient `index`. The last call of load_channel() must be for `channel`.
+/// Returns SH coefficient `index`. The last call of load_sh_channel() must be for
+/// `channel`.
 float load_coefficient(Floats sh, uint surfel, uint channel, uint index) {
     return STAGED ? staged_channel[gl_LocalInvocationIndex * kChannelPitch + index]
                   : sh.at[surfel * RELIDAR_SH_FLOATS + channel * 16u + index];

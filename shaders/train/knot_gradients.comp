@@ -7,7 +7,7 @@
 //
 // One workgroup processes one output row of one pose. Thread k of n sums every n-th ray,
 // starting with ray k. Then the workgroup adds the sums of its threads, always in the
-// same order. Input: moved, places, knots, d_rays. Output: rows.
+// same order. Input: moved, interpolations, knots, d_rays. Output: rows.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -17,44 +17,46 @@
 RELIDAR_PARAMS(KnotGradientsParams);
 shared vec3 forces[RELIDAR_KNOT_WORKGROUP], torques[RELIDAR_KNOT_WORKGROUP];
 
-/// Returns the index in the complete frame of ray `index` of the batch.
-uint get_frame_ray(uint index) {
-    if (params.columns == 0u) return params.first_ray + index * params.ray_stride;
-    return index / params.n_columns * params.columns + get_frame_column(index % params.n_columns,
-                                                                        params.first_column,
-                                                                        params.column_stride, params.columns);
+/// Returns the index in the complete frame of ray `batch_ray` of the batch.
+uint get_ray_index_in_frame(uint batch_ray) {
+    if (params.columns == 0u) return params.first_ray + batch_ray * params.ray_stride;
+    return batch_ray / params.n_columns * params.columns +
+           get_frame_column(batch_ray % params.n_columns, params.first_column, params.column_stride,
+                            params.columns);
 }
 
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1u], array.at[row + 2u]); }
 
 /// Returns the weight of sensor pose `knot` in the interpolated pose of a ray.
-float get_knot_share(RayPlace place, uint knot) {
-    if (knot == place.left) return 1.0 - place.s;
-    return knot == place.left + 1u ? place.s : 0.0;
+float get_interpolation_weight_of_knot(PoseInterpolation interpolation, uint knot) {
+    if (knot == interpolation.left) return 1.0 - interpolation.s;
+    return knot == interpolation.left + 1u ? interpolation.s : 0.0;
 }
 
-/// Sums the gradients of sensor pose `knot` over every n_threads-th ray, starting with
-/// ray `thread`. `force` is dL/d(translation) and `torque` is dL/d(rotation).
-void sum_ray_gradients(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 torque) {
-    force = torque = vec3(0.0);
-    for (uint k = thread; k < params.n_rays; k += n_threads) {
-        RayPlace place = params.places.at[get_frame_ray(k)];
-        float share = get_knot_share(place, knot);
-        if (share == 0.0) continue;
-        PoseKnot here = interpolate_knot(params.knots, place);
+/// Sums the gradients of sensor pose `knot` over every `ray_step`-th ray, starting with
+/// ray `first_ray`. `d_translation` is dL/d(translation) and `d_rotation` is
+/// dL/d(rotation).
+void sum_pose_gradients_of_rays(uint first_ray, uint ray_step, uint knot, out vec3 d_translation,
+                                out vec3 d_rotation) {
+    d_translation = d_rotation = vec3(0.0);
+    for (uint k = first_ray; k < params.n_rays; k += ray_step) {
+        PoseInterpolation interpolation = params.interpolations.at[get_ray_index_in_frame(k)];
+        float weight = get_interpolation_weight_of_knot(interpolation, knot);
+        if (weight == 0.0) continue;
+        PoseKnot here = interpolate_sensor_pose(params.knots, interpolation);
         DeviceRay ray = params.moved.at[params.first_ray + k * params.ray_stride];
         vec3 d_origin = load_vec3(params.d_rays, 6u * k);
-        force += share * d_origin;
-        torque += share * (cross(ray.origin - here.position - here.translation, d_origin) +
-                           cross(ray.direction, load_vec3(params.d_rays, 6u * k + 3u)));
+        d_translation += weight * d_origin;
+        d_rotation += weight * (cross(ray.origin - here.position - here.translation, d_origin) +
+                                cross(ray.direction, load_vec3(params.d_rays, 6u * k + 3u)));
     }
 }
 
 void main() {
     uint group = get_workgroup_index(), local = gl_LocalInvocationID.x;
     uint row = group / params.n_knots, knot = group % params.n_knots;
-    sum_ray_gradients(row * RELIDAR_KNOT_WORKGROUP + local, params.n_rows * RELIDAR_KNOT_WORKGROUP, knot,
-                      forces[local], torques[local]);
+    sum_pose_gradients_of_rays(row * RELIDAR_KNOT_WORKGROUP + local, params.n_rows * RELIDAR_KNOT_WORKGROUP,
+                               knot, forces[local], torques[local]);
     for (uint n = RELIDAR_KNOT_WORKGROUP / 2u; n > 0u; n /= 2u) {
         barrier();
         if (local < n) {

@@ -4,12 +4,14 @@
 #ifndef RELIDAR_INCLUDED_TRAIN_KNOTS_GLSL
 #define RELIDAR_INCLUDED_TRAIN_KNOTS_GLSL
 
-PoseKnot interpolate_knot(PoseKnots knots, RayPlace place) {
-    PoseKnot a = knots.at[place.left];
+/// Returns the sensor pose at the firing time of a ray.
+PoseKnot interpolate_sensor_pose(PoseKnots knots, PoseInterpolation interpolation) {
+    PoseKnot a = knots.at[interpolation.left];
     // If the next pose has the weight 0, it may not exist.
-    if (place.s == 0.0) return a;
-    PoseKnot b = knots.at[place.left + 1u];
-    return PoseKnot(mix(a.position, b.position, place.s), mix(a.translation, b.translation, place.s),
-                    mix(a.rotation, b.rotation, place.s));
+    if (interpolation.s == 0.0) return a;
+    PoseKnot b = knots.at[interpolation.left + 1u];
+    return PoseKnot(mix(a.position, b.position, interpolation.s),
+                    mix(a.translation, b.translation, interpolation.s),
+                    mix(a.rotation, b.rotation, interpolation.s));
 }
 #endif

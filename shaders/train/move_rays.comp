@@ -3,7 +3,7 @@
 // w around the sensor position c at its firing time, and moves by v:
 //   origin' = c + exp([w]x) (origin - c) + v,   direction' = exp([w]x) direction
 //
-// One thread per ray. Input: rays, places, knots. Output: moved.
+// One thread per ray. Input: rays, interpolations, knots. Output: moved.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -15,7 +15,7 @@ RELIDAR_PARAMS(MoveRaysParams);
 void main() {
     uint i = get_thread_index();
     if (i >= params.n_rays) return;
-    PoseKnot knot = interpolate_knot(params.knots, params.places.at[i]);
+    PoseKnot knot = interpolate_sensor_pose(params.knots, params.interpolations.at[i]);
     DeviceRay ray = params.rays.at[i];
     params.moved.at[i] =
         DeviceRay(knot.position + rotate_point(knot.rotation, ray.origin - knot.position) + knot.translation,

@@ -111,10 +111,12 @@ std::string run_subgroup_test_and_describe_error(Device& device) {
     const auto lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
     for (std::uint32_t group = 0; group < kThreads; group += kCheckWorkgroup) {
         std::uint32_t total = 0, before = 0;
-        for (std::uint32_t i = 0; i < kCheckWorkgroup; ++i) total += shared::check_value(group + i);
+        for (std::uint32_t i = 0; i < kCheckWorkgroup; ++i)
+            total += shared::compute_thread_test_value(group + i);
         for (std::uint32_t first = group; first < group + kCheckWorkgroup; first += lanes) {
             Words values;
-            for (std::uint32_t i = 0; i < lanes; ++i) values.push_back(shared::check_value(first + i));
+            for (std::uint32_t i = 0; i < lanes; ++i)
+                values.push_back(shared::compute_thread_test_value(first + i));
             for (std::uint32_t lane = 0; lane < lanes; ++lane) {
                 const auto expected = compute_expected_subgroup_results(values, lane, before, total);
                 const std::uint32_t* lane_results = actual.data() + (first + lane) * RELIDAR_CHECK_RESULTS;
@@ -136,7 +138,7 @@ std::string run_sort_test_and_describe_error(Device& device) {
     if (!device.info().can_require_subgroup_size) return {};
     constexpr std::uint32_t kKeys = 5000;
     Words keys(kKeys);
-    for (std::uint32_t i = 0; i < kKeys; ++i) keys[i] = shared::check_value(i);
+    for (std::uint32_t i = 0; i < kKeys; ++i) keys[i] = shared::compute_thread_test_value(i);
     const Array<std::uint32_t, shared::SortKeys> first(device, std::span<const std::uint32_t>(keys), "keys"),
         second(device, kKeys, "keys");
     const Array<std::uint32_t, shared::SortOrder> first_order(device, kKeys, "order"),

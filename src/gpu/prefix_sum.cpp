@@ -44,15 +44,16 @@ void PrefixSum::record_prefix_sum_of_one_level(Stream& stream, shared::ScanParam
         RELIDAR_ASSERT_LE(n_tiles, levels_[level].size());
         level_0_params.tile_sums = levels_[level].address();
         relidar::run(stream, sums_, n_threads, level_0_params);
-        record_prefix_sum_of_one_level(stream,
-                                       {.counts = level_0_params.tile_sums.cast_meaning<shared::ScanCounts>(),
-                                        .tile_sums = {},
-                                        .prefix = level_0_params.tile_sums.cast_meaning<shared::ScanPrefix>(),
-                                        .total = {},
-                                        .n = static_cast<std::uint32_t>(n_tiles),
-                                        .offset = 0,
-                                        .stride = 1},
-                                       level + 1);
+        record_prefix_sum_of_one_level(
+            stream,
+            {.counts = level_0_params.tile_sums.cast_content_tag<shared::ScanCounts>(),
+             .tile_sums = {},
+             .prefix = level_0_params.tile_sums.cast_content_tag<shared::ScanPrefix>(),
+             .total = {},
+             .n = static_cast<std::uint32_t>(n_tiles),
+             .offset = 0,
+             .stride = 1},
+            level + 1);
     }
     relidar::run(stream, write_, n_threads, level_0_params);
 }

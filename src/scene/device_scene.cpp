@@ -251,7 +251,7 @@ void DeviceScene::record_surfel_record_computation(Stream& stream, const ImageFo
          .records = impl_->records.address(),
          .models = impl_->models.address(),
          .view_origins = impl_->upload_view_origin_per_model(stream, view_origin_m),
-         .phases = impl_->upload_gait_phase_per_model(stream).cast_meaning<shared::GaitPhases>(),
+         .phases = impl_->upload_gait_phase_per_model(stream).cast_content_tag<shared::GaitPhases>(),
          .alpha_min = model.alpha_min,
          .n_surfels = size(),
          .n_models = impl_->count_models(),
@@ -275,7 +275,7 @@ void DeviceScene::record_surfel_record_backpropagation(Stream& stream, const Ima
          .models = impl_->models.address(),
          .more_rows = impl_->more_rows.address(),
          .view_origins = impl_->upload_view_origin_per_model(stream, view_origin_m),
-         .phases = impl_->upload_gait_phase_per_model(stream).cast_meaning<shared::GaitPhases>(),
+         .phases = impl_->upload_gait_phase_per_model(stream).cast_content_tag<shared::GaitPhases>(),
          .d_surfels = get_surfel_pointers(*gradients.d_surfels),
          .touched = gradients.touched->address(),
          .rows =

@@ -87,7 +87,7 @@ static_assert(are_interchangeable(&shared::ActivateVjpParams::surfels, &shared::
               "gradients are arranged alike");
 
 // The meaning of an array is declared when it is created. Only address_as() and
-// cast_meaning() can change the meaning, for memory that serves several purposes.
+// cast_content_tag() can change the meaning, for memory that serves several purposes.
 static_assert(
     std::same_as<decltype(Array<float, shared::LossTerms>().address()), Address<float, shared::LossTerms>>);
 static_assert(!std::is_convertible_v<Address<float>, Address<float, shared::LossTerms>> &&
@@ -109,7 +109,7 @@ TEST_F(AddressTest, NowhereIsWhatNoArrayHas) {
     EXPECT_EQ(array.address_as<float>(1), array.address_as<float>(1));
     EXPECT_NE(array.address_as<float>(1), array.address_as<float>()) << "a part";
     const Array<float, shared::LossTerms> terms(device(), 4, "test");
-    EXPECT_EQ(terms.address(1).cast_meaning<shared::SsimStatistics>(),
+    EXPECT_EQ(terms.address(1).cast_content_tag<shared::SsimStatistics>(),
               (terms.address_as<float, shared::SsimStatistics>(1)));
 }
 

@@ -63,7 +63,7 @@ TEST_F(PrefixSums, InPlace) {
     Words counts = numbers(n, 9);
     const Array<std::uint32_t, shared::ScanCounts> array(device(), std::span<const std::uint32_t>(counts),
                                                          "counts");
-    prefix_sum.run(stream, {array.address()}, array.address().cast_meaning<shared::ScanPrefix>(), n);
+    prefix_sum.run(stream, {array.address()}, array.address().cast_content_tag<shared::ScanPrefix>(), n);
     stream.submit_and_wait();
     std::exclusive_scan(counts.begin(), counts.end(), counts.begin(), 0u);
     EXPECT_EQ(array.download(), counts);

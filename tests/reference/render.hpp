@@ -57,7 +57,7 @@ struct RangeKernel {
     double value = 0.0;
     double slope = 0.0;  ///< dk/dt
 };
-RangeKernel evaluate_range_kernel(const Settings& settings, const Ray& ray, double t);
+RangeKernel evaluate_range_likelihood(const Settings& settings, const Ray& ray, double t);
 
 /// A hit with all values needed for blending.
 struct ShadedHit {

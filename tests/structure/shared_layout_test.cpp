@@ -49,7 +49,7 @@ TEST(Kernels, HaveNo64BitIntegers) {
     ASSERT_FALSE(embedded_kernels().empty());
     for (const EmbeddedKernel& kernel : embedded_kernels())
         EXPECT_FALSE(read_spirv_capabilities(kernel.words).contains(kCapabilityInt64))
-            << kernel.name << ": see RELIDAR_POINTER in relidar/base/lang.h";
+            << kernel.name << ": see RELIDAR_DECLARE_POINTER in relidar/base/lang.h";
 }
 
 /// Uses of addresses in a module.

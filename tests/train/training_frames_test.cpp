@@ -91,7 +91,7 @@ protected:
     }
     static std::uint64_t measure_bytes_of_frame(const LidarSequence& log) {
         return log.frames[0].scan.range_m.size() *
-               (sizeof(DeviceRay) + sizeof(DeviceTarget) + sizeof(shared::RayPlace));
+               (sizeof(DeviceRay) + sizeof(DeviceTarget) + sizeof(shared::PoseInterpolation));
     }
 };
 
@@ -122,7 +122,7 @@ TEST_F(FramesInTurn, AreThoseOfTheLog) {
             const std::vector<DeviceRay> there = frame.get_device_rays().download(frame.n_rays);
             const std::vector<DeviceTarget> measured =
                 frame.get_loss_targets_on_device().download(frame.n_rays);
-            const std::vector<shared::RayPlace> track_positions =
+            const std::vector<shared::PoseInterpolation> track_positions =
                 frame.arrays->track_positions.download(frame.n_rays);
             double n_known_rays = 0.0, returned = 0.0;
             for (std::size_t i = 0; i < rays.size(); ++i) {

@@ -16,16 +16,16 @@
 // multiply-add.
 #define RELIDAR_FUNCTION inline
 #define RELIDAR_EXACT
-#define RELIDAR_POINTER(name, type) using name = Address<type>
-#define RELIDAR_HANDLE(name)     \
-    struct name {                \
-        std::uint64_t value = 0; \
+#define RELIDAR_DECLARE_POINTER(name, type) using name = Address<type>
+#define RELIDAR_DECLARE_HANDLE(name) \
+    struct name {                    \
+        std::uint64_t value = 0;     \
     }
 // Adds a name for the content of the data to a pointer type, for example
 // RELIDAR_OF(Floats, LossTerms) terms. In C++, pointers with different content names are
 // different types, even if their element types are equal. In GLSL the type is simply
 // Floats.
-#define RELIDAR_OF(pointer, meaning) pointer::Of<struct meaning>
+#define RELIDAR_OF(pointer, content) pointer::Of<struct content>
 namespace relidar {
 template <class T, class Meaning = void>
 class Array;
@@ -45,7 +45,7 @@ public:
     /// Returns the same address, but with `Other` as the tag type that names the content
     /// of the array. Only this function changes the tag type.
     template <class Other>
-    Of<Other> cast_meaning() const {
+    Of<Other> cast_content_tag() const {
         return Of<Other>(value_);
     }
 
@@ -77,21 +77,21 @@ using uint = std::uint32_t;
 #define RELIDAR_SHARED_END
 #define RELIDAR_FUNCTION
 #define RELIDAR_EXACT precise
-#define RELIDAR_POINTER(name, type) \
+#define RELIDAR_DECLARE_POINTER(name, type) \
     layout(buffer_reference, scalar, buffer_reference_align = 16) buffer name { type at[]; }
 // Declares a pointer type for memory that only the driver reads, never relidar's kernels.
-#define RELIDAR_HANDLE(name) RELIDAR_POINTER(name, uint)
-#define RELIDAR_OF(pointer, meaning) pointer
+#define RELIDAR_DECLARE_HANDLE(name) RELIDAR_DECLARE_POINTER(name, uint)
+#define RELIDAR_OF(pointer, content) pointer
 // Shaders never convert an address to a 64-bit integer, because some devices lack 64-bit
 // integers. To convert between pointer types, shaders use uvec2, because some compilers
 // (SwiftShader) cannot cast pointers directly.
 #endif
 
 RELIDAR_SHARED_BEGIN
-RELIDAR_POINTER(Floats, float);
-RELIDAR_POINTER(Uints, uint);
-RELIDAR_POINTER(Vec2s, vec2);
-RELIDAR_POINTER(Vec3s, vec3);
-RELIDAR_POINTER(Vec4s, vec4);
+RELIDAR_DECLARE_POINTER(Floats, float);
+RELIDAR_DECLARE_POINTER(Uints, uint);
+RELIDAR_DECLARE_POINTER(Vec2s, vec2);
+RELIDAR_DECLARE_POINTER(Vec3s, vec3);
+RELIDAR_DECLARE_POINTER(Vec4s, vec4);
 RELIDAR_SHARED_END
 #endif

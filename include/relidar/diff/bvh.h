@@ -43,9 +43,9 @@ struct BvhNode {
     uint high_y[2];
     uint high_z[2];
 };
-RELIDAR_POINTER(BvhNodes, BvhNode);
+RELIDAR_DECLARE_POINTER(BvhNodes, BvhNode);
 
-RELIDAR_HANDLE(TlasHandle);  // Handle of the driver's top-level acceleration structure.
+RELIDAR_DECLARE_HANDLE(TlasHandle);  // Handle of the driver's top-level acceleration structure.
 
 // Bit of the ray query's cull mask for all instances that do not move during the sweep.
 // Moving instances use the higher bits.
@@ -60,7 +60,7 @@ struct MovingInstance {
     uint model;
     uint mask;  // Cull mask bit of the instance. Several moving instances may share a bit.
 };
-RELIDAR_POINTER(MovingInstances, MovingInstance);
+RELIDAR_DECLARE_POINTER(MovingInstances, MovingInstance);
 
 /// Addresses of the two-level software tree that traversal kernels read.
 struct BvhPointers {

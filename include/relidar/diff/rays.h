@@ -19,7 +19,7 @@ struct DeviceRay {
     vec3 direction;  // Unit direction, world frame.
     float time_s;    // Firing time in seconds after the reference time of the sweep, or RELIDAR_NO_TIME.
 };
-RELIDAR_POINTER(Rays, DeviceRay);
+RELIDAR_DECLARE_POINTER(Rays, DeviceRay);
 
 /// Measured values of a ray. Losses compare the rendered values with these values.
 struct DeviceTarget {
@@ -29,7 +29,7 @@ struct DeviceTarget {
     // ray has no effect.
     float weight;
 };
-RELIDAR_POINTER(Targets, DeviceTarget);
+RELIDAR_DECLARE_POINTER(Targets, DeviceTarget);
 
 #define RELIDAR_FIELD(name, built, value, input, slope, meaning) float name;
 
@@ -45,13 +45,13 @@ struct RenderedRay {
     // hits, RELIDAR_NO_INSTANCE.
     uint instance;
 };
-RELIDAR_POINTER(RenderedRays, RenderedRay);
+RELIDAR_DECLARE_POINTER(RenderedRays, RenderedRay);
 
 /// Gradient of the loss with respect to the blended values of a ray.
 struct RayGradient {
     RELIDAR_BLENDED_VALUES(RELIDAR_FIELD)
 };
-RELIDAR_POINTER(RayGradients, RayGradient);
+RELIDAR_DECLARE_POINTER(RayGradients, RayGradient);
 #undef RELIDAR_FIELD
 
 /// Normal and distance of the surface that a ray hits. No gradients of these values are
@@ -64,7 +64,7 @@ struct RenderedSurface {
     // (docs/method.md M13), metres. 0 if the ray has no hits.
     float mode;
 };
-RELIDAR_POINTER(RenderedSurfaces, RenderedSurface);
+RELIDAR_DECLARE_POINTER(RenderedSurfaces, RenderedSurface);
 
 /// Intersection of a ray with a surfel.
 struct Hit {
@@ -73,7 +73,7 @@ struct Hit {
     uint instance;
     uint surfel;
 };
-RELIDAR_POINTER(Hits, Hit);
+RELIDAR_DECLARE_POINTER(Hits, Hit);
 // Number of rays whose hits are interleaved in memory.
 #define RELIDAR_SIDE_BY_SIDE 2u
 

@@ -27,7 +27,7 @@ struct SurfelRecord {
     vec3 normal;
     float drop_logit;
 };
-RELIDAR_POINTER(Records, SurfelRecord);
+RELIDAR_DECLARE_POINTER(Records, SurfelRecord);
 
 /// Contiguous range of surfels that form one model. The models are sorted by their
 /// ranges. Every surfel belongs to exactly one range.
@@ -39,7 +39,7 @@ struct ModelEntry {
     uint first_more;      // Index of the model's second instance in the array `more_rows`.
     uint n_more;          // Number of instances of the model after the first one.
 };
-RELIDAR_POINTER(Models, ModelEntry);
+RELIDAR_DECLARE_POINTER(Models, ModelEntry);
 
 /// Placement of a model in the world.
 struct InstanceEntry {
@@ -63,7 +63,7 @@ struct InstanceEntry {
     vec3 turn_rate;  // Rotation vector per second, rad/s.
     float half_span_s;
 };
-RELIDAR_POINTER(Instances, InstanceEntry);
+RELIDAR_DECLARE_POINTER(Instances, InstanceEntry);
 
 RELIDAR_SHARED_END
 #endif

@@ -21,7 +21,7 @@
     X(KEY_WORDS, 11u)          /* 32-bit words of a sort key */ \
     X(UNTIL_DONE, 12u)         /* 1: a single workgroup repeats until no work is left */ \
     X(STAGED, 13u)             /* 1: threads of a workgroup move harmonics together through shared memory */ \
-    X(PER_FLOAT, 14u)          /* 1: one thread per float; 0: one thread per row */ \
+    X(ONE_THREAD_PER_FLOAT, 14u) /* 1: one thread per float; 0: one thread per row */ \
     X(TAPS, 15u)               /* weights of a convolution for two channels: 1 or 9 */ \
     X(PIXELS, 16u)             /* pixels per thread */ \
     X(LANES, 17u)              /* lanes of a subgroup */ \

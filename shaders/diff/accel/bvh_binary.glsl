@@ -11,44 +11,49 @@
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_BINARY_GLSL
 
 bool is_leaf(uint child) { return (child & RELIDAR_BVH_LEAF) != 0u; }
-uint count_surfels_in(uint decisions) { return decisions & 15u; }
-uint compute_left_share(uint decisions, uint n_slots) { return (decisions >> (3u * n_slots - 2u)) & 7u; }
+/// Returns the number of surfels in a decision word (at most 15, see above).
+uint unpack_surfel_count(uint decision_word) { return decision_word & 15u; }
+/// Returns how many of the available child slots the left child gets. 0 means that one
+/// slot fewer is at least as good.
+uint unpack_left_child_slot_count(uint decision_word, uint n_available_slots) {
+    return (decision_word >> (3u * n_available_slots - 2u)) & 7u;
+}
 
 /// Returns the number of surfels below a child of a binary node. Numbers above 15 are
 /// returned as 15.
 uint count_surfels(BvhBinary tree, uint child) {
-    return is_leaf(child) ? 1u : count_surfels_in(tree.decisions.at[child]);
+    return is_leaf(child) ? 1u : unpack_surfel_count(tree.decisions.at[child]);
 }
 bool is_inner_slot(BvhBinary tree, uint child) { return count_surfels(tree, child) > RELIDAR_BVH_LEAF_SIZE; }
 
 /// Finds the children (up to eight) that a binary node gets when it is converted to a
-/// wide node. Writes them to `slots` from left to right.
+/// wide node. Writes them to `children` from left to right.
 /// @return number of children
-uint collect_slots(BvhBinary tree, uint node, out uint slots[RELIDAR_BVH_WIDTH]) {
-    slots[0] = node;
+uint collect_wide_node_children(BvhBinary tree, uint node, out uint children[RELIDAR_BVH_WIDTH]) {
+    children[0] = node;
     if (is_leaf(node)) return 1u;  // the model has one surfel
     uint stack[RELIDAR_BVH_WIDTH], shares[RELIDAR_BVH_WIDTH];
     stack[0] = node;
     shares[0] = RELIDAR_BVH_WIDTH;
-    uint n_slots = 0u;
+    uint n_children = 0u;
     for (uint n = 1u; n > 0u;) {
-        uint child = stack[--n], share = shares[n], left = 0u;
+        uint child = stack[--n], n_slots = shares[n], n_left = 0u;
         if (!is_leaf(child)) {
-            uint decisions = tree.decisions.at[child];
-            while (share > 1u && compute_left_share(decisions, share) == 0u) --share;
-            if (share > 1u) left = compute_left_share(decisions, share);
+            uint decision_word = tree.decisions.at[child];
+            while (n_slots > 1u && unpack_left_child_slot_count(decision_word, n_slots) == 0u) --n_slots;
+            if (n_slots > 1u) n_left = unpack_left_child_slot_count(decision_word, n_slots);
         }
-        if (left == 0u) {
-            slots[n_slots++] = child;
+        if (n_left == 0u) {
+            children[n_children++] = child;
             continue;
         }
-        uvec2 children = tree.children.at[child];
-        stack[n] = children.y;
-        shares[n++] = share - left;
-        stack[n] = children.x;
-        shares[n++] = left;
+        uvec2 pair = tree.children.at[child];
+        stack[n] = pair.y;
+        shares[n++] = n_slots - n_left;
+        stack[n] = pair.x;
+        shares[n++] = n_left;
     }
-    return n_slots;
+    return n_children;
 }
 
 /// Finds the surfels of a subtree that becomes a leaf. Writes their positions in the

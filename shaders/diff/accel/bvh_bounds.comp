@@ -21,10 +21,11 @@ void extend_model_box(uint model, vec3 low, vec3 high) {
 }
 
 void main() {
-    uint base = get_workgroup_index() * RELIDAR_BVH_TILE + get_scan_thread();
+    uint base = get_workgroup_index() * RELIDAR_BVH_TILE + get_subgroup_ordered_thread_index();
     uint model = 0u;
     Box bounds = make_empty_box();
-    for (uint i = base; i < min(base - get_scan_thread() + RELIDAR_BVH_TILE, params.n_surfels);
+    for (uint i = base;
+         i < min(base - get_subgroup_ordered_thread_index() + RELIDAR_BVH_TILE, params.n_surfels);
          i += RELIDAR_BVH_WORKGROUP) {
         Box b = load_box(params.boxes, i);
         if (is_empty(b)) continue;

@@ -49,19 +49,20 @@ void synchronise_subgroup() {
     subgroupBarrier();
 }
 
-/// Returns the number of equal leading bits in the Morton codes of surfel `index` and the
-/// next surfel. Returns -1 unless both are surfels of the model `first` to `last`.
-int count_common_bits(int index, int first, int last) {
-    if (index < first || index >= last) return -1;
-    uvec2 a = params.keys.at[index], b = params.keys.at[index + 1];
+/// Returns the number of equal leading bits in the Morton codes of surfel `position` and
+/// the next surfel. Returns -1 unless both are in the range `model_first` ...
+/// `model_last`.
+int count_common_prefix_bits(int position, int model_first, int model_last) {
+    if (position < model_first || position >= model_last) return -1;
+    uvec2 a = params.keys.at[position], b = params.keys.at[position + 1];
     if (a.y != b.y) return 31 - findMSB(a.y ^ b.y);
     if (a.x != b.x) return 63 - findMSB(a.x ^ b.x);
-    return 95 - findMSB(uint(index ^ (index + 1)));
+    return 95 - findMSB(uint(position ^ (position + 1)));
 }
 
 Box get_box(uint index) { return Box(low_of[index], high_of[index]); }
 
-Cluster cluster_of(uint index) { return Cluster(get_box(index), root_of[index], spare_of[index]); }
+Cluster get_shared_cluster(uint index) { return Cluster(get_box(index), root_of[index], spare_of[index]); }
 
 void store_cluster(uint index, Cluster cluster) {
     low_of[index] = cluster.box.low;
@@ -79,31 +80,31 @@ Cluster load_cluster(uint root) {
                    SharedUints(uvec2(params.tree.spares)).at[root]);
 }
 
-/// Loads the clusters (subtrees) of the sorted surfels `from` ... `to`. Appends them to
-/// the `count` clusters already in shared memory. Returns the new number of clusters.
-uint load_clusters(int from, int to, uint count) {
+/// Loads the clusters (subtrees) of the sorted surfels `range_first` ... `range_last`.
+/// Appends them to the `n_clusters` clusters in shared memory. Returns their new number.
+uint append_clusters_of_range(int range_first, int range_last, uint n_clusters) {
     SharedUints roots = SharedUints(uvec2(params.clusters));
-    uint n_range = min(uint(to - from) + 1u, KEPT);
+    uint n_range = min(uint(range_last - range_first) + 1u, KEPT);
     for (uint start = 0u; start < n_range; start += gl_SubgroupSize) {
         uint k = start + gl_SubgroupInvocationID;
-        uint root = k < n_range ? roots.at[from + k] : RELIDAR_BVH_NO_NODE;
+        uint root = k < n_range ? roots.at[range_first + k] : RELIDAR_BVH_NO_NODE;
         uint end = subgroupMin(root == RELIDAR_BVH_NO_NODE ? k : n_range);
-        if (k < end) store_cluster(count + k, load_cluster(root));
-        if (end < start + gl_SubgroupSize) return count + min(end, n_range);
+        if (k < end) store_cluster(n_clusters + k, load_cluster(root));
+        if (end < start + gl_SubgroupSize) return n_clusters + min(end, n_range);
     }
-    return count + n_range;
+    return n_clusters + n_range;
 }
 
-/// Returns the cluster whose joint bounding box with cluster `index` has the smallest
+/// Returns the cluster whose joint bounding box with `cluster` has the smallest
 /// surface area. If several areas are equal, returns the first of these clusters. This
 /// rule guarantees that at least two clusters choose each other and can be merged.
-uint find_nearest_cluster(uint index, uint count) {
-    Box own = get_box(index);
+uint find_nearest_neighbour_cluster(uint cluster, uint n_clusters) {
+    Box box = get_box(cluster);
     float least = BOX_HUGE;
-    uint neighbour = index;
-    for (uint j = index - min(index, RADIUS); j < min(index + RADIUS + 1u, count); ++j) {
-        float area = compute_half_area(join_boxes(own, get_box(j)));
-        if (j == index || !(area < least)) continue;
+    uint neighbour = cluster;
+    for (uint j = cluster - min(cluster, RADIUS); j < min(cluster + RADIUS + 1u, n_clusters); ++j) {
+        float area = compute_half_area(join_boxes(box, get_box(j)));
+        if (j == cluster || !(area < least)) continue;
         least = area;
         neighbour = j;
     }
@@ -126,7 +127,7 @@ Cluster merge_clusters(Cluster first, Cluster second) {
 /// @return number of remaining clusters
 uint merge_mutual_nearest_clusters(uint count) {
     for (uint i = gl_SubgroupInvocationID; i < count; i += gl_SubgroupSize)
-        nearest[i] = find_nearest_cluster(i, count);
+        nearest[i] = find_nearest_neighbour_cluster(i, count);
     synchronise_subgroup();
     uint n_kept = 0u;
     for (uint start = 0u; start < count; start += gl_SubgroupSize) {
@@ -134,8 +135,8 @@ uint merge_mutual_nearest_clusters(uint count) {
         uint j = i < count ? nearest[i] : 0u;
         bool mutual = i < count && nearest[j] == i, kept = i < count && !(mutual && j < i);
         Cluster c;
-        if (kept) c = cluster_of(i);
-        if (kept && mutual) c = merge_clusters(c, cluster_of(j));
+        if (kept) c = get_shared_cluster(i);
+        if (kept && mutual) c = merge_clusters(c, get_shared_cluster(j));
         synchronise_subgroup();
         uvec2 lanes = subgroupBallot(kept).xy, before = lanes & gl_SubgroupLtMask.xy;
         // Removes gaps between the clusters in shared memory. A cluster never overwrites
@@ -151,9 +152,9 @@ uint merge_mutual_nearest_clusters(uint count) {
 /// Merges the subtrees of the two surfel ranges in `task` until at most KEPT = 16
 /// subtrees remain. If the ranges are a complete model, continues until one subtree
 /// remains. All threads of the subgroup must call this function.
-void join_task_ranges() {
-    uint n = load_clusters(task.x, task.y, 0u);
-    n = load_clusters(task.y + 1, task.z, n);
+void merge_clusters_of_task_ranges() {
+    uint n = append_clusters_of_range(task.x, task.y, 0u);
+    n = append_clusters_of_range(task.y + 1, task.z, n);
     synchronise_subgroup();
     bool covers_model = task.w >= 0;
     while (n > (covers_model ? 1u : KEPT)) n = merge_mutual_nearest_clusters(n);
@@ -167,17 +168,20 @@ void join_task_ranges() {
 }
 
 /// Joins two neighbouring ranges of sorted surfels that meet behind surfel `split`. Each
-/// range (`from` ... `to`) belongs to one thread, and both threads call this function.
-/// The model has the surfels `first` ... `last`.
+/// range (`range_first` ... `range_last`) belongs to one thread, and both threads call
+/// this function. The model has the surfels `model_first` ... `model_last`.
 /// @return false for the first caller, which stops. True for the second caller, which
-/// continues with the joined range `from` ... `to`
-bool join_with_neighbour_range(inout int from, inout int to, out int split, int first, int last) {
-    bool leftward = count_common_bits(from - 1, first, last) > count_common_bits(to, first, last);
-    split = leftward ? from - 1 : to;
-    uint other = atomicExchange(SharedUints(uvec2(params.other_ends)).at[split], uint(leftward ? to : from));
+/// continues with the joined range `range_first` ... `range_last`
+bool try_join_sibling_range(inout int range_first, inout int range_last, out int split, int model_first,
+                            int model_last) {
+    bool leftward = count_common_prefix_bits(range_first - 1, model_first, model_last) >
+                    count_common_prefix_bits(range_last, model_first, model_last);
+    split = leftward ? range_first - 1 : range_last;
+    uint other = atomicExchange(SharedUints(uvec2(params.other_ends)).at[split],
+                                uint(leftward ? range_last : range_first));
     if (other == RELIDAR_BVH_NO_NODE) return false;
-    if (leftward) from = int(other);
-    else to = int(other);
+    if (leftward) range_first = int(other);
+    else range_last = int(other);
     return true;
 }
 
@@ -195,7 +199,7 @@ void main() {
     }
     while (subgroupAny(climbing)) {
         memoryBarrierBuffer();
-        if (climbing) climbing = join_with_neighbour_range(from, to, split, first, last);
+        if (climbing) climbing = try_join_sibling_range(from, to, split, first, last);
         memoryBarrierBuffer();
         bool covers_model = from == first && to == last,
              waiting = climbing && (covers_model || to - from >= int(KEPT));
@@ -204,7 +208,7 @@ void main() {
             bool next = gl_SubgroupInvocationID == first_lane;
             if (next) task = ivec4(from, split, to, covers_model ? model : -1);
             synchronise_subgroup();
-            join_task_ranges();
+            merge_clusters_of_task_ranges();
             synchronise_subgroup();
             if (next) waiting = false;
         }

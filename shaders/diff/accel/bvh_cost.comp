@@ -28,7 +28,8 @@ float compute_leaf_cost(uint node, uint first_surfel) {
 }
 
 void main() {
-    uint group = get_workgroup_index(), node = group * RELIDAR_BVH_WORKGROUP + get_scan_thread();
+    uint group = get_workgroup_index(),
+         node = group * RELIDAR_BVH_WORKGROUP + get_subgroup_ordered_thread_index();
     float cost = 0.0;
     if (node < min(params.bound, params.wide.count.at[0]))
         cost = compute_half_area(load_box(params.wide.boxes, node)) +
@@ -36,7 +37,7 @@ void main() {
     cost = subgroupAdd(cost);
     if (subgroupElect()) sums[gl_SubgroupID] = cost;
     barrier();
-    if (get_scan_thread() != 0u) return;
+    if (get_subgroup_ordered_thread_index() != 0u) return;
     for (uint s = 1u; s < gl_NumSubgroups; ++s) cost += sums[s];
     if (group * RELIDAR_BVH_WORKGROUP < params.bound) params.partial.at[group] = cost;
 }

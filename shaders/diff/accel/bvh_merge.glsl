@@ -26,8 +26,8 @@ void write_node_costs(BvhBinary tree, uint node, Subtree left, Subtree right, fl
     load_costs(tree, left, in_left);
     load_costs(tree, right, in_right);
     SharedUints decided = SharedUints(uvec2(tree.decisions));
-    uint n_left = is_leaf(left.root) ? 1u : count_surfels_in(decided.at[left.root]),
-         n_right = is_leaf(right.root) ? 1u : count_surfels_in(decided.at[right.root]);
+    uint n_left = is_leaf(left.root) ? 1u : unpack_surfel_count(decided.at[left.root]),
+         n_right = is_leaf(right.root) ? 1u : unpack_surfel_count(decided.at[right.root]);
     uint n_surfels = min(n_left + n_right, 15u), decisions = n_surfels;
     float all = BOX_HUGE;
     uint share_of_all = 1u;

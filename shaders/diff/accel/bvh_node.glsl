@@ -13,7 +13,7 @@ float decode_bound(float origin, uint quantised, float scale) {
 
 /// Returns the smallest exponent e for which 255 steps of size 2^(e - 127) cover the
 /// interval from low to high.
-uint compute_exponent(float low, float high) {
+uint compute_quantisation_exponent(float low, float high) {
     uint bits = floatBitsToUint((high - low) / 255.0);
     uint e = clamp((bits >> 23) + ((bits & 0x7fffffu) != 0u ? 1u : 0u), 1u, 253u);
     while (e < 253u && decode_bound(low, 255u, uintBitsToFloat(e << 23)) < high) ++e;
@@ -41,9 +41,9 @@ struct NodeGrid {
 /// @param bounds bounding box of the node
 NodeGrid make_node_grid(Box bounds) {
     Box frame = is_empty(bounds) ? Box(vec3(0.0), vec3(0.0)) : bounds;
-    return NodeGrid(frame.low, uvec3(compute_exponent(frame.low.x, frame.high.x),
-                                     compute_exponent(frame.low.y, frame.high.y),
-                                     compute_exponent(frame.low.z, frame.high.z)));
+    return NodeGrid(frame.low, uvec3(compute_quantisation_exponent(frame.low.x, frame.high.x),
+                                     compute_quantisation_exponent(frame.low.y, frame.high.y),
+                                     compute_quantisation_exponent(frame.low.z, frame.high.z)));
 }
 
 /// Quantises the box of a child along all three axes. Each component has the lower bound
@@ -56,26 +56,29 @@ uvec3 quantise_box(NodeGrid grid, Box child) {
                  quantise_interval(grid.origin.z, grid.exponents.z, child.low.z, child.high.z));
 }
 
-void store_grid(BvhNodes nodes, uint node, NodeGrid grid, uint inner_mask) {
+/// Writes the quantisation grid and the mask of inner children to a node.
+void store_quantisation_grid(BvhNodes nodes, uint node, NodeGrid grid, uint inner_child_mask) {
     nodes.at[node].origin = grid.origin;
     nodes.at[node].exponents =
-        grid.exponents.x | grid.exponents.y << 8 | grid.exponents.z << 16 | inner_mask << 24;
+        grid.exponents.x | grid.exponents.y << 8 | grid.exponents.z << 16 | inner_child_mask << 24;
 }
 
 /// Writes the bounds of four child boxes to a node. Each bound is one byte.
-void write_child_bounds(BvhNodes nodes, uint node, uint word, uvec3 low, uvec3 high) {
-    nodes.at[node].low_x[word] = low.x;
-    nodes.at[node].low_y[word] = low.y;
-    nodes.at[node].low_z[word] = low.z;
-    nodes.at[node].high_x[word] = high.x;
-    nodes.at[node].high_y[word] = high.y;
-    nodes.at[node].high_z[word] = high.z;
+/// @param child_word 0 for children 0 to 3, 1 for children 4 to 7
+void write_bounds_of_four_children(BvhNodes nodes, uint node, uint child_word, uvec3 low, uvec3 high) {
+    nodes.at[node].low_x[child_word] = low.x;
+    nodes.at[node].low_y[child_word] = low.y;
+    nodes.at[node].low_z[child_word] = low.z;
+    nodes.at[node].high_x[child_word] = high.x;
+    nodes.at[node].high_y[child_word] = high.y;
+    nodes.at[node].high_z[child_word] = high.z;
 }
 
 /// Writes the quantised child boxes of a node.
-/// @param inner_mask bit mask of the children that are nodes, not leaves
+/// @param inner_child_mask bit mask of the children that are nodes, not leaves
 /// @return bounding box of all children
-Box write_child_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[RELIDAR_BVH_WIDTH]) {
+Box write_child_boxes_and_get_union(BvhNodes nodes, uint node, uint inner_child_mask,
+                                    Box children[RELIDAR_BVH_WIDTH]) {
     Box bounds = make_empty_box();
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) bounds = join_boxes(bounds, children[s]);
     NodeGrid grid = make_node_grid(bounds);
@@ -85,8 +88,9 @@ Box write_child_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[R
         low[s / 4u] |= (steps & 255u) << (8u * (s % 4u));
         high[s / 4u] |= (steps >> 8) << (8u * (s % 4u));
     }
-    store_grid(nodes, node, grid, inner_mask);
-    for (uint word = 0u; word < 2u; ++word) write_child_bounds(nodes, node, word, low[word], high[word]);
+    store_quantisation_grid(nodes, node, grid, inner_child_mask);
+    for (uint word = 0u; word < 2u; ++word)
+        write_bounds_of_four_children(nodes, node, word, low[word], high[word]);
     return bounds;
 }
 #endif

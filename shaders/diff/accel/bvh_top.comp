@@ -51,9 +51,9 @@ Box make_world_box(InstanceEntry instance, Box model) {
 /// Computes the bounding boxes of all instances in the world frame. Marks instances that
 /// cannot be hit as ABSENT.
 /// @return bounds of the centres of the boxes that this thread has computed
-Box place_instances() {
+Box compute_instance_boxes_and_centre_bounds() {
     Box centres = make_empty_box();
-    for (uint i = get_scan_thread(); i < params.n_padded; i += RELIDAR_BVH_WORKGROUP) {
+    for (uint i = get_subgroup_ordered_thread_index(); i < params.n_padded; i += RELIDAR_BVH_WORKGROUP) {
         bool present = false;
         if (i < params.n_instances) {
             uint model = params.model_of.at[i];
@@ -86,12 +86,15 @@ Box join_boxes_over_workgroup(Box box) {
     return box;
 }
 
-void write_codes(Box bounds) {
+/// Writes the Morton code of each present instance to `keys`.
+/// @param centre_bounds bounds of the centres of all instance boxes
+void write_morton_codes(Box centre_bounds) {
     SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
-    for (uint i = get_scan_thread(); i < params.n_instances; i += RELIDAR_BVH_WORKGROUP) {
+    for (uint i = get_subgroup_ordered_thread_index(); i < params.n_instances; i += RELIDAR_BVH_WORKGROUP) {
         if (keys.at[i].x == ABSENT) continue;
         Box b = load_shared_box(params.boxes, i);
-        uvec3 cell = compute_morton_cell(0.5 * b.low + 0.5 * b.high, bounds.low, bounds.high, 10u);
+        uvec3 cell =
+            compute_morton_cell(0.5 * b.low + 0.5 * b.high, centre_bounds.low, centre_bounds.high, 10u);
         keys.at[i].x = interleave_bits(cell);
     }
 }
@@ -101,11 +104,12 @@ bool is_key_after(uvec2 first, uvec2 second) {
 }
 
 /// Sorts the keys (Morton code, instance) with a bitonic sort.
-void sort_keys() {
+void sort_instances_by_morton_code() {
     SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
     for (uint size = 2u; size <= params.n_padded; size *= 2u)
         for (uint reach = size / 2u; reach > 0u; reach /= 2u) {
-            for (uint pair = get_scan_thread(); pair < params.n_padded / 2u; pair += RELIDAR_BVH_WORKGROUP) {
+            for (uint pair = get_subgroup_ordered_thread_index(); pair < params.n_padded / 2u;
+                 pair += RELIDAR_BVH_WORKGROUP) {
                 uint i = (pair & ~(reach - 1u)) * 2u + (pair & (reach - 1u)), j = i + reach;
                 uvec2 a = keys.at[i], b = keys.at[j];
                 if (is_key_after(a, b) != ((i & size) == 0u)) continue;
@@ -117,42 +121,45 @@ void sort_keys() {
 }
 
 /// Writes a node of the top-level tree. Its children are elements of the level below:
-/// instances if `lowest` is true, otherwise nodes.
-/// @param first index of the first child in the level below, which has `count` elements
-/// @param first_below if children are nodes: index of their level's first node in
+/// instances if `is_lowest_level` is true, otherwise nodes.
+/// @param first_child index of the first child in the level below, which has `n_below`
+/// elements
+/// @param first_node_below if children are nodes: index of their level's first node in
 /// top_nodes
-void write_node(uint node, uint first, uint count, uint first_below, bool lowest) {
+void write_top_level_node(uint node, uint first_child, uint n_below, uint first_node_below,
+                          bool is_lowest_level) {
     Box children[RELIDAR_BVH_WIDTH];
     uint leaves[2] = uint[](0u, 0u), inner_mask = 0u;
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
         children[s] = make_empty_box();
-        if (first + s >= count) continue;
-        if (lowest) {
-            uint instance = SharedUvec2s(uvec2(params.keys)).at[first + s].y;
-            params.bvh.top_order.at[first + s] = instance;
+        if (first_child + s >= n_below) continue;
+        if (is_lowest_level) {
+            uint instance = SharedUvec2s(uvec2(params.keys)).at[first_child + s].y;
+            params.bvh.top_order.at[first_child + s] = instance;
             children[s] = load_shared_box(params.boxes, instance);
             leaves[s / 4u] |= (s | 1u << 5) << (8u * (s % 4u));
         } else {
             inner_mask |= 1u << s;
-            children[s] = load_shared_box(params.boxes, params.n_instances + first_below + first + s);
+            children[s] =
+                load_shared_box(params.boxes, params.n_instances + first_node_below + first_child + s);
         }
     }
-    params.bvh.top_nodes.at[node].first_child = first_below + first;
-    params.bvh.top_nodes.at[node].first_leaf = first;
+    params.bvh.top_nodes.at[node].first_child = first_node_below + first_child;
+    params.bvh.top_nodes.at[node].first_leaf = first_child;
     params.bvh.top_nodes.at[node].leaves = leaves;
     store_shared_box(params.boxes, params.n_instances + node,
-                     write_child_boxes(params.bvh.top_nodes, node, inner_mask, children));
+                     write_child_boxes_and_get_union(params.bvh.top_nodes, node, inner_mask, children));
 }
 
 void main() {
     if (get_workgroup_index() > 0u) return;
-    if (get_scan_thread() == 0u) group_present = 0u;
+    if (get_subgroup_ordered_thread_index() == 0u) group_present = 0u;
     barrier();
-    Box bounds = join_boxes_over_workgroup(place_instances());
+    Box bounds = join_boxes_over_workgroup(compute_instance_boxes_and_centre_bounds());
     synchronise();
-    write_codes(bounds);
+    write_morton_codes(bounds);
     synchronise();
-    sort_keys();
+    sort_instances_by_morton_code();
     // Total number of nodes on all levels. The root is stored first and the lowest level
     // last.
     uint n_nodes = 0u;
@@ -160,17 +167,17 @@ void main() {
         n_nodes += max((n + 7u) / 8u, 1u);
         if (n <= 8u) break;
     }
-    uint first_below = 0u;
-    bool lowest = true;
+    uint first_node_below = 0u;
+    bool is_lowest_level = true;
     for (uint n = group_present;;) {
         uint n_level = max((n + 7u) / 8u, 1u);
         n_nodes -= n_level;
-        for (uint k = get_scan_thread(); k < n_level; k += RELIDAR_BVH_WORKGROUP)
-            write_node(n_nodes + k, 8u * k, n, first_below, lowest);
+        for (uint k = get_subgroup_ordered_thread_index(); k < n_level; k += RELIDAR_BVH_WORKGROUP)
+            write_top_level_node(n_nodes + k, 8u * k, n, first_node_below, is_lowest_level);
         synchronise();
         if (n_level == 1u) return;
-        first_below = n_nodes;
-        lowest = false;
+        first_node_below = n_nodes;
+        is_lowest_level = false;
         n = n_level;
     }
 }

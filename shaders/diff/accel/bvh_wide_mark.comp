@@ -28,7 +28,7 @@ bool replace_child_by_grandchildren(inout uint slots[RELIDAR_BVH_WIDTH], inout u
     for (uint s = 0u; s < n_slots; ++s) {
         if (!is_inner_slot(params.tree, slots[s])) continue;
         uint below[RELIDAR_BVH_WIDTH];
-        uint n_below = collect_slots(params.tree, slots[s], below);
+        uint n_below = collect_wide_node_children(params.tree, slots[s], below);
         if (n_slots - 1u + n_below > RELIDAR_BVH_WIDTH) continue;
         slots[s] = below[0];
         for (uint k = 1u; k < n_below; ++k) slots[n_slots++] = below[k];
@@ -39,15 +39,17 @@ bool replace_child_by_grandchildren(inout uint slots[RELIDAR_BVH_WIDTH], inout u
 
 uint level_end;  // Queue index at which the next level starts.
 
-void mark_wide_node(uint entry) {
-    uint node = SharedUints(uvec2(params.queue)).at[entry];
+/// Writes the children of a wide node. Appends the children that become wide nodes to the
+/// queue.
+void choose_children_of_wide_node(uint queue_index) {
+    uint node = SharedUints(uvec2(params.queue)).at[queue_index];
     if (node == RELIDAR_BVH_NO_NODE) return;  // the model has no surfels
     uint slots[RELIDAR_BVH_WIDTH];
-    uint n_slots = collect_slots(params.tree, node, slots);
+    uint n_slots = collect_wide_node_children(params.tree, node, slots);
     while (n_slots < RELIDAR_BVH_WIDTH && replace_child_by_grandchildren(slots, n_slots)) {}
     uint n_inner = 0u, n_surfels = 0u;
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
-        params.slots.at[8u * entry + s] = s < n_slots ? slots[s] : RELIDAR_BVH_NO_NODE;
+        params.slots.at[8u * queue_index + s] = s < n_slots ? slots[s] : RELIDAR_BVH_NO_NODE;
         if (s >= n_slots) continue;
         uint n = count_surfels(params.tree, slots[s]);
         if (n > RELIDAR_BVH_LEAF_SIZE) ++n_inner;
@@ -61,15 +63,15 @@ void mark_wide_node(uint entry) {
             SharedUints(uvec2(params.queue)).at[at++] = slots[s];
 }
 
-/// Processes the level that starts at queue entry `begin`, and then all lower levels of
-/// the tree.
-void mark_lower_levels(uint begin) {
-    for (uint end = level_end; begin < end;) {
-        for (uint entry = begin + gl_LocalInvocationIndex; entry < end; entry += gl_WorkGroupSize.x)
-            mark_wide_node(entry);
+/// Processes the level that starts at queue entry `level_begin`, and then all lower
+/// levels of the tree.
+void choose_children_on_remaining_levels(uint level_begin) {
+    for (uint end = level_end; level_begin < end;) {
+        for (uint entry = level_begin + gl_LocalInvocationIndex; entry < end; entry += gl_WorkGroupSize.x)
+            choose_children_of_wide_node(entry);
         memoryBarrierBuffer();
         barrier();
-        begin = end;
+        level_begin = end;
         end = level_end + SharedUints(uvec2(params.level_sizes)).at[params.level + 1u];
         barrier();
     }
@@ -82,6 +84,6 @@ void main() {
         begin = level_end;
         level_end += params.level_sizes.at[k];
     }
-    if (UNTIL_DONE != 0u) mark_lower_levels(begin);
-    else if (begin + get_thread_index() < level_end) mark_wide_node(begin + get_thread_index());
+    if (UNTIL_DONE != 0u) choose_children_on_remaining_levels(begin);
+    else if (begin + get_thread_index() < level_end) choose_children_of_wide_node(begin + get_thread_index());
 }

@@ -13,9 +13,10 @@ RELIDAR_PARAMS(ModelRadiiParams);
 
 /// Returns the standard deviation of a surfel along an axis: 1 / |axis|, or 0 if this is
 /// not finite.
-/// @param axis vector along the axis with the length 1 / standard deviation, 1/m
-float compute_axis_scale(vec3 axis) {
-    float s = 1.0 / length(axis);
+/// @param axis_over_scale vector along the axis with the length 1 / standard deviation,
+/// 1/m
+float compute_surfel_scale_along_axis(vec3 axis_over_scale) {
+    float s = 1.0 / length(axis_over_scale);
     return isnan(s) || isinf(s) ? 0.0 : s;
 }
 
@@ -24,8 +25,9 @@ float compute_axis_scale(vec3 axis) {
 float compute_radius(SurfelRecord record) {
     if (!(record.opacity > params.alpha_min)) return 0.0;
     float k = sqrt(2.0 * log(record.opacity / params.alpha_min));
-    float u = compute_axis_scale(record.axis_u), v = compute_axis_scale(record.axis_v),
-          w = has_third_scale() ? compute_axis_scale(record.normal) : 0.0;
+    float u = compute_surfel_scale_along_axis(record.axis_u),
+          v = compute_surfel_scale_along_axis(record.axis_v),
+          w = has_third_axis_scale() ? compute_surfel_scale_along_axis(record.normal) : 0.0;
     float radius = (length(record.mean) + k * max(max(u, v), w)) * params.margin_scale + params.margin_m;
     return isnan(radius) || isinf(radius) ? 3.4e38 : radius;
 }

@@ -29,13 +29,14 @@ const float kCircumscribed = 0.66158453824961;
 // unit sphere.
 const float kOuterRadius = 1.25840857236482;
 
-/// Returns a half axis of the shape that encloses a surfel: parallel to `axis`, with the
-/// length factor * s * margin_scale + margin_m. s is the standard deviation, m.
-/// @param axis axis of the surfel: unit vector divided by s, 1/m
-vec3 compute_half_axis(vec3 axis, float factor) {
-    float inverse_scale = length(axis);
-    float half_size = factor / inverse_scale * params.margin_scale + params.margin_m;
-    vec3 half_vector = axis / inverse_scale * half_size;
+/// Returns a half axis of the shape that encloses a surfel: parallel to
+/// `axis_over_scale`, with the length n_deviations * s * margin_scale + margin_m. s is
+/// the standard deviation, m.
+/// @param axis_over_scale axis of the surfel: unit vector divided by s, 1/m
+vec3 compute_proxy_half_axis(vec3 axis_over_scale, float n_deviations) {
+    float inverse_scale = length(axis_over_scale);
+    float half_size = n_deviations / inverse_scale * params.margin_scale + params.margin_m;
+    vec3 half_vector = axis_over_scale / inverse_scale * half_size;
     return any(isnan(half_vector)) || any(isinf(half_vector)) ? vec3(0.0) : half_vector;
 }
 
@@ -69,9 +70,9 @@ void main() {
     bool visible = s.opacity > params.alpha_min;
     if (visible) {
         float k = sqrt(2.0 * log(s.opacity / params.alpha_min));
-        u = compute_half_axis(s.axis_u, k);
-        v = compute_half_axis(s.axis_v, k);
-        if (has_third_scale()) w = compute_half_axis(s.normal, k);
+        u = compute_proxy_half_axis(s.axis_u, k);
+        v = compute_proxy_half_axis(s.axis_v, k);
+        if (has_third_axis_scale()) w = compute_proxy_half_axis(s.normal, k);
     }
     if (BOXES != 0u) {
         // Half size of the axis-aligned box around an ellipsoid with half axes u, v, w.
@@ -84,7 +85,7 @@ void main() {
         }
         return;
     }
-    if (count_proxy_triangles() == kProxy_icosahedron) {
+    if (get_triangles_per_proxy() == kProxy_icosahedron) {
         write_icosahedron(i, s.mean, u, v, w);
         return;
     }

@@ -22,39 +22,40 @@ shared uint shared_targets[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x : 1u];
 
 /// Returns true if the threads of a subgroup exchange their rows (16 floats per thread)
 /// through shared memory before they add them to the array. All threads of the subgroup
-/// must then call add_row(). Returns false if a subgroup is not full.
-bool are_rows_exchanged() {
+/// must then call add_exchanged_rows(). Returns false if a subgroup is not full.
+bool can_lanes_exchange_rows() {
     return COALESCED_ATOMICS != 0u && gl_NumSubgroups * gl_SubgroupSize == gl_WorkGroupSize.x;
 }
 
-uint get_shared_row_index() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
+uint get_row_index_in_shared_memory() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
-/// Adds `amount` atomically to array[16 row + index]. If are_rows_exchanged() is true,
-/// only stores it in shared memory. The caller must then call add_row() to add it.
+/// Adds `amount` atomically to array[16 row + index]. If can_lanes_exchange_rows()
+/// is true, only stores it in shared memory. The caller must then call
+/// add_exchanged_rows() to add it.
 void add_to_row_component(Floats array, uint row, uint index, float amount) {
-    if (are_rows_exchanged()) shared_rows[get_shared_row_index() * kRowPitch + index] = amount;
+    if (can_lanes_exchange_rows()) shared_rows[get_row_index_in_shared_memory() * kRowPitch + index] = amount;
     else atomic_add(array, 16u * row + index, amount);
 }
 
 /// Adds the rows of all lanes of the subgroup to the array. Does nothing if lanes do not
 /// exchange rows. If they exchange rows, all lanes must call this function together.
-/// @param row row of this lane, or kNoRow if this lane has no row
-/// @param is_needed bit mask with bit k set if float k has a value. Must be equal in all
+/// @param target_row row of this lane, or kNoRow if this lane has no row
+/// @param float_mask bit mask with bit k set if float k has a value. Must be equal in all
 /// lanes
-void add_row(Floats array, uint row, uint is_needed) {
-    if (!are_rows_exchanged()) return;
-    shared_targets[get_shared_row_index()] = row;
+void add_exchanged_rows(Floats array, uint target_row, uint float_mask) {
+    if (!can_lanes_exchange_rows()) return;
+    shared_targets[get_row_index_in_shared_memory()] = target_row;
     subgroupBarrier();
     // Each lane has stored a row of 16 floats in shared memory. A group of n lanes adds
     // its n rows to `array` one by one. Neighbouring lanes add neighbouring floats.
     uint n = min(16u, gl_SubgroupSize), lane = gl_SubgroupInvocationID % n;
-    uint first = get_shared_row_index() - lane;
+    uint first = get_row_index_in_shared_memory() - lane;
     for (uint from = first; from < first + n; ++from) {
         uint to = shared_targets[from];
         if (to == kNoRow) continue;
         for (uint k = lane; k < 16u; k += n) {
             float amount = shared_rows[from * kRowPitch + k];
-            if ((is_needed & (1u << k)) != 0u && amount != 0.0) atomic_add(array, 16u * to + k, amount);
+            if ((float_mask & (1u << k)) != 0u && amount != 0.0) atomic_add(array, 16u * to + k, amount);
         }
     }
     subgroupBarrier();  // waits before the next rows are written

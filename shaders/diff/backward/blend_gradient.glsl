@@ -39,10 +39,11 @@ float compute_weight_gradient(TraceScene scene, Ray ray, RayGradient gradient, H
     return shade;
 }
 
-/// Blends the nearest `count` hits in the buffer. Stores transmittance, weight and
+/// Blends the nearest `hit_count` hits in the buffer. Stores transmittance, weight and
 /// gradient of each hit, and updates `state`.
-void blend_chunk(TraceScene scene, Ray ray, RayGradient gradient, uint count, inout BlendState state) {
-    for (uint i = 0u; i < count; ++i) {
+void blend_hit_chunk(TraceScene scene, Ray ray, RayGradient gradient, uint hit_count,
+                     inout BlendState state) {
+    for (uint i = 0u; i < hit_count; ++i) {
         Hit hit = load_hit(i);
         float alpha = min(hit.alpha, scene.alpha_max);
         chunk_transmittance[i] = state.transmittance;

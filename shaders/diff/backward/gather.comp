@@ -19,19 +19,20 @@
 RELIDAR_PARAMS(GatherParams);
 #include "gather.glsl"
 
-/// Adds the gradient of hit `index` to the local sums of this thread.
+/// Adds the gradient of a hit to the local sums of this thread.
+/// @param sorted_hit index of the hit in the list of hits sorted by gradient row
 /// @return the instance of the hit
-uint add_hit_gradients(TraceScene scene, uint index, uint row) {
-    HitRecord h = params.hits.at[params.slots.at[index]];
+uint add_hit_gradient_and_get_instance(TraceScene scene, uint sorted_hit, uint gradient_row) {
+    HitRecord h = params.hits.at[params.slots.at[sorted_hit]];
     InstanceEntry m = scene.instances.at[h.instance];
     DeviceRay entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
     // Clears the cached transform of the previous ray, because this hit may belong to
     // another ray.
     entered_instance = kNoInstance;
     ray_basis_instance = kNoInstance;
-    if (LIKELIHOOD != 0u) load_measurement(scene, h.ray);
+    if (LIKELIHOOD != 0u) cache_measured_range(scene, h.ray);
     HitGradient d = compute_hit_gradient(scene, make_ray(entry), params.upstream.at[h.ray], h.instance,
-                                         row - m.first_row + m.first_surfel, h.w, h.d_alpha);
+                                         gradient_row - m.first_row + m.first_surfel, h.w, h.d_alpha);
     for (uint k = 0u; k < 16u; ++k) sums[k] += d.lanes[k];
     if (SH_PER_SURFEL == 0u)
         for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k)
@@ -43,16 +44,17 @@ uint add_hit_gradients(TraceScene scene, uint index, uint row) {
 /// blocks, only stores the sum. Kernel backward/gather_heads then adds all stored sums of
 /// the row. Two instances may share SH coefficients. Then one addition per instance gives
 /// a repeatable result, but more additions do not.
-/// @param begins_here true if the row has no hits in earlier blocks
-/// @param goes_on true if the row continues in the next block
-void store_row_sum(uint block, uint row, uint instance, bool begins_here, bool goes_on) {
-    if (begins_here && !goes_on) {
-        add_to_row(row, instance);
+/// @param starts_in_block true if the row has no hits in earlier blocks
+/// @param continues_in_next_block true if the row continues in the next block
+void store_row_sum_of_block(uint block, uint gradient_row, uint instance, bool starts_in_block,
+                            bool continues_in_next_block) {
+    if (starts_in_block && !continues_in_next_block) {
+        add_sums_to_surfel_gradient(gradient_row, instance);
         return;
     }
-    uint part = begins_here ? get_tail_index(block) : get_head_index(block);
+    uint part = starts_in_block ? get_index_of_last_row_sum(block) : get_index_of_first_row_sum(block);
     for (uint k = 0u; k < 16u; ++k) params.parts.at[part + k] = sums[k];
-    for (uint k = 16u; k < get_partial_sum_width(); ++k) params.parts.at[part + k] = sh_sums[k - 16u];
+    for (uint k = 16u; k < get_floats_per_partial_sum(); ++k) params.parts.at[part + k] = sh_sums[k - 16u];
 }
 
 void main() {
@@ -61,19 +63,20 @@ void main() {
     uint end = get_block_end(block);
     if (first >= end) return;
     uint row = params.rows.at[first], instance = 0u;
-    bool begins_here = first == 0u || params.rows.at[first - 1u] != row;
+    bool starts_in_block = first == 0u || params.rows.at[first - 1u] != row;
     clear_sums();
     for (uint i = first; i < end; ++i) {
         uint next = params.rows.at[i];
         if (next >= params.n_rows) break;  // slots without a hit are sorted to the end
         if (next != row) {
-            store_row_sum(block, row, instance, begins_here, false);
+            store_row_sum_of_block(block, row, instance, starts_in_block, false);
             clear_sums();
             row = next;
-            begins_here = true;
+            starts_in_block = true;
         }
-        instance = add_hit_gradients(params.scene, i, row);
+        instance = add_hit_gradient_and_get_instance(params.scene, i, row);
     }
     if (row < params.n_rows)
-        store_row_sum(block, row, instance, begins_here, end < n_sorted() && params.rows.at[end] == row);
+        store_row_sum_of_block(block, row, instance, starts_in_block,
+                               end < count_sorted_hits() && params.rows.at[end] == row);
 }

@@ -53,7 +53,7 @@ HitGradient compute_hit_gradient(TraceScene scene, Ray ray, RayGradient gradient
     // SH are evaluated per hit: gradient of a small rotation of the ray direction.
     vec3 others = d_channel;
     if (SH_PER_SURFEL == 0u) {
-        compute_ray_sh_basis(scene, ray, instance);
+        cache_ray_sh_basis(scene, ray, instance);
         // The forward pass clamps negative intensities to 0, so their gradient is 0.
         if (!(evaluate_channel(scene, surfel, 0u) > 0.0)) d_channel.x = 0.0;
         vec3 d_sh_direction = compute_sh_direction_gradient(scene, direction, surfel, d_channel);

@@ -36,14 +36,14 @@ void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient gradient)
     for (uint k = 0u; k < 16u; ++k)
         if (others || k % 4u != 3u || k == 3u)
             add_to_row_component(params.d_records, row, k, gradient.lanes[k]);
-    add_row(params.d_records, row, others ? 0xffffu : 0x777fu);
+    add_exchanged_rows(params.d_records, row, others ? 0xffffu : 0x777fu);
     if (SH_PER_SURFEL != 0u) return;
     uint n = count_sh_coefficients(scene.sh_degree);
     for (uint c = 0u; c < 3u; ++c) {
         uint sh_row = row == kNoRow ? kNoRow : 3u * surfel + c;
         for (uint k = 0u; k < n; ++k)
             add_to_row_component(params.d_sh, sh_row, k, gradient.d_channel[c] * ray_basis[k]);
-        add_row(params.d_sh, sh_row, (1u << n) - 1u);
+        add_exchanged_rows(params.d_sh, sh_row, (1u << n) - 1u);
     }
 }
 
@@ -63,11 +63,11 @@ struct BlendedHit {
 
 /// Computes the gradient of one hit and adds it to the gradient of the ray. With GATHER,
 /// stores the hit for kernel backward/gather. Otherwise adds the gradient to the surfel.
-/// If are_rows_exchanged(), the caller must add it with add_gradient() instead.
+/// If can_lanes_exchange_rows(), the caller must add it with add_gradient() instead.
 /// @param hit_gradient output: gradient of the hit
 /// @return row of the surfel in `d_records`, or kNoRow if the hit was stored
-uint add_hit_gradient(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, BlendedHit blended_hit,
-                      out HitGradient hit_gradient) {
+uint add_hit_gradient_and_get_row(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient,
+                                  BlendedHit blended_hit, out HitGradient hit_gradient) {
     uint first_surfel = scene.instances.at[blended_hit.instance].first_surfel;
     uint row = blended_hit.surfel - first_surfel + scene.instances.at[blended_hit.instance].first_row;
     if (!is_null(params.touched)) params.touched.at[blended_hit.surfel] = 1u;
@@ -83,54 +83,54 @@ uint add_hit_gradient(TraceScene scene, Ray ray, uint ray_index, RayGradient gra
     }
     hit_gradient = compute_hit_gradient(scene, ray, gradient, blended_hit.instance, blended_hit.surfel,
                                         blended_hit.w, d_alpha);
-    if (!recorded && !are_rows_exchanged()) add_gradient(scene, row, blended_hit.surfel, hit_gradient);
-    d_ray_origin += to_world_vector(scene, hit_gradient.d_origin);
-    d_ray_direction += to_world_vector(scene, hit_gradient.d_direction);
+    if (!recorded && !can_lanes_exchange_rows()) add_gradient(scene, row, blended_hit.surfel, hit_gradient);
+    d_ray_origin += rotate_vector_to_world(scene, hit_gradient.d_origin);
+    d_ray_direction += rotate_vector_to_world(scene, hit_gradient.d_direction);
     return recorded ? kNoRow : row;
 }
 
 /// Loads the next hits that the forward pass has stored for this ray into the hit buffer.
 void load_kept_hits(uint first, uint count) {
     uint list = get_thread_index();
-    reset_hits(0.0);
+    reset_hits_with_cutoff(0.0);
     hits_closed = true;
     for (uint i = 0u; i < min(count, CHUNK); ++i)
-        append_hit(params.kept.at[get_list_entry(params.n_kept, list, first + i)]);
+        append_hit(params.kept.at[get_index_in_hit_lists(params.n_kept, list, first + i)]);
 }
 
-/// Adds the gradients of the first `count` hits in the hit buffer, from far to near. If
-/// are_rows_exchanged() is true, threads exchange gradients, so that all threads of the
-/// subgroup must call this function.
-/// @param slot index in `hits` of the record of the first hit
-/// @param behind sum of w * shade (see BlendedHit) over all farther hits and background
-void add_buffered_hit_gradients(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, uint slot,
-                                uint count, float behind) {
-    for (uint k = are_rows_exchanged() ? subgroupMax(count) : count; k > 0u; --k) {
+/// Adds the gradients of the first `hit_count` hits in the hit buffer, from far to near.
+/// If can_lanes_exchange_rows(), all threads of the subgroup must call this function.
+/// @param first_record index in `hits` of the record of the first hit
+/// @param sum_behind sum of w * shade (see BlendedHit) over farther hits and background
+void add_gradients_of_buffered_hits(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient,
+                                    uint first_record, uint hit_count, float sum_behind) {
+    for (uint k = can_lanes_exchange_rows() ? subgroupMax(hit_count) : hit_count; k > 0u; --k) {
         uint i = k - 1u, row = kNoRow, surfel = 0u;
         HitGradient d;
-        if (k <= count) {
+        if (k <= hit_count) {
             Hit hit = load_hit(i);
             surfel = hit.surfel;
-            row = add_hit_gradient(scene, ray, ray_index, gradient,
-                                   BlendedHit(slot + i, hit.instance, hit.surfel, hit.alpha,
-                                              chunk_transmittance[i], chunk_w[i], chunk_shade[i], behind),
-                                   d);
-            behind += chunk_w[i] * chunk_shade[i];
+            row = add_hit_gradient_and_get_row(
+                scene, ray, ray_index, gradient,
+                BlendedHit(first_record + i, hit.instance, hit.surfel, hit.alpha, chunk_transmittance[i],
+                           chunk_w[i], chunk_shade[i], sum_behind),
+                d);
+            sum_behind += chunk_w[i] * chunk_shade[i];
         }
-        if (are_rows_exchanged()) add_gradient(scene, row, surfel, d);
+        if (can_lanes_exchange_rows()) add_gradient(scene, row, surfel, d);
     }
 }
 
 /// Returns the state in which the backward pass starts to blend the hits of a ray again.
 /// `remaining` is the sum of value * dL/d(value) over all blended values of the ray.
-BlendState start_blending(RenderedRay final, RayGradient gradient) {
-#define RELIDAR_REMAINS(name, built, value, input, slope, meaning) +gradient.name* final.name
+BlendState make_backward_blend_state(RenderedRay rendered, RayGradient gradient) {
+#define RELIDAR_REMAINS(name, built, value, input, slope, meaning) +gradient.name* rendered.name
     precise float remaining = RELIDAR_CHANNEL_VALUES(RELIDAR_REMAINS);
 #undef RELIDAR_REMAINS
-    remaining += gradient.depth * final.depth;
+    remaining += gradient.depth * rendered.depth;
     BlendState state = BlendState(0.0, 1.0, remaining, 0.0);
 #define RELIDAR_REMAINS(name, built, value, input, slope, meaning) \
-    if (built) state.remaining += gradient.name * final.name;
+    if (built) state.remaining += gradient.name * rendered.name;
     RELIDAR_LOSS_VALUES(RELIDAR_REMAINS)
 #undef RELIDAR_REMAINS
     return state;
@@ -138,45 +138,48 @@ BlendState start_blending(RenderedRay final, RayGradient gradient) {
 
 /// Subtracts dL/dw of the nearest hit from dL/dw of all hits, which reduces rounding
 /// errors. The blending weights w sum to 1, so a common offset changes no gradient.
-void shift_blend_origin(TraceScene scene, Ray ray, RenderedRay final, RayGradient gradient,
-                        inout BlendState state) {
+void subtract_weight_gradient_of_nearest_hit(TraceScene scene, Ray ray, RenderedRay rendered,
+                                             RayGradient gradient, inout BlendState state) {
     state.shift = compute_weight_gradient(scene, ray, gradient, load_hit(0u));
-    add_with_compensation(state.remaining, state.lost, -state.shift * final.weight);
-    add_with_compensation(state.remaining, state.lost, -state.shift * final.transmittance);
+    add_with_compensation(state.remaining, state.lost, -state.shift * rendered.weight);
+    add_with_compensation(state.remaining, state.lost, -state.shift * rendered.transmittance);
 }
 
 /// Computes the gradients of all hits of a ray.
-/// @param going false if this thread has no ray or the gradient of its ray is zero. Such
-/// a thread must also call this function if are_rows_exchanged() is true
-/// @return number of hits whose gradients were computed. Less than final.n_hits if the
+/// @param is_active false if this thread has no ray or the gradient of its ray is zero.
+/// Such a thread must also call this function if can_lanes_exchange_rows() is true
+/// @return number of hits whose gradients were computed. Less than rendered.n_hits if the
 /// backward pass does not find all hits of the forward pass again
-uint backpropagate_ray(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient gradient,
-                       bool going) {
-    BlendState state = start_blending(final, gradient);
+uint backpropagate_ray_and_count_hits(TraceScene scene, Ray ray, uint ray_index, RenderedRay rendered,
+                                      RayGradient gradient, bool is_active) {
+    BlendState state = make_backward_blend_state(rendered, gradient);
     uint blended = 0u, start = GATHER != 0u ? params.first_hit.at[ray_index] : 0u;
-    Key after = get_first_key(scene);
-    going = going && final.n_hits > 0u;
-    for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && (are_rows_exchanged() ? subgroupAny(going) : going);
+    HitKey previous_key = get_search_start_key(scene);
+    is_active = is_active && rendered.n_hits > 0u;
+    for (uint pass = 0u;
+         pass < RELIDAR_MAX_PASSES && (can_lanes_exchange_rows() ? subgroupAny(is_active) : is_active);
          ++pass) {
         uint n = 0u, slot = start + blended;
         float behind = 0.0;
-        if (going) {
+        if (is_active) {
             // True if the forward pass has stored all hits of the next chunk. Otherwise,
             // all of them are searched again. Thus n_kept, the number of stored hits,
             // does not change the division into chunks and the rounding errors.
-            bool kept = min(blended + CHUNK, final.n_hits) <= params.n_kept;
-            if (kept) load_kept_hits(blended, final.n_hits - blended);
-            else find_next_hits(scene, ray, after, compute_min_transmittance(scene, state.transmittance));
-            n = min(n_hits, final.n_hits - blended);
-            if (pass == 0u) shift_blend_origin(scene, ray, final, gradient, state);
+            bool kept = min(blended + CHUNK, rendered.n_hits) <= params.n_kept;
+            if (kept) load_kept_hits(blended, rendered.n_hits - blended);
+            else
+                find_next_hits(scene, ray, previous_key,
+                               compute_min_transmittance_of_next_hits(scene, state.transmittance));
+            n = min(n_hits, rendered.n_hits - blended);
+            if (pass == 0u) subtract_weight_gradient_of_nearest_hit(scene, ray, rendered, gradient, state);
             blended += n;
-            blend_chunk(scene, ray, gradient, n, state);
-            going = blended < final.n_hits && hits_closed;
+            blend_hit_chunk(scene, ray, gradient, n, state);
+            is_active = blended < rendered.n_hits && hits_closed;
             // the background has drop logit 1
-            behind = going ? state.remaining : state.transmittance * (gradient.drop_logit - state.shift);
-            if (going) after = load_hit_key(n_hits - 1u);
+            behind = is_active ? state.remaining : state.transmittance * (gradient.drop_logit - state.shift);
+            if (is_active) previous_key = load_hit_key(n_hits - 1u);
         }
-        add_buffered_hit_gradients(scene, ray, ray_index, gradient, slot, n, behind);
+        add_gradients_of_buffered_hits(scene, ray, ray_index, gradient, slot, n, behind);
     }
     return blended;
 }
@@ -192,7 +195,7 @@ void main() {
     uint i = get_traced_ray(params.scene);
     bool inside = i < params.scene.n_rays;
     if (!inside) {
-        if (!are_rows_exchanged()) return;
+        if (!can_lanes_exchange_rows()) return;
         // All lanes must take part in the exchange of gradients, so a lane without a ray
         // uses ray 0 as a placeholder.
         i = 0u;
@@ -203,8 +206,9 @@ void main() {
     ray_basis_instance = kNoInstance;
     RayGradient g = params.upstream.at[i];
     RenderedRay final = params.rendered.at[i];
-    if (LIKELIHOOD != 0u) load_measurement(params.scene, i);
-    uint blended = backpropagate_ray(params.scene, make_ray(entry), i, final, g, inside && has_gradient(g));
+    if (LIKELIHOOD != 0u) cache_measured_range(params.scene, i);
+    uint blended = backpropagate_ray_and_count_hits(params.scene, make_ray(entry), i, final, g,
+                                                    inside && has_gradient(g));
     if (!inside) return;
     if (GATHER != 0u) clear_hit_records(i, blended, final.n_hits);
     if (is_null(params.d_rays)) return;

@@ -26,13 +26,14 @@ uint divide_64_by_32(uint high, uint low, uint divisor) {
     return quotient;
 }
 
-/// Returns how many copies surfels 0 to k receive in total, if `weight` is the sum of
-/// their weights: floor((weight * n_new + phase) / total_weight). All surfels together
-/// receive n_new copies. The random `phase` decides between rounding up and down.
-uint sum_earlier_weights(uint weight) {
+/// Returns how many copies surfels 0 to k receive in total, if `cumulative_weight` is the
+/// sum of their weights: floor((cumulative_weight * n_new + phase) / total_weight). All
+/// surfels together receive n_new copies. The random `phase` decides between rounding up
+/// and down.
+uint compute_cumulative_copies(uint cumulative_weight) {
     if (params.total_weight == 0u) return 0u;
     uint high, low, carry;
-    umulExtended(weight, params.n_new, high, low);
+    umulExtended(cumulative_weight, params.n_new, high, low);
     low = uaddCarry(low, params.phase, carry);
     return divide_64_by_32(high + carry, low, params.total_weight);
 }
@@ -42,7 +43,7 @@ void main() {
     if (i >= params.n_surfels) return;
     uint action = params.action.at[i];
     uint before = params.cumulative.at[i];
-    uint copies = sum_earlier_weights(before + params.weight.at[i]) - sum_earlier_weights(before);
+    uint copies = compute_cumulative_copies(before + params.weight.at[i]) - compute_cumulative_copies(before);
     if (action != RELIDAR_DENSIFY_DROP && copies == 0u) params.action.at[i] = RELIDAR_DENSIFY_KEEP;
     params.n_rows.at[i] = action == RELIDAR_DENSIFY_DROP ? 0u : 1u + copies;
 }

@@ -11,11 +11,11 @@
 #include "../../scene/gaussian/quaternion.glsl"
 RELIDAR_PARAMS(SpawnParams);
 
-bool has_third_scale() { return !is_null(params.surfels.log_scale_w); }
+bool has_third_axis_scale() { return !is_null(params.surfels.log_scale_w); }
 
 void add_to_log_scales(uint row, float amount) {
     for (uint k = 0u; k < 2u; ++k) params.surfels.log_scale.at[2 * row + k] += amount;
-    if (has_third_scale()) params.surfels.log_scale_w.at[row] += amount;
+    if (has_third_axis_scale()) params.surfels.log_scale_w.at[row] += amount;
 }
 
 void split_surfel(uint row) {
@@ -23,11 +23,12 @@ void split_surfel(uint row) {
     for (uint k = 0u; k < 4u; ++k) q[k] = params.surfels.rotation.at[4 * row + k];
     mat3 r = make_rotation_matrix(q);
     // Starts with random number 2, because kernel densify/classify has used 0 and 1.
-    vec2 z = draw_normal_pair(params.key, row, 2u);
+    vec2 z = draw_standard_normal_pair(params.key, row, 2u);
     vec3 offset = z.x * exp(params.surfels.log_scale.at[2 * row]) * r[0] +
                   z.y * exp(params.surfels.log_scale.at[2 * row + 1]) * r[1];
-    if (has_third_scale())
-        offset += draw_normal_pair(params.key, row, 3u).x * exp(params.surfels.log_scale_w.at[row]) * r[2];
+    if (has_third_axis_scale())
+        offset +=
+            draw_standard_normal_pair(params.key, row, 3u).x * exp(params.surfels.log_scale_w.at[row]) * r[2];
     for (uint k = 0u; k < 3u; ++k) params.surfels.mean.at[3 * row + k] += offset[k];
     add_to_log_scales(row, -log(1.6));
 }

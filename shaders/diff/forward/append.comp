@@ -15,8 +15,8 @@ void main() {
     if (i < params.scene.n_rays) {
         DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
         listed = params.lists;
-        find_next_hits(params.scene, make_ray(entry), get_first_key(params.scene),
-                       compute_min_transmittance(params.scene, 1.0));
+        find_next_hits(params.scene, make_ray(entry), get_search_start_key(params.scene),
+                       compute_min_transmittance_of_next_hits(params.scene, 1.0));
         length = n_hits | (hits_closed ? RELIDAR_LIST_CLOSED : 0u);
         if (n_hits > params.lists.room) {
             length = RELIDAR_LIST_UNFIT;

@@ -24,7 +24,7 @@ Blended start_blending(TraceScene scene, uint ray_index) {
     b.ray.instance = RELIDAR_NO_INSTANCE;
     b.normal = vec3(0.0);
     b.surfaces = make_empty_surfaces();
-    if (LIKELIHOOD != 0u) load_measurement(scene, ray_index);
+    if (LIKELIHOOD != 0u) cache_measured_range(scene, ray_index);
     ray_basis_instance = kNoInstance;
     return b;
 }
@@ -34,15 +34,15 @@ vec3 compute_hit_channels(TraceScene scene, Ray ray, Hit hit) {
 }
 
 /// Returns the transmittance of the ray behind a hit.
-/// @param transmittance transmittance before the hit
-float compute_transmittance_behind(TraceScene scene, Hit hit, float transmittance) {
-    return transmittance * (1.0 - min(hit.alpha, scene.alpha_max));
+/// @param transmittance_before transmittance before the hit
+float compute_transmittance_behind(TraceScene scene, Hit hit, float transmittance_before) {
+    return transmittance_before * (1.0 - min(hit.alpha, scene.alpha_max));
 }
 
 /// Returns true if a hit reduces the transmittance below the limit. The ray then ends
 /// before this hit, and the hit is not blended.
-bool is_blocked_before(TraceScene scene, Hit hit, float transmittance) {
-    return compute_transmittance_behind(scene, hit, transmittance) < scene.transmittance_min;
+bool is_ray_blocked_before_hit(TraceScene scene, Hit hit, float transmittance_before) {
+    return compute_transmittance_behind(scene, hit, transmittance_before) < scene.transmittance_min;
 }
 
 /// Adds the next hit of the ray to the blended values.
@@ -50,7 +50,8 @@ void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended 
     float next = compute_transmittance_behind(scene, hit, blended.ray.transmittance),
           w = min(hit.alpha, scene.alpha_max) * blended.ray.transmittance;
     if (NORMAL != 0u) blended.normal += w * compute_facing_normal(scene, ray, hit.instance, hit.surfel);
-    if (MODE != 0u) add_to_surface(hit.t, w, params.surface_gap_m, blended.surfaces);  // docs/method.md, M13
+    if (MODE != 0u)
+        add_hit_to_surfaces(hit.t, w, params.surface_gap_m, blended.surfaces);  // docs/method.md, M13
 #define RELIDAR_BLEND(name, built, value, input, slope, meaning) \
     if (built) add_with_compensation(blended.ray.name, blended.lost.name, w*(value));
     RELIDAR_BLENDED_VALUES(RELIDAR_BLEND)
@@ -63,9 +64,10 @@ void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended 
 }
 
 /// Stores a hit for the backward pass.
-/// @param index number of the hit in the order of blending
-void keep_hit(uint index, Hit hit) {
-    if (index < params.n_kept) params.kept.at[get_list_entry(params.n_kept, get_thread_index(), index)] = hit;
+/// @param blend_index number of the hit in the order of blending
+void store_hit_for_backward_pass(uint blend_index, Hit hit) {
+    if (blend_index < params.n_kept)
+        params.kept.at[get_index_in_hit_lists(params.n_kept, get_thread_index(), blend_index)] = hit;
 }
 
 /// Adds the background to the blended values and writes the result of the ray.
@@ -74,7 +76,7 @@ void finish_blending(uint ray_index, inout Blended blended) {
     // Blends the background like a hit with the drop logit 1 and all other values 0. Its
     // weight is the remaining transmittance of the ray.
     add_with_compensation(blended.ray.drop_logit, blended.lost.drop_logit, blended.ray.transmittance);
-    keep_heavier_surface(blended.surfaces);
+    update_heaviest_surface(blended.surfaces);
     if (NORMAL != 0u || MODE != 0u)
         params.surfaces.at[ray_index] = RenderedSurface(blended.normal, blended.surfaces.heaviest_t);
     params.rendered.at[ray_index] = blended.ray;

@@ -11,6 +11,6 @@ vec3 compute_facing_normal(TraceScene scene, Ray ray, uint instance, uint surfel
     enter_instance(scene, ray, instance);
     vec3 normal = scene.records.at[surfel].normal;
     float side = exact_dot(normal, entered_direction) > 0.0 ? -1.0 : 1.0;
-    return side * to_world_vector(scene, normal);
+    return side * rotate_vector_to_world(scene, normal);
 }
 #endif

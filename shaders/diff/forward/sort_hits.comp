@@ -14,18 +14,19 @@ RELIDAR_PARAMS(SortHitsParams);
 RELIDAR_CONSTANT(uint, LANES, 32u);
 
 Hit load_list_hit(uint list, uint place) {
-    return params.lists.hits.at[get_list_entry(params.lists.room, list, place)];
+    return params.lists.hits.at[get_index_in_hit_lists(params.lists.room, list, place)];
 }
 
-/// Compares two hits at the same distance, given by their positions `first` and `second`
-/// in the list. Returns true if `first` comes before `second`, ordered by instance, then
-/// surfel, then position. Positions beyond the end of the list come last.
-bool is_tie_before(uint list, uint count, uint first, uint second) {
-    if (first >= count || second >= count) return first < second;
-    Hit hit_a = load_list_hit(list, first), hit_b = load_list_hit(list, second);
-    Key key_a = Key(hit_a.t, hit_a.instance, hit_a.surfel),
-        key_b = Key(hit_b.t, hit_b.instance, hit_b.surfel);
-    return is_key_before(key_a, key_b) || (key_a == key_b && first < second);
+/// Compares two hits at the same distance, given by their positions `first_position` and
+/// `second_position` in the list. Returns true if `first_position` comes before
+/// `second_position`, ordered by instance, then surfel, then position. Positions beyond
+/// the end of the list come last.
+bool is_hit_before_at_equal_distance(uint list, uint hit_count, uint first_position, uint second_position) {
+    if (first_position >= hit_count || second_position >= hit_count) return first_position < second_position;
+    Hit hit_a = load_list_hit(list, first_position), hit_b = load_list_hit(list, second_position);
+    HitKey key_a = HitKey(hit_a.t, hit_a.instance, hit_a.surfel),
+           key_b = HitKey(hit_b.t, hit_b.instance, hit_b.surfel);
+    return is_key_before(key_a, key_b) || (key_a == key_b && first_position < second_position);
 }
 
 // Macros that unroll the loops over the hits of a lane, with a separate sort function for
@@ -39,23 +40,23 @@ bool is_tie_before(uint list, uint count, uint first, uint second) {
 
 #define HELD 1
 #define EACH(X) EACH_OF_1(X, 0u)
-#define SORT sort_1
+#define SORT_HITS_OF_LIST sort_1
 #include "sort_held.glsl"
 #define HELD 2
 #define EACH(X) EACH_OF_2(X, 0u)
-#define SORT sort_2
+#define SORT_HITS_OF_LIST sort_2
 #include "sort_held.glsl"
 #define HELD 4
 #define EACH(X) EACH_OF_4(X, 0u)
-#define SORT sort_4
+#define SORT_HITS_OF_LIST sort_4
 #include "sort_held.glsl"
 #define HELD 8
 #define EACH(X) EACH_OF_8(X, 0u)
-#define SORT sort_8
+#define SORT_HITS_OF_LIST sort_8
 #include "sort_held.glsl"
 #define HELD 16  // must equal RELIDAR_MOST_HELD in shared/trace.h
 #define EACH(X) EACH_OF_16(X, 0u)
-#define SORT sort_16
+#define SORT_HITS_OF_LIST sort_16
 #include "sort_held.glsl"
 
 void main() {

@@ -19,20 +19,20 @@ Surfaces make_empty_surfaces() { return Surfaces(-1e30, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 /// Keeps the current surface as the result if it has a larger weight than all surfaces
 /// before. With equal weights, the nearer surface is kept.
-void keep_heavier_surface(inout Surfaces surfaces) {
+void update_heaviest_surface(inout Surfaces surfaces) {
     if (!(surfaces.weight > surfaces.heaviest)) return;
     surfaces.heaviest = surfaces.weight;
     surfaces.heaviest_t = surfaces.start + surfaces.moment / surfaces.weight;
 }
 
-void add_to_surface(float t, float w, float gap, inout Surfaces surfaces) {
-    if (t - surfaces.last_t > gap) {
-        keep_heavier_surface(surfaces);
-        surfaces.start = t;
+void add_hit_to_surfaces(float hit_t, float hit_weight, float max_gap_m, inout Surfaces surfaces) {
+    if (hit_t - surfaces.last_t > max_gap_m) {
+        update_heaviest_surface(surfaces);
+        surfaces.start = hit_t;
         surfaces.weight = surfaces.moment = 0.0;
     }
-    surfaces.last_t = t;
-    surfaces.weight += w;
-    surfaces.moment += w * (t - surfaces.start);
+    surfaces.last_t = hit_t;
+    surfaces.weight += hit_weight;
+    surfaces.moment += hit_weight * (hit_t - surfaces.start);
 }
 #endif

@@ -15,19 +15,20 @@ RELIDAR_PARAMS(ForwardParams);
 
 void render_ray(TraceScene scene, Ray ray, uint ray_index) {
     Blended b = start_blending(scene, ray_index);
-    Key after = get_first_key(scene);
+    HitKey previous_key = get_search_start_key(scene);
     bool ended = false;
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && !ended; ++pass) {
-        find_next_hits(scene, ray, after, compute_min_transmittance(scene, b.ray.transmittance));
+        find_next_hits(scene, ray, previous_key,
+                       compute_min_transmittance_of_next_hits(scene, b.ray.transmittance));
         for (uint i = 0u; i < n_hits; ++i) {
             Hit hit = load_hit(i);
-            ended = is_blocked_before(scene, hit, b.ray.transmittance);
+            ended = is_ray_blocked_before_hit(scene, hit, b.ray.transmittance);
             if (ended) break;
-            keep_hit(b.ray.n_hits, hit);
+            store_hit_for_backward_pass(b.ray.n_hits, hit);
             blend_hit(scene, ray, hit, compute_hit_channels(scene, ray, hit), b);
         }
         if (!hits_closed) ended = true;
-        else after = load_hit_key(n_hits - 1u);
+        else previous_key = load_hit_key(n_hits - 1u);
     }
     if (!ended) atomicAdd(scene.pass_cap_count.at[0], 1u);
     finish_blending(ray_index, b);

@@ -27,7 +27,7 @@ void main() {
         if (a != RELIDAR_NO_INDEX) {
             vec3 difference = params.simulated.at[a] - params.measured.at[k];
             squares_m2 += dot(difference, difference);
-            add_fixed(
+            atomic_add_fixed_point(
                 params.d_found, a,
                 2.0 * dot(difference, params.rays.at[params.first_ray + a * params.ray_stride].direction));
         }

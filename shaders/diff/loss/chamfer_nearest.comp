@@ -51,22 +51,22 @@ struct Cells {
     uint across;  // number of points or tiles per row of the image
 };
 
-Cells make_cells(uint cell, uvec2 items, uint cells_across) {
-    uvec2 cell_size = uvec2(params.tile_rows, params.tile_columns),
-          begin = uvec2(cell / cells_across, cell % cells_across) * cell_size;
-    return Cells(begin, min(begin + cell_size, items), items.y);
+Cells get_cells_of_tile(uint tile, uvec2 grid_size, uint tiles_per_row) {
+    uvec2 tile_size = uvec2(params.tile_rows, params.tile_columns),
+          begin = uvec2(tile / tiles_per_row, tile % tiles_per_row) * tile_size;
+    return Cells(begin, min(begin + tile_size, grid_size), grid_size.y);
 }
 
-uvec2 count_cells(uvec2 items) {
-    uvec2 cell = uvec2(params.tile_rows, params.tile_columns);
-    return (items + cell - 1u) / cell;
+uvec2 count_tiles(uvec2 grid_size) {
+    uvec2 tile_size = uvec2(params.tile_rows, params.tile_columns);
+    return (grid_size + tile_size - 1u) / tile_size;
 }
 
-void visit_tile(uint tile, uvec2 points, uint tiles_across, inout Nearest best) {
+void search_tile_for_nearest_point(uint tile, uvec2 image_size, uint tiles_per_row, inout Nearest best) {
     if (!(compute_squared_distance(best.query, params.cloud.tile_low.at[tile],
                                    params.cloud.tile_high.at[tile]) < best.squared_m2))
         return;
-    Cells c = make_cells(tile, points, tiles_across);
+    Cells c = get_cells_of_tile(tile, image_size, tiles_per_row);
     for (uint row = c.begin.x; row < c.end.x; ++row)
         for (uint column = c.begin.y; column < c.end.y; ++column) visit_point(row * c.across + column, best);
 }
@@ -76,19 +76,20 @@ void main() {
     if (k >= params.rows * params.columns) return;
     Nearest best = Nearest(params.queries.at[k], uintBitsToFloat(0x7f800000u), RELIDAR_NO_INDEX);
     if (best.query.x < RELIDAR_NO_POINT) {
-        uvec2 points = uvec2(params.rows, params.columns), tiles = count_cells(points),
-              groups = count_cells(tiles);
+        uvec2 points = uvec2(params.rows, params.columns), tiles = count_tiles(points),
+              groups = count_tiles(tiles);
         visit_point(k, best);
-        visit_tile(k / params.columns / params.tile_rows * tiles.y + k % params.columns / params.tile_columns,
-                   points, tiles.y, best);
+        search_tile_for_nearest_point(
+            k / params.columns / params.tile_rows * tiles.y + k % params.columns / params.tile_columns,
+            points, tiles.y, best);
         for (uint group = 0u; group < groups.x * groups.y; ++group) {
             if (!(compute_squared_distance(best.query, params.cloud.group_low.at[group],
                                            params.cloud.group_high.at[group]) < best.squared_m2))
                 continue;
-            Cells c = make_cells(group, tiles, groups.y);
+            Cells c = get_cells_of_tile(group, tiles, groups.y);
             for (uint row = c.begin.x; row < c.end.x; ++row)
                 for (uint column = c.begin.y; column < c.end.y; ++column)
-                    visit_tile(row * c.across + column, points, tiles.y, best);
+                    search_tile_for_nearest_point(row * c.across + column, points, tiles.y, best);
         }
     }
     params.nearest.at[k] = best.index;

@@ -13,10 +13,10 @@ RELIDAR_PARAMS(LikelihoodLossParams);
 
 /// Returns the loss of one ray with a measured return, and adds its derivative to the
 /// gradient of the ray.
-float compute_ray_term(uint index) {
+float compute_likelihood_loss_and_gradient(uint ray) {
     float explained =
-        params.likelihood_floor + (1.0 - params.likelihood_floor) * params.rendered.at[index].likelihood;
-    params.upstream.at[index].likelihood += -params.weight * (1.0 - params.likelihood_floor) / explained;
+        params.likelihood_floor + (1.0 - params.likelihood_floor) * params.rendered.at[ray].likelihood;
+    params.upstream.at[ray].likelihood += -params.weight * (1.0 - params.likelihood_floor) / explained;
     return -params.weight * log(explained);
 }
 
@@ -25,7 +25,7 @@ void main() {
     float term = 0.0;
     if (i < params.n_rays) {
         DeviceTarget target = params.targets.at[params.first_ray + i * params.ray_stride];
-        if (target.weight > 0.0 && target.range_m > 0.0) term = compute_ray_term(i);
+        if (target.weight > 0.0 && target.range_m > 0.0) term = compute_likelihood_loss_and_gradient(i);
     }
     add_to_sum(params.terms, kTerm_likelihood, term);
 }

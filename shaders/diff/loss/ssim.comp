@@ -39,7 +39,7 @@ Window compute_window_statistics(uint index) {
             uint j = get_window_pixel(index, row, column);
             if (j == kNoPixel) continue;
             DeviceTarget t = load_target(j);
-            if (!is_scored(t)) continue;
+            if (!has_measured_return(t)) continue;
             float w = get_window_weight(row, column);
             vec2 v = vec2(params.rendered.at[j].intensity, t.intensity) - centre;
             sum += w;
@@ -55,13 +55,13 @@ Window compute_window_statistics(uint index) {
 
 /// Computes the structural similarity (SSIM) loss of a pixel: rendered against measured
 /// intensity. Also writes the derivatives of the loss to `statistics`.
-float compute_similarity_term(uint index) {
-    Window w = compute_window_statistics(index);
+float compute_ssim_loss_of_pixel(uint pixel) {
+    Window w = compute_window_statistics(pixel);
     float a1 = 2.0 * w.mean.x * w.mean.y + kC1, a2 = 2.0 * w.covariance + kC2;
     float b1 = dot(w.mean, w.mean) + kC1, b2 = w.variance.x + w.variance.y + kC2;
     float s = a1 * a2 / (b1 * b2);
     float scale = -params.weight / w.sum;
-    uint at = index * RELIDAR_SSIM_FLOATS;
+    uint at = pixel * RELIDAR_SSIM_FLOATS;
     params.statistics.at[at] = scale * (2.0 * w.mean.y * a2 / (b1 * b2) - 2.0 * w.mean.x * s / b1);
     params.statistics.at[at + 1u] = scale * -2.0 * s / b2;
     params.statistics.at[at + 2u] = scale * 2.0 * a1 / (b1 * b2);
@@ -72,7 +72,8 @@ float compute_similarity_term(uint index) {
 
 void main() {
     uint i = get_thread_index();
-    float term =
-        i < params.rows * params.columns && is_scored(load_target(i)) ? compute_similarity_term(i) : 0.0;
+    float term = i < params.rows * params.columns && has_measured_return(load_target(i))
+                     ? compute_ssim_loss_of_pixel(i)
+                     : 0.0;
     add_to_sum(params.terms, kTerm_ssim, term);
 }

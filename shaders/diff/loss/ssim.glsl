@@ -29,5 +29,5 @@ float get_window_weight(int row_offset, int column_offset) {
 DeviceTarget load_target(uint index) {
     return params.targets.at[params.first_ray + index * params.ray_stride];
 }
-bool is_scored(DeviceTarget target) { return target.weight > 0.0 && target.range_m > 0.0; }
+bool has_measured_return(DeviceTarget target) { return target.weight > 0.0 && target.range_m > 0.0; }
 #endif

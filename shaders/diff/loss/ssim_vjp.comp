@@ -14,12 +14,12 @@ RELIDAR_PARAMS(SsimParams);
 
 void main() {
     uint q = get_thread_index();
-    if (q >= params.rows * params.columns || !is_scored(load_target(q))) return;
+    if (q >= params.rows * params.columns || !has_measured_return(load_target(q))) return;
     float x = params.rendered.at[q].intensity, y = load_target(q).intensity, sum = 0.0;
     for (int row = -kSsimRadius; row <= kSsimRadius; ++row) {
         for (int column = -kSsimRadius; column <= kSsimRadius; ++column) {
             uint p = get_window_pixel(q, row, column);
-            if (p == kNoPixel || !is_scored(load_target(p))) continue;
+            if (p == kNoPixel || !has_measured_return(load_target(p))) continue;
             uint at = p * RELIDAR_SSIM_FLOATS;
             sum += get_window_weight(row, column) *
                    (params.statistics.at[at] +

@@ -13,47 +13,51 @@
 RELIDAR_PARAMS(SurfelLossParams);
 
 /// Returns the penalty for a standard deviation of a surfel that is too large.
-/// @param largest_m largest standard deviation without a penalty, m
-/// @param write true: adds the derivative to d_log_scale
-float compute_scale_term(Floats log_scale, Floats d_log_scale, uint index, float largest_m, bool write) {
-    float relative = exp(log_scale.at[index]) / largest_m;
+/// @param max_scale_m largest standard deviation without a penalty, m
+/// @param adds_gradient true: adds the derivative to d_log_scale
+float compute_scale_penalty_and_gradient(Floats log_scale, Floats d_log_scale, uint index, float max_scale_m,
+                                         bool adds_gradient) {
+    float relative = exp(log_scale.at[index]) / max_scale_m;
     if (!(relative > 1.0)) return 0.0;
-    if (write) d_log_scale.at[index] += params.box_weight * relative;
+    if (adds_gradient) d_log_scale.at[index] += params.box_weight * relative;
     return relative - 1.0;
 }
 
 /// Computes the penalty for a surfel outside the box of its actor. It is the sum over x,
 /// y, z of max(0, |mean| / half size - 1), plus the penalty for large standard
 /// deviations.
-/// @param write true: adds the derivatives to the gradients
+/// @param adds_gradient true: adds the derivatives to the gradients
 /// @return penalty of the surfel
-float compute_box_term(uint index, ModelEntry model, bool write) {
+float compute_box_loss_and_gradient(uint surfel, ModelEntry model, bool adds_gradient) {
     if (!all(greaterThan(model.half_size, vec3(0.0)))) return 0.0;  // the model has no box
-    float term = 0.0, largest_m = params.box_scale_share * model.half_diagonal;
+    float term = 0.0, max_scale_m = params.box_scale_share * model.half_diagonal;
     for (uint axis = 0u; axis < 3u; ++axis) {
-        float mean = params.surfels.mean.at[3u * index + axis],
+        float mean = params.surfels.mean.at[3u * surfel + axis],
               outside = abs(mean) / model.half_size[axis] - 1.0;
         if (!(outside > 0.0)) continue;
         term += outside;
-        if (write)
-            params.d_surfels.mean.at[3u * index + axis] +=
+        if (adds_gradient)
+            params.d_surfels.mean.at[3u * surfel + axis] +=
                 params.box_weight * sign(mean) / model.half_size[axis];
     }
     Floats log_scale = params.surfels.log_scale, d_log_scale = params.d_surfels.log_scale;
     for (uint axis = 0u; axis < 2u; ++axis)
-        term += compute_scale_term(log_scale, d_log_scale, 2u * index + axis, largest_m, write);
+        term += compute_scale_penalty_and_gradient(log_scale, d_log_scale, 2u * surfel + axis, max_scale_m,
+                                                   adds_gradient);
     Floats third = params.surfels.log_scale_w;
     if (!is_null(third))
-        term += compute_scale_term(third, params.d_surfels.log_scale_w, index, largest_m, write);
+        term += compute_scale_penalty_and_gradient(third, params.d_surfels.log_scale_w, surfel, max_scale_m,
+                                                   adds_gradient);
     return params.box_weight * term;
 }
 
 void main() {
     uint k = get_thread_index(), i = params.first_surfel + k;
     bool is_surfel = k < params.n_surfels;
-    bool write = is_surfel && (is_null(params.touched) || params.touched.at[i] != 0u);
+    bool adds_gradient = is_surfel && (is_null(params.touched) || params.touched.at[i] != 0u);
     float box = 0.0;
     if (is_surfel)
-        box = compute_box_term(i, params.models.at[find_model(params.models, params.n_models, i)], write);
+        box = compute_box_loss_and_gradient(
+            i, params.models.at[find_model(params.models, params.n_models, i)], adds_gradient);
     add_to_sum(params.terms, kTerm_box, box);
 }

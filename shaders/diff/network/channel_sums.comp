@@ -14,29 +14,34 @@ RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(ChannelSumsParams);
 
 /// Returns the first pixel of part number `part` of an image. Each image is divided into
-/// `of_image` parts of nearly equal size.
-uint get_part_begin(uint part, uint of_image) {
-    return params.n_pixels / of_image * part + min(part, params.n_pixels % of_image);
+/// `parts_per_image` parts of nearly equal size.
+uint get_first_pixel_of_image_part(uint part, uint parts_per_image) {
+    return params.n_pixels / parts_per_image * part + min(part, params.n_pixels % parts_per_image);
 }
 
 /// Returns one pixel's contribution to dL/d(beta) and dL/d(gamma) of the normalisation.
-/// @param plane,d_plane index of the channel's first pixel in params.from and params.d_to
-/// @param place index of the channel's first pixel in the dropout mask
-/// @param affine,moments (scale, shift) and (mean, 1 / deviation) of the channel
-vec2 compute_gradients_at(uint pixel, uint plane, uint d_plane, uint place, vec2 affine, vec2 moments) {
-    float x = params.from.values.at[plane + pixel];
-    float passes = compute_gate(affine.x * x + affine.y, place + pixel, params.dropout_key, params.dropout);
-    float g = params.d_to.values.at[d_plane + pixel] * passes;
-    return vec2(g, g * (x - moments.x) * moments.y);
+/// @param first_value,first_gradient index of the channel's first pixel in params.from
+/// and params.d_to
+/// @param first_dropout_index index of the channel's first pixel in the dropout mask
+/// @param scale_shift,mean_and_inverse_deviation (scale, shift) and (mean, 1 / deviation)
+/// of the channel
+vec2 compute_norm_gradients_of_pixel(uint pixel, uint first_value, uint first_gradient,
+                                     uint first_dropout_index, vec2 scale_shift,
+                                     vec2 mean_and_inverse_deviation) {
+    float x = params.from.values.at[first_value + pixel];
+    float passes = compute_relu_dropout_factor(scale_shift.x * x + scale_shift.y, first_dropout_index + pixel,
+                                               params.dropout_key, params.dropout);
+    float g = params.d_to.values.at[first_gradient + pixel] * passes;
+    return vec2(g, g * (x - mean_and_inverse_deviation.x) * mean_and_inverse_deviation.y);
 }
 
 void main() {
     uint job = get_workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
          lane = gl_SubgroupInvocationID;
     uint channel = job % params.n_channels, part = min(job / params.n_channels, params.n_parts - 1u);
-    uint of_image = params.n_parts / params.n_images, image = part / of_image;
-    uint begin = get_part_begin(part % of_image, of_image),
-         end = get_part_begin(part % of_image + 1u, of_image);
+    uint parts_per_image = params.n_parts / params.n_images, image = part / parts_per_image;
+    uint begin = get_first_pixel_of_image_part(part % parts_per_image, parts_per_image),
+         end = get_first_pixel_of_image_part(part % parts_per_image + 1u, parts_per_image);
     uint plane = (image * params.from.channels + params.from.first + channel) * params.n_pixels;
     vec2 sum = vec2(0.0);
     if (params.kind == kSums_norm_vjp) {
@@ -44,7 +49,7 @@ void main() {
         uint place = (image * params.n_channels + channel) * params.n_pixels;
         vec2 affine = params.scale_shift.at[channel], moments = params.moments.at[channel];
         for (uint i = begin + lane; i < end; i += LANES)
-            sum += compute_gradients_at(i, plane, d_plane, place, affine, moments);
+            sum += compute_norm_gradients_of_pixel(i, plane, d_plane, place, affine, moments);
     } else {
         for (uint i = begin + lane; i < end; i += LANES) sum.x += params.from.values.at[plane + i];
     }

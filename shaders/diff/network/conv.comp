@@ -37,28 +37,28 @@ shared float tile[kIn * 9 * kOut];  // weights of a tile, indexed [in, tap, out]
 /// Copies the weights of kIn input channels (from first_in) and kOut output channels
 /// (from first_out) to shared memory. If fewer channels remain, weights of the last
 /// channel fill the other entries, which are not used.
-void load_weight_tile(uint first_out, uint first_in) {
+void load_weight_tile(uint first_out_channel, uint first_in_channel) {
     for (uint k = gl_LocalInvocationIndex; k < kIn * TAPS * kOut; k += gl_WorkGroupSize.x) {
-        uint o = min(first_out + k % kOut, params.n_out - 1u),
-             i = min(first_in + k / (kOut * TAPS), params.n_in - 1u);
+        uint o = min(first_out_channel + k % kOut, params.n_out - 1u),
+             i = min(first_in_channel + k / (kOut * TAPS), params.n_in - 1u);
         tile[k] = params.weights.at[get_weight_index(o, i, k / kOut % TAPS)];
     }
 }
 
 /// Replaces the weights in shared memory by those of the next kIn input channels,
-/// starting at `first_in`.
-void replace_weight_tile(uint first_out, uint first_in) {
+/// starting at `first_in_channel`.
+void load_next_weight_tile(uint first_out_channel, uint first_in_channel) {
     barrier();
-    load_weight_tile(first_out, first_in);
+    load_weight_tile(first_out_channel, first_in_channel);
     barrier();
 }
 
 /// Loads this lane's part of the weights of one input channel and one position (tap) of
 /// the 3x3 kernel. The lanes exchange their parts later.
-void load_weights(uint first_out, uint index, uint tap, out float held[kHeld]) {
+void load_weights_of_lane(uint first_out_channel, uint in_channel, uint tap, out float lane_weights[kHeld]) {
     [[unroll]] for (uint k = 0u; k < kHeld; ++k) {
-        uint o = min(first_out + k * LANES + gl_SubgroupInvocationID, params.n_out - 1u);
-        held[k] = params.weights.at[get_weight_index(o, index, tap)];
+        uint o = min(first_out_channel + k * LANES + gl_SubgroupInvocationID, params.n_out - 1u);
+        lane_weights[k] = params.weights.at[get_weight_index(o, in_channel, tap)];
     }
 }
 
@@ -89,7 +89,7 @@ void main() {
     [[unroll]] for (uint k = 0u; k < PIXELS * kOut; ++k) sum[k] = 0.0;
 
     for (uint i = 0u; i < params.n_in; ++i) {
-        if (STAGED && i % kIn == 0u) replace_weight_tile(first_out, i);
+        if (STAGED && i % kIn == 0u) load_next_weight_tile(first_out, i);
         [[unroll]] for (uint ky = 0u; ky < kLines; ++ky) {
             float v[kLoads];
             [[unroll]] for (uint k = 0u; k < kLoads; ++k) {
@@ -99,10 +99,10 @@ void main() {
             [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
                 uint tap = ky * kLines + kx;
                 float held[kHeld];
-                if (!STAGED) load_weights(first_out, i, tap, held);
+                if (!STAGED) load_weights_of_lane(first_out, i, tap, held);
                 float seen[PIXELS];
                 [[unroll]] for (uint p = 0u; p < PIXELS; ++p) seen[p] =
-                    kx == 0u ? v[p] : read_from_lane(v[p], v[min(p + 1u, kLoads - 1u)], kx);
+                    kx == 0u ? v[p] : read_from_lane_at_offset(v[p], v[min(p + 1u, kLoads - 1u)], kx);
                 [[unroll]] for (uint o = 0u; o < kOut; ++o) {
                     float w = STAGED ? tile[(i % kIn * TAPS + tap) * kOut + o]
                                      : subgroupBroadcast(held[o / LANES], o % LANES);

@@ -5,12 +5,12 @@
 #define RELIDAR_INCLUDED_DIFF_NETWORK_CONV_GLSL
 
 /// Returns the index of a weight in the weight array.
-/// @param o output channel
-/// @param index input channel
+/// @param out_channel output channel
+/// @param in_channel input channel
 /// @param tap position in the convolution kernel, 0 to TAPS - 1
-uint get_weight_index(uint o, uint index, uint tap) {
-    return params.transposed != 0u ? (index * params.n_out + o) * TAPS + (TAPS - 1u - tap)
-                                   : (o * params.n_in + index) * TAPS + tap;
+uint get_weight_index(uint out_channel, uint in_channel, uint tap) {
+    return params.transposed != 0u ? (in_channel * params.n_out + out_channel) * TAPS + (TAPS - 1u - tap)
+                                   : (out_channel * params.n_in + in_channel) * TAPS + tap;
 }
 
 /// Adds the bias of the channel to an output value. Then stores the result, or adds it to

@@ -30,9 +30,9 @@ float d_out[kOut];  // d_to of the lane's column
 
 /// Each thread processes one column of an image row. Adds the contribution of this column
 /// to `sum`, the thread's partial sums of the weight gradient.
-void add_row_columns() {
+void add_column_to_weight_gradient() {
     [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
-        float seen = kx == 0u ? before[k] : read_from_lane(before[k], next[k], kx);
+        float seen = kx == 0u ? before[k] : read_from_lane_at_offset(before[k], next[k], kx);
         [[unroll]] for (uint o = 0u; o < kOut; ++o) sum[o * kIn * TAPS + k * kLines + kx] += d_out[o] * seen;
     }
 }
@@ -76,7 +76,7 @@ void main() {
                 float d = params.d_to.values.at[plane + y * params.columns + (there ? x + lane : 0u)];
                 d_out[o] = there ? d : 0.0;
             }
-            add_row_columns();
+            add_column_to_weight_gradient();
         }
     }
 

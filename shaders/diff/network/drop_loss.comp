@@ -16,13 +16,13 @@ RELIDAR_PARAMS(DropLossParams);
 
 /// Returns the cross-entropy of a pixel, and 1 if the prediction (dropped or returned) is
 /// correct, otherwise 0.
-vec2 compute_cross_entropy(uint index, float value, float probability) {
-    float target = is_null(params.target) ? -1.0 : params.target.at[index];
+vec2 compute_cross_entropy_and_accuracy(uint pixel, float logit, float probability) {
+    float target = is_null(params.target) ? -1.0 : params.target.at[pixel];
     bool known = target >= 0.0;
     if (!is_null(params.d_logit))
-        params.d_logit.at[index] = known ? params.weight * (probability - target) : 0.0;
-    float entropy = max(value, 0.0) - value * target + log(1.0 + exp(-abs(value)));  // avoids overflow
-    return known ? vec2(entropy, (value > 0.0) == (target > 0.5) ? 1.0 : 0.0) : vec2(0.0);
+        params.d_logit.at[pixel] = known ? params.weight * (probability - target) : 0.0;
+    float entropy = max(logit, 0.0) - logit * target + log(1.0 + exp(-abs(logit)));  // avoids overflow
+    return known ? vec2(entropy, (logit > 0.0) == (target > 0.5) ? 1.0 : 0.0) : vec2(0.0);
 }
 
 void main() {
@@ -36,7 +36,7 @@ void main() {
         if (!is_null(params.start)) x += params.start.at[i];
         float probability = 1.0 / (1.0 + exp(-x));
         if (!is_null(params.probability)) params.probability.at[i] = probability;
-        sum += compute_cross_entropy(i, x, probability);
+        sum += compute_cross_entropy_and_accuracy(i, x, probability);
     }
     sum = subgroupAdd(sum);
     if (gl_SubgroupInvocationID == 0u) {

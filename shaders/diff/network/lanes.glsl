@@ -4,11 +4,11 @@
 #ifndef RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 #define RELIDAR_INCLUDED_DIFF_NETWORK_LANES_GLSL
 
-/// Returns `first` of lane number n = (number of this lane + index). If n is at least
-/// LANES, returns `second` of lane n - LANES instead.
-float read_from_lane(float first, float second, uint index) {
-    uint lane = gl_SubgroupInvocationID + index;
-    float of_a = subgroupShuffle(first, lane % LANES), of_b = subgroupShuffle(second, lane % LANES);
+/// Returns `value` of lane number n = (number of this lane + lane_offset). If n is at
+/// least LANES, returns `next_block_value` of lane n - LANES instead.
+float read_from_lane_at_offset(float value, float next_block_value, uint lane_offset) {
+    uint lane = gl_SubgroupInvocationID + lane_offset;
+    float of_a = subgroupShuffle(value, lane % LANES), of_b = subgroupShuffle(next_block_value, lane % LANES);
     return lane < LANES ? of_a : of_b;
 }
 #endif

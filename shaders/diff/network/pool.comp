@@ -14,10 +14,11 @@ void main() {
     if (i >= params.n_images * params.n_channels * n_small) return;
     uint x = i % params.small_columns, y = i / params.small_columns % params.small_rows;
     uint channel = i / n_small % params.n_channels, image = i / (n_small * params.n_channels);
-    uint at = load_large_pixel(params.from.channels, params.from.first, image, channel, 2u * y, 2u * x);
+    uint at =
+        get_index_in_large_image(params.from.channels, params.from.first, image, channel, 2u * y, 2u * x);
     float upper = max(params.from.values.at[at], params.from.values.at[at + 1u]);
     float lower =
         max(params.from.values.at[at + params.columns], params.from.values.at[at + params.columns + 1u]);
-    params.to.values.at[load_small_pixel(params.to.channels, params.to.first, image, channel, y, x)] =
+    params.to.values.at[get_index_in_small_image(params.to.channels, params.to.first, image, channel, y, x)] =
         max(upper, lower);
 }

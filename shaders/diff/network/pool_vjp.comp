@@ -15,8 +15,8 @@ void main() {
     if (i >= params.n_images * params.n_channels * n_small) return;
     uint x = i % params.small_columns, y = i / params.small_columns % params.small_rows;
     uint channel = i / n_small % params.n_channels, image = i / (n_small * params.n_channels);
-    uint first =
-             load_large_pixel(params.pooled.channels, params.pooled.first, image, channel, 2u * y, 2u * x),
+    uint first = get_index_in_large_image(params.pooled.channels, params.pooled.first, image, channel, 2u * y,
+                                          2u * x),
          largest = 0u;
     float value = params.pooled.values.at[first];
     for (uint k = 1u; k < 4u; ++k) {
@@ -25,8 +25,10 @@ void main() {
         largest = v > value ? off : largest;
         value = max(value, v);
     }
-    uint to = load_large_pixel(params.to.channels, params.to.first, image, channel, 2u * y, 2u * x) + largest;
-    float d = params.from.values
-                  .at[load_small_pixel(params.from.channels, params.from.first, image, channel, y, x)];
+    uint to = get_index_in_large_image(params.to.channels, params.to.first, image, channel, 2u * y, 2u * x) +
+              largest;
+    float d =
+        params.from.values
+            .at[get_index_in_small_image(params.from.channels, params.from.first, image, channel, y, x)];
     params.to.values.at[to] = params.to.values.at[to] + d;
 }

@@ -4,23 +4,30 @@
 #ifndef RELIDAR_INCLUDED_DIFF_NETWORK_RESAMPLE_GLSL
 #define RELIDAR_INCLUDED_DIFF_NETWORK_RESAMPLE_GLSL
 
-uint load_large_pixel(uint channels, uint first, uint image, uint channel, uint y, uint x) {
-    return ((image * channels + first + channel) * params.rows + y) * params.columns + x;
+/// Returns the index of a value in an array of images.
+/// @param n_channels number of channels of each image in the array
+/// @param first_channel channel of the array that `channel` = 0 selects
+uint get_index_in_large_image(uint n_channels, uint first_channel, uint image, uint channel, uint row,
+                              uint column) {
+    return ((image * n_channels + first_channel + channel) * params.rows + row) * params.columns + column;
 }
-uint load_small_pixel(uint channels, uint first, uint image, uint channel, uint y, uint x) {
-    return ((image * channels + first + channel) * params.small_rows + y) * params.small_columns + x;
+uint get_index_in_small_image(uint n_channels, uint first_channel, uint image, uint channel, uint row,
+                              uint column) {
+    return ((image * n_channels + first_channel + channel) * params.small_rows + row) * params.small_columns +
+           column;
 }
 
 /// Finds the two pixels of the small image that are nearest to a pixel of the large
 /// image, along one axis. Pixel centres are at half integers. Integer arithmetic makes
 /// upsampling and its derivative consistent on every device.
-/// @param left output: the left pixel
-/// @param share output: interpolation weight of the right pixel
-void find_neighbour_pixels(int position, uint n_large, uint n_small, out int left, out float share) {
+/// @param left_pixel output: the left pixel
+/// @param right_weight output: interpolation weight of the right pixel
+void find_upsampling_neighbours(int large_pixel, uint n_large, uint n_small, out int left_pixel,
+                                out float right_weight) {
     // position in units of half a large pixel
-    int unit = 2 * int(n_large), place = (2 * position + 1) * int(n_small) - int(n_large);
-    left = place < 0 ? -1 : place / unit;
-    share = float(place - left * unit) / float(unit);
+    int unit = 2 * int(n_large), place = (2 * large_pixel + 1) * int(n_small) - int(n_large);
+    left_pixel = place < 0 ? -1 : place / unit;
+    right_weight = float(place - left_pixel * unit) / float(unit);
 }
 
 /// Rows outside the image become the first or last row. Columns wrap around.

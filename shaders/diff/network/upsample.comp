@@ -9,10 +9,12 @@
 RELIDAR_PARAMS(ResampleParams);
 #include "resample.glsl"
 
-float interpolate_line(uint base, int y, int x, float share) {
-    uint row = base + clamp_row(y) * params.small_columns;
-    return mix(params.from.values.at[row + wrap_column(x)], params.from.values.at[row + wrap_column(x + 1)],
-               share);
+/// Interpolates between two neighbouring pixels of a row of the small image.
+/// @param image_begin index of the first pixel of the image
+float interpolate_in_image_row(uint image_begin, int row, int left_column, float right_weight) {
+    uint row_begin = image_begin + clamp_row(row) * params.small_columns;
+    return mix(params.from.values.at[row_begin + wrap_column(left_column)],
+               params.from.values.at[row_begin + wrap_column(left_column + 1)], right_weight);
 }
 
 void main() {
@@ -22,10 +24,10 @@ void main() {
     uint channel = i / n_large % params.n_channels, image = i / (n_large * params.n_channels);
     int left, above;
     float share_x, share_y;
-    find_neighbour_pixels(int(x), params.columns, params.small_columns, left, share_x);
-    find_neighbour_pixels(int(y), params.rows, params.small_rows, above, share_y);
-    uint base = load_small_pixel(params.from.channels, params.from.first, image, channel, 0u, 0u);
-    params.to.values.at[load_large_pixel(params.to.channels, params.to.first, image, channel, y, x)] =
-        mix(interpolate_line(base, above, left, share_x), interpolate_line(base, above + 1, left, share_x),
-            share_y);
+    find_upsampling_neighbours(int(x), params.columns, params.small_columns, left, share_x);
+    find_upsampling_neighbours(int(y), params.rows, params.small_rows, above, share_y);
+    uint base = get_index_in_small_image(params.from.channels, params.from.first, image, channel, 0u, 0u);
+    params.to.values.at[get_index_in_large_image(params.to.channels, params.to.first, image, channel, y, x)] =
+        mix(interpolate_in_image_row(base, above, left, share_x),
+            interpolate_in_image_row(base, above + 1, left, share_x), share_y);
 }

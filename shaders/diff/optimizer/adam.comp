@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Updates one parameter group with the Adam optimizer (Kingma and Ba). Uses one thread
-// per row on a CPU, and one thread per float (PER_FLOAT) on a GPU. With one thread per
-// float, neighbouring threads read neighbouring addresses, which is faster on a GPU.
+// per row on a CPU, and one thread per float (ONE_THREAD_PER_FLOAT) on a GPU. With one
+// thread per float, neighbouring threads read neighbouring addresses, which is faster on
+// a GPU.
 //
 // Rows that are not marked in `touched` have gradient zero, whatever the gradient array
 // contains. If a list of rows exists (list_touched.comp), other rows stay unchanged.
@@ -13,25 +14,26 @@
 #include "../../scene/find_model.glsl"
 #include "../../base/kernel.glsl"
 #include "../shared/optimizer.h"
-RELIDAR_CONSTANT(bool, PER_FLOAT, false);
+RELIDAR_CONSTANT(bool, ONE_THREAD_PER_FLOAT, false);
 RELIDAR_PARAMS(AdamParams);
 
 /// Updates one value with an Adam step. The values of a row are divided into blocks, for
 /// example one block per channel.
-/// @param block position of the block's first value in the row
-/// @param within position of the value in the block
-void update_element(uint row, uint block, uint within, bool has_gradient, float learning_rate) {
-    uint i = row * params.stride + block + within;
+/// @param block_begin position of the block's first value in the row
+/// @param index_in_block position of the value in the block
+void update_value_with_adam(uint row, uint block_begin, uint index_in_block, bool has_gradient,
+                            float learning_rate) {
+    uint i = row * params.stride + block_begin + index_in_block;
     // Loads the gradient even if it is not needed, because on a CPU a load in a branch is
     // slower.
-    float g = PER_FLOAT && !has_gradient ? 0.0 : params.gradients.at[i];
+    float g = ONE_THREAD_PER_FLOAT && !has_gradient ? 0.0 : params.gradients.at[i];
     g = has_gradient ? g : 0.0;
     float m = mix(g, params.moment1.at[i], params.beta1);
     float v = mix(g * g, params.moment2.at[i], params.beta2);
     params.moment1.at[i] = m;
     params.moment2.at[i] = v;
-    float rate =
-        learning_rate * (within == 0u ? params.first_scale : 1.0) * (block == 0u ? params.block_scale : 1.0);
+    float rate = learning_rate * (index_in_block == 0u ? params.first_scale : 1.0) *
+                 (block_begin == 0u ? params.block_scale : 1.0);
     float value = params.values.at[i] -
                   rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
     // Limits the value by a comparison instead of min(), because min() could replace a
@@ -40,30 +42,33 @@ void update_element(uint row, uint block, uint within, bool has_gradient, float 
     params.values.at[i] = value;
 }
 
-/// Updates the values of one row with an Adam step.
-/// @param index index of the row, or with PER_FLOAT, index of a single value
-void step_row(uint index) {
-    uint n_updated = params.n_blocks * params.n_active, row = PER_FLOAT ? index / n_updated : index;
+/// Updates the values of one row with an Adam step. With ONE_THREAD_PER_FLOAT, updates
+/// only one value of the row.
+/// @param row_or_value index of the row, or with ONE_THREAD_PER_FLOAT, index of a single
+/// value
+void update_row_with_adam(uint row_or_value) {
+    uint n_updated = params.n_blocks * params.n_active,
+         row = ONE_THREAD_PER_FLOAT ? row_or_value / n_updated : row_or_value;
     if (!is_null(params.rows)) row = params.rows.at[row];
     bool has_gradient = is_null(params.touched) || params.touched.at[row] != 0u;
     float learning_rate = params.learning_rate;
     if (!is_null(params.model_scale))
         learning_rate *=
             params.model_scale.at[find_model(params.models, params.n_models, params.first_row + row)];
-    if (PER_FLOAT) {
-        uint k = index % n_updated;
-        update_element(row, k / params.n_active * params.block, k % params.n_active, has_gradient,
-                       learning_rate);
+    if (ONE_THREAD_PER_FLOAT) {
+        uint k = row_or_value % n_updated;
+        update_value_with_adam(row, k / params.n_active * params.block, k % params.n_active, has_gradient,
+                               learning_rate);
         return;
     }
     // Uses nested loops instead of integer divisions, which are slow on a CPU.
     for (uint block = 0u; block < params.stride; block += params.block)
         for (uint within = 0u; within < params.n_active; ++within)
-            update_element(row, block, within, has_gradient, learning_rate);
+            update_value_with_adam(row, block, within, has_gradient, learning_rate);
 }
 
 void main() {
     uint n_rows = is_null(params.rows) ? params.n_rows : params.n_listed.at[0];
-    uint n = PER_FLOAT ? n_rows * params.n_blocks * params.n_active : n_rows;
-    for (uint i = get_thread_index(); i < n; i += get_thread_count()) step_row(i);
+    uint n = ONE_THREAD_PER_FLOAT ? n_rows * params.n_blocks * params.n_active : n_rows;
+    for (uint i = get_thread_index(); i < n; i += get_thread_count()) update_row_with_adam(i);
 }

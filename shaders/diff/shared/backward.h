@@ -21,7 +21,7 @@ struct HitRecord {
     float w;        // blending weight
     float d_alpha;  // dL/d(sigma G)
 };
-RELIDAR_POINTER(HitRecords, HitRecord);
+RELIDAR_DECLARE_POINTER(HitRecords, HitRecord);
 
 struct BackwardParams {
     TraceScene scene;
@@ -86,7 +86,7 @@ struct PoseBlock {
     uint n_surfels;
     uint with_view;  // 1: this instance determines the view direction of the model's spherical harmonics.
 };
-RELIDAR_POINTER(PoseBlocks, PoseBlock);
+RELIDAR_DECLARE_POINTER(PoseBlocks, PoseBlock);
 
 // Number of floats of a pose gradient in the model frame: dL/d(translation),
 // dL/d(rotation) about the model's origin, and dL/d(sensor position).

@@ -20,7 +20,7 @@ RELIDAR_SHARED_BEGIN
 // position in the sorted list.
 #define RELIDAR_BVH_LEAF 0x80000000u
 
-RELIDAR_POINTER(Uvec2s, uvec2);
+RELIDAR_DECLARE_POINTER(Uvec2s, uvec2);
 
 /// Parameters of accel/bvh_bounds.comp, which computes the bounds of each model. Surfels
 /// that no ray can hit are ignored.

@@ -12,11 +12,11 @@ void main() {
     if (ray_index >= params.scene.n_rays) return;
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + ray_index * params.scene.ray_stride];
     Ray ray = make_ray(entry);
-    Key after = get_first_key(params.scene);
+    HitKey previous_key = get_search_start_key(params.scene);
     uint count = 0u;
     bool more = true;
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && more; ++pass) {
-        find_next_hits(params.scene, ray, after, 0.0);
+        find_next_hits(params.scene, ray, previous_key, 0.0);
         for (uint i = 0u; i < n_hits; ++i, ++count) {
             if (count >= params.max_hits) continue;
             uint slot = ray_index * params.max_hits + count;
@@ -26,7 +26,7 @@ void main() {
             params.surfel.at[slot] = hit.surfel;
         }
         more = hits_closed;
-        if (more) after = load_hit_key(n_hits - 1u);
+        if (more) previous_key = load_hit_key(n_hits - 1u);
     }
     if (more) atomicAdd(params.scene.pass_cap_count.at[0], 1u);
     params.counts.at[ray_index] = count;

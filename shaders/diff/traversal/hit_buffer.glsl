@@ -40,11 +40,13 @@ uint hit_place[SLOTS];
 Hit load_sorted_hit(uint place) {
     return Hit(placed_t[place], placed_alpha[place], placed_instance[place], placed_surfel[place]);
 }
-Key load_sorted_key(uint place) { return Key(placed_t[place], placed_instance[place], placed_surfel[place]); }
+HitKey load_sorted_key(uint place) {
+    return HitKey(placed_t[place], placed_instance[place], placed_surfel[place]);
+}
 
 /// Returns hit `index` of the sorted buffer. Hit 0 is the nearest hit.
 Hit load_hit(uint index) { return load_sorted_hit(hit_place[index]); }
-Key load_hit_key(uint index) { return load_sorted_key(hit_place[index]); }
+HitKey load_hit_key(uint index) { return load_sorted_key(hit_place[index]); }
 
 void write_hit(uint place, Hit hit) {
     placed_t[place] = hit.t;
@@ -72,7 +74,7 @@ void sort_hit_indices() {
 /// Removes the farthest hit from the buffer.
 /// @param remaining_transmittance product of 1 - alpha over the remaining hits
 /// @return index of the entry that is free now
-uint remove_farthest_hit(float remaining_transmittance) {
+uint remove_farthest_hit_and_get_entry(float remaining_transmittance) {
     uint place = next_nearer[CHUNK];
     next_nearer[CHUNK] = next_nearer[place];
     hits_transmittance = remaining_transmittance;
@@ -82,7 +84,7 @@ uint remove_farthest_hit(float remaining_transmittance) {
 }
 
 /// Returns the transmittance of the ray just before its farthest stored hit.
-float compute_transmittance_before_farthest(float alpha_max) {
+float compute_transmittance_before_farthest_hit(float alpha_max) {
     return hits_transmittance / (1.0 - min(placed_alpha[next_nearer[CHUNK]], alpha_max));
 }
 
@@ -93,9 +95,9 @@ void drop_invisible_hits(float alpha_max) {
     // execute the first iteration of the loop below, even if no thread needs the loop.
     if (!(hits_transmittance < least_transmittance)) return;
     while (n_hits > 1u) {
-        float left = compute_transmittance_before_farthest(alpha_max);
+        float left = compute_transmittance_before_farthest_hit(alpha_max);
         if (!(left < least_transmittance)) return;
-        uint place = remove_farthest_hit(left);
+        uint place = remove_farthest_hit_and_get_entry(left);
         next_nearer[place] = free_place;
         free_place = place;
         hits_closed = true;
@@ -104,8 +106,9 @@ void drop_invisible_hits(float alpha_max) {
 
 /// Returns the buffer entry for a new hit: a free entry, or the entry of the farthest hit
 /// if the buffer is full.
-uint find_insertion_index(float alpha_max) {
-    if (n_hits == CHUNK) return remove_farthest_hit(compute_transmittance_before_farthest(alpha_max));
+uint allocate_hit_entry(float alpha_max) {
+    if (n_hits == CHUNK)
+        return remove_farthest_hit_and_get_entry(compute_transmittance_before_farthest_hit(alpha_max));
     uint place = free_place;
     if (place == CHUNK) return n_places++;
     free_place = next_nearer[place];
@@ -114,13 +117,13 @@ uint find_insertion_index(float alpha_max) {
 
 /// Inserts a hit into the ordered buffer. If the buffer is full, removes the farthest hit
 /// first.
-void insert(Key key, float alpha, float alpha_max) {
+void insert_hit(HitKey key, float alpha, float alpha_max) {
     uint farther = key.t < latest_t ? latest : CHUNK, nearer = next_nearer[farther];
     for (;;) {
         float t = placed_t[nearer];
         if (!(t >= key.t)) break;
         if (t == key.t) {  // hits at equal distances are rare
-            Key present_key = load_sorted_key(nearer);
+            HitKey present_key = load_sorted_key(nearer);
             // Ignores a hit that is already in the buffer. Hits arrive twice if the ray
             // crosses two triangles around a surfel, or if the driver reports a box
             // twice.
@@ -130,7 +133,7 @@ void insert(Key key, float alpha, float alpha_max) {
         farther = nearer;
         nearer = next_nearer[nearer];
     }
-    uint slot = find_insertion_index(alpha_max);
+    uint slot = allocate_hit_entry(alpha_max);
     // `farther` is the entry behind the new hit. If the buffer was full, this entry may
     // just have been freed for the new hit. Then the new hit is the farthest one, and
     // `farther` becomes CHUNK, the sentinel entry of the list.
@@ -152,12 +155,14 @@ void insert(Key key, float alpha, float alpha_max) {
 float get_last_hit_t() { return farthest_t; }
 
 /// Returns true if a hit is not needed because it is behind the farthest needed hit.
-bool is_behind(Key key) {
+bool is_behind_last_needed_hit(HitKey key) {
     if (!hits_closed || key.t < farthest_t) return false;
     return key.t > farthest_t || !is_key_before(key, load_sorted_key(next_nearer[CHUNK]));
 }
 
-void reset_hits(float min_transmittance) {
+/// Removes all hits. Hits are not needed if the transmittance before them is below
+/// `cutoff_transmittance`. 0 means that all hits are needed.
+void reset_hits_with_cutoff(float cutoff_transmittance) {
     n_hits = 0u;
     n_places = 0u;
     free_place = CHUNK;
@@ -166,6 +171,6 @@ void reset_hits(float min_transmittance) {
     latest_t = -kFar;
     hits_closed = false;
     hits_transmittance = 1.0;
-    least_transmittance = min_transmittance;
+    least_transmittance = cutoff_transmittance;
 }
 #endif

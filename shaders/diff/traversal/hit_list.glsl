@@ -19,19 +19,20 @@ uint list_index;
 uint n_hits;       // Number of hits of the ray so far, including hits that do not fit into the list.
 bool hits_closed;  // True if hits behind the distance end_t cannot contribute.
 float end_t;
-// Product of 1 - alpha over the latest hits. Each time that insert() shortens the ray
+// Product of 1 - alpha over the latest hits. Each time that insert_hit() shortens the ray
 // (sets end_t), it restarts this product at 1.
 float set_transmittance;
-// If set_transmittance falls below this limit, insert() ends the ray at farthest_t.
+// If set_transmittance falls below this limit, insert_hit() ends the ray at farthest_t.
 float least_transmittance;
 float farthest_t;  // Distance of the farthest hit since end_t was last set.
 
-/// Returns the distance `end_t` at which insert() has ended the ray. Farther hits cannot
-/// contribute. Valid only if hits_closed is true, otherwise the ray has no end yet.
+/// Returns the distance `end_t` at which insert_hit() has ended the ray. Farther hits
+/// cannot contribute. Valid only if hits_closed is true, otherwise the ray has no end
+/// yet.
 float get_last_hit_t() { return end_t; }
 
 /// Returns true if a hit is behind the end of the ray, so that it cannot contribute.
-bool is_behind(Key key) { return hits_closed && key.t > end_t; }
+bool is_behind_last_needed_hit(HitKey key) { return hits_closed && key.t > end_t; }
 
 /// Returns the factor by which set_transmittance is multiplied when a hit is reported. It
 /// is 1 - alpha, unless the driver reports each hit twice.
@@ -39,20 +40,20 @@ float compute_transmittance_factor(float alpha) {
 #ifdef RELIDAR_TRAVERSAL_RAY_QUERY
     // The driver reports a hit on an icosahedron twice: where the ray enters and where it
     // leaves. The product of two factors sqrt(1 - alpha) is 1 - alpha.
-    if (count_proxy_triangles() == kProxy_icosahedron) return sqrt(1.0 - alpha);
+    if (get_triangles_per_proxy() == kProxy_icosahedron) return sqrt(1.0 - alpha);
 #endif
     return 1.0 - alpha;
 }
 
 /// Appends a hit to the list.
-void insert(Key key, float alpha, float alpha_max) {
+void insert_hit(HitKey key, float alpha, float alpha_max) {
     uint slot = n_hits++;
     if (slot >= listed.room) {  // The list is full, so kernel forward/trace must render this ray.
         hits_closed = true;
         end_t = 0.0;
         return;
     }
-    listed.hits.at[get_list_entry(listed.room, list_index, slot)] =
+    listed.hits.at[get_index_in_hit_lists(listed.room, list_index, slot)] =
         Hit(key.t, alpha, key.instance, key.surfel);
     farthest_t = max(farthest_t, key.t);
     set_transmittance *= compute_transmittance_factor(min(alpha, alpha_max));
@@ -67,12 +68,14 @@ void insert(Key key, float alpha, float alpha_max) {
 /// Does nothing, because kernel forward/sort_hits sorts the list later.
 void sort_hit_indices() {}
 
-void reset_hits(float min_transmittance) {
+/// Removes all hits. Hits are not needed if the transmittance before them is below
+/// `cutoff_transmittance`. 0 means that all hits are needed.
+void reset_hits_with_cutoff(float cutoff_transmittance) {
     n_hits = 0u;
     hits_closed = false;
     end_t = 0.0;
     set_transmittance = 1.0;
-    least_transmittance = min_transmittance;
+    least_transmittance = cutoff_transmittance;
     farthest_t = 0.0;
 }
 #endif

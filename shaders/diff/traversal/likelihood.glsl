@@ -11,25 +11,27 @@ float measured_range = 0.0;
 float measured_per_scale = 0.0;  // inverse of the likelihood's scale, in 1/m
 
 /// Loads the measured range of a ray into a variable of this thread.
-void load_measurement(TraceScene scene, uint ray) {
+void cache_measured_range(TraceScene scene, uint ray_index) {
     measured_range = 0.0;
     if (is_null(scene.targets)) return;
-    DeviceTarget target = scene.targets.at[scene.first_ray + ray * scene.ray_stride];
+    DeviceTarget target = scene.targets.at[scene.first_ray + ray_index * scene.ray_stride];
     if (target.weight > 0.0) measured_range = target.range_m;
     measured_per_scale = 1.0 / scene.likelihood_scale_m;
 }
 
 /// Returns the likelihood of the measured range z if the surface is at distance t:
 /// 1 / (1 + ((t - z) / s)^2), with the noise scale s. Returns 0 without a measurement.
-float evaluate_range_kernel(float t) {
+/// @param surface_t distance t of the surface along the ray, m
+float evaluate_range_likelihood(float surface_t) {
     if (!(measured_range > 0.0)) return 0.0;
-    float d = (t - measured_range) * measured_per_scale;
+    float d = (surface_t - measured_range) * measured_per_scale;
     return 1.0 / (1.0 + d * d);
 }
 
-/// Returns the derivative of evaluate_range_kernel() with respect to t.
-float differentiate_range_kernel(float t) {
-    float k = evaluate_range_kernel(t);
-    return -2.0 * (t - measured_range) * measured_per_scale * measured_per_scale * k * k;
+/// Returns the derivative of evaluate_range_likelihood() with respect to
+/// `surface_t`.
+float differentiate_range_likelihood(float surface_t) {
+    float k = evaluate_range_likelihood(surface_t);
+    return -2.0 * (surface_t - measured_range) * measured_per_scale * measured_per_scale * k * k;
 }
 #endif

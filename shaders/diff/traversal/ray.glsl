@@ -67,23 +67,24 @@ vec3 rotate_by_rodrigues(vec3 rotation, vec3 point) {
 /// Converts a rotation vector (axis times angle) to a Rodrigues vector (axis times
 /// tangent of half the angle). Exact to float precision for angles of up to half a
 /// radian.
-vec3 to_rodrigues_vector(vec3 turn) {
-    float x = 0.25 * exact_dot(turn, turn);
-    precise vec3 g =
-        0.5 * (1.0 + x * (1.0 / 3.0 + x * (2.0 / 15.0 + x * (17.0 / 315.0 + x * (62.0 / 2835.0))))) * turn;
+vec3 convert_to_rodrigues_vector(vec3 rotation_vector) {
+    float x = 0.25 * exact_dot(rotation_vector, rotation_vector);
+    precise vec3 g = 0.5 *
+                     (1.0 + x * (1.0 / 3.0 + x * (2.0 / 15.0 + x * (17.0 / 315.0 + x * (62.0 / 2835.0))))) *
+                     rotation_vector;
     return g;
 }
 
 /// Corrects the cached ray for the motion of its model. Afterwards, the ray is relative
 /// to the model's pose at the time `time_s`.
-void apply_motion(TraceScene scene, uint instance, float time_s) {
+void apply_instance_motion_to_ray(TraceScene scene, uint instance, float time_s) {
     vec3 velocity = scene.instances.at[instance].velocity, turn_rate = scene.instances.at[instance].turn_rate;
     float span_s = scene.instances.at[instance].half_span_s;
     precise float since_s = clamp(time_s - scene.instances.at[instance].middle_s, -span_s, span_s);
     if (time_s == RELIDAR_NO_TIME) since_s = 0.0;
     precise vec3 origin = entered_origin - since_s * velocity;
     precise vec3 turn = since_s * turn_rate;
-    entered_turn = to_rodrigues_vector(turn);
+    entered_turn = convert_to_rodrigues_vector(turn);
     entered_origin = rotate_by_rodrigues(-entered_turn, origin);
     entered_direction = rotate_by_rodrigues(-entered_turn, entered_direction);
 }
@@ -98,15 +99,15 @@ void enter_instance(TraceScene scene, Ray ray, uint instance) {
     entered_origin = to_model_point(m, ray.origin);
     entered_direction = to_model_vector(m, ray.direction);
     entered_turn = vec3(0.0);
-    if (m.moves != 0u) apply_motion(scene, instance, ray.time_s);
+    if (m.moves != 0u) apply_instance_motion_to_ray(scene, instance, ray.time_s);
 }
 
 /// Rotates a vector from the frame of the current model into the world frame. Loads the
 /// instance again. If it stayed loaded, it would occupy 12 registers during the search.
-vec3 to_world_vector(TraceScene scene, vec3 gradient) {
+vec3 rotate_vector_to_world(TraceScene scene, vec3 model_vector) {
     InstanceEntry m = scene.instances.at[entered_instance];
-    vec3 v = gradient;
-    if (m.moves != 0u) v = rotate_by_rodrigues(entered_turn, gradient);
+    vec3 v = model_vector;
+    if (m.moves != 0u) v = rotate_by_rodrigues(entered_turn, model_vector);
     return m.row0.xyz * v.x + m.row1.xyz * v.y + m.row2.xyz * v.z;
 }
 #endif

@@ -19,16 +19,16 @@
 RELIDAR_CONSTANT(uint, BOXES, 0u);
 
 /// Returns true if the distance between the ray and the origin of the model is less than
-/// `radius`.
-bool is_near_model(float radius) {
+/// `radius_m`.
+bool is_ray_near_model_origin(float radius_m) {
     float along = dot(entered_origin, entered_direction);
     vec3 nearest = along < 0.0 ? entered_origin - along * entered_direction : entered_origin;
-    float reached = 1.00001 * radius + 1e-5 * length(entered_origin);
+    float reached = 1.00001 * radius_m + 1e-5 * length(entered_origin);
     return dot(nearest, nearest) <= reached * reached;
 }
 
 /// Parameters of one ray query.
-struct Search {
+struct RayQueryParams {
     vec3 origin;  // world, m
     vec3 direction;
     uint mask;
@@ -36,43 +36,47 @@ struct Search {
     uint instance;
 };
 
-/// Writes the parameters of a ray query for one moving instance to `search`.
+/// Writes the parameters of a ray query for one moving instance to `query_params`.
 /// @return false if the ray cannot hit the instance
-bool search_moving_instance(TraceScene scene, Ray ray, MovingInstance moving, out Search search) {
+bool prepare_moving_instance_query(TraceScene scene, Ray ray, MovingInstance moving,
+                                   out RayQueryParams query_params) {
     enter_instance(scene, ray, moving.instance);
     InstanceEntry m = scene.instances.at[moving.instance];
     vec3 from_model = entered_origin - vec3(m.row0.w, m.row1.w, m.row2.w);
-    search.origin = m.row0.xyz * from_model.x + m.row1.xyz * from_model.y + m.row2.xyz * from_model.z;
-    search.direction = m.row0.xyz * entered_direction.x + m.row1.xyz * entered_direction.y +
-                       m.row2.xyz * entered_direction.z;
-    search.mask = moving.mask;
-    search.instance = moving.instance;
-    return is_near_model(scene.model_radii.at[moving.model]);
+    query_params.origin = m.row0.xyz * from_model.x + m.row1.xyz * from_model.y + m.row2.xyz * from_model.z;
+    query_params.direction = m.row0.xyz * entered_direction.x + m.row1.xyz * entered_direction.y +
+                             m.row2.xyz * entered_direction.z;
+    query_params.mask = moving.mask;
+    query_params.instance = moving.instance;
+    return is_ray_near_model_origin(scene.model_radii.at[moving.model]);
 }
 
-void find_hits(TraceScene scene, Ray ray, Key after_key) {
-    float start = compute_search_start(after_key);
+void find_hits(TraceScene scene, Ray ray, HitKey previous_key) {
+    float start = compute_search_start_distance(previous_key);
     float reach =
-        BOXES == 0u && count_proxy_triangles() == kProxy_icosahedron ? scene.proxy_reach.at[0] : 0.0;
+        BOXES == 0u && get_triangles_per_proxy() == kProxy_icosahedron ? scene.proxy_reach.at[0] : 0.0;
     rayQueryEXT query;
     for (uint k = 0u; k <= scene.n_moving; ++k) {
-        Search search = Search(ray.origin, ray.direction, RELIDAR_STANDING_MASK, RELIDAR_NO_INSTANCE);
-        if (k > 0u && !search_moving_instance(scene, ray, scene.moving.at[k - 1u], search)) continue;
+        RayQueryParams query_params =
+            RayQueryParams(ray.origin, ray.direction, RELIDAR_STANDING_MASK, RELIDAR_NO_INSTANCE);
+        if (k > 0u && !prepare_moving_instance_query(scene, ray, scene.moving.at[k - 1u], query_params))
+            continue;
         float end = 1e30;  // distance at which the query stops
         // If hits_closed is true, hits behind get_last_hit_t() are not needed, so the
         // query may stop there. The margins are for rounding errors and for icosahedra
         // around Gaussians, which the query may find up to `reach` behind the hit.
         if (hits_closed) end = max(get_last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * get_last_hit_t()) + reach;
         rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT,
-                              search.mask, search.origin + start * search.direction, 0.0, search.direction,
-                              end);
+                              query_params.mask, query_params.origin + start * query_params.direction, 0.0,
+                              query_params.direction, end);
         while (rayQueryProceedEXT(query)) {
             uint instance = uint(rayQueryGetIntersectionInstanceCustomIndexEXT(query, false));
             uint primitive = uint(rayQueryGetIntersectionPrimitiveIndexEXT(query, false));
             // Skips other instances that have the same cull mask.
-            if (search.instance != RELIDAR_NO_INSTANCE && instance != search.instance) continue;
-            test_instance_surfel(scene, ray, after_key, instance,
-                                 BOXES != 0u ? primitive : primitive / count_proxy_triangles());
+            if (query_params.instance != RELIDAR_NO_INSTANCE && instance != query_params.instance) continue;
+            intersect_instance_surfel_and_insert_hit(
+                scene, ray, previous_key, instance,
+                BOXES != 0u ? primitive : primitive / get_triangles_per_proxy());
             if (!hits_closed) continue;
             float bound = max(get_last_hit_t() - start, 0.0);
             bound += 1e-4 + 1e-5 * get_last_hit_t();

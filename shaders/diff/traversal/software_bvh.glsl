@@ -78,10 +78,10 @@ struct BoxRay {
     float end;
 };
 
-void set_box_ray(inout BoxRay ray, vec3 origin, vec3 direction) {
+void prepare_ray_for_box_tests(inout BoxRay box_ray, vec3 origin, vec3 direction) {
     vec3 least = mix(vec3(kLeastSlope), vec3(-kLeastSlope), lessThan(direction, vec3(0.0)));
-    ray.origin = origin;
-    ray.inverse = 1.0 / mix(direction, least, lessThan(abs(direction), vec3(kLeastSlope)));
+    box_ray.origin = origin;
+    box_ray.inverse = 1.0 / mix(direction, least, lessThan(abs(direction), vec3(kLeastSlope)));
 }
 
 uint get_byte(uvec2 bytes, uint slot) {
@@ -133,15 +133,17 @@ void push_entry(uint entry, float t) {
 /// Packs index and distance of a child into one integer, so that the sorting network
 /// needs only minima and maxima. The packed distance loses four bits and is rounded
 /// towards the ray's origin.
-/// @param first stack entry of the first inner child
-/// @param inner bit mask of the inner children
+/// @param first_inner_child stack entry of the first inner child
+/// @param inner_mask bit mask of the inner children
 /// @param hit_mask bit mask of the children whose boxes the ray intersects
-void push_lane_children(uint first, uint inner, uint hit_mask, float t[RELIDAR_BVH_WIDTH]) {
+void push_children_hit_by_ray(uint first_inner_child, uint inner_mask, uint hit_mask,
+                              float t[RELIDAR_BVH_WIDTH]) {
     const uint kThere = 0x80000000u;
     uint key[RELIDAR_BVH_WIDTH];
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] =
-        (inner & hit_mask & (1u << slot)) != 0u ? ((floatBitsToUint(t[slot]) >> 1u) & ~7u) | kThere | slot
-                                                : 0u;
+        (inner_mask & hit_mask & (1u << slot)) != 0u
+            ? ((floatBitsToUint(t[slot]) >> 1u) & ~7u) | kThere | slot
+            : 0u;
     const uint kPairs[38] =
         uint[](0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u, 0u, 2u, 1u, 3u, 4u, 6u, 5u, 7u, 1u, 2u, 5u, 6u, 0u, 4u, 3u, 7u,
                1u, 5u, 2u, 6u, 1u, 4u, 3u, 6u, 2u, 4u, 3u, 5u, 3u, 4u);
@@ -153,7 +155,7 @@ void push_lane_children(uint first, uint inner, uint hit_mask, float t[RELIDAR_B
     [[unroll]] for (uint k = 0u; k < RELIDAR_BVH_WIDTH; ++k) {
         if (key[k] == 0u) break;
         uint slot = key[k] & 7u;
-        push_entry(first + bitCount(inner & ((1u << slot) - 1u)),
+        push_entry(first_inner_child + bitCount(inner_mask & ((1u << slot) - 1u)),
                    uintBitsToFloat((key[k] & ~(kThere | 7u)) << 1u));
     }
 }
@@ -161,11 +163,12 @@ void push_lane_children(uint first, uint inner, uint hit_mask, float t[RELIDAR_B
 /// Pushes the child nodes whose boxes are hit by any ray of the subgroup onto the stack.
 /// All rays push the same nodes in the same order: from far to near, as seen from the
 /// first active ray.
-void push_children(uint first, uint inner, uint opened, uint hit_mask, float t[RELIDAR_BVH_WIDTH]) {
+void push_children_hit_by_subgroup(uint first_inner_child, uint inner_mask, uint subgroup_hit_mask,
+                                   uint ray_hit_mask, float t[RELIDAR_BVH_WIDTH]) {
     float key[RELIDAR_BVH_WIDTH];
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] =
         subgroupBroadcastFirst(t[slot]);
-    uint left = inner & opened;
+    uint left = inner_mask & subgroup_hit_mask;
     if (left == 0u) return;
     do {
         uint farthest = uint(findLSB(left));
@@ -177,142 +180,146 @@ void push_children(uint first, uint inner, uint opened, uint hit_mask, float t[R
             own = t[slot];
         }
         left &= ~(1u << farthest);
-        push_entry(first + bitCount(inner & ((1u << farthest) - 1u)),
-                   (hit_mask & (1u << farthest)) != 0u ? own : kNever);
+        push_entry(first_inner_child + bitCount(inner_mask & ((1u << farthest) - 1u)),
+                   (ray_hit_mask & (1u << farthest)) != 0u ? own : kNever);
     } while (left != 0u);
 }
 
 /// Returns a bit mask of the leaf entries that must be tested (surfels, or instances in
 /// the top-level tree).
-/// @param opened bit mask of the children that a ray intersects
-uint collect_leaf_entries(BvhNode node, uint opened) {
+/// @param child_mask bit mask of the children that a ray intersects
+uint collect_leaf_entries_as_mask(BvhNode node, uint child_mask) {
     uvec2 leaves = uvec2(node.leaves[0], node.leaves[1]);
     uint entries = 0u;
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) {
         uint leaf = get_byte(leaves, slot);
-        if ((opened & (1u << slot)) != 0u) entries |= ((1u << (leaf >> 5u)) - 1u) << (leaf & 31u);
+        if ((child_mask & (1u << slot)) != 0u) entries |= ((1u << (leaf >> 5u)) - 1u) << (leaf & 31u);
     }
     return entries;
 }
 
 /// Clears the lowest set bit of a bit mask, and returns the index of this bit.
-uint pop_nearest(inout uint entries) {
-    uint lowest = uint(findLSB(entries));
-    entries &= entries - 1u;
+uint pop_lowest_bit(inout uint bit_mask) {
+    uint lowest = uint(findLSB(bit_mask));
+    bit_mask &= bit_mask - 1u;
     return lowest;
 }
 
 /// Returns true if the lanes of the subgroup may load data together. All lanes must be
 /// active for this.
-bool can_share_loads() {
+bool can_subgroup_share_memory_loads() {
     return TOGETHER == kSharesLoads && subgroupBallotBitCount(subgroupBallot(true)) == gl_SubgroupSize;
 }
 
 /// Tests surfels in the leaves of one tree node against the rays of all lanes. Ignores
-/// hits that do not come after `after_key`.
-/// @param entries bit k selects leaf entry first_leaf + k. Equal in all lanes
-void test_entries_in_subgroup(TraceScene scene, Key after_key, uint instance, uint first_surfel,
-                              uint first_leaf, uint entries) {
-    if (entries == 0u) return;
+/// hits that do not come after `previous_key`.
+/// @param entry_mask bit k selects leaf entry first_leaf_entry + k. Equal in all lanes
+void intersect_leaf_surfels_in_subgroup(TraceScene scene, HitKey previous_key, uint instance,
+                                        uint first_surfel, uint first_leaf_entry, uint entry_mask) {
+    if (entry_mask == 0u) return;
     do {  // one iteration per block of gl_SubgroupSize entries
-        uint first = uint(findLSB(entries)) / gl_SubgroupSize * gl_SubgroupSize,
+        uint first = uint(findLSB(entry_mask)) / gl_SubgroupSize * gl_SubgroupSize,
              end = min(first + gl_SubgroupSize, 32u);
         uint own = first + gl_SubgroupInvocationID, lane_surfel = 0u;
         float lane_x = 0.0;
-        if (own < end && (entries & (1u << own)) != 0u) {
-            lane_surfel = first_surfel + scene.bvh.order.at[first_leaf + own];
+        if (own < end && (entry_mask & (1u << own)) != 0u) {
+            lane_surfel = first_surfel + scene.bvh.order.at[first_leaf_entry + own];
             // Each lane reads one float of a different record, so that the cache misses
             // of all records overlap.
             lane_x = scene.records.at[lane_surfel].mean.x;
         }
         do {
-            uint lane = pop_nearest(entries) - first, surfel = subgroupShuffle(lane_surfel, lane);
+            uint lane = pop_lowest_bit(entry_mask) - first, surfel = subgroupShuffle(lane_surfel, lane);
             SurfelRecord record = load_record(scene.records, surfel);
             record.mean.x = subgroupShuffle(lane_x, lane);
-            test_record(scene, after_key, instance, surfel, record);
-        } while (entries != 0u && uint(findLSB(entries)) < end);
-    } while (entries != 0u);
+            intersect_record_and_insert_hit(scene, previous_key, instance, surfel, record);
+        } while (entry_mask != 0u && uint(findLSB(entry_mask)) < end);
+    } while (entry_mask != 0u);
 }
 
 /// Tests surfels in the leaves of a node against one ray. Loads the next record before it
 /// tests the current one, to hide the latency of the load.
-void test_entries_of_ray(TraceScene scene, Key after_key, uint instance, uint first_leaf, uint entries) {
-    while (entries != 0u) {
-        uint entry = first_leaf + pop_nearest(entries),
-             next_entry = entries != 0u ? first_leaf + uint(findLSB(entries)) : entry;
+void intersect_leaf_surfels(TraceScene scene, HitKey previous_key, uint instance, uint first_leaf_entry,
+                            uint entry_mask) {
+    while (entry_mask != 0u) {
+        uint entry = first_leaf_entry + pop_lowest_bit(entry_mask),
+             next_entry = entry_mask != 0u ? first_leaf_entry + uint(findLSB(entry_mask)) : entry;
         uint surfel = entered_first_surfel + scene.bvh.order.at[entry],
              next_surfel = entered_first_surfel + scene.bvh.order.at[next_entry];
         SurfelRecord record = scene.records.at[surfel], next_record = scene.records.at[next_surfel];
-        test_record(scene, after_key, instance, surfel, record);
-        if (entries == 0u) return;
-        entries &= entries - 1u;
-        test_record(scene, after_key, instance, next_surfel, next_record);
+        intersect_record_and_insert_hit(scene, previous_key, instance, surfel, record);
+        if (entry_mask == 0u) return;
+        entry_mask &= entry_mask - 1u;
+        intersect_record_and_insert_hit(scene, previous_key, instance, next_surfel, next_record);
     }
 }
 
 /// Transforms the ray into the frame of an instance's model for box tests. For the
 /// top-level tree, uses the ray in the world frame.
-void transform_ray_into_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
+void transform_ray_for_box_tests(TraceScene scene, Ray ray, uint instance, inout BoxRay box_ray) {
     if (instance != RELIDAR_BVH_NO_NODE) enter_instance(scene, ray, instance);
     bool in_model = instance != RELIDAR_BVH_NO_NODE;
-    set_box_ray(walked, in_model ? entered_origin : ray.origin, in_model ? entered_direction : ray.direction);
+    prepare_ray_for_box_tests(box_ray, in_model ? entered_origin : ray.origin,
+                              in_model ? entered_direction : ray.direction);
 }
 
 /// Visits a node: tests the surfels in its leaves and pushes its child nodes onto the
 /// stack.
-/// @param tree instance whose model contains the node, or RELIDAR_BVH_NO_NODE for the
-/// top-level tree
-/// @param full_subgroup true if all lanes of the subgroup are active. They then load the
-/// node together
+/// @param tree_instance instance whose model contains the node, or RELIDAR_BVH_NO_NODE
+/// for the top-level tree
+/// @param is_subgroup_full true if all lanes of the subgroup are active. They then load
+/// the node together
 /// @return number of tested surfels
-uint visit_node(TraceScene scene, Ray ray, Key after_key, uint tree, uint index, bool full_subgroup,
-                inout BoxRay walked) {
-    bool in_model = tree != RELIDAR_BVH_NO_NODE;
+uint visit_node_and_count_tested_surfels(TraceScene scene, Ray ray, HitKey previous_key, uint tree_instance,
+                                         uint node_index, bool is_subgroup_full, inout BoxRay box_ray) {
+    bool in_model = tree_instance != RELIDAR_BVH_NO_NODE;
     BvhNodes nodes = in_model ? scene.bvh.nodes : scene.bvh.top_nodes;
     BvhNode node;
-    if (full_subgroup) node = load_node(nodes, index);
-    else node = nodes.at[index];
+    if (is_subgroup_full) node = load_node(nodes, node_index);
+    else node = nodes.at[node_index];
     float t[RELIDAR_BVH_WIDTH];
-    uint met = intersect_boxes(node, walked, t);
-    uint opened = TOGETHER != 0u ? subgroupOr(met) : met;
-    uint entries = collect_leaf_entries(node, opened);
+    uint met = intersect_boxes(node, box_ray, t);
+    uint child_mask = TOGETHER != 0u ? subgroupOr(met) : met;
+    uint entry_mask = collect_leaf_entries_as_mask(node, child_mask);
     uint first = node.first_child | (in_model ? 0u : kTopEntry), inner = node.exponents >> 24u;
-    if (TOGETHER != 0u) push_children(first, inner, opened, met, t);
-    else push_lane_children(first, inner, met, t);
+    if (TOGETHER != 0u) push_children_hit_by_subgroup(first, inner, child_mask, met, t);
+    else push_children_hit_by_ray(first, inner, met, t);
     if (!in_model) {
-        while (entries != 0u)
-            push_entry(kInstanceEntry | scene.bvh.top_order.at[node.first_leaf + pop_nearest(entries)],
-                       walked.start);
+        while (entry_mask != 0u)
+            push_entry(kInstanceEntry | scene.bvh.top_order.at[node.first_leaf + pop_lowest_bit(entry_mask)],
+                       box_ray.start);
         return 0u;
     }
-    uint n_tested = uint(bitCount(entries)),
+    uint n_tested = uint(bitCount(entry_mask)),
          first_surfel = TOGETHER != 0u ? subgroupBroadcastFirst(entered_first_surfel) : entered_first_surfel;
-    if (full_subgroup) {
-        test_entries_in_subgroup(scene, after_key, tree, first_surfel, node.first_leaf, entries);
+    if (is_subgroup_full) {
+        intersect_leaf_surfels_in_subgroup(scene, previous_key, tree_instance, first_surfel, node.first_leaf,
+                                           entry_mask);
     } else if (TOGETHER != 0u) {
-        while (entries != 0u)
-            test_surfel(scene, after_key, tree,
-                        first_surfel + scene.bvh.order.at[node.first_leaf + pop_nearest(entries)]);
+        while (entry_mask != 0u)
+            intersect_surfel_and_insert_hit(
+                scene, previous_key, tree_instance,
+                first_surfel + scene.bvh.order.at[node.first_leaf + pop_lowest_bit(entry_mask)]);
     } else {
-        test_entries_of_ray(scene, after_key, tree, node.first_leaf, entries);
+        intersect_leaf_surfels(scene, previous_key, tree_instance, node.first_leaf, entry_mask);
     }
-    if (hits_closed) walked.end = get_last_hit_t() + (1e-4 + 1e-5 * get_last_hit_t());
+    if (hits_closed) box_ray.end = get_last_hit_t() + (1e-4 + 1e-5 * get_last_hit_t());
     return n_tested;
 }
 
-void find_hits(TraceScene scene, Ray ray, Key after_key) {
-    BoxRay walked;
-    walked.start = compute_search_start(after_key);
-    walked.end = kNever;
+void find_hits(TraceScene scene, Ray ray, HitKey previous_key) {
+    BoxRay box_ray;
+    box_ray.start = compute_search_start_distance(previous_key);
+    box_ray.end = kNever;
     // Instance whose model the ray currently traverses, or RELIDAR_BVH_NO_NODE for the
     // top-level tree.
     uint instance = RELIDAR_BVH_NO_NODE;
     uint n_nodes = 0u, n_tested = 0u;
-    bool full_subgroup = can_share_loads();
-    transform_ray_into_tree(scene, ray, instance, walked);
+    bool is_subgroup_full = can_subgroup_share_memory_loads();
+    transform_ray_for_box_tests(scene, ray, instance, box_ray);
     stack_size = 0u;
     stack_full = false;
-    push_entry(kTopEntry, walked.start);
+    push_entry(kTopEntry, box_ray.start);
     while (stack_size > 0u) {
         uint entry = stack_entry[stack_size - 1u], tree = instance;
         if (TOGETHER != 0u) {
@@ -324,7 +331,7 @@ void find_hits(TraceScene scene, Ray ray, Key after_key) {
             if (lane_entry != entry || instance != tree) continue;
         }
         --stack_size;
-        bool is_needed = stack_t[stack_size] <= walked.end;
+        bool is_needed = stack_t[stack_size] <= box_ray.end;
         if (!(TOGETHER != 0u ? subgroupAny(is_needed) : is_needed)) continue;
         if ((entry & kInstanceEntry) != 0u) {
             tree = entry & ~kInstanceEntry;
@@ -333,10 +340,11 @@ void find_hits(TraceScene scene, Ray ray, Key after_key) {
         } else if ((entry & kTopEntry) != 0u) {
             tree = RELIDAR_BVH_NO_NODE;
         }
-        if (tree != instance) transform_ray_into_tree(scene, ray, tree, walked);
+        if (tree != instance) transform_ray_for_box_tests(scene, ray, tree, box_ray);
         instance = tree;
         ++n_nodes;
-        n_tested += visit_node(scene, ray, after_key, tree, entry & ~kTopEntry, full_subgroup, walked);
+        n_tested += visit_node_and_count_tested_surfels(scene, ray, previous_key, tree, entry & ~kTopEntry,
+                                                        is_subgroup_full, box_ray);
     }
     if (stack_full) atomicAdd(scene.pass_cap_count.at[0], 1u);
     if (COUNT_VISITS != 0u) {

@@ -76,8 +76,8 @@ struct CheckSubgroupsParams {
 };
 
 /// Returns the test value of a thread in kernel check_subgroups: a hash below 65536.
-RELIDAR_FUNCTION uint check_value(uint thread) {
-    uint x = thread * 747796405u + 2891336453u;
+RELIDAR_FUNCTION uint compute_thread_test_value(uint thread_index) {
+    uint x = thread_index * 747796405u + 2891336453u;
     return (x ^ (x >> 15u)) >> 16u;
 }
 

@@ -9,7 +9,7 @@
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAIT_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAIT_GLSL
 
-struct Gait {
+struct PeriodicMotion {
     float sharpness;
     vec3 swing;  // amplitude of the motion, m
     float sine;  // sine of 2 pi (p - phase)
@@ -20,30 +20,37 @@ struct Gait {
 
 const float kTurn = 6.283185307;
 
-/// Returns how a walking motion changes a surfel: its displacement and its visibility.
-/// @param phase phase of the actor's motion, 0 to 1. Negative: the model is rigid, so
-/// nothing changes
-Gait evaluate_gait(Floats gaits, uint surfel, float phase) {
-    if (is_null(gaits) || phase < 0.0) return Gait(0.0, vec3(0.0), 0.0, 1.0, 0.0, 1.0);
+/// Returns how a periodic motion, for example walking, changes a surfel: its displacement
+/// and its visibility.
+/// @param actor_phase phase of the actor's motion, 0 to 1. Negative: the model is rigid,
+/// so nothing changes
+PeriodicMotion evaluate_periodic_motion(Floats motion_parameters, uint surfel, float actor_phase) {
+    if (is_null(motion_parameters) || actor_phase < 0.0)
+        return PeriodicMotion(0.0, vec3(0.0), 0.0, 1.0, 0.0, 1.0);
     uint i = 5u * surfel;
-    float off = phase - gaits.at[i];
+    float off = actor_phase - motion_parameters.at[i];
     // Reduces the phase difference to at most half a cycle, where sine and cosine are
     // most accurate.
     off = kTurn * (off - round(off));
     // `less` is cos(off) - 1 = -2 sin^2(off / 2). The second form has a smaller rounding
     // error, which matters because a large sharpness multiplies the error.
-    float sharpness = gaits.at[i + 1u], half_sine = sin(0.5 * off), less = -2.0 * half_sine * half_sine;
-    return Gait(sharpness, vec3(gaits.at[i + 2u], gaits.at[i + 3u], gaits.at[i + 4u]), sin(off), cos(off),
-                less, exp(sharpness * sharpness * less));
+    float sharpness = motion_parameters.at[i + 1u], half_sine = sin(0.5 * off),
+          less = -2.0 * half_sine * half_sine;
+    return PeriodicMotion(
+        sharpness,
+        vec3(motion_parameters.at[i + 2u], motion_parameters.at[i + 3u], motion_parameters.at[i + 4u]),
+        sin(off), cos(off), less, exp(sharpness * sharpness * less));
 }
 
 /// Computes the gradient of a surfel's five gait parameters (walking motion).
 /// @param d_mean gradient of the moved mean position
 /// @param d_presence gradient of the factor on the opacity
-void backpropagate_gait(Gait gait, vec3 d_mean, float d_presence, out float d_gait[5]) {
-    d_gait[0] = -kTurn * (gait.cosine * dot(gait.swing, d_mean) -
-                          gait.sharpness * gait.sharpness * gait.sine * gait.presence * d_presence);
-    d_gait[1] = 2.0 * gait.sharpness * gait.less * gait.presence * d_presence;
-    for (uint k = 0u; k < 3u; ++k) d_gait[2u + k] = gait.sine * d_mean[k];
+void backpropagate_periodic_motion(PeriodicMotion motion, vec3 d_mean, float d_presence,
+                                   out float d_parameters[5]) {
+    d_parameters[0] =
+        -kTurn * (motion.cosine * dot(motion.swing, d_mean) -
+                  motion.sharpness * motion.sharpness * motion.sine * motion.presence * d_presence);
+    d_parameters[1] = 2.0 * motion.sharpness * motion.less * motion.presence * d_presence;
+    for (uint k = 0u; k < 3u; ++k) d_parameters[2u + k] = motion.sine * d_mean[k];
 }
 #endif

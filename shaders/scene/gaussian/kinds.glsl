@@ -14,7 +14,7 @@ RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)
 
 const uint kProxy_rectangle = 2u, kProxy_icosahedron = 20u;  // number of triangles of each proxy
 
-bool has_third_scale() {
+bool has_third_axis_scale() {
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) \
     if (PRIMITIVE == number) return third_scale;
     RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)
@@ -22,7 +22,7 @@ bool has_third_scale() {
     return false;
 }
 
-uint count_proxy_triangles() {
+uint get_triangles_per_proxy() {
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) \
     if (PRIMITIVE == number) return kProxy_##proxy;
     RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)

@@ -27,6 +27,7 @@ void main() {
     SensorPose pose = find_pose_before(params.poses, params.n_poses, ray.time_offset_s);
     vec3 seen =
         compute_ray_end(ray.origin, ray.direction, params.of_image != 0u ? m.range_m : m.median_range_m);
-    params.points.at[params.places.at[i]] = ReturnedPoint(
-        place_point(pose, ray.time_offset_s, seen), m.intensity, ray.time_offset_s, ray.channel, m.instance);
+    params.points.at[params.places.at[i]] =
+        ReturnedPoint(transform_sensor_point_to_world(pose, ray.time_offset_s, seen), m.intensity,
+                      ray.time_offset_s, ray.channel, m.instance);
 }

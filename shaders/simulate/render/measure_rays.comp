@@ -29,14 +29,14 @@ float interpolate_falloff(float range_m) {
 
 /// Returns the range of a ray for the range image, m. range_kind selects how it is
 /// computed. The range offset of the beam is added later.
-/// @param mode_m range of the surface with the largest weight, m
-/// @param normalised blended depth / blended weight (D / W), m
-float select_ray_range(RenderedRay ray, float mode_m, float normalised) {
+/// @param heaviest_surface_m range of the surface with the largest weight, m
+/// @param normalised_depth_m blended depth / blended weight (D / W), m
+float select_ray_range(RenderedRay ray, float heaviest_surface_m, float normalised_depth_m) {
     if (params.range_kind == RELIDAR_RANGE_EXPECTED) return ray.depth;
     if (ray.weight < params.min_weight) return 0.0;
-    if (params.range_kind == RELIDAR_RANGE_MODE) return mode_m;
+    if (params.range_kind == RELIDAR_RANGE_MODE) return heaviest_surface_m;
     return params.range_kind == RELIDAR_RANGE_MEDIAN && ray.median_depth > 0.0 ? ray.median_depth
-                                                                               : normalised;
+                                                                               : normalised_depth_m;
 }
 
 float to_measured_range(float surface_m, SensorBeam beam) {
@@ -64,12 +64,13 @@ void main() {
     SensorBeam beam = SensorBeam(0.0, 1.0, 0.0);
     if (channel < params.n_beams) beam = params.beams.at[channel];
     bool dominated = r.median_depth > 0.0, is_met = r.weight >= params.min_weight;
-    float normalised = r.depth / r.weight, chosen_m = select_ray_range(r, surface.mode, normalised);
+    float normalised_depth_m = r.depth / r.weight,
+          chosen_m = select_ray_range(r, surface.mode, normalised_depth_m);
     float surface_m = dominated ? r.median_depth : chosen_m;
     MeasuredRay m;
     m.range_m = to_measured_range(chosen_m, beam);
     m.median_range_m = to_measured_range(surface_m, beam);
-    m.mean_range_m = to_measured_range(dominated ? normalised : surface_m, beam);
+    m.mean_range_m = to_measured_range(dominated ? normalised_depth_m : surface_m, beam);
     m.intensity = clamp(
         beam.intensity_gain * interpolate_falloff(surface_m) * r.intensity + beam.intensity_offset, 0.0, 1.0);
     float returns = params.rays.at[i].sees * (1.0 - 1.0 / (1.0 + exp(r.hit_logit - r.drop_logit)));

@@ -38,9 +38,10 @@ RELIDAR_FUNCTION vec3 to_world_direction(SensorPose pose, float time_offset_s, v
 /// Transforms a point from the sensor frame at the firing time to the frame in which the
 /// sensor poses are given.
 /// @param pose last sensor pose before the firing time
-RELIDAR_FUNCTION vec3 place_point(SensorPose pose, float time_offset_s, vec3 point) {
+RELIDAR_FUNCTION vec3 transform_sensor_point_to_world(SensorPose pose, float time_offset_s,
+                                                      vec3 sensor_point) {
     RELIDAR_EXACT vec3 moved = pose.position_rest + compute_motion_fraction(pose, time_offset_s) * pose.way;
-    vec3 rotated = to_world_direction(pose, time_offset_s, point);
+    vec3 rotated = to_world_direction(pose, time_offset_s, sensor_point);
     RELIDAR_EXACT vec3 result = pose.position + (moved + rotated);
     return result;
 }

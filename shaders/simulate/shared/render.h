@@ -16,7 +16,7 @@ struct SensorRay {
     float sees;
     uint channel;  // beam number
 };
-RELIDAR_POINTER(SensorRays, SensorRay);
+RELIDAR_DECLARE_POINTER(SensorRays, SensorRay);
 
 /// Pose of the sensor, and the motion from this pose to the next pose.
 struct SensorPose {
@@ -30,7 +30,7 @@ struct SensorPose {
     float time_offset_s;  // relative to the sweep's reference time
     float per_s;          // Inverse of the time to the next pose, 1/s. 0 for the last pose.
 };
-RELIDAR_POINTER(SensorPoses, SensorPose);
+RELIDAR_DECLARE_POINTER(SensorPoses, SensorPose);
 
 struct FireRaysParams {
     SensorRays rays;    // input [n_rays]
@@ -46,7 +46,7 @@ struct SensorBeam {
     float intensity_gain;
     float intensity_offset;
 };
-RELIDAR_POINTER(SensorBeams, SensorBeam);
+RELIDAR_DECLARE_POINTER(SensorBeams, SensorBeam);
 
 /// Measurement of a ray of a scan.
 struct MeasuredRay {
@@ -66,7 +66,7 @@ struct MeasuredRay {
     float incidence;
     uint instance;  // instance that was hit, or RELIDAR_NO_INSTANCE
 };
-RELIDAR_POINTER(MeasuredRays, MeasuredRay);
+RELIDAR_DECLARE_POINTER(MeasuredRays, MeasuredRay);
 
 // Types of range that config.render.range can select.
 #define RELIDAR_RANGE_NORMALISED 0u
@@ -126,7 +126,7 @@ struct ReturnedPoint {
     uint ring;            // beam number
     uint instance;        // Instance that contains the point, or RELIDAR_NO_INSTANCE.
 };
-RELIDAR_POINTER(ReturnedPoints, ReturnedPoint);
+RELIDAR_DECLARE_POINTER(ReturnedPoints, ReturnedPoint);
 
 struct MarkReturnsParams {
     MeasuredRays measured;  // input [n_rays]

@@ -27,13 +27,13 @@ struct GatherColumnsParams {
     uint n_columns;
 };
 
-/// Position of a ray between two sensor poses. Pose `left` has the weight 1 - s, and the
-/// next pose has the weight s.
-struct RayPlace {
+/// Weights of two sensor poses for the pose at the firing time of a ray. Pose `left` has
+/// the weight 1 - s, and the next pose has the weight s.
+struct PoseInterpolation {
     uint left;
     float s;
 };
-RELIDAR_POINTER(RayPlaces, RayPlace);
+RELIDAR_DECLARE_POINTER(PoseInterpolations, PoseInterpolation);
 
 /// Pose of the sensor at one time, and its correction in the world frame.
 struct PoseKnot {
@@ -41,15 +41,15 @@ struct PoseKnot {
     vec3 translation;  // correction of the position, m
     vec3 rotation;     // correction of the rotation: rotation vector, rad
 };
-RELIDAR_POINTER(PoseKnots, PoseKnot);
+RELIDAR_DECLARE_POINTER(PoseKnots, PoseKnot);
 
 /// Parameters of train/move_rays.comp, which applies the corrections of the sensor poses
 /// to the rays of a frame.
 struct MoveRaysParams {
-    Rays rays;         // input [n_rays]
-    RayPlaces places;  // input [n_rays]
-    PoseKnots knots;   // input: the knots of this frame
-    Rays moved;        // output [n_rays]
+    Rays rays;                          // input [n_rays]
+    PoseInterpolations interpolations;  // input [n_rays]
+    PoseKnots knots;                    // input: the knots of this frame
+    Rays moved;                         // output [n_rays]
     uint n_rays;
 };
 
@@ -60,9 +60,9 @@ struct MoveRaysParams {
 /// moved[first_ray + k * ray_stride]. If `columns` is 0, `moved` contains all rays of the
 /// frame. Otherwise it contains copies of only some columns.
 struct KnotGradientsParams {
-    Rays moved;        // input
-    RayPlaces places;  // Input: position of each ray of the frame between two sensor poses.
-    PoseKnots knots;   // input
+    Rays moved;                         // input
+    PoseInterpolations interpolations;  // Input: position of each ray of the frame between two sensor poses.
+    PoseKnots knots;                    // input
     RELIDAR_OF(Floats, DeviceRayGradients) d_rays;  // input [n_rays,6]
     // Output [n_rows,n_knots,6]: dL/d(translation) and dL/d(rotation) of each sensor
     // pose. Each row is the sum over the rays of one workgroup.

@@ -324,7 +324,7 @@ void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptio
         {.tree = b.get_binary_bvh_gpu_addresses(),
          .boxes = b.boxes.address(),
          .keys = b.get_scratch_address<glm::uvec2, shared::MortonKeys>(kKeysAt),
-         .surfels = sorted.order.cast_meaning<shared::SortedSurfels>(),
+         .surfels = sorted.order.cast_content_tag<shared::SortedSurfels>(),
          .models = scene.get_model_table().address(),
          .other_ends = b.get_scratch_address<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
          .clusters = b.get_scratch_address<std::uint32_t, shared::BinaryClusters>(kClustersAt),

@@ -61,8 +61,8 @@ void HitGradientGather::assign_hit_record_indices(Stream& stream, const Rendered
     const StridedCounts hits{.address = batch.rendered->address_as<std::uint32_t, shared::ScanCounts>(),
                              .offset = offsetof(shared::RenderedRay, n_hits) / 4,
                              .stride = sizeof(shared::RenderedRay) / 4};
-    prefix_sum_.run(stream, hits, first_hit_.address().cast_meaning<shared::ScanPrefix>(), n_rays_,
-                    n_hits_.address().cast_meaning<shared::ScanTotal>());
+    prefix_sum_.run(stream, hits, first_hit_.address().cast_content_tag<shared::ScanPrefix>(), n_rays_,
+                    n_hits_.address().cast_content_tag<shared::ScanTotal>());
 }
 
 void HitGradientGather::set_hit_record_addresses(shared::BackwardParams& params) const {
@@ -74,17 +74,17 @@ void HitGradientGather::set_hit_record_addresses(shared::BackwardParams& params)
 
 void HitGradientGather::sum_hit_gradients(Stream& stream, const shared::BackwardParams& params) {
     const auto set = [&](int index) {
-        return SortBuffers{.keys = rows_[index].address().cast_meaning<shared::SortKeys>(),
-                           .order = slots_[index].address().cast_meaning<shared::SortOrder>()};
+        return SortBuffers{.keys = rows_[index].address().cast_content_tag<shared::SortKeys>(),
+                           .order = slots_[index].address().cast_content_tag<shared::SortOrder>()};
     };
     const SortBuffers sorted =
         sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)),
-                   n_hits_.address().cast_meaning<shared::SortCount>());
+                   n_hits_.address().cast_content_tag<shared::SortCount>());
     const shared::GatherParams gather{.scene = params.scene,
                                       .upstream = params.upstream,
                                       .hits = hits_.address(),
-                                      .rows = sorted.keys.cast_meaning<shared::HitRows>(),
-                                      .slots = sorted.order.cast_meaning<shared::HitSlots>(),
+                                      .rows = sorted.keys.cast_content_tag<shared::HitRows>(),
+                                      .slots = sorted.order.cast_content_tag<shared::HitSlots>(),
                                       .n_hits = n_hits_.address(),
                                       .parts = parts_.address(),
                                       .d_records = params.d_records,

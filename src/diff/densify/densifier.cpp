@@ -115,7 +115,8 @@ std::vector<ModelDensifyCounters> Densifier::Impl::choose_actions_and_count_surf
          .weight = arrays.weight.address(),
          .counters = counters.address(),
          .models = scene.get_model_table().address(),
-         .extents = stream.impl().stage_host_values_for_kernels(extents).cast_meaning<shared::ModelExtents>(),
+         .extents =
+             stream.impl().stage_host_values_for_kernels(extents).cast_content_tag<shared::ModelExtents>(),
          .min_opacity = thresholds.min_opacity,
          .max_extent_share = thresholds.max_extent_share,
          .clone_extent_share = static_cast<float>(options.clone_extent_share),

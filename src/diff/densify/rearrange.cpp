@@ -57,19 +57,19 @@ void SurfelReorderer::compute_new_surfel_indices(Stream& stream, const GrowthPla
                                                  std::uint32_t n_surfels_before) {
     RELIDAR_ASSERT_LE(std::max(n_surfels_before, plan.size()), capacity());
     before_ = n_surfels_before;
-    prefix_sum_.run(stream, {.address = weight.address().cast_meaning<shared::ScanCounts>()},
-                    starts.address().cast_meaning<shared::ScanPrefix>(), n_surfels_before);
+    prefix_sum_.run(stream, {.address = weight.address().cast_content_tag<shared::ScanCounts>()},
+                    starts.address().cast_content_tag<shared::ScanPrefix>(), n_surfels_before);
     run(stream, allot_, n_surfels_before,
         {.weight = weight.address(),
-         .cumulative = starts.address().cast_meaning<shared::WeightsBefore>(),
+         .cumulative = starts.address().cast_content_tag<shared::WeightsBefore>(),
          .action = action.address(),
          .n_rows = n_rows.address(),
          .n_surfels = n_surfels_before,
          .n_new = plan.n_new,
          .total_weight = plan.total_weight,
          .phase = plan.phase});
-    prefix_sum_.run(stream, {.address = n_rows.address().cast_meaning<shared::ScanCounts>()},
-                    starts.address().cast_meaning<shared::ScanPrefix>(), n_surfels_before);
+    prefix_sum_.run(stream, {.address = n_rows.address().cast_content_tag<shared::ScanCounts>()},
+                    starts.address().cast_content_tag<shared::ScanPrefix>(), n_surfels_before);
 }
 
 template <class T>

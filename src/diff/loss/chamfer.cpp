@@ -81,8 +81,8 @@ struct ChamferLoss::Impl {
                              const ImageTileLevels& tile_layout) const {
         RELIDAR_ASSERT_LE(std::size_t(tile_layout.tiles.x) * tile_layout.tiles.y, cloud.tile_low.size());
         relidar::run(stream, boxes, std::size_t(tile_layout.tiles.x) * tile_layout.tiles.y,
-                     {.low = cloud.points.address().cast_meaning<shared::LowCorners>(),
-                      .high = cloud.points.address().cast_meaning<shared::HighCorners>(),
+                     {.low = cloud.points.address().cast_content_tag<shared::LowCorners>(),
+                      .high = cloud.points.address().cast_content_tag<shared::HighCorners>(),
                       .tile_low = cloud.tile_low.address(),
                       .tile_high = cloud.tile_high.address(),
                       .rows = tile_layout.points.x,
@@ -94,10 +94,10 @@ struct ChamferLoss::Impl {
                               const ImageTileLevels& tile_layout) const {
         RELIDAR_ASSERT_LE(std::size_t(tile_layout.groups.x) * tile_layout.groups.y, cloud.group_low.size());
         relidar::run(stream, boxes, std::size_t(tile_layout.groups.x) * tile_layout.groups.y,
-                     {.low = cloud.tile_low.address().cast_meaning<shared::LowCorners>(),
-                      .high = cloud.tile_high.address().cast_meaning<shared::HighCorners>(),
-                      .tile_low = cloud.group_low.address().cast_meaning<shared::TileLows>(),
-                      .tile_high = cloud.group_high.address().cast_meaning<shared::TileHighs>(),
+                     {.low = cloud.tile_low.address().cast_content_tag<shared::LowCorners>(),
+                      .high = cloud.tile_high.address().cast_content_tag<shared::HighCorners>(),
+                      .tile_low = cloud.group_low.address().cast_content_tag<shared::TileLows>(),
+                      .tile_high = cloud.group_high.address().cast_content_tag<shared::TileHighs>(),
                       .rows = tile_layout.tiles.x,
                       .columns = tile_layout.tiles.y,
                       .tile_rows = tile_layout.tile.x,
@@ -107,7 +107,7 @@ struct ChamferLoss::Impl {
                              const TiledPointCloud& target_cloud, const Array<std::uint32_t>& nearest_index,
                              const ImageTileLevels& tile_layout) const {
         relidar::run(stream, nearest, n_rays,
-                     {.queries = source_cloud.points.address().cast_meaning<shared::QueryPoints>(),
+                     {.queries = source_cloud.points.address().cast_content_tag<shared::QueryPoints>(),
                       .cloud = {.points = target_cloud.points.address(),
                                 .tile_low = target_cloud.tile_low.address(),
                                 .tile_high = target_cloud.tile_high.address(),
@@ -166,8 +166,8 @@ void ChamferLoss::record_ray_losses(Stream& stream, const RenderedBatch& batch_r
                  {.rays = rays.rays->address(),
                   .rendered = rendered.address(),
                   .targets = batch.targets->address(),
-                  .simulated = c.simulated.points.address().cast_meaning<shared::SimulatedPoints>(),
-                  .measured = c.measured.points.address().cast_meaning<shared::MeasuredPoints>(),
+                  .simulated = c.simulated.points.address().cast_content_tag<shared::SimulatedPoints>(),
+                  .measured = c.measured.points.address().cast_content_tag<shared::MeasuredPoints>(),
                   .counts = c.counts.address(),
                   .n_rays = batch.n_rays,
                   .first_ray = batch.first,
@@ -177,8 +177,8 @@ void ChamferLoss::record_ray_losses(Stream& stream, const RenderedBatch& batch_r
     const shared::ChamferParams chamfer{
         .rays = rays.rays->address(),
         .rendered = rendered.address(),
-        .simulated = c.simulated.points.address().cast_meaning<shared::SimulatedPoints>(),
-        .measured = c.measured.points.address().cast_meaning<shared::MeasuredPoints>(),
+        .simulated = c.simulated.points.address().cast_content_tag<shared::SimulatedPoints>(),
+        .measured = c.measured.points.address().cast_content_tag<shared::MeasuredPoints>(),
         .nearest_measured = c.nearest_measured.address(),
         .nearest_simulated = c.nearest_simulated.address(),
         .counts = c.counts.address(),

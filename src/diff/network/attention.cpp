@@ -75,9 +75,9 @@ void Attention::run_softmax(Stream& stream, AttentionActivations& state, const I
     const auto pixels = std::uint32_t(grid.count_pixels_per_image()), rows = grid.n * heads_ * pixels;
     run(stream, softmax_,
         std::size_t(divide_rounding_up(rows, kAttentionThreads / lanes_)) * kAttentionThreads,
-        {.values = state.share.values.address().cast_meaning<shared::SoftmaxValues>(),
+        {.values = state.share.values.address().cast_content_tag<shared::SoftmaxValues>(),
          .d_values = (is_backward ? state.d_share.values.address() : Address<float>())
-                         .cast_meaning<shared::SoftmaxGradients>(),
+                         .cast_content_tag<shared::SoftmaxGradients>(),
          .n_rows = rows,
          .n = pixels});
 }

@@ -153,7 +153,7 @@ void ConvolutionKernels::backpropagate_weights(Stream& stream, const ChannelSlic
     run(stream, conv_weights_, count_weight_gradient_threads(params), params);
     run(stream, sum_parts_, n,
         {.partial = partial_.address(),
-         .sum = d_weights.cast_meaning<shared::SumOfParts>(),
+         .sum = d_weights.cast_content_tag<shared::SumOfParts>(),
          .n_parts = n_parts,
          .n = n});
 }

@@ -107,9 +107,9 @@ void RayDropInputs::fill_input_batch(Stream& stream, std::span<const RotatedSamp
     }
     start_.reserve(stream.device(), output_images.grid.count_all_pixels(), "rendered logits");
     params.chosen =
-        stream.impl().stage_host_values_for_kernels(samples).cast_meaning<shared::ChosenSamples>();
+        stream.impl().stage_host_values_for_kernels(samples).cast_content_tag<shared::ChosenSamples>();
     params.turn =
-        stream.impl().stage_host_values_for_kernels(column_shifts).cast_meaning<shared::SampleTurns>();
+        stream.impl().stage_host_values_for_kernels(column_shifts).cast_content_tag<shared::SampleTurns>();
     params.scale_shift = scale_shift_.address();
     params.images = output_images.values.address();
     params.start = start_.address();

@@ -128,7 +128,7 @@ const Array<float, shared::DropProbabilities>& RayDropInference::record_network_
     shaped.unet.run_inference(stream);
     shaped.loss->compute_drop_loss(
         stream, grid.count_pixels_per_image(),
-        {.logit = shaped.unet.get_drop_logits().values.address().cast_meaning<shared::DropLogits>(),
+        {.logit = shaped.unet.get_drop_logits().values.address().cast_content_tag<shared::DropLogits>(),
          .start = r.network.residual ? shaped.inputs.get_rendered_drop_logits().address()
                                      : Address<float, shared::StartLogits>(),
          .probability = shaped.probability.address()},

@@ -105,12 +105,13 @@ RayDropScore RayDropTraining::train_on_batch(std::span<const RayDropInputs::Rota
                                      float(get_regularisation(t.options).dropout));
     t.loss.compute_drop_loss(
         t.stream, t.grid.count_all_pixels(),
-        {.logit = t.unet.get_drop_logits().values.address().cast_meaning<shared::DropLogits>(),
+        {.logit = t.unet.get_drop_logits().values.address().cast_content_tag<shared::DropLogits>(),
          .start = t.network.residual ? t.inputs.get_rendered_drop_logits().address()
                                      : Address<float, shared::StartLogits>(),
          .target = t.inputs.get_measured_drops().address(),
-         .d_logit =
-             t.unet.get_drop_logit_gradients().values.address().cast_meaning<shared::DropLogitGradients>()},
+         .d_logit = t.unet.get_drop_logit_gradients()
+                        .values.address()
+                        .cast_content_tag<shared::DropLogitGradients>()},
         n_known_pixels);
     t.unet.run_backward_pass(t.stream);
     t.adam.record_adam_step(

@@ -167,7 +167,7 @@ void NormalisationKernels::backpropagate_bias(Stream& stream, const ChannelSlice
                                           .dropout = 0.0f});
     run(stream, sum_parts_, d_output.channels,
         {.partial = partial_.address(),
-         .sum = d_bias.cast_meaning<shared::SumOfParts>(),
+         .sum = d_bias.cast_content_tag<shared::SumOfParts>(),
          .n_parts = n_parts,
          .n = d_output.channels});
 }

@@ -27,7 +27,7 @@ namespace {
 constexpr std::uint32_t kStreamingThreads = 128;
 
 std::vector<SpecialisationConstant> make_adam_kernel_constants(bool thread_per_float) {
-    return {{SpecialisationConstantId::PER_FLOAT, thread_per_float ? 1u : 0u},
+    return {{SpecialisationConstantId::ONE_THREAD_PER_FLOAT, thread_per_float ? 1u : 0u},
             {SpecialisationConstantId::WORKGROUP_SIZE, kStreamingThreads}};
 }
 
@@ -109,7 +109,7 @@ void Adam::record_adam_step(Stream& stream, SurfelArrays& parameters, const Surf
              .model_scale =
                  (by_model ? stream.impl().stage_host_values_for_kernels(learning_rates.mean_factors)
                            : Address<float>{})
-                     .cast_meaning<shared::ModelRates>(),
+                     .cast_content_tag<shared::ModelRates>(),
              .models = by_model ? learning_rates.models->address() : Address<shared::ModelEntry>{},
              .learning_rate = static_cast<float>(learning_rates.*group.rate * rest_factor),
              .beta1 = static_cast<float>(a.options.beta1),

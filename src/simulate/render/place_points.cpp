@@ -84,9 +84,10 @@ LidarPoints convert_scan_to_points(const RenderedScan& scan, const Config& confi
         const float time_offset_s = scan.time_offset_s[ray];
         const glm::vec3 end = shared::compute_ray_end(scan.image.origin[ray], scan.image.direction[ray],
                                                       second ? second->range_m[ray] : range_m[ray]);
-        points.position_m[index] =
-            poses.empty() ? end
-                          : shared::place_point(find_pose_before(poses, time_offset_s), time_offset_s, end);
+        points.position_m[index] = poses.empty()
+                                       ? end
+                                       : shared::transform_sensor_point_to_world(
+                                             find_pose_before(poses, time_offset_s), time_offset_s, end);
         points.intensity[index] = second ? second->intensity[ray] : scan.image.intensity[ray];
         points.ring[index] = scan.ring[ray];
         points.time_offset_s[index] = time_offset_s;

@@ -209,7 +209,7 @@ void DeviceSensorRays::record_ray_drop_inference(Stream& stream, RayDropInferenc
         {.rays = rays_.address(),
          .measured = measured_.address(),
          .channels =
-             stream.impl().stage_host_values_for_kernels(channels).cast_meaning<shared::DropChannels>(),
+             stream.impl().stage_host_values_for_kernels(channels).cast_content_tag<shared::DropChannels>(),
          .samples = samples_.address(),
          .origin = relative_sensor_position_m,
          .n_channels = std::uint32_t(channels.size()),

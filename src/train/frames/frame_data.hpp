@@ -23,10 +23,11 @@ namespace relidar {
 struct FrameArrays {
     Array<DeviceRay> rays;        ///< [n] rays, computed from the poses at the start of training
     Array<DeviceTarget> targets;  ///< [n] measurements
-    /// [n] Each ray is fired between two vehicle poses. RayPlace::left is the index of
-    /// the earlier pose, counted from TrainingFrameData::first_knot. RayPlace::s is the
-    /// fraction of the time to the next pose. Empty if poses are not corrected.
-    Array<shared::RayPlace> track_positions;
+    /// [n] Each ray is fired between two vehicle poses. PoseInterpolation::left is the
+    /// index of the earlier pose, counted from TrainingFrameData::first_knot.
+    /// PoseInterpolation::s is the fraction of the time to the next pose. Empty if poses
+    /// are not corrected.
+    Array<shared::PoseInterpolation> track_positions;
 };
 
 /// A training frame.

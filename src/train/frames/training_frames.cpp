@@ -87,7 +87,8 @@ void upload_values(Stream& stream, const Array<T>& target, const std::vector<T>&
 }  // namespace
 
 std::size_t TrainingFrames::count_bytes_per_ray() const {
-    return sizeof(DeviceRay) + sizeof(DeviceTarget) + (use_.moves_rays ? sizeof(shared::RayPlace) : 0);
+    return sizeof(DeviceRay) + sizeof(DeviceTarget) +
+           (use_.moves_rays ? sizeof(shared::PoseInterpolation) : 0);
 }
 
 TrainingFrames::TrainingFrames(Device& device, const LidarSequence& sequence,
@@ -124,7 +125,7 @@ void TrainingFrames::upload_frames_to_keep_resident(Device& device) {
             frame.arrays = std::make_shared<FrameArrays>(
                 FrameArrays{{device, std::span<const DeviceRay>(batch[k].rays), "training rays"},
                             {device, std::span<const DeviceTarget>(batch[k].targets), "training targets"},
-                            {device, std::span<const shared::RayPlace>(batch[k].track_positions),
+                            {device, std::span<const shared::PoseInterpolation>(batch[k].track_positions),
                              "track positions of rays"}});
             store_known_and_returned_ray_counts(frame, batch[k].targets);
         }

@@ -56,7 +56,7 @@ private:
     struct HostFrameArrays {
         std::vector<DeviceRay> rays;
         std::vector<DeviceTarget> targets;
-        std::vector<shared::RayPlace> track_positions;
+        std::vector<shared::PoseInterpolation> track_positions;
     };
 
     const LidarSequence& sequence_;

@@ -39,7 +39,7 @@ void PoseCorrectedRays::move_rays_to_corrected_poses(Stream& stream, const Track
     stream.impl().record_buffer_write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
     run(stream, move_, frame.n_rays,
         {.rays = frame.arrays->rays.address(),
-         .places = frame.arrays->track_positions.address(),
+         .interpolations = frame.arrays->track_positions.address(),
          .knots = knots_.address(),
          .moved = moved_.address(),
          .n_rays = frame.n_rays});
@@ -52,7 +52,7 @@ void PoseCorrectedRays::record_pose_gradient_sums(
     RELIDAR_ASSERT_LE(std::size_t(6) * batch.rays.n_rays, ray_gradients.size());
     run(stream, gradients_, std::size_t(RELIDAR_KNOT_WORKGROUP) * kRows * most_knots_,
         {.moved = batch.rays.rays->address(),
-         .places = frame.arrays->track_positions.address(),
+         .interpolations = frame.arrays->track_positions.address(),
          .knots = knots_.address(),
          .d_rays = ray_gradients.address(),
          .rows = rows_.address(),

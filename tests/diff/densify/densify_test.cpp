@@ -145,8 +145,9 @@ void expect_values(const Case& test_case, const Row& row, const Surfels& surfels
     EXPECT_TRUE(are_bits_equal(&surfels.sh[index * kShFloats], &was.sh[row.source * kShFloats], kShFloats));
     EXPECT_EQ(surfels.rotation[index], was.rotation[row.source]);
     if (row.fate == Fate::split) {
-        s.mean = reference::sample_point(s, reference::draw_normal_pair(key, std::uint32_t(index), 2),
-                                         reference::draw_normal_pair(key, std::uint32_t(index), 3).x);
+        s.mean =
+            reference::sample_point(s, reference::draw_standard_normal_pair(key, std::uint32_t(index), 2),
+                                    reference::draw_standard_normal_pair(key, std::uint32_t(index), 3).x);
         s.scale /= 1.6;
         if (s.scale_w) *s.scale_w /= 1.6;
     } else {

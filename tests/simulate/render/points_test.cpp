@@ -148,8 +148,9 @@ TEST(FiringPoses, AreThoseOfEachRay) {
 }
 
 /// Compares the points of a sensor that drives and turns by 6 rad/s with double
-/// precision. The rounding error at 80 m is up to 4e-6 m, and place_point() makes about
-/// seven roundings. At 5428 km the rounding error is 0.25 m.
+/// precision. The rounding error at 80 m is up to 4e-6 m, and
+/// transform_sensor_point_to_world() makes about seven roundings. At 5428 km the rounding
+/// error is 0.25 m.
 TEST(PlacePoints, LieWhereDoublePrecisionPutsThem) {
     RenderedScan scan;
     scan.time_s = 5.0;
