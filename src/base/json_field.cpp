@@ -16,7 +16,7 @@
 namespace relidar {
 namespace {
 
-std::string format_found_json_value(const nlohmann::json& value) {
+std::string describe_json_value_for_error(const nlohmann::json& value) {
     if (value.is_structured())
         return fmt::format("found {} of {}", value.is_array() ? "an array" : "an object", value.size());
     const std::string text = value.dump(-1, ' ', true, nlohmann::json::error_handler_t::replace);
@@ -54,7 +54,7 @@ bool JsonField::has_member(const std::string& member_name) const {
 }
 
 JsonField JsonField::at(const std::string& key) const {
-    if (!value_->is_object()) throw_field_error(format_found_json_value(*value_), "expected an object");
+    if (!value_->is_object()) throw_field_error(describe_json_value_for_error(*value_), "expected an object");
     const auto it = value_->find(key);
     const std::string name = name_.empty() ? key : name_ + "." + key;
     if (it == value_->end()) throw DataError(fmt::format("{}: the key {} is missing", *file_, name));
@@ -66,7 +66,7 @@ JsonField JsonField::at(std::size_t index) const {
 }
 
 std::size_t JsonField::size() const {
-    if (!value_->is_array()) throw_field_error(format_found_json_value(*value_), "expected an array");
+    if (!value_->is_array()) throw_field_error(describe_json_value_for_error(*value_), "expected an array");
     return value_->size();
 }
 
@@ -84,7 +84,7 @@ bool JsonField::is_string() const { return value_->is_string(); }
 bool JsonField::is_array() const { return value_->is_array(); }
 
 void JsonField::require_only_known_members(const std::vector<std::string>& known_names) const {
-    if (!value_->is_object()) throw_field_error(format_found_json_value(*value_), "expected an object");
+    if (!value_->is_object()) throw_field_error(describe_json_value_for_error(*value_), "expected an object");
     for (const auto& [key, value] : value_->items())
         if (std::find(known_names.begin(), known_names.end(), key) == known_names.end())
             throw_field_error(fmt::format("found the unknown member '{}'", shorten_for_error_message(key)),
@@ -93,14 +93,14 @@ void JsonField::require_only_known_members(const std::vector<std::string>& known
 
 double JsonField::get_number() const {
     if (!value_->is_number() || !std::isfinite(value_->get<double>()))
-        throw_field_error(format_found_json_value(*value_), "expected a finite number");
+        throw_field_error(describe_json_value_for_error(*value_), "expected a finite number");
     return value_->get<double>();
 }
 
 double JsonField::get_number_in_range(double min_value, double max_value) const {
     const double value = get_number();
     if (value < min_value || value > max_value)
-        throw_field_error(format_found_json_value(*value_),
+        throw_field_error(describe_json_value_for_error(*value_),
                           fmt::format("expected a number from {:.15g} to {:.15g}", min_value, max_value));
     return value;
 }
@@ -110,19 +110,20 @@ std::int64_t JsonField::get_integer_in_range(std::int64_t min_value, std::int64_
                       !(value_->is_number_unsigned() &&
                         value_->get<std::uint64_t>() > static_cast<std::uint64_t>(INT64_MAX));
     if (!fits || value_->get<std::int64_t>() < min_value || value_->get<std::int64_t>() > max_value) {
-        throw_field_error(format_found_json_value(*value_),
+        throw_field_error(describe_json_value_for_error(*value_),
                           fmt::format("expected an integer from {} to {}", min_value, max_value));
     }
     return value_->get<std::int64_t>();
 }
 
 bool JsonField::get_boolean() const {
-    if (!value_->is_boolean()) throw_field_error(format_found_json_value(*value_), "expected true or false");
+    if (!value_->is_boolean())
+        throw_field_error(describe_json_value_for_error(*value_), "expected true or false");
     return value_->get<bool>();
 }
 
 std::string JsonField::get_string() const {
-    if (!value_->is_string()) throw_field_error(format_found_json_value(*value_), "expected text");
+    if (!value_->is_string()) throw_field_error(describe_json_value_for_error(*value_), "expected text");
     return value_->get<std::string>();
 }
 

@@ -69,7 +69,7 @@ constexpr std::uint32_t kCheckWorkgroup = 256;
 /// @param lane_index index of the thread in the subgroup
 /// @param sum_of_earlier_subgroups sum of all earlier subgroups of the workgroup
 /// @param workgroup_sum sum of the workgroup
-std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> compute_expected_subgroup_results(
+std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> compute_expected_subgroup_results_of_lane(
     const Words& lane_values, std::size_t lane_index, std::uint32_t sum_of_earlier_subgroups,
     std::uint32_t workgroup_sum) {
     std::uint32_t sum = 0, earlier = 0, largest = 0, n_odd = 0, odd_sum = 0;
@@ -118,7 +118,7 @@ std::string run_subgroup_test_and_describe_error(Device& device) {
             for (std::uint32_t i = 0; i < lanes; ++i)
                 values.push_back(shared::compute_thread_test_value(first + i));
             for (std::uint32_t lane = 0; lane < lanes; ++lane) {
-                const auto expected = compute_expected_subgroup_results(values, lane, before, total);
+                const auto expected = compute_expected_subgroup_results_of_lane(values, lane, before, total);
                 const std::uint32_t* lane_results = actual.data() + (first + lane) * RELIDAR_CHECK_RESULTS;
                 for (std::size_t k = 0; k < expected.size(); ++k)
                     if (lane_results[k] != expected[k] &&

@@ -200,7 +200,7 @@ KernelBase::KernelBase(Device& owner, std::string_view kernel_name,
     });
     impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
     if (size == all.end()) all.push_back({SpecialisationConstantId::WORKGROUP_SIZE, device.workgroup_size});
-    impl_->addresses = gpu::list_address_offsets_in_parameters(get_embedded_kernel_spirv(kernel_name));
+    impl_->addresses = gpu::list_pointer_offsets_in_parameter_block(get_embedded_kernel_spirv(kernel_name));
     if (gpu::can_split_kernel_launch(impl_->name))
         impl_->speed = &device.launch_limit.get_kernel_speed(impl_->name);
     impl_->made_ = find_or_start_pipeline_build(

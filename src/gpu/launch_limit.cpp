@@ -17,7 +17,7 @@ double KernelSpeed::estimate_dispatch_duration_s(std::uint32_t n_workgroups) con
     return s_per_group_ * n_workgroups;
 }
 
-bool KernelSpeed::count_and_decide_to_measure_dispatch(double target_dispatch_s, std::uint32_t n_workgroups) {
+bool KernelSpeed::should_measure_next_dispatch(double target_dispatch_s, std::uint32_t n_workgroups) {
     constexpr std::uint64_t kFirst = 8, kEvery = 64;
     // Does not measure small dispatches, because their fixed cost would make the kernel
     // look slow. Exception: the launches of a slow kernel are split into small

@@ -28,7 +28,7 @@ public:
     double estimate_dispatch_duration_s(std::uint32_t n_workgroups) const;
     /// Returns true if the next dispatch should be measured. The first 8 dispatches of a
     /// kernel are measured, and then every 64th.
-    bool count_and_decide_to_measure_dispatch(double target_dispatch_s, std::uint32_t n_workgroups);
+    bool should_measure_next_dispatch(double target_dispatch_s, std::uint32_t n_workgroups);
     void update_speed_from_dispatch(std::uint32_t n_workgroups, double duration_s);
 
 private:

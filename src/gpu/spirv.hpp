@@ -61,7 +61,8 @@ std::vector<std::uint32_t> remove_constant_branches(
 
 /// Returns where the parameter block of a SPIR-V module contains device addresses, as
 /// byte offsets.
-std::vector<std::uint32_t> list_address_offsets_in_parameters(std::span<const std::uint32_t> spirv_words);
+std::vector<std::uint32_t> list_pointer_offsets_in_parameter_block(
+    std::span<const std::uint32_t> spirv_words);
 
 std::set<std::uint32_t> list_specialisation_constant_ids(std::span<const std::uint32_t> spirv_words);
 

@@ -22,11 +22,11 @@ public:
 
     std::uint32_t get_parameter_block_type_id() const { return block_; }
 
-    /// Appends the byte offsets of all device addresses in a value to `address_offsets`.
+    /// Appends the byte offsets of all device addresses in a value to `pointer_offsets`.
     /// @param type_id SPIR-V id of the value's type, for example of a struct
     /// @param value_offset_bytes byte offset of the value, which is added to each offset
-    void append_device_address_offsets(std::uint32_t type_id, std::uint32_t value_offset_bytes,
-                                       std::vector<std::uint32_t>& address_offsets) const {
+    void append_pointer_member_offsets(std::uint32_t type_id, std::uint32_t value_offset_bytes,
+                                       std::vector<std::uint32_t>& pointer_offsets) const {
         const auto type_entry = types_.find(type_id);
         // `types_` contains only pointers, arrays and structs. Other types (numbers and
         // vectors) cannot contain a device address.
@@ -34,17 +34,17 @@ public:
         const SpirvInstruction t = type_entry->second;
         switch (t[0] & 0xffffu) {
             case type_pointer:
-                address_offsets.push_back(value_offset_bytes);
+                pointer_offsets.push_back(value_offset_bytes);
                 break;
             case type_array:
                 for (std::uint32_t k = 0; k < constants_.at(t[3]); ++k)
-                    append_device_address_offsets(t[2], value_offset_bytes + k * strides_.at(type_id),
-                                                  address_offsets);
+                    append_pointer_member_offsets(t[2], value_offset_bytes + k * strides_.at(type_id),
+                                                  pointer_offsets);
                 break;
             default:
                 for (std::uint32_t k = 0; k + 2 < t.size(); ++k)
-                    append_device_address_offsets(t[k + 2], value_offset_bytes + offsets_.at({type_id, k}),
-                                                  address_offsets);
+                    append_pointer_member_offsets(t[k + 2], value_offset_bytes + offsets_.at({type_id, k}),
+                                                  pointer_offsets);
         }
     }
 
@@ -82,10 +82,11 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> list_address_offsets_in_parameters(std::span<const std::uint32_t> spirv_words) {
+std::vector<std::uint32_t> list_pointer_offsets_in_parameter_block(
+    std::span<const std::uint32_t> spirv_words) {
     const ParameterTypes types(spirv_words);
     std::vector<std::uint32_t> offsets;
-    types.append_device_address_offsets(types.get_parameter_block_type_id(), 0, offsets);
+    types.append_pointer_member_offsets(types.get_parameter_block_type_id(), 0, offsets);
     return offsets;
 }
 

@@ -58,12 +58,12 @@ public:
                     value_by_id_[instruction[2]] = get_specialised_constant_value(instruction);
                 break;
             case kOpSpecConstantOp:
-                store_result_if_constant(instruction, instruction[3], instruction.subspan(4));
+                fold_constant_operation(instruction, instruction[3], instruction.subspan(4));
                 break;
             case kOpLogicalOr:
             case kOpLogicalAnd:
             case kOpLogicalNot:
-                store_result_if_constant(instruction, opcode, instruction.subspan(3));
+                fold_constant_operation(instruction, opcode, instruction.subspan(3));
                 break;
             default:
                 break;
@@ -82,10 +82,11 @@ private:
         return override_value == constants_.end() ? constant_instruction[3] : override_value->second;
     }
 
-    void store_result_if_constant(SpirvInstruction instruction, std::uint32_t operation,
-                                  SpirvInstruction operands) {
+    void fold_constant_operation(SpirvInstruction instruction, std::uint32_t operation_opcode,
+                                 SpirvInstruction operands) {
         if (!types_.contains(instruction[1])) return;
-        if (const std::optional<std::uint32_t> value = evaluate_constant_operation(operation, operands))
+        if (const std::optional<std::uint32_t> value =
+                evaluate_constant_operation(operation_opcode, operands))
             value_by_id_[instruction[2]] = *value;
     }
 

@@ -29,7 +29,7 @@ public:
         if (is_new_lane_) lane_ = next_++;
     }
 
-    std::vector<std::uint32_t> make_module_with_nonuniform_indices() {
+    std::vector<std::uint32_t> rewrite_module_with_nonuniform_indices() {
         result_.assign(words_.begin(), words_.begin() + kHeaderWords);
         for_each_spirv_instruction(words_, [&](std::uint32_t opcode, SpirvInstruction instruction) {
             emit_edited_instruction(opcode, instruction);
@@ -154,7 +154,7 @@ private:
 }  // namespace
 
 std::vector<std::uint32_t> make_array_indices_nonuniform(std::span<const std::uint32_t> spirv_words) {
-    return LaneIndexRewriter(spirv_words).make_module_with_nonuniform_indices();
+    return LaneIndexRewriter(spirv_words).rewrite_module_with_nonuniform_indices();
 }
 
 }  // namespace relidar::gpu

@@ -66,14 +66,14 @@ struct SpirvModule {
 
     explicit SpirvModule(std::span<const std::uint32_t> words) : bound(words[3]) {
         for_each_spirv_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-            collect_information_from_instruction(opcode, instruction);
+            collect_declarations_from_instruction(opcode, instruction);
         });
     }
 
 private:
     std::map<std::uint32_t, SpirvWords> chains_;
 
-    void collect_information_from_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
+    void collect_declarations_from_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
         if (opcode == kOpName && get_name_of_op_name_instruction(instruction) == std::string("ParamsBlock"))
             block = instruction[1];
         if (opcode == kEntryPoint) entry = instruction[2];
@@ -85,13 +85,13 @@ private:
         if (opcode == kConstant && instruction.size() == 4 && types.contains(instruction[1]) &&
             (types.at(instruction[1])[0] & 0xffffu) == kTypeInt)
             constants[instruction[2]] = instruction[3];
-        if (opcode == kAccessChain) store_access_chain(instruction);
+        if (opcode == kAccessChain) store_parameter_path_or_access_chain(instruction);
         if (opcode == kLoad && instruction[1] == block_pointer && block_pointer) {
             addresses.insert(instruction[2]);
             push_chain = chains_[instruction[3]];
         }
     }
-    void store_access_chain(SpirvInstruction instruction) {
+    void store_parameter_path_or_access_chain(SpirvInstruction instruction) {
         if (!addresses.contains(instruction[3])) {
             chains_[instruction[2]] = SpirvWords(instruction.begin(), instruction.end());
             return;
@@ -113,11 +113,11 @@ public:
 
     /// Returns true if a parameter of this type can be copied to a Private SPIR-V
     /// variable: a number, a vector, an address or a struct of these.
-    bool can_store_in_private_variable(std::uint32_t type_id) const {
+    bool is_type_allowed_in_private_variable(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
         if ((t[0] & 0xffffu) != kTypeStruct) return get_nonstruct_alignment_bytes(type_id).has_value();
         for (std::size_t k = 2; k < t.size(); ++k)
-            if (!can_store_in_private_variable(t[k])) return false;
+            if (!is_type_allowed_in_private_variable(t[k])) return false;
         return true;
     }
 
@@ -286,7 +286,7 @@ std::vector<std::uint32_t> hoist_parameter_loads(std::span<const std::uint32_t> 
         const auto path_entry =
             opcode == kLoad ? module.parameter_paths.find(instruction[3]) : module.parameter_paths.end();
         if (path_entry == module.parameter_paths.end() ||
-            !result.can_store_in_private_variable(instruction[1]))
+            !result.is_type_allowed_in_private_variable(instruction[1]))
             return append_spirv_instruction(code, instruction);
         result.append_load_from_private_variable(code, instruction[1], path_entry->second, instruction[2]);
         any = true;

@@ -127,7 +127,7 @@ void Stream::Impl::add_command_to_current_sequence(const std::string& command_na
 /// Records the commands of all lanes (concurrent sequences), step by step. Each step has
 /// a single pair of timestamps. With more timestamps, the commands of a step would have
 /// to wait for each other.
-void Stream::Impl::record_stored_commands_of_all_sequences() {
+void Stream::Impl::record_commands_of_concurrent_sequences() {
     std::size_t n_steps = 0;
     for (const CommandSequence& one : lanes) n_steps = std::max(n_steps, one.size());
     for (std::size_t k = 0; k < n_steps; ++k) {
@@ -172,7 +172,7 @@ void Stream::Impl::begin_command_timing(const std::string& command_name, gpu::Ke
     VkCommandBuffer buffer = get_recording_command_buffer();
     SubmissionSlot& slot = slots[current];
     if (kernel_speed &&
-        !kernel_speed->count_and_decide_to_measure_dispatch(device->launch_limit.piece_s, n_workgroups))
+        !kernel_speed->should_measure_next_dispatch(device->launch_limit.piece_s, n_workgroups))
         kernel_speed = nullptr;
     timed = slot.queries && (timing || kernel_speed) && slot.launches.size() < kMaxLaunches;
     if (!timed) return;
@@ -262,22 +262,22 @@ struct Stream::Impl::Dispatch {
 
 namespace {
 
-Stream::Impl::Dispatch split_launch_into_dispatch_rows(VkPipeline pipeline,
-                                                       const std::array<std::uint64_t, 2>& push_constants,
-                                                       std::uint32_t n_workgroups,
-                                                       std::uint32_t max_workgroups_per_piece) {
+Stream::Impl::Dispatch split_launch_into_dispatches(VkPipeline pipeline,
+                                                    const std::array<std::uint64_t, 2>& push_constants,
+                                                    std::uint32_t n_workgroups,
+                                                    std::uint32_t max_workgroups_per_dispatch) {
     // Maximum number of workgroups per dimension that every Vulkan device supports.
     constexpr std::uint32_t kMaxGroups = 65535;
-    const std::uint32_t columns = std::max(std::min({n_workgroups, kMaxGroups, max_workgroups_per_piece}),
+    const std::uint32_t columns = std::max(std::min({n_workgroups, kMaxGroups, max_workgroups_per_dispatch}),
                                            (n_workgroups - 1) / kMaxGroups + 1);
     // Gives all rows the same number of workgroups, so that the launch has few
     // superfluous workgroups.
     const std::uint32_t rows = (n_workgroups - 1) / columns + 1, even_columns = (n_workgroups - 1) / rows + 1;
     // A launch that is short enough, or that must not be split, is recorded as a single
     // dispatch with all rows.
-    const std::uint32_t rows_per_piece = max_workgroups_per_piece >= n_workgroups
+    const std::uint32_t rows_per_piece = max_workgroups_per_dispatch >= n_workgroups
                                              ? rows
-                                             : std::max(1u, max_workgroups_per_piece / even_columns);
+                                             : std::max(1u, max_workgroups_per_dispatch / even_columns);
     return {pipeline, push_constants, rows, even_columns, rows_per_piece};
 }
 
@@ -296,7 +296,7 @@ void Stream::Impl::record_kernel_launch(const KernelBase& kernel, std::uint32_t 
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
     const gpu::LaunchTimeLimit& limit = device->launch_limit;
     const gpu::KernelSpeed* speed = limit.has_dispatch_time_limit() ? kernel.impl().speed : nullptr;
-    const Dispatch dispatch = split_launch_into_dispatch_rows(
+    const Dispatch dispatch = split_launch_into_dispatches(
         pipeline, pushed, n_groups, speed ? speed->choose_workgroups_per_dispatch(limit.piece_s) : n_groups);
     // Launches in lanes (concurrent sequences) are not split, because their commands are
     // recorded later and in a single submission.
@@ -405,11 +405,11 @@ ConcurrentSequenceScope::~ConcurrentSequenceScope() {
     Stream::Impl& s = stream_.impl();
     // After an exception the commands are dropped, because the arrays that they use may
     // be destroyed.
-    if (std::uncaught_exceptions() == 0) s.record_stored_commands_of_all_sequences();
+    if (std::uncaught_exceptions() == 0) s.record_commands_of_concurrent_sequences();
     s.lanes.clear();
 }
 
-void ConcurrentSequenceScope::select_sequence_to_record(std::size_t sequence_index) {
+void ConcurrentSequenceScope::select_command_sequence(std::size_t sequence_index) {
     Stream::Impl& s = stream_.impl();
     if (sequence_index >= s.lanes.size() || s.n_concurrent > 0)
         throw Error(
@@ -425,7 +425,7 @@ std::uint64_t Stream::submit_commands() {
     if (s.device->compile_only) return 0;
     if (s.n_concurrent > 0)
         throw Error(ExitCode::bug, "cannot submit commands: a ConcurrentLaunchScope is still open");
-    s.record_stored_commands_of_all_sequences();
+    s.record_commands_of_concurrent_sequences();
     VkCommandBuffer commands = s.get_recording_command_buffer();
     // Marks the end of a frame. RenderDoc and GFXReconstruct need this label to capture a
     // program that has no window.

@@ -122,7 +122,7 @@ struct Stream::Impl {
     VkCommandBuffer get_recording_command_buffer();
     /// Records a command with timestamps, and a barrier after it. In a
     /// ConcurrentSequenceScope, only stores the command, and
-    /// record_stored_commands_of_all_sequences() records it later.
+    /// record_commands_of_concurrent_sequences() records it later.
     /// @param command_name name of the command in the measured times
     template <class Recorded>
     void record_command(const std::string& command_name, Recorded command) {
@@ -137,7 +137,7 @@ struct Stream::Impl {
     void end_concurrent_launch_scope();
     /// Moves the stored commands of all lanes (concurrent sequences) to the command
     /// buffer. Step n of a lane may run concurrently with step n of the other lanes.
-    void record_stored_commands_of_all_sequences();
+    void record_commands_of_concurrent_sequences();
     /// Where a value from the host is stored until the submission is complete.
     struct StagedValue {
         VkBuffer buffer;

@@ -73,8 +73,9 @@ double compute_half_azimuth_width_rad(const Pose& sensor_from_box, const glm::dv
 /// Returns the time interval in which the rotating LiDAR head faces a box, so that its
 /// rays can hit the box. If this interval is unknown or extends beyond the sweep, returns
 /// the time interval of the full sweep.
-TimeSpan compute_time_span_facing_box(const LidarSequence& sequence, const PoseTrack& world_from_box,
-                                      const glm::dvec3& half_size_m, const SweepTiming& sweep) {
+TimeSpan compute_time_span_when_lidar_faces_box(const LidarSequence& sequence,
+                                                const PoseTrack& world_from_box,
+                                                const glm::dvec3& half_size_m, const SweepTiming& sweep) {
     const TimeSpan all = compute_sweep_time_span(sequence, sweep);
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
     const double s_per_rad = compute_seconds_per_radian(lidar);
@@ -97,7 +98,8 @@ TimeSpan compute_time_span_facing_box(const LidarSequence& sequence, const PoseT
 
 InstancePose compute_box_pose_in_sweep(const LidarSequence& sequence, const PoseTrack& world_from_box,
                                        const glm::dvec3& half_size_m, const SweepTiming& sweep) {
-    const TimeSpan span = compute_time_span_facing_box(sequence, world_from_box, half_size_m, sweep);
+    const TimeSpan span =
+        compute_time_span_when_lidar_faces_box(sequence, world_from_box, half_size_m, sweep);
     const double half_s = 0.5 * (span.last_s - span.first_s), middle_s = 0.5 * (span.first_s + span.last_s);
     // If all rays fire at the same time, the pose of the actor is constant. Its velocity
     // is then measured between `kVelocityStep_s` before and after this time.

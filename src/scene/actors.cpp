@@ -198,15 +198,16 @@ void append_actor_to_scene(Scene& scene, const BoxTrack& box, const std::vector<
 /// Returns the distance in metres that an actor has walked at the start of a new track.
 /// This is the distance at the nearest recorded pose plus the distance from there to the
 /// new pose. The animation of the actor's steps depends on this distance.
-double compute_walked_distance_at_start_m(const BoxTrack& box, const PoseTrack& new_track) {
+double compute_walked_distance_at_track_start_m(const BoxTrack& logged_box, const PoseTrack& new_track) {
     const Pose& at = new_track.pose.front();
     const auto compute_distance_m = [&](const Pose& pose) {
         return glm::distance(pose.translation, at.translation);
     };
-    const auto nearest = std::ranges::min_element(box.world_from_box.pose, {}, compute_distance_m);
-    const double time_s = box.world_from_box.time_s[std::size_t(nearest - box.world_from_box.pose.begin())];
+    const auto nearest = std::ranges::min_element(logged_box.world_from_box.pose, {}, compute_distance_m);
+    const double time_s =
+        logged_box.world_from_box.time_s[std::size_t(nearest - logged_box.world_from_box.pose.begin())];
     const glm::dvec3 ahead = at.rotation * glm::dvec3(1.0, 0.0, 0.0);
-    return WalkedDistanceTrack(box.world_from_box).compute_walked_distance_m(time_s) +
+    return WalkedDistanceTrack(logged_box.world_from_box).compute_walked_distance_m(time_s) +
            glm::dot(at.translation - nearest->translation, ahead);
 }
 
@@ -231,7 +232,7 @@ std::vector<InstancePose> compute_instance_poses_in_sweep(const Scene& scene, co
         const BoxTrack* logged_box = find_box_track_by_id(sequence, instance.track);
         const bool is_logged_track = logged_box && &logged_box->world_from_box == track;
         const double before_m = logged_box && !is_logged_track && !logged_box->world_from_box.pose.empty()
-                                    ? compute_walked_distance_at_start_m(*logged_box, *track)
+                                    ? compute_walked_distance_at_track_start_m(*logged_box, *track)
                                     : 0.0;
         placed.back().phase =
             (before_m + WalkedDistanceTrack(*track).compute_walked_distance_m(placed.back().time_s)) /

@@ -28,7 +28,7 @@ constexpr double kMostPairs = 200.0;
 
 /// Returns the number of patches along a length. The number is even, so that the symmetry
 /// plane y = 0 does not cut a patch.
-int compute_even_patch_count(double length_m) {
+int choose_even_number_of_patches(double length_m) {
     return 2 * int(std::clamp(std::round(length_m / (2.0 * kBoxPatch_m)), 1.0, kMostPairs));
 }
 
@@ -48,8 +48,8 @@ double get_min_incidence_cosine(BoxSide side) { return side == BoxSide::top ? 0.
 
 ObservedBoxSurface::ObservedBoxSurface(const glm::dvec3& size_m) : half_m_(0.5 * size_m) {
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        n_[s] = {compute_even_patch_count(size_m[kSideFrames[s].first]),
-                 compute_even_patch_count(size_m[kSideFrames[s].second])};
+        n_[s] = {choose_even_number_of_patches(size_m[kSideFrames[s].first]),
+                 choose_even_number_of_patches(size_m[kSideFrames[s].second])};
         observed_patches_[s].assign(std::size_t(n_[s][0]) * std::size_t(n_[s][1]), 0);
     }
 }
@@ -107,13 +107,13 @@ bool ObservedBoxSurface::is_patch_of_point_observed(const glm::dvec3& point_m) c
     return patch && has_observed_patch(*patch);
 }
 
-bool ObservedBoxSurface::is_only_mirror_patch_observed(const glm::dvec3& point_m) const {
+bool ObservedBoxSurface::is_observed_only_in_mirror_image(const glm::dvec3& point_m) const {
     const std::optional<BoxSurfacePatch> patch = find_patch_of_point(point_m);
     return patch && !has_observed_patch(*patch) && has_observed_patch(get_mirror_patch(*patch));
 }
 
-std::array<double, 2> ObservedBoxSurface::compute_counted_and_total_area_m2(BoxSide side,
-                                                                            bool mirrored) const {
+std::array<double, 2> ObservedBoxSurface::compute_observed_and_total_area_m2(
+    BoxSide side, bool only_mirror_image_observed) const {
     const BoxSideAxes& frame = kSideFrames[std::size_t(side)];
     const auto [columns, rows] = n_[std::size_t(side)];
     const double patch_m2 = 4.0 * half_m_[frame.first] * half_m_[frame.second] / (columns * rows);
@@ -122,7 +122,7 @@ std::array<double, 2> ObservedBoxSurface::compute_counted_and_total_area_m2(BoxS
         for (int column = 0; column < columns; ++column) {
             const BoxSurfacePatch patch{side, column, row};
             if (!is_patch_above_ground_margin(patch)) continue;
-            const bool held = mirrored
+            const bool held = only_mirror_image_observed
                                   ? !has_observed_patch(patch) && has_observed_patch(get_mirror_patch(patch))
                                   : has_observed_patch(patch);
             sum[0] += held ? patch_m2 : 0.0;
@@ -132,10 +132,11 @@ std::array<double, 2> ObservedBoxSurface::compute_counted_and_total_area_m2(BoxS
     return sum;
 }
 
-double ObservedBoxSurface::compute_area_fraction_of_all_sides(bool count_mirrorable) const {
+double ObservedBoxSurface::compute_area_fraction_of_all_sides(bool only_mirror_image_observed) const {
     double held_m2 = 0.0, all_m2 = 0.0;
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        const std::array<double, 2> area = compute_counted_and_total_area_m2(BoxSide(s), count_mirrorable);
+        const std::array<double, 2> area =
+            compute_observed_and_total_area_m2(BoxSide(s), only_mirror_image_observed);
         held_m2 += area[0];
         all_m2 += area[1];
     }
@@ -143,12 +144,12 @@ double ObservedBoxSurface::compute_area_fraction_of_all_sides(bool count_mirrora
 }
 
 double ObservedBoxSurface::compute_observed_area_fraction(BoxSide side) const {
-    const std::array<double, 2> area = compute_counted_and_total_area_m2(side, false);
+    const std::array<double, 2> area = compute_observed_and_total_area_m2(side, false);
     return area[0] / area[1];
 }
 
 double ObservedBoxSurface::compute_mirrorable_area_fraction(BoxSide side) const {
-    const std::array<double, 2> area = compute_counted_and_total_area_m2(side, true);
+    const std::array<double, 2> area = compute_observed_and_total_area_m2(side, true);
     return area[0] / area[1];
 }
 
@@ -167,7 +168,8 @@ ObservedSideFractions ObservedBoxSurface::compute_covered_fraction_of_each_side(
     return shares;
 }
 
-std::optional<BoxSide> ObservedBoxSurface::find_side_filled_by_mirroring(const glm::dvec3& point_m) const {
+std::optional<BoxSide> ObservedBoxSurface::find_box_side_with_mirrored_surfels(
+    const glm::dvec3& point_m) const {
     const std::optional<BoxSurfacePatch> patch = is_completed ? find_patch_of_point(point_m) : std::nullopt;
     if (!patch || has_observed_patch(*patch) || !has_observed_patch(get_mirror_patch(*patch)))
         return std::nullopt;

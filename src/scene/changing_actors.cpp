@@ -156,14 +156,17 @@ std::vector<char> mark_static_samples(const std::vector<LidarSample>& samples, c
 /// Makes surfels with the shape of an actor in one frame. They fade out while the actor
 /// walks on. Their opacity is a Gaussian of the walked distance. Its standard deviation
 /// is `FrameSamples::spacing_m`, the distance that the actor walks per frame.
-Surfels make_actor_surfels_of_frame(const SamplesByFrame& frames, std::size_t frame_index,
+/// @param samples samples of the actor in all frames
+/// @param changing_samples samples of this frame where the shape of the actor changes
+Surfels make_actor_surfels_of_frame(const SamplesByFrame& samples_by_frame, std::size_t frame_index,
                                     const std::vector<LidarSample>& samples,
                                     const std::vector<LidarSample>& changing_samples, double gait_period_m,
                                     const SceneInitialisationOptions& options, double incidence_coefficient) {
-    const FrameSamples& frame = *frames[frame_index];
+    const FrameSamples& frame = *samples_by_frame[frame_index];
     std::vector<glm::vec3> shifts(changing_samples.size());
     parallel_for_in_blocks(changing_samples.size(), [&](std::size_t i) {
-        shifts[i] = estimate_surface_shift_per_frame(frames, frame_index, samples, changing_samples[i]);
+        shifts[i] =
+            estimate_surface_shift_per_frame(samples_by_frame, frame_index, samples, changing_samples[i]);
     });
     std::vector<GaitPhaseWindow> gait;
     for (const glm::vec3& shift : smooth_shifts_by_median(changing_samples, shifts))

@@ -236,16 +236,16 @@ void DeviceScene::record_upload_of_instance_poses(Stream& stream,
                                       entries.size() * sizeof(entries[0]));
 }
 
-void DeviceScene::record_surfel_record_computation(Stream& stream, const ImageFormationModel& model,
-                                                   const glm::vec3& view_origin_m) {
+void DeviceScene::record_activation_of_surfel_parameters(Stream& stream, const ImageFormationModel& model,
+                                                         const glm::vec3& view_origin_m) {
     impl_->alpha_min = model.alpha_min;
     if (size() == 0) return;
     if (primitive() != model.primitive)
-        throw UsageError(
-            fmt::format("cannot use image.primitive={}: the scene consists of {}; use image.primitive={}, "
-                        "because the primitive cannot change after training",
-                        get_primitive_kind(model.primitive).name, get_primitive_kind(primitive()).label,
-                        get_primitive_kind(primitive()).name));
+        throw UsageError(fmt::format(
+            "cannot use image.primitive={}: the scene consists of {}; use image.primitive={}, "
+            "because the primitive cannot change after training",
+            get_primitive_properties(model.primitive).name, get_primitive_properties(primitive()).label,
+            get_primitive_properties(primitive()).name));
     run(stream, impl_->activate, size(),
         {.surfels = get_surfel_pointers(impl_->parameters),
          .records = impl_->records.address(),
@@ -261,13 +261,13 @@ void DeviceScene::record_surfel_record_computation(Stream& stream, const ImageFo
 
 bool DeviceScene::can_skip_surfels_without_gradient() const { return impl_->list.has_value(); }
 
-void DeviceScene::record_surfel_record_backpropagation(Stream& stream, const ImageFormationModel& model,
-                                                       const glm::vec3& view_origin_m,
-                                                       const ActivationGradients& gradients) {
+void DeviceScene::record_activation_backpropagation(Stream& stream, const ImageFormationModel& model,
+                                                    const glm::vec3& view_origin_m,
+                                                    const ActivationGradients& gradients) {
     if (size() == 0) return;
     const bool listed =
         gradients.touched_is_marked && can_skip_surfels_without_gradient() && !gradients.zero_untouched;
-    if (listed) impl_->list->record_listing_of_touched_rows(stream, gradients.touched->address(), size());
+    if (listed) impl_->list->record_compaction_of_touched_rows(stream, gradients.touched->address(), size());
     run(stream, impl_->activate_vjp,
         listed ? impl_->list->choose_thread_count_for_touched_rows(size()) : size(),
         {.surfels = get_surfel_pointers(impl_->parameters),

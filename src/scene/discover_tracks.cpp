@@ -79,7 +79,8 @@ bool is_plausible_moving_box(const BoxTrack& box) {
 std::optional<BoxTrack> fit_box_if_motion_proven(const VisibilityChecker& visibility, MoverTrack& track) {
     TrackMotionEvidence sum;
     const BoxTrack box = fit_box_to_track(track);
-    for (MoverObservation& o : track.observations) sum += remove_static_returns(visibility, o.cluster, box);
+    for (MoverObservation& o : track.observations)
+        sum += remove_static_returns_and_measure_motion(visibility, o.cluster, box);
     if (!sum.is_proven_moving()) return std::nullopt;
     std::erase_if(track.observations, [](const MoverObservation& observation) {
         return observation.cluster.points_m.size() < kFewestPoints;
@@ -97,7 +98,7 @@ std::optional<BoxTrack> fit_box_if_motion_proven(const VisibilityChecker& visibi
 std::optional<BoxTrack> extend_labelled_box_if_motion_proven(const VisibilityChecker& visibility,
                                                              MoverTrack& track,
                                                              const BoxTrack& labelled_box) {
-    const BoxTrack box = extend_labelled_box(track, labelled_box);
+    const BoxTrack box = extend_labelled_box_in_time(track, labelled_box);
     const double first_s = labelled_box.world_from_box.time_s.front();
     TrackMotionEvidence before, after;
     const auto is_labelled = [](const MoverObservation& observation) {
@@ -105,14 +106,15 @@ std::optional<BoxTrack> extend_labelled_box_if_motion_proven(const VisibilityChe
     };
     for (MoverObservation& o : track.observations)
         if (!is_labelled(o))
-            (o.frame_time_s < first_s ? before : after) += remove_static_returns(visibility, o.cluster, box);
+            (o.frame_time_s < first_s ? before : after) +=
+                remove_static_returns_and_measure_motion(visibility, o.cluster, box);
     std::erase_if(track.observations, [&](const MoverObservation& observation) {
         return !is_labelled(observation) &&
                (observation.cluster.points_m.size() < kFewestPoints ||
                 !(observation.frame_time_s < first_s ? before : after).is_proven_moving());
     });
     if (std::ranges::all_of(track.observations, is_labelled)) return std::nullopt;
-    return extend_labelled_box(track, labelled_box);
+    return extend_labelled_box_in_time(track, labelled_box);
 }
 
 /// Fixed-size data of a box, for the exchange between processes.
@@ -165,11 +167,11 @@ std::vector<BoxTrack> gather_boxes_of_all_processes(const ProcessGroup& group,
 
 /// Returns the boxes of all objects that are proven to have moved. If several processes
 /// work together, each process checks a share of the tracks.
-std::vector<BoxTrack> fit_boxes_of_proven_movers(VisibilityChecker& visibility,
-                                                 std::vector<MoverTrack>& tracks,
-                                                 const LidarSequence& sequence,
-                                                 const ProgressReporter& progress,
-                                                 const ProcessGroup& group) {
+std::vector<BoxTrack> fit_boxes_of_proven_moving_objects(VisibilityChecker& visibility,
+                                                         std::vector<MoverTrack>& tracks,
+                                                         const LidarSequence& sequence,
+                                                         const ProgressReporter& progress,
+                                                         const ProcessGroup& group) {
     const ProcessGroup::PartRange share = group.get_range_of_process(tracks.size());
     for (std::size_t i = share.begin; i < share.end; ++i)
         for (const MoverObservation& o : tracks[i].observations)
@@ -200,20 +202,20 @@ bool is_mostly_inside_box(const BoxTrack& inner_box, const BoxTrack& outer_box) 
     return 2 * inside > inner_box.world_from_box.time_s.size();
 }
 
-bool is_extension_of_label(const BoxTrack& box) { return !box.id.empty(); }
+bool has_id_of_labelled_object(const BoxTrack& box) { return !box.id.empty(); }
 
 /// If several boxes belong to the same object, keeps one of them. Prefers a box with the
 /// id of a labelled object, then the box with the most observations. Boxes with the ids
 /// of different labelled objects are never duplicates.
 std::vector<BoxTrack> remove_duplicate_boxes(std::vector<BoxTrack> boxes) {
     std::ranges::stable_sort(boxes, [](const BoxTrack& first, const BoxTrack& second) {
-        return std::pair(is_extension_of_label(first), first.world_from_box.time_s.size()) >
-               std::pair(is_extension_of_label(second), second.world_from_box.time_s.size());
+        return std::pair(has_id_of_labelled_object(first), first.world_from_box.time_s.size()) >
+               std::pair(has_id_of_labelled_object(second), second.world_from_box.time_s.size());
     });
     std::vector<BoxTrack> unique_boxes;
     for (const BoxTrack& box : boxes)
         if (std::ranges::none_of(unique_boxes, [&](const BoxTrack& other) {
-                return is_extension_of_label(box) ? box.id == other.id : is_mostly_inside_box(box, other);
+                return has_id_of_labelled_object(box) ? box.id == other.id : is_mostly_inside_box(box, other);
             }))
             unique_boxes.push_back(box);
     return unique_boxes;
@@ -244,7 +246,8 @@ std::vector<BoxTrack> discover_movers_of_lidar(int lidar_index, const LidarSeque
     std::erase_if(
         tracks, [&](const MoverTrack& track) { return !should_fit_box(track, sequence.world_from_vehicle); });
     merge_tracks_of_same_object(tracks);
-    return remove_duplicate_boxes(fit_boxes_of_proven_movers(visibility, tracks, sequence, progress, group));
+    return remove_duplicate_boxes(
+        fit_boxes_of_proven_moving_objects(visibility, tracks, sequence, progress, group));
 }
 
 /// Adds the boxes that another LiDAR found. If both LiDARs found the same object, prefers
@@ -254,12 +257,13 @@ std::vector<BoxTrack> discover_movers_of_lidar(int lidar_index, const LidarSeque
 void merge_boxes_of_lidars(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> boxes_of_other_lidar) {
     for (BoxTrack& other : boxes_of_other_lidar) {
         const auto is_same = [&](const BoxTrack& b) {
-            return is_extension_of_label(b) && is_extension_of_label(other)
+            return has_id_of_labelled_object(b) && has_id_of_labelled_object(other)
                        ? b.id == other.id
                        : is_mostly_inside_box(other, b) || is_mostly_inside_box(b, other);
         };
         const auto stays = [&](const BoxTrack& b) {
-            if (is_extension_of_label(b) != is_extension_of_label(other)) return is_extension_of_label(b);
+            if (has_id_of_labelled_object(b) != has_id_of_labelled_object(other))
+                return has_id_of_labelled_object(b);
             return 2 * other.world_from_box.time_s.size() <= 3 * b.world_from_box.time_s.size();
         };
         if (std::ranges::any_of(boxes, [&](const BoxTrack& b) { return is_same(b) && stays(b); })) continue;
@@ -281,10 +285,10 @@ std::vector<BoxTrack> discover_moving_object_tracks(const LidarSequence& sequenc
         merge_boxes_of_lidars(
             boxes, discover_movers_of_lidar(lidar, sequence, train_frame_indices, progress, group));
     std::stable_partition(boxes.begin(), boxes.end(),
-                          [](const BoxTrack& box) { return !is_extension_of_label(box); });
+                          [](const BoxTrack& box) { return !has_id_of_labelled_object(box); });
     int n = 0;
     for (BoxTrack& box : boxes)
-        if (!is_extension_of_label(box)) box.id = fmt::format("mover-{}", n++);
+        if (!has_id_of_labelled_object(box)) box.id = fmt::format("mover-{}", n++);
     return boxes;
 }
 

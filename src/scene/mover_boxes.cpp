@@ -141,19 +141,21 @@ std::vector<double> compute_top_heights_m(const MoverTrack& track) {
 /// Returns the position of the object in each observation: its centre in x and y, and its
 /// top in z. Only the end that faces the sensor is visible. Seen from the sensor, the
 /// centre is half the object's length (or width) behind this end.
-/// @param size_m length and width; if null, the visible size is used
-std::vector<glm::dvec3> estimate_positions_from_visible_end(const MoverTrack& track,
-                                                            const std::vector<GroundPose>& ground_poses,
-                                                            const glm::dvec3* size_m) {
+/// @param size_m_or_null length and width; if null, the visible size is used
+std::vector<glm::dvec3> estimate_positions_from_visible_sides(const MoverTrack& track,
+                                                              const std::vector<GroundPose>& ground_poses,
+                                                              const glm::dvec3* size_m_or_null) {
     std::vector<glm::dvec3> along, across, positions_m;
     for (const GroundPose& p : ground_poses) {
         along.push_back(p.get_forward_axis());
         across.push_back(p.get_lateral_axis());
     }
     const std::vector<double> x = compute_object_centres_along_axes(
-        track, along, size_m ? 0.5 * size_m->x : estimate_visible_half_length_m(track, along));
+        track, along,
+        size_m_or_null ? 0.5 * size_m_or_null->x : estimate_visible_half_length_m(track, along));
     const std::vector<double> y = compute_object_centres_along_axes(
-        track, across, size_m ? 0.5 * size_m->y : estimate_visible_half_length_m(track, across));
+        track, across,
+        size_m_or_null ? 0.5 * size_m_or_null->y : estimate_visible_half_length_m(track, across));
     const std::vector<double> top = compute_top_heights_m(track);
     for (std::size_t k = 0; k < ground_poses.size(); ++k)
         positions_m.push_back(x[k] * along[k] + y[k] * across[k] + glm::dvec3(0.0, 0.0, top[k]));
@@ -205,7 +207,7 @@ constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;
 
 /// Returns the side of a box on which the sensor was in more than three quarters of the
 /// observations, along one axis: -1 or 1. Returns 0 if no side has so many observations.
-double compute_sensor_side_sign(const BoxTrack& box, const MoverTrack& track, int axis) {
+double compute_sign_of_side_facing_sensor(const BoxTrack& box, const MoverTrack& track, int axis) {
     std::ptrdiff_t low = 0, high = 0;
     for (std::size_t k = 0; k < track.observations.size(); ++k) {
         const double at = (inverse(box.world_from_box.pose[k]) * track.observations[k].sensor_m)[axis];
@@ -255,7 +257,7 @@ BoxTrack fit_box_to_track(const MoverTrack& track) {
     for (const MoverObservation& o : track.observations) positions_m.push_back(o.cluster.centre_m);
     std::vector<KinematicState> path = smooth_path(times, positions_m);
     for (int round = 0; round < kRounds; ++round)
-        path = smooth_path(times, estimate_positions_from_visible_end(
+        path = smooth_path(times, estimate_positions_from_visible_sides(
                                       track, compute_ground_poses_along(list_positions(path)), nullptr));
     const auto [low, high] =
         compute_bounding_corners(track, compute_ground_poses_along(list_positions(path)));
@@ -286,13 +288,14 @@ void enlarge_box_to_typical_size(BoxTrack& box, const MoverTrack& track) {
     if (box.size_m.y < kind->least_width_m) grown.y = kind->width_m;
     if (grown == box.size_m) return;
     for (int axis = 0; axis < 2; ++axis)
-        shift[axis] = -0.5 * compute_sensor_side_sign(box, track, axis) * (grown[axis] - box.size_m[axis]);
+        shift[axis] =
+            -0.5 * compute_sign_of_side_facing_sensor(box, track, axis) * (grown[axis] - box.size_m[axis]);
     box.size_m = grown;
     box.size_guess = kind->name;
     for (Pose& pose : box.world_from_box.pose) pose.translation += pose.rotation * shift;
 }
 
-BoxTrack extend_labelled_box(const MoverTrack& track, const BoxTrack& labelled_box) {
+BoxTrack extend_labelled_box_in_time(const MoverTrack& track, const BoxTrack& labelled_box) {
     const std::vector<double> times = track.get_observation_times();
     std::vector<std::size_t> labels;  // indices of the labelled observations
     for (std::size_t k = 0; k < track.observations.size(); ++k)
@@ -307,7 +310,7 @@ BoxTrack extend_labelled_box(const MoverTrack& track, const BoxTrack& labelled_b
     LabelBoxOffset before, after;
     for (int round = 0; round < kRounds; ++round) {
         const std::vector<GroundPose> ground_poses = compute_ground_poses_along(list_positions(path));
-        positions_m = estimate_positions_from_visible_end(track, ground_poses, &labelled_box.size_m);
+        positions_m = estimate_positions_from_visible_sides(track, ground_poses, &labelled_box.size_m);
         before =
             estimate_median_label_box_offset(track, first_labels, ground_poses, positions_m, labelled_box);
         after = estimate_median_label_box_offset(track, last_labels, ground_poses, positions_m, labelled_box);

@@ -23,7 +23,7 @@ void enlarge_box_to_typical_size(BoxTrack& box, const MoverTrack& track);
 /// Adds poses to a labelled box for the times when the object was observed without a
 /// label. The size of the box does not change. The offset between the box and the visible
 /// points is computed from the nearest labels.
-BoxTrack extend_labelled_box(const MoverTrack& track, const BoxTrack& labelled_box);
+BoxTrack extend_labelled_box_in_time(const MoverTrack& track, const BoxTrack& labelled_box);
 
 /// Returns the speeds of a box in m/s. Each speed is measured over at least half a second
 /// before a pose. Returns an empty vector if the track is shorter than half a second.

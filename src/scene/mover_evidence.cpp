@@ -57,8 +57,8 @@ bool TrackMotionEvidence::is_proven_moving() const {
            double(n_moved_frames) >= kMinMovedFrameShare * double(n_frames);
 }
 
-TrackMotionEvidence remove_static_returns(const VisibilityChecker& visibility, MoverCluster& cluster,
-                                          const BoxTrack& box) {
+TrackMotionEvidence remove_static_returns_and_measure_motion(const VisibilityChecker& visibility,
+                                                             MoverCluster& cluster, const BoxTrack& box) {
     TrackMotionEvidence sum;
     std::vector<glm::dvec3> remaining_points_m;
     for (const glm::dvec3& p : cluster.points_m) {

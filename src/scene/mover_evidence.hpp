@@ -58,7 +58,7 @@ MotionEvidence count_occupied_and_empty_frames_at_point(const VisibilityChecker&
 
 /// Removes the returns of a cluster that other frames prove to be static.
 /// @return evidence of motion, summed over all returns of the cluster before the removal
-TrackMotionEvidence remove_static_returns(const VisibilityChecker& visibility, MoverCluster& cluster,
-                                          const BoxTrack& box);
+TrackMotionEvidence remove_static_returns_and_measure_motion(const VisibilityChecker& visibility,
+                                                             MoverCluster& cluster, const BoxTrack& box);
 
 }  // namespace relidar

@@ -91,8 +91,8 @@ std::vector<KinematicState> run_kalman_smoother(const std::vector<double>& times
 /// Follows the path from one of its positions. Returns the first point at the distance
 /// kChord_m from this position, or the end of the path.
 /// @param index_step 1 for later positions, -1 for earlier positions
-glm::dvec2 find_chord_end_point(const std::vector<glm::dvec3>& path_m, std::size_t start_index,
-                                int index_step) {
+glm::dvec2 find_path_point_at_chord_length(const std::vector<glm::dvec3>& path_m, std::size_t start_index,
+                                           int index_step) {
     const glm::dvec2 here(path_m[start_index]);
     glm::dvec2 last = here;
     for (auto k = std::ptrdiff_t(start_index) + index_step; k >= 0 && k < std::ptrdiff_t(path_m.size());
@@ -126,8 +126,8 @@ std::vector<KinematicState> smooth_path(const std::vector<double>& times_s,
 std::vector<double> compute_path_headings_rad(const std::vector<glm::dvec3>& path_m) {
     std::vector<double> result;
     for (std::size_t k = 0; k < path_m.size(); ++k) {
-        const glm::dvec2 from = find_chord_end_point(path_m, k, -1), here(path_m[k]);
-        glm::dvec2 to = find_chord_end_point(path_m, k, 1);
+        const glm::dvec2 from = find_path_point_at_chord_length(path_m, k, -1), here(path_m[k]);
+        glm::dvec2 to = find_path_point_at_chord_length(path_m, k, 1);
         if (glm::distance(from, to) <
             kTurnsBack * std::max(glm::distance(from, here), glm::distance(here, to)))
             to = here;

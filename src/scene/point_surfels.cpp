@@ -104,7 +104,7 @@ struct ScanLineGap {
     glm::dvec3 across{0.0};
     double left_m = 0.0, right_m = 0.0;
 
-    bool is_one_side_missing() const { return left_m == 0.0 || right_m == 0.0; }
+    bool is_neighbouring_scan_line_missing() const { return left_m == 0.0 || right_m == 0.0; }
 };
 
 /// Measures the distance from a point to the next scan line on each side.
@@ -133,7 +133,7 @@ ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
         odd += 2.0 * u * v / length2;
     }
     ScanLineGap gap{make_perpendicular_direction(normal, 0.5 * std::atan2(odd, even) + 0.5 * kPi)};
-    for (std::size_t j = 1; j < neighbour_indices.size() && gap.is_one_side_missing(); ++j) {
+    for (std::size_t j = 1; j < neighbour_indices.size() && gap.is_neighbouring_scan_line_missing(); ++j) {
         const glm::dvec3 d = glm::dvec3(samples[neighbour_indices[j]].position) - point;
         const double length = glm::length(d), across = glm::dot(d, gap.across);
         double& on_side = across > 0.0 ? gap.right_m : gap.left_m;
@@ -209,7 +209,7 @@ SurfelPlacement estimate_surface_at_sample(const Tree& tree, const std::vector<L
     }
     if (!placement.plane.is_surface) return placement;
     placement.gap = measure_scan_line_gap(samples, nearest_indices, placement.plane.normal);
-    if (is_line || !placement.gap.is_one_side_missing()) return placement;
+    if (is_line || !placement.gap.is_neighbouring_scan_line_missing()) return placement;
     widen();
     placement.gap = measure_scan_line_gap(samples, nearest_indices, placement.plane.normal);
     return placement;
@@ -247,8 +247,8 @@ void compute_surfel_parameters(Surfels& surfels, std::size_t surfel_index,
     glm::dvec3 x = make_perpendicular_direction(plane.normal, random.sample_uniform_number(0.0, 2.0 * kPi));
     const double width = std::max(placement.gap.left_m, placement.gap.right_m),
                  round = std::min(spacing * options.scale_factor, options.max_scale_m);
-    const bool reaches =
-        !placement.gap.is_one_side_missing() && width > kGap * spacing && width < options.max_gap_m;
+    const bool reaches = !placement.gap.is_neighbouring_scan_line_missing() && width > kGap * spacing &&
+                         width < options.max_gap_m;
     if (reaches) x = placement.gap.across;
     const glm::dquat q = glm::quat_cast(glm::dmat3(x, glm::cross(plane.normal, x), plane.normal));
     surfels.rotation[surfel_index] = {float(q.w), float(q.x), float(q.y), float(q.z)};

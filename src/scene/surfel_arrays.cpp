@@ -50,10 +50,10 @@ SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::strin
 void SurfelArrays::upload(const Surfels& surfels) {
     surfels.require_equal_array_lengths();
     if (surfels.size() > 0 && surfels.primitive != primitive)
-        throw DataError(
-            fmt::format("cannot copy the scene to the device: it consists of {}, but the arrays on the "
-                        "device were created for {}",
-                        get_primitive_kind(surfels.primitive).label, get_primitive_kind(primitive).label));
+        throw DataError(fmt::format(
+            "cannot copy the scene to the device: it consists of {}, but the arrays on the "
+            "device were created for {}",
+            get_primitive_properties(surfels.primitive).label, get_primitive_properties(primitive).label));
     if (surfels.size() > 0 && surfels.bends != bends)
         throw DataError(
             fmt::format("cannot copy the scene to the device: its surfels have {}, but the arrays on the "

@@ -63,7 +63,8 @@ std::vector<PlyProperty> list_ply_properties(SurfelParameterSet parameter_set) {
         list.push_back({fmt::format("f_rest_{}", k), &kSh, k % kRest + 1, k < kRest});
     list.push_back({"opacity", &kOpacityLogit});
     add("scale_", 2, kLogScale, 0);
-    if (get_primitive_kind(parameter_set.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
+    if (get_primitive_properties(parameter_set.primitive).third_scale)
+        list.push_back({"scale_2", &kLogScaleW});
     else list.push_back({"scale_2", nullptr, 0, false, PlyProperty::thickness});
     add("rot_", 4, kRotation, 0);
     add("hit_", kShCoefficients, kSh, kShCoefficients);
@@ -236,7 +237,7 @@ Scene group_surfels_by_model(const Surfels& surfels, const std::vector<std::uint
 
 /// Returns the position of the line end before "end_header", or npos if the header has no
 /// end.
-std::size_t find_line_end_before_end_header(const std::string& file_start) {
+std::size_t find_newline_before_end_header(const std::string& file_start) {
     std::size_t at = file_start.find(kEndOfHeader);
     while (at != std::string::npos) {
         const std::string_view behind = std::string_view(file_start).substr(at + kEndOfHeader.size(), 2);
@@ -250,7 +251,7 @@ Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& s
                         SurfelParameterSet parameter_set) {
     const std::string start(reinterpret_cast<const char*>(file_bytes.data()),
                             std::min(file_bytes.size(), kMaxPlyHeader));
-    const std::size_t end = find_line_end_before_end_header(start);
+    const std::size_t end = find_newline_before_end_header(start);
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
     if (end == std::string::npos)
         throw DataError(fmt::format("end_header is missing in the first {} bytes", start.size()));
@@ -283,7 +284,7 @@ Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& s
 std::string make_ply_header_text(const Surfels& surfels, const std::vector<PlyProperty>& properties,
                                  const char* frame_name, const FileMetadata& notes = {}) {
     std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";
-    const PrimitiveProperties& kind = get_primitive_kind(surfels.primitive);
+    const PrimitiveProperties& kind = get_primitive_properties(surfels.primitive);
     text += fmt::format("{}: metres, {}{}\n", kind.label, frame_name,
                         kind.third_scale ? "" : "; scale_2 only makes them flat");
     for (const auto& note : notes)

@@ -30,7 +30,7 @@ static_assert(are_primitives_in_order(),
 bool has_parameter_group(SurfelParameterSet parameter_set, const SurfelParameterGroup& group) {
     switch (group.of) {
         case SurfelParameterGroup::SceneRequirement::third_scale:
-            return get_primitive_kind(parameter_set.primitive).third_scale;
+            return get_primitive_properties(parameter_set.primitive).third_scale;
         case SurfelParameterGroup::SceneRequirement::bends:
             return parameter_set.bends;
         default:
@@ -61,8 +61,8 @@ void Surfels::require_equal_array_lengths() const {
             throw DataError(
                 fmt::format("cannot use {0}: the array {1} has {2} values, expected {3}, which is {4} for "
                             "each of the {5} {0}",
-                            get_primitive_kind(primitive).label, group.name, n_values, n_expected_values,
-                            is_there ? group.count_floats() : 0, size()));
+                            get_primitive_properties(primitive).label, group.name, n_values,
+                            n_expected_values, is_there ? group.count_floats() : 0, size()));
     }
 }
 
@@ -71,8 +71,8 @@ void Surfels::append_surfels(const Surfels& other) {
         throw DataError(fmt::format(
             "cannot join {} {} with {} {}, expected two sets of the same kind; use runs that were trained "
             "with the same setting image.primitive",
-            size(), get_primitive_kind(primitive).label, other.size(),
-            get_primitive_kind(other.primitive).label));
+            size(), get_primitive_properties(primitive).label, other.size(),
+            get_primitive_properties(other.primitive).label));
     if (other.size() > 0) primitive = other.primitive;
     if (other.bends) add_motionless_gait();
     const std::size_t n = size() + other.size();
@@ -107,7 +107,7 @@ Surfels Surfels::slice(std::size_t first, std::size_t count) const {
 void convert_to_primitive(Surfels& surfels, PrimitiveType primitive, double relative_thickness) {
     surfels.primitive = primitive;
     surfels.log_scale_w.clear();
-    if (!get_primitive_kind(primitive).third_scale) return;
+    if (!get_primitive_properties(primitive).third_scale) return;
     for (const glm::vec2& s : surfels.log_scale)
         surfels.log_scale_w.push_back(0.5f * (s.x + s.y) + static_cast<float>(std::log(relative_thickness)));
 }
@@ -172,14 +172,14 @@ std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& p
     return order;
 }
 
-double compute_four_times_box_diagonal_m(const glm::vec3& half_size_m) {
+double compute_actor_model_extent_m(const glm::vec3& half_size_m) {
     return 8.0 * double(glm::length(half_size_m));
 }
 
 double compute_robust_model_extent_m(const Scene& scene, std::size_t model_index) {
     if (model_index >= scene.models.size() || scene.models[model_index].count == 0) return 1.0;
     const SurfelModel& range = scene.models[model_index];
-    if (range.half_size_m.x > 0.0f) return compute_four_times_box_diagonal_m(range.half_size_m);
+    if (range.half_size_m.x > 0.0f) return compute_actor_model_extent_m(range.half_size_m);
     const auto first = scene.surfels.mean.begin() + range.first, last = first + range.count;
     glm::dvec3 centre(0.0);
     for (auto p = first; p != last; ++p) centre += glm::dvec3(*p);

@@ -46,8 +46,8 @@ std::size_t replace_unobserved_by_mirrored_surfels(Surfels& surfels, ObservedBox
     std::vector<std::uint32_t> remaining_surfels, copied_surfels;
     for (std::uint32_t i = 0; i < surfels.size(); ++i) {
         const glm::dvec3 here(surfels.mean[i]), there(here.x, -here.y, here.z);
-        if (!surface.is_only_mirror_patch_observed(here)) remaining_surfels.push_back(i);
-        if (surface.is_only_mirror_patch_observed(there)) copied_surfels.push_back(i);
+        if (!surface.is_observed_only_in_mirror_image(here)) remaining_surfels.push_back(i);
+        if (surface.is_observed_only_in_mirror_image(there)) copied_surfels.push_back(i);
     }
     if (copied_surfels.empty()) return 0;
     const Surfels mirrored_surfels = mirror_left_right(surfels.reorder(copied_surfels));

@@ -23,7 +23,7 @@ TouchedSurfelList::TouchedSurfelList(Device& device)
                      {device, "scene/list_touched", {{SpecialisationConstantId::WORKGROUP_SIZE, 128u}}}}) {}
 TouchedSurfelList::~TouchedSurfelList() = default;
 
-void TouchedSurfelList::record_listing_of_touched_rows(
+void TouchedSurfelList::record_compaction_of_touched_rows(
     Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched_flags, std::uint32_t n_rows) {
     Impl& l = *impl_;
     if (l.rows.size() < n_rows) {

@@ -145,7 +145,7 @@ VisibilityChecker::VisibilityChecker(const LidarSequence& sequence, const std::v
         if (!std::exchange(has_grid[lidar], 1)) grids_[lidar] = BeamGrid(frame.scan);
         views_.push_back({frame.time_s, frame.lidar, {}, {}});
     }
-    select_views_of_each_ground_tile();
+    select_frames_seeing_each_ground_tile();
 }
 
 void VisibilityChecker::request_range_images_near_point(const glm::dvec3& point_m) {
@@ -179,7 +179,7 @@ void VisibilityChecker::make_range_image(VisibilityImage& view, const LidarFrame
     view.range_m = grids_[std::size_t(frame.lidar)].compute_nearest_range_per_cell_m(frame.scan);
 }
 
-void VisibilityChecker::select_views_of_each_ground_tile() {
+void VisibilityChecker::select_frames_seeing_each_ground_tile() {
     struct ImageDistance {
         std::uint32_t view;
         double distance_m;

@@ -138,7 +138,7 @@ private:
     void request_range_images_near_point(const glm::dvec3& point_m);
     void make_requested_range_images();
     void make_range_image(VisibilityImage& view, const LidarFrame& frame) const;
-    void select_views_of_each_ground_tile();
+    void select_frames_seeing_each_ground_tile();
     NeighbourRanges find_surrounding_ranges(const VisibilityImage& view, const glm::dvec3& point_m) const;
 };
 

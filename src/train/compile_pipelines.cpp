@@ -53,7 +53,7 @@ void compile_training_pipelines(Device& device, const LidarSequence& street, con
 
 /// Compiles all variants of the ray traversal. A running program uses only one of them,
 /// which depends on the type of the device.
-void compile_traversal_variants(Device& device, const LidarSequence& street) {
+void compile_ray_traversal_variants(Device& device, const LidarSequence& street) {
     const Config config = make_preset_config("default");
     const Scene scene = make_minimal_scene(street, config.image.primitive);
     for (const BvhTraversalMode traversal_mode : {BvhTraversalMode::lane, BvhTraversalMode::subgroup})
@@ -94,7 +94,7 @@ void compile_all_pipelines(Device& device, const std::function<void(const std::s
         compile_training_pipelines(device, street, config);
     }
     report("kernels of the ray traversal and of sums of gradients");
-    compile_traversal_variants(device, street);
+    compile_ray_traversal_variants(device, street);
     for (const char* network : {"small", "paper", "pixel"}) {
         report(std::string("refine.network=") + network);
         RayDropNetworkOptions options;

@@ -23,8 +23,8 @@ IterationReports::IterationReports(Device& device)
     while (slots_.size() < kReadbackLag) slots_.emplace_back(device);
 }
 
-void IterationReports::record_report_readback(Stream& stream, const DeviceHitCounters& counts,
-                                              const std::optional<TrainLogLine>& log_line) {
+void IterationReports::record_copy_of_report_to_host(Stream& stream, const DeviceHitCounters& counts,
+                                                     const std::optional<TrainLogLine>& log_line) {
     if (iterations_.empty()) return;
     ReportReadbackSlot& slot = slots_[std::size_t(iterations_.back().step) % kReadbackLag];
     const auto record_and_clear = [&](ReadbackBuffer& readback, const Buffer& source, std::size_t n_bytes) {
@@ -49,7 +49,7 @@ std::optional<IterationReports::IterationGroupReport> IterationReports::take_old
     const auto count = [&](ReadbackBuffer& readback) {
         return *static_cast<const std::uint32_t*>(readback.wait_for_copied_bytes(stream));
     };
-    add_loss_terms_to_sums(report, static_cast<const float*>(slot.terms.wait_for_copied_bytes(stream)));
+    add_group_loss_terms_to_sums(report, static_cast<const float*>(slot.terms.wait_for_copied_bytes(stream)));
     if (report.line) store_log_line_with_mean_losses(*report.line);
     return IterationGroupReport{.first_step = first_step,
                                 .last_step = last_step,
@@ -60,8 +60,9 @@ std::optional<IterationReports::IterationGroupReport> IterationReports::take_old
                                 .stored_hits_per_ray = report.stored_hits_per_ray};
 }
 
-void IterationReports::add_loss_terms_to_sums(const ClosedIterationGroup& report, const float* loss_terms) {
-    for (const auto& [step, frame] : report.iterations) {
+void IterationReports::add_group_loss_terms_to_sums(const ClosedIterationGroup& closed_group,
+                                                    const float* loss_terms) {
+    for (const auto& [step, frame] : closed_group.iterations) {
         for (std::size_t k = 0; k < kLossTerms; ++k) {
             const float term = *loss_terms++;
             if (!std::isfinite(term))
@@ -71,7 +72,7 @@ void IterationReports::add_loss_terms_to_sums(const ClosedIterationGroup& report
             sums_[k] += term;
         }
     }
-    n_summed_ += report.iterations.size();
+    n_summed_ += closed_group.iterations.size();
 }
 
 void IterationReports::store_log_line_with_mean_losses(TrainLogLine log_line) {

@@ -60,14 +60,14 @@ public:
     /// add_iteration_to_next_report(), at most once per iteration.
     /// @param log_line  line that is added to the training log when the report is read,
     /// if any
-    void record_report_readback(Stream& stream, const DeviceHitCounters& counts,
-                                const std::optional<TrainLogLine>& log_line);
+    void record_copy_of_report_to_host(Stream& stream, const DeviceHitCounters& counts,
+                                       const std::optional<TrainLogLine>& log_line);
 
     /// Counters of a group of iterations, copied from the device.
     struct IterationGroupReport {
         int first_step, last_step;
         std::uint32_t pass_cap, most_hits, overfull;
-        /// values of DeviceHitCounters when record_report_readback() was called
+        /// values of DeviceHitCounters when record_copy_of_report_to_host() was called
         std::uint64_t hit_capacity;
         std::uint32_t stored_hits_per_ray;
     };
@@ -80,7 +80,7 @@ public:
     std::vector<TrainLogLine> take_log_lines() { return std::exchange(lines_, {}); }
 
     template <class Visitor>
-    void visit_state(Visitor&& visit) {
+    void visit_checkpoint_state(Visitor&& visit) {
         visit("term_sums", sums_);
         visit("n_summed", n_summed_);
     }
@@ -116,7 +116,7 @@ private:
     std::uint64_t n_summed_ = 0;  ///< number of iterations in sums_
     std::vector<TrainLogLine> lines_;
 
-    void add_loss_terms_to_sums(const ClosedIterationGroup& report, const float* loss_terms);
+    void add_group_loss_terms_to_sums(const ClosedIterationGroup& closed_group, const float* loss_terms);
     void store_log_line_with_mean_losses(TrainLogLine log_line);
 };
 

@@ -340,23 +340,23 @@ RegistrationOptions make_registration_options(const LidarSequence& sequence, con
     return options;
 }
 
-void prepare_log(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
-                 LogPreparationCallbacks session) {
-    if (!session.report_line || !session.group.is_first_process())
-        session.report_line = [](const std::string&) {};
+void prepare_log_for_training(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
+                              LogPreparationCallbacks callbacks) {
+    if (!callbacks.report_line || !callbacks.group.is_first_process())
+        callbacks.report_line = [](const std::string&) {};
     if (!has_usable_vehicle_poses(sequence, config) && !should_register_sensor_poses(config.train))
         throw UsageError(
             "the log has no poses, or dataset.poses=none is set, so the poses must be estimated from "
             "the scans; use train.refine_poses=sensor");
-    begin_timed_stage_if_enabled(session.stages, "register");
+    begin_timed_stage_if_enabled(callbacks.stages, "register");
     if (should_register_sensor_poses(config.train))
-        register_and_set_vehicle_poses(sequence, split, config, session);
-    begin_timed_stage_if_enabled(session.stages, "calibrate");
-    calibrate_lidars(sequence, split, config.sensor, session);
-    begin_timed_stage_if_enabled(session.stages, "movers");
+        register_and_set_vehicle_poses(sequence, split, config, callbacks);
+    begin_timed_stage_if_enabled(callbacks.stages, "calibrate");
+    calibrate_lidars(sequence, split, config.sensor, callbacks);
+    begin_timed_stage_if_enabled(callbacks.stages, "movers");
     if (config.init.unlabelled_movers == UnlabelledMoverPolicy::actors)
-        discover_and_add_movers(sequence, split, session);
-    if (should_register_sensor_poses(config.train)) refine_moving_box_poses(sequence, split, session);
+        discover_and_add_movers(sequence, split, callbacks);
+    if (should_register_sensor_poses(config.train)) refine_moving_box_poses(sequence, split, callbacks);
 }
 
 }  // namespace relidar

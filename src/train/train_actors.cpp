@@ -48,7 +48,7 @@ struct ActorSighting {
     }
     /// Returns true if a ray to the actor's box can also hit this sphere. The sphere can
     /// be in front of the actor or behind it.
-    bool can_ray_also_hit_sphere(const glm::dvec3& centre_m, double radius_m) const {
+    bool can_ray_to_actor_hit_sphere(const glm::dvec3& centre_m, double radius_m) const {
         const double driven_length_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
         return is_enlarged_box_hit_by_ray({sensor_m, glm::normalize(centre_m - sensor_m)},
                                           placed.motion.middle_s,
@@ -188,7 +188,7 @@ Surfels select_surfels_on_rays_to_actors(const Surfels& surfels,
             std::exp(double(std::max(surfels.log_scale[index].x, surfels.log_scale[index].y)));
         is_selected[index] = std::any_of(frames.begin(), frames.end(), [&](const FrameWithSightings* frame) {
             return std::any_of(frame->sights.begin(), frame->sights.end(), [&](const ActorSighting& s) {
-                return s.can_ray_also_hit_sphere(mean, reach_m);
+                return s.can_ray_to_actor_hit_sphere(mean, reach_m);
             });
         });
     });

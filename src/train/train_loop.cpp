@@ -74,14 +74,14 @@ LearningRates compute_learning_rates(const TrainConfig& config, double extent_m,
 /// of the background. The rate is proportional to the extent of the model. Steps suitable
 /// for a street would move an actor's surfels out of its box.
 /// @return [models] factors
-std::vector<float> compute_position_rate_factor_per_model(const Scene& scene_layout,
+std::vector<float> compute_position_learning_rate_factors(const Scene& scene_layout,
                                                           double background_extent_m) {
     std::vector<float> factors;
     for (const SurfelModel& model : scene_layout.models)
-        factors.push_back(model.half_size_m.x > 0.0f
-                              ? static_cast<float>(compute_four_times_box_diagonal_m(model.half_size_m) /
-                                                   background_extent_m)
-                              : 1.0f);
+        factors.push_back(
+            model.half_size_m.x > 0.0f
+                ? static_cast<float>(compute_actor_model_extent_m(model.half_size_m) / background_extent_m)
+                : 1.0f);
     return factors;
 }
 
@@ -130,7 +130,7 @@ std::vector<float> compute_max_log_scales(const Surfels& surfels, double max_gro
     std::vector<float> bounds;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         float largest = std::max(surfels.log_scale[i].x, surfels.log_scale[i].y);
-        if (get_primitive_kind(surfels.primitive).third_scale)
+        if (get_primitive_properties(surfels.primitive).third_scale)
             largest = std::max(largest, surfels.log_scale_w[i]);
         bounds.push_back(largest + static_cast<float>(std::log(max_growth_factor)));
     }
@@ -227,7 +227,7 @@ const TrainingFrameData& TrainLoop::upload_frame_and_move_instances(std::size_t 
                                                                     bool surfels_changed) {
     TrainingFrameData& frame = frames_.upload_frame_if_not_resident(stream_, frame_index);
     refiner_.move_frame_to_corrected_poses(stream_, frame);
-    if (surfels_changed) renderer_.record_view_preparation(frame.placed, frame.sensor_position_m);
+    if (surfels_changed) renderer_.record_scene_update_for_view(frame.placed, frame.sensor_position_m);
     else renderer_.record_instance_poses_and_view(frame.placed, frame.sensor_position_m);
     return frame;
 }
@@ -272,7 +272,7 @@ void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
     LearningRates rates = compute_learning_rates(config_.train, extent_m_, step);
     if (config_.densify.strategy == DensifyStrategy::adaptive) {
         rates.models = &scene.get_model_table();
-        rates.mean_factors = compute_position_rate_factor_per_model(scene.get_scene_layout(), extent_m_);
+        rates.mean_factors = compute_position_learning_rate_factors(scene.get_scene_layout(), extent_m_);
     }
     const Array<std::uint32_t, shared::TouchedSurfels>* touched =
         does_every_surfel_get_gradient(config_) ? nullptr : &gradients.touched;
@@ -292,9 +292,9 @@ void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
 }
 
 void TrainLoop::densify_and_reallocate_memory(
-    const std::function<DensifyReport(double other_allocation_bytes)>& change) {
+    const std::function<DensifyReport(double other_allocation_bytes)>& densify) {
     differentiable_.change_surfels_and_reallocate_memory(
-        [&](double other_allocation_bytes) { densified_.add_counts(change(other_allocation_bytes)); });
+        [&](double other_allocation_bytes) { densified_.add_counts(densify(other_allocation_bytes)); });
 }
 
 void TrainLoop::start_iteration_report_readback(int step, bool is_last_of_log_interval) {
@@ -304,7 +304,7 @@ void TrainLoop::start_iteration_report_readback(int step, bool is_last_of_log_in
         config_.train.deterministic ? backward.get_max_hit_count_on_device() : nullptr,
         backward.get_hit_capacity(), &renderer_.forward_pass().get_hit_overflow_ray_count_on_device(),
         renderer_.get_stored_hits_per_ray()};
-    reports_.record_report_readback(
+    reports_.record_copy_of_report_to_host(
         stream_, counts,
         is_last_of_log_interval
             ? std::optional(TrainLogLine{step, {}, get_surfel_count(), std::exchange(densified_, {})})
@@ -372,13 +372,13 @@ void TrainLoop::complete_training() {
 void TrainLoop::save_training_state_to_checkpoint(Checkpoint& checkpoint) {
     wait_for_iterations();
     checkpoint.texts["layout"] = format_scene_layout_json(renderer_.scene().get_scene_layout());
-    visit_state(CheckpointWriter(checkpoint));
+    visit_checkpoint_state(CheckpointWriter(checkpoint));
 }
 
 void TrainLoop::restore_training_state_from_checkpoint(const Checkpoint& checkpoint) {
     // waits for pending iterations, because they would overwrite the restored state
     wait_for_iterations();
-    visit_state(CheckpointReader(checkpoint));
+    visit_checkpoint_state(CheckpointReader(checkpoint));
     last_step_ = checkpoint.iteration;
     if (!sampler_.is_restored_frame_order_valid(frames_.get_all_frames().size()) ||
         !reports_.is_restored_report_state_valid())

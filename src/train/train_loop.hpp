@@ -34,7 +34,7 @@ public:
     Random& get_random_generator() { return random_; }
 
     template <class Visitor>
-    void visit_state(Visitor&& visit) {
+    void visit_checkpoint_state(Visitor&& visit) {
         visit("sampler/order", order_);
         visit("sampler/position", position_);
         visit("sampler/random", random_.get_mutable_generator_state());
@@ -132,15 +132,16 @@ private:
     /// checkpoint. A state variable that is missing here is lost when training is
     /// resumed.
     template <class Visitor>
-    void visit_state(Visitor&& visit) {
+    void visit_checkpoint_state(Visitor&& visit) {
         visit("parameters", renderer_.scene().get_surfel_parameters());
         visit("moment1", adam_.get_first_moments());
         visit("moment2", adam_.get_second_moments());
-        if (adam_.get_max_log_scales().size() > 0) visit("max_log_scale", adam_.get_max_log_scales());
+        if (adam_.get_upper_bounds_of_log_scales().size() > 0)
+            visit("max_log_scale", adam_.get_upper_bounds_of_log_scales());
         visit("extent_m", extent_m_);
-        reports_.visit_state(visit);
-        sampler_.visit_state(visit);
-        refiner_.visit_state(visit);
+        reports_.visit_checkpoint_state(visit);
+        sampler_.visit_checkpoint_state(visit);
+        refiner_.visit_checkpoint_state(visit);
         if (!densifier_.is_densification_enabled()) return;
         visit("densify/extents_m", densifier_.get_model_extents_m());
         SurfelStatistics& s = densifier_.statistics();
@@ -177,7 +178,7 @@ private:
     void add_batch_to_drop_counts(RayDropCounts& counts, const LidarSequence& sequence,
                                   const TrainingFrameData& frame, const SampledBatch& batch);
     void densify_and_reallocate_memory(
-        const std::function<DensifyReport(double other_allocation_bytes)>& change);
+        const std::function<DensifyReport(double other_allocation_bytes)>& densify);
 };
 
 }  // namespace relidar

@@ -200,17 +200,17 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
     {
         ConcurrentSequenceScope lanes(stream, 2);
         stream.fill(arrays[0], 1u);
-        lanes.select_sequence_to_record(1);
+        lanes.select_command_sequence(1);
         {
             const ConcurrentLaunchScope scope(stream);  // a single step
             stream.fill(arrays[3], 2u);
             stream.fill(arrays[4], 3u);
         }
         copy(stream, 3, 5);
-        lanes.select_sequence_to_record(0);
+        lanes.select_command_sequence(0);
         copy(stream, 0, 1);
         copy(stream, 1, 2);
-        lanes.select_sequence_to_record(1);
+        lanes.select_command_sequence(1);
         stream.impl().record_buffer_write(arrays[3].buffer(), Words(50, 7u).data(), 200);
     }
     copy(stream, 5, 0);
@@ -228,7 +228,7 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
     {
         ConcurrentSequenceScope lanes(stream, 2);
         stream.fill(arrays[0], 5u);
-        lanes.select_sequence_to_record(1);
+        lanes.select_command_sequence(1);
         stream.fill(arrays[0], 6u);  // deliberate hazard: an array that the other lane writes
     }
     stream.submit_and_wait();
@@ -241,7 +241,7 @@ TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
     ReadbackBuffer first(device(), 400, "a"), second(device(), 400, "b");
     {
         ConcurrentSequenceScope lanes(stream, 3);
-        lanes.select_sequence_to_record(2);
+        lanes.select_command_sequence(2);
         stream.fill(a, 1u);
         first.record_copy_to_host(stream, a.buffer(), 400);
         stream.submit_and_wait();
@@ -249,10 +249,10 @@ TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
         EXPECT_EQ(static_cast<const std::uint32_t*>(first.wait_for_copied_bytes(stream))[99], 1u);
         stream.fill(b, 2u);
         second.record_copy_to_host(stream, b.buffer(), 400);
-        EXPECT_THROW(lanes.select_sequence_to_record(3), Error);
+        EXPECT_THROW(lanes.select_command_sequence(3), Error);
         EXPECT_THROW(ConcurrentSequenceScope(stream, 2), Error) << "within others";
         const ConcurrentLaunchScope scope(stream);
-        EXPECT_THROW(lanes.select_sequence_to_record(0), Error) << "in an open scope";
+        EXPECT_THROW(lanes.select_command_sequence(0), Error) << "in an open scope";
     }
     stream.submit_commands();
     EXPECT_EQ(static_cast<const std::uint32_t*>(second.wait_for_copied_bytes(stream))[99], 2u);

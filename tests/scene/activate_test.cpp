@@ -133,7 +133,7 @@ TEST_P(Activate, RecordsAgreeWithReference) {
     DeviceScene& scene = *placed;
     for (const int degree : {3, 1}) {
         Stream stream(device());
-        scene.record_surfel_record_computation(stream, image_model(degree), view);
+        scene.record_activation_of_surfel_parameters(stream, image_model(degree), view);
         stream.submit_and_wait();
         const std::vector<float> actual = test::to_floats(scene.get_surfel_records().download());
         for (std::size_t i = 0; i < surfels.size(); ++i) {
@@ -169,7 +169,7 @@ TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
     const std::unique_ptr<DeviceScene> placed = on_device(surfels);
     DeviceScene& scene = *placed;
     Stream stream(device());
-    scene.record_surfel_record_computation(stream, image_model(1), glm::vec3(0.0f));
+    scene.record_activation_of_surfel_parameters(stream, image_model(1), glm::vec3(0.0f));
     stream.submit_and_wait();
     const std::vector<shared::SurfelRecord> records = scene.get_surfel_records().download();
     for (std::size_t i = 0; i < surfels.size(); ++i)
@@ -235,8 +235,8 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
         Array<float, shared::ViewGradients> d_view(device(), 3 * surfels.size(), "view gradient");
         const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
                                                              "record gradient");
-        scene.record_surfel_record_backpropagation(stream, image_model(degree), view,
-                                                   {&upstream, &d_surfels, &touched, &d_view});
+        scene.record_activation_backpropagation(stream, image_model(degree), view,
+                                                {&upstream, &d_surfels, &touched, &d_view});
         stream.submit_and_wait();
         const Surfels actual = d_surfels.download();
         const std::vector<std::uint32_t> marks = touched.download();
@@ -278,8 +278,8 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
                                                          "record gradient");
     Stream stream(device());
-    scene.record_surfel_record_backpropagation(stream, image_model(3), glm::vec3(0.0f),
-                                               {&upstream, &d_surfels, &touched, nullptr, false});
+    scene.record_activation_backpropagation(stream, image_model(3), glm::vec3(0.0f),
+                                            {&upstream, &d_surfels, &touched, nullptr, false});
     stream.submit_and_wait();
     const Surfels after = d_surfels.download();
     for (std::size_t i = 0; i < n; ++i) {
@@ -312,7 +312,7 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
         Stream stream(device());
         d_surfels.record_zero_fill(stream);
         stream.fill(d_view);
-        placed->record_surfel_record_backpropagation(
+        placed->record_activation_backpropagation(
             stream, image_model(3), glm::vec3(0.3f, -0.2f, 0.1f),
             {&upstream, &d_surfels, &touched, &d_view, false, is_marked});
         stream.submit_and_wait();

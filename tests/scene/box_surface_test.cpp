@@ -55,9 +55,10 @@ TEST(BoxSurface, HalfAnEndIsCompletedByItsOtherHalf) {
             surface.mark_patch_of_point_as_observed({2.1, y_m, z_m}, {-1, 0, 0});
     EXPECT_NEAR(surface.compute_observed_area_fraction(BoxSide::front), 0.5, 1e-12);
     EXPECT_NEAR(surface.compute_mirrorable_area_fraction(), 0.5 * kEnd_m2 / kAll_m2, 1e-12);
-    EXPECT_TRUE(surface.is_only_mirror_patch_observed({2.1, -0.5, 0.3}));
-    EXPECT_FALSE(surface.is_only_mirror_patch_observed({2.1, 0.5, 0.3})) << "it was seen itself";
-    EXPECT_FALSE(surface.is_only_mirror_patch_observed({-2.1, -0.5, 0.3})) << "the rear was not seen at all";
+    EXPECT_TRUE(surface.is_observed_only_in_mirror_image({2.1, -0.5, 0.3}));
+    EXPECT_FALSE(surface.is_observed_only_in_mirror_image({2.1, 0.5, 0.3})) << "it was seen itself";
+    EXPECT_FALSE(surface.is_observed_only_in_mirror_image({-2.1, -0.5, 0.3}))
+        << "the rear was not seen at all";
 }
 
 TEST(BoxSurface, DepthDoesNotMatterButDirectionDoes) {
@@ -100,8 +101,8 @@ TEST(BoxSurface, EveryPatchHasItsMirrorImage) {
             ObservedBoxSurface surface(size_m);
             surface.mark_patch_of_point_as_observed(here, -here);
             const bool counts = surface.is_patch_of_point_observed(here);
-            EXPECT_EQ(surface.is_only_mirror_patch_observed(there), counts) << i;
-            EXPECT_FALSE(surface.is_only_mirror_patch_observed(here)) << i;
+            EXPECT_EQ(surface.is_observed_only_in_mirror_image(there), counts) << i;
+            EXPECT_FALSE(surface.is_observed_only_in_mirror_image(here)) << i;
         }
     }
 }

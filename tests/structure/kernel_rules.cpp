@@ -86,7 +86,7 @@ Violations check_primitive_questions(const SourceTree& tree) {
             if (std::regex_match(file.lines[i], question))
                 violations.push_back(
                     path + ":" + std::to_string(i + 1) +
-                    ": asks which primitive it is, expected a column of get_primitive_kind()");
+                    ": asks which primitive it is, expected a column of get_primitive_properties()");
     }
     return violations;
 }

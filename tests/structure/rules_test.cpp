@@ -162,7 +162,7 @@ TEST(Rules, QuestionForAPrimitiveIsFound) {
         make_tree({{"src/edit/a.cpp",
                     "PrimitiveType p = PrimitiveType::surfel;\nif (p == PrimitiveType::gaussian) f();\n"},
                    {"tools/relidar/b.cpp", "return s.log_scale_w.empty();\n"},
-                   {"src/edit/c.cpp", "if (get_primitive_kind(p).has_normals) f();\n"},
+                   {"src/edit/c.cpp", "if (get_primitive_properties(p).has_normals) f();\n"},
                    {"tests/edit/d.cpp", "EXPECT_TRUE(p == PrimitiveType::gaussian);\n"}});
     EXPECT_THAT(check_primitive_questions(tree), ElementsAre(HasSubstr("a.cpp:2:"), HasSubstr("b.cpp:1:")));
 }

@@ -130,14 +130,14 @@ TEST(Kernels, GetNoAddressZero) {
 TEST(Kernels, AddressesOfParametersAreFound) {
     const auto addresses = [](std::string_view name) {
         for (const EmbeddedKernel& kernel : embedded_kernels())
-            if (kernel.name == name) return gpu::list_address_offsets_in_parameters(kernel.words);
+            if (kernel.name == name) return gpu::list_pointer_offsets_in_parameter_block(kernel.words);
         return std::vector<std::uint32_t>();
     };
     EXPECT_THAT(addresses("gpu/copy"), testing::ElementsAre(0u, 8u));
     EXPECT_THAT(addresses("scene/activate"),
                 testing::ElementsAre(0u, 8u, 16u, 24u, 32u, 40u, 48u, 56u, 64u, 72u, 80u));
     for (const EmbeddedKernel& kernel : embedded_kernels())
-        EXPECT_FALSE(gpu::list_address_offsets_in_parameters(kernel.words).empty()) << kernel.name;
+        EXPECT_FALSE(gpu::list_pointer_offsets_in_parameter_block(kernel.words).empty()) << kernel.name;
 }
 
 }  // namespace

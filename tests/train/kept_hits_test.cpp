@@ -50,7 +50,7 @@ protected:
         for (const int position : split.train) {
             const LidarFrame& frame = street.frames[std::size_t(position)];
             const PoseTrack track = street.get_world_from_sensor(frame.lidar);
-            renderer.record_view_preparation(
+            renderer.record_scene_update_for_view(
                 compute_instance_poses(scene, street, get_sweep_timing_of_frame(frame)),
                 glm::vec3(track.interpolate_pose(frame.time_s).translation));
             const RayTable table = make_nominal_rays(street.get_lidar(frame), frame.time_s);

@@ -224,7 +224,7 @@ std::pair<PoseError, PoseError> measure_errors_of_training(Device& device, const
     set_vehicle_poses(street, perturb_track(exact, 0.05, 0.3 * kDegree, 1));
     const TrainTestSplit split = split_frames_into_train_and_test(street, 0);
     const PoseError before = error_of(street.world_from_vehicle, exact, split.train);
-    prepare_log(street, split, config);
+    prepare_log_for_training(street, split, config);
     const TrainResult result =
         train(device, street, split, config, [](const TrainProgress&) { return true; });
     const std::pair<PoseError, PoseError> errors{

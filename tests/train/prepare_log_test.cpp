@@ -119,8 +119,8 @@ TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
     config.sensor.calibrate = "range,intensity";
     LidarSequence alone = original_log;
     std::vector<std::string> separate_notes;
-    prepare_log(alone, split, config,
-                {[&](const std::string& line) { separate_notes.push_back(line); }, {}, {}});
+    prepare_log_for_training(alone, split, config,
+                             {[&](const std::string& line) { separate_notes.push_back(line); }, {}, {}});
     ASSERT_FALSE(alone.boxes.empty()) << "no mover is discovered";
     ASSERT_NE(alone.lidars[0].sensor.beams[0].range_offset_m, 0.0) << "no beam is calibrated";
     ASSERT_NE(numbers(alone.world_from_vehicle.pose[50]), numbers(original_log.world_from_vehicle.pose[50]))
@@ -135,8 +135,8 @@ TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
             const auto report_line = [&, rank](const std::string& line) {
                 reported_lines[std::size_t(rank)].push_back(line);
             };
-            prepare_log(logs[std::size_t(rank)], split, config,
-                        {.report_line = report_line, .stop = {}, .group = group.of(rank)});
+            prepare_log_for_training(logs[std::size_t(rank)], split, config,
+                                     {.report_line = report_line, .stop = {}, .group = group.of(rank)});
         });
     for (std::thread& process : processes) process.join();
     for (const LidarSequence& log : logs) expect_same(log, alone);
@@ -154,8 +154,8 @@ TEST(PrepareLog, WarnsOfPosesThatDoNotFitTheScans) {
     const TrainTestSplit split = split_frames_into_train_and_test(good, 10);
     const auto warning_of = [&](LidarSequence log) {
         std::string report_text;
-        prepare_log(log, split, config,
-                    {[&](const std::string& line) { report_text += line + "\n"; }, {}, {}});
+        prepare_log_for_training(log, split, config,
+                                 {[&](const std::string& line) { report_text += line + "\n"; }, {}, {}});
         const std::size_t at = report_text.find("warning: ");
         EXPECT_EQ(at != std::string::npos, !log.notes.empty()) << "info shows what training has said";
         return at == std::string::npos ? std::string() : report_text.substr(at);

@@ -118,7 +118,7 @@ private:
 TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
     relidar::TrainedRun run = make_weak_run(device());
     const auto [weak_before, others_before] = measure_accuracies(device(), run);
-    run.drop_network = refine_drops(device(), run);
+    run.drop_network = train_ray_drop_network_of_run(device(), run);
     const auto [weak_after, others_after] = measure_accuracies(device(), run);
     EXPECT_LT(1.0 - weak_after, 0.65 * (1.0 - weak_before))
         << weak_before << " before, " << weak_after << " after";
@@ -151,7 +151,7 @@ TEST_F(RefineDrops, AnotherSensorIsNotWorse) {
     const SimulatedSensor sensor = find_or_load_sensor("VLP-32C", run.config, run.sequence);
     ScanRenderer renderer(device(), run);
     const double before = compute_exact_accuracy(renderer, options, run, sensor);
-    renderer.set_drop_network(refine_drops(device(), run));
+    renderer.set_drop_network(train_ray_drop_network_of_run(device(), run));
     ASSERT_TRUE(renderer.has_drop_network_for(sensor));
     EXPECT_GT(compute_exact_accuracy(renderer, options, run, sensor), before);
 }
@@ -161,7 +161,7 @@ TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
     run.config.sensor.grid = "kitti360";
     run.config.refine.image = "grid";
     run.config.refine.epochs = 1;
-    run.drop_network = refine_drops(device(), run);
+    run.drop_network = train_ray_drop_network_of_run(device(), run);
     EXPECT_EQ(run.drop_network.image, "kitti360");
     ScanRenderer renderer(device(), run);
     const SimulatedSensor grid = make_sensor_from_config(run.config, run.sequence),
@@ -187,7 +187,7 @@ void train_until(Device& device, const TrainedRun& run, int step, const std::fil
     session.stop = [&] { return done >= step; };
     session.checkpoints = folder;
     session.start = start;
-    EXPECT_TRUE(refine_drops(device, run, session).empty());
+    EXPECT_TRUE(train_ray_drop_network_of_run(device, run, session).empty());
     EXPECT_EQ(done, step);
 }
 
@@ -206,7 +206,7 @@ TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
     run.config.refine.epochs = 4;
     run.config.refine.frames = 3;
     const std::filesystem::path checkpoints = folder() / "checkpoints";
-    const RayDropNetwork expected = refine_drops(device(), run);
+    const RayDropNetwork expected = train_ray_drop_network_of_run(device(), run);
     const int of_epoch = run.config.refine.frames;
     train_until(device(), run, 2 * of_epoch + 1, checkpoints);
     EXPECT_EQ(list_checkpoints(checkpoints).size(), 2u)
@@ -220,14 +220,14 @@ TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
     relidar::TrainedRun loaded = load_run(run.folder);
     copy_scans_into_run(loaded, loaded.split.train, run.sequence);
     require_network_training_is_resumable(half, loaded);
-    const RayDropNetwork resumed = refine_drops(device(), loaded, {.start = &half});
+    const RayDropNetwork resumed = train_ray_drop_network_of_run(device(), loaded, {.start = &half});
     EXPECT_EQ(resumed.parameters, expected.parameters);
     EXPECT_EQ(resumed.running, expected.running);
     EXPECT_EQ(resumed.normalisation, expected.normalisation);
 
     train_until(device(), run, 3 * of_epoch, checkpoints, &half);
     const Checkpoint later = newest(checkpoints);
-    EXPECT_EQ(refine_drops(device(), run, {.start = &later}).parameters, expected.parameters)
+    EXPECT_EQ(train_ray_drop_network_of_run(device(), run, {.start = &later}).parameters, expected.parameters)
         << "stopped twice";
 }
 
@@ -239,7 +239,7 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
     const Checkpoint checkpoint = newest(folder());
     const auto message = [&](const relidar::TrainedRun& other) {
         try {
-            refine_drops(device(), other, {.start = &checkpoint});
+            train_ray_drop_network_of_run(device(), other, {.start = &checkpoint});
         } catch (const Error& error) {
             return fmt::format("{} {}", int(error.code()), error.what());
         }
@@ -263,7 +263,7 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
     EXPECT_THAT(message(other), test::Names("scans"));
     Checkpoint of_surfels = checkpoint;
     std::erase_if(of_surfels.arrays, [](const NamedArray& array) { return array.name == "moment2"; });
-    EXPECT_THROW(refine_drops(device(), run, {.start = &of_surfels}), DataError);
+    EXPECT_THROW(train_ray_drop_network_of_run(device(), run, {.start = &of_surfels}), DataError);
 }
 
 /// A file at the path of the checkpoint folder makes saving fail. Training must continue
@@ -277,7 +277,7 @@ TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
     RayDropTrainingSession session;
     session.checkpoints = folder() / "taken";
     session.note = [&](const std::string& line) { notes.push_back(line); };
-    EXPECT_FALSE(refine_drops(device(), run, session).empty());
+    EXPECT_FALSE(train_ray_drop_network_of_run(device(), run, session).empty());
     ASSERT_EQ(notes.size(), 1u);
     EXPECT_THAT(notes[0], test::Names("checkpoint"));
 }
@@ -285,13 +285,14 @@ TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
 TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
     relidar::TrainedRun run = make_weak_run(device());
     int n_stop_calls = 0;
-    EXPECT_TRUE(refine_drops(device(), run, {.stop = [&] { return ++n_stop_calls > 15; }}).empty())
+    EXPECT_TRUE(
+        train_ray_drop_network_of_run(device(), run, {.stop = [&] { return ++n_stop_calls > 15; }}).empty())
         << "in the network's training";
-    EXPECT_TRUE(refine_drops(device(), run, {.stop = [] { return true; }}).empty())
+    EXPECT_TRUE(train_ray_drop_network_of_run(device(), run, {.stop = [] { return true; }}).empty())
         << "while frames are rendered";
     const auto message = [&] {
         try {
-            refine_drops(device(), run);
+            train_ray_drop_network_of_run(device(), run);
         } catch (const DataError& error) {
             return std::string(error.what());
         }

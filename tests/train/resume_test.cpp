@@ -122,9 +122,9 @@ TEST(ResumedSampler, GoesOnWithTheSameFramesAndNumbers) {
         sampler.get_random_generator().sample_random_uint64();
     }
     Checkpoint checkpoint;
-    sampler.visit_state(CheckpointWriter(checkpoint));
+    sampler.visit_checkpoint_state(CheckpointWriter(checkpoint));
     other.sample_next_frame_index();
-    other.visit_state(CheckpointReader(checkpoint));
+    other.visit_checkpoint_state(CheckpointReader(checkpoint));
     EXPECT_TRUE(other.is_restored_frame_order_valid(10));
     EXPECT_FALSE(other.is_restored_frame_order_valid(9));
     for (int i = 0; i < 100; ++i) {
@@ -211,7 +211,7 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     config.train.iterations = 12;
     const auto prepare = [&] {
         street = original_street;
-        prepare_log(street, split, config);
+        prepare_log_for_training(street, split, config);
     };
     prepare();
     EXPECT_NE(street.world_from_vehicle.pose[3].translation,
@@ -240,7 +240,7 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     try {
         LogPreparationCallbacks session;
         session.stop = [] { return true; };
-        prepare_log(street, split, config, session);
+        prepare_log_for_training(street, split, config, session);
         FAIL() << "expected registration to be interrupted";
     } catch (const Error& error) {
         EXPECT_EQ(error.code(), ExitCode::interrupted) << error.what();

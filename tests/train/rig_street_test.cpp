@@ -67,7 +67,7 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     ASSERT_EQ(split.test.size(), 4u);
     const Config config = make_rig_config(100);
-    prepare_log(street, split, config, {});
+    prepare_log_for_training(street, split, config, {});
     const TrainResult result =
         train(device(), street, split, config, [](const TrainProgress&) { return true; });
     ScanRenderer renderer(device(), result.scene, config, street);
@@ -143,7 +143,7 @@ TEST_F(RigStreet, ADenserSensorSeesNoHolesBetweenTheRingsOfTheLog) {
     LidarSequence log = make_synthetic_street(options);
     // holds out the middle frame and the last frame
     const TrainTestSplit split = split_frames_into_train_and_test(log, int(log.frames.size()) / 2);
-    prepare_log(log, split, make_rig_config(0), {});
+    prepare_log_for_training(log, split, make_rig_config(0), {});
     const double with = measure_missed_ground(device(), log, split, options, 2.0),
                  without = measure_missed_ground(device(), log, split, options, 0.0);
     std::cout << "ground missed: " << with << ", by round discs " << without << "\n";

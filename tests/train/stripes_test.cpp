@@ -45,7 +45,7 @@ TEST(Stripes, OfASmallImageAreAllOfIt) {
     const RayTable& all = street.frames[0].scan.rays;
     for (const int share : {0, 1, 3})
         EXPECT_EQ(ImageStripes(share, all, 1).select_stripe_rays(all).size(), all.size()) << share;
-    EXPECT_LT(choose_stripe_interval(all), 2);
+    EXPECT_LT(choose_image_stripe_interval(all), 2);
 }
 
 }  // namespace

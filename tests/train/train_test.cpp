@@ -116,7 +116,7 @@ TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
     ASSERT_EQ(first.size(), last.size());
     std::size_t at_the_bound = 0;
     for (std::size_t i = 0; i < last.size(); ++i) {
-        const bool has_three = get_primitive_kind(first.primitive).third_scale;
+        const bool has_three = get_primitive_properties(first.primitive).third_scale;
         const float began = std::max(
             {first.log_scale[i].x, first.log_scale[i].y, has_three ? first.log_scale_w[i] : -100.0f});
         const float ended =

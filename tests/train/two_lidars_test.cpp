@@ -37,8 +37,8 @@ TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
     const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
     Config config = make_two_lidar_config();
     std::string report_text;
-    prepare_log(street, split, config,
-                {[&](const std::string& text) { report_text += text + "\n"; }, {}, {}});
+    prepare_log_for_training(street, split, config,
+                             {[&](const std::string& text) { report_text += text + "\n"; }, {}, {}});
     EXPECT_NE(report_text.find("scans registered"), std::string::npos) << report_text;
     const auto trained = [&](int iterations) {
         config.train.iterations = iterations;

@@ -110,9 +110,9 @@ struct AirPointCounts {
     /// @param simulated_ranges  simulated and true ranges of the rays of `rendered_scan`
     /// @param rendered_scan  its drop probabilities decide which rays have a return; only
     /// these rays are counted
-    void add_counts_of_points_in_air(const StreetScanSetup& street_scan,
-                                     const SimulatedRayRanges& simulated_ranges,
-                                     const RenderedScan& rendered_scan) {
+    void add_counts_of_points_floating_in_air(const StreetScanSetup& street_scan,
+                                              const SimulatedRayRanges& simulated_ranges,
+                                              const RenderedScan& rendered_scan) {
         const std::vector<float>& range_m = simulated_ranges.range_m;
         std::vector<std::size_t> doubtful;
         for (std::size_t i = 0; i < range_m.size(); ++i) {
@@ -160,8 +160,8 @@ void print_points_in_air_table(const std::string& run_folder, int device_index) 
             const RenderedScan scan = renderer.render(sensor, frame.time_s, offset);
             const StreetScanSetup scan_setup{street, track, frame.time_s};
             const Scan truth = cast_rays_into_synthetic_street(street, rays, track, frame.time_s);
-            points.add_counts_of_points_in_air(scan_setup, {rays, scan.median_range_m, truth}, scan);
-            image.add_counts_of_points_in_air(scan_setup, {rays, scan.image.range_m, truth}, scan);
+            points.add_counts_of_points_floating_in_air(scan_setup, {rays, scan.median_range_m, truth}, scan);
+            image.add_counts_of_points_floating_in_air(scan_setup, {rays, scan.image.range_m, truth}, scan);
         }
         fmt::print("{}{}", points.format_table_row(name + ", points"),
                    image.format_table_row(name + ", image"));

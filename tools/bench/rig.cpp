@@ -127,8 +127,8 @@ ScanRanges cast_exact_street_ranges(const SyntheticOptions& street, RayTable ray
 
 /// Renders the held-out sweeps with another sensor than the one in the log, and scores
 /// them. The sensor replaces the first LiDAR.
-void render_and_score_other_sensor(ScanRenderer& renderer, const TrainedRun& run,
-                                   const SyntheticOptions& exact_street, const std::string& sensor_name) {
+void render_and_score_unseen_sensor(ScanRenderer& renderer, const TrainedRun& run,
+                                    const SyntheticOptions& street_options, const std::string& sensor_name) {
     const SimulatedSensor sensor = find_or_load_sensor(sensor_name, run.config, run.sequence);
     if (sensor.rays.direction.empty())
         throw UsageError(
@@ -142,7 +142,7 @@ void render_and_score_other_sensor(ScanRenderer& renderer, const TrainedRun& run
         if (frame.lidar != 0) continue;
         add_scan_comparison_to_score(
             score, extract_return_ranges(renderer.render(sensor, frame.time_s)),
-            cast_exact_street_ranges(exact_street, sensor.rays, track, frame.time_s, sensor));
+            cast_exact_street_ranges(street_options, sensor.rays, track, frame.time_s, sensor));
     }
     std::sort(score.errors_m.begin(), score.errors_m.end());
     if (score.errors_m.empty())
@@ -204,7 +204,7 @@ void print_rig_scores(const std::string& run_folder, int device_index, float lat
             "|---|--:|--:|--:|--:|--:|--:|--:|\n",
             run.sequence.lidars[0].name, kOnSurface_m);
     for (const std::string& other : other_sensor_names)
-        render_and_score_other_sensor(renderer, run, street, other);
+        render_and_score_unseen_sensor(renderer, run, street, other);
 }
 
 }  // namespace

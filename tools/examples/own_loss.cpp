@@ -64,8 +64,9 @@ int main(int argc, char** argv) try {
             rays.direction.push_back(glm::vec3(ray.direction));
             rays.time_s.push_back(log.rolling_shutter ? frame.scan.rays.time_offset_s[i] : 0.0f);
         }
-        renderer.record_view_preparation(compute_instance_poses(scene, log, get_sweep_timing_of_frame(frame)),
-                                         glm::vec3(trajectory.interpolate_pose(frame.time_s).translation));
+        renderer.record_scene_update_for_view(
+            compute_instance_poses(scene, log, get_sweep_timing_of_frame(frame)),
+            glm::vec3(trajectory.interpolate_pose(frame.time_s).translation));
         last = compute_loss_and_gradients(renderer.render_rays(rays), frame.scan, d);
         differentiable.compute_gradients(d);
         adam.record_adam_step(renderer.stream(), renderer.scene().get_surfel_parameters(),

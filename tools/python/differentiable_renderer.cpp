@@ -75,7 +75,7 @@ void set_instance_poses(PythonDifferentiableRenderer& renderer, const py::object
         view = {v[0], v[1], v[2]};
     }
     const DeviceLock use(renderer.differentiable.get_open_device());
-    renderer.differentiable->renderer().record_view_preparation(placed, view);
+    renderer.differentiable->renderer().record_scene_update_for_view(placed, view);
     renderer.placed = std::move(placed);
 }
 

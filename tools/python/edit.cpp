@@ -35,24 +35,24 @@ struct RunBeingEdited {
     }
 
     /// Applies an edit to the run and adds it to the history of the run.
-    /// @param history_text text that describes the edit in scene.json
+    /// @param history_entry text that describes the edit in scene.json
     RunBeingEdited& apply_edit_and_add_to_history(
-        const std::string& history_text,
+        const std::string& history_entry,
         const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
         // Applies the edit to a copy, so that the run does not change if the edit fails.
         run.replace_driving_scene(edit_scene_with_log(run.copy_driving_scene()));
-        run.edits.push_back({origin, history_text});
+        run.edits.push_back({origin, history_entry});
         return *this;
     }
 
     /// Applies an edit that can change the times at which an actor is present. Warns if
     /// the actor is then missing in more frames of the log.
-    RunBeingEdited& apply_edit_and_warn_if_actor_misses(
-        const std::string& history_text, const std::string& track_name,
+    RunBeingEdited& apply_edit_and_warn_about_missing_actor(
+        const std::string& history_entry, const std::string& track_name,
         const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
         const BoxTrack* box = find_box_track_by_id(run.sequence, track_name);
         const BoxTrack before = box ? *box : BoxTrack{};
-        apply_edit_and_add_to_history(history_text, edit_scene_with_log);
+        apply_edit_and_add_to_history(history_entry, edit_scene_with_log);
         if (const std::string note = describe_frames_without_actor(before, run.sequence); !note.empty())
             show_python_warning(note);
         return *this;
@@ -84,7 +84,7 @@ RunBeingEdited& move_actor(RunBeingEdited& run_being_edited, const std::string& 
 RunBeingEdited& replace_actor_trajectory(RunBeingEdited& run_being_edited, const std::string& track_name,
                                          const py::object& times_and_box_poses) {
     const PoseTrack poses = convert_python_poses_to_track(times_and_box_poses, "trajectory", 0.0);
-    return run_being_edited.apply_edit_and_warn_if_actor_misses(
+    return run_being_edited.apply_edit_and_warn_about_missing_actor(
         fmt::format("follow {}: {} poses", track_name, poses.pose.size()), track_name,
         [&](SceneWithLog driving) { return replace_trajectory(std::move(driving), track_name, poses); });
 }
@@ -142,7 +142,7 @@ void bind_edit_class(py::module_& module) {
         .def(
             "retime",
             [](RunBeingEdited& edits, const std::string& track, double seconds) -> RunBeingEdited& {
-                return edits.apply_edit_and_warn_if_actor_misses(
+                return edits.apply_edit_and_warn_about_missing_actor(
                     fmt::format("retime {}:{:.6g}", track, seconds), track,
                     [&](SceneWithLog driving) { return delay_track(std::move(driving), track, seconds); });
             },

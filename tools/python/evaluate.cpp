@@ -30,7 +30,7 @@ py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<
                       const PythonProgressCallback& report_progress) {
     // Throws an error if the baseline is unknown. This is checked before the log is
     // loaded, because loading takes a long time.
-    if (baseline_name) (void)parse_baseline_motion(*baseline_name);
+    if (baseline_name) (void)parse_box_point_motion_of_baseline(*baseline_name);
     if (run.run.split.test.empty())
         throw DataError(run.run.folder.string() + ": the run has no held-out frames, expected at least one");
     const ProgressReporter progress = wrap_python_progress_callback(report_progress);

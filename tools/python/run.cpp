@@ -156,7 +156,7 @@ py::dict render_scan_as_dict(LoadedRun& loaded_run, const RenderArguments& argum
     py::dict arrays = convert_to_array_dict(
         make_scan_arrays(scan, find_nearest_frame_number(run.sequence, request.time_s), format));
     if (!arguments.boxes) return arrays;
-    if (request.dataset_from_actor) replace_actor_box_poses(format, *request.dataset_from_actor);
+    if (request.dataset_from_actor) set_actor_boxes_to_requested_poses(format, *request.dataset_from_actor);
     arrays["boxes"] = find_actor_boxes_in_scan_as_dict(scan, format);
     return arrays;
 }
@@ -177,8 +177,8 @@ std::unique_ptr<LoadedRun> copy_run_with_replaced_surfels(const LoadedRun& loade
     if (surfels.size() != scene.surfels.size() || surfels.primitive != scene.surfels.primitive)
         throw DataError(
             fmt::format("with_surfels: found {} {}, expected {} {}, the same number and kind as in the run",
-                        surfels.size(), get_primitive_kind(surfels.primitive).label, scene.surfels.size(),
-                        get_primitive_kind(scene.surfels.primitive).label));
+                        surfels.size(), get_primitive_properties(surfels.primitive).label,
+                        scene.surfels.size(), get_primitive_properties(scene.surfels.primitive).label));
     scene.surfels = std::move(surfels);
     return changed;
 }

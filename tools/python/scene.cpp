@@ -33,7 +33,7 @@ void for_each_parameter_array(Set& surfels, Callback&& callback) {
 /// Returns true if surfels of this kind have a parameter array with this name.
 bool uses_parameter_array(const Surfels& surfels, std::string_view array_name) {
     if (array_name == kGait) return surfels.bends;
-    return array_name != kThirdScale || get_primitive_kind(surfels.primitive).third_scale;
+    return array_name != kThirdScale || get_primitive_properties(surfels.primitive).third_scale;
 }
 
 NumpyShape make_array_shape(py::ssize_t n_rows, const NumpyShape& row_shape) {

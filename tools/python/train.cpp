@@ -61,9 +61,9 @@ TrainResult train_scene_with_device_lock(LockableDevice& device, TrainedRun& run
     const auto stop = [&] { return !python_calls.has_no_exception_or_interrupt(); };
     const std::optional<Checkpoint> start = load_newest_checkpoint_if_resuming(arguments, note);
     const DeviceLock use(device);
-    prepare_log(run.sequence, run.split, run.config, {note, stop, [&](std::string_view, double) {
-                                                          (void)python_calls.has_no_exception_or_interrupt();
-                                                      }});
+    prepare_log_for_training(
+        run.sequence, run.split, run.config,
+        {note, stop, [&](std::string_view, double) { (void)python_calls.has_no_exception_or_interrupt(); }});
     if (start) require_training_is_resumable(*start, run.sequence, run.split, run.config);
     const auto report = [&](const TrainProgress& line) {
         bool go_on = true;
@@ -110,12 +110,12 @@ void train_ray_drop_network(LockableDevice& device, TrainedRun& run, const Train
     }
     try {
         const DeviceLock use(device);
-        run.drop_network =
-            refine_drops(device.device, run,
-                         {.stop = [&] { return !python_calls.has_no_exception_or_interrupt(); },
-                          .checkpoints = folder,
-                          .start = start ? &*start : nullptr,
-                          .note = note});
+        run.drop_network = train_ray_drop_network_of_run(
+            device.device, run,
+            {.stop = [&] { return !python_calls.has_no_exception_or_interrupt(); },
+             .checkpoints = folder,
+             .start = start ? &*start : nullptr,
+             .note = note});
     } catch (const DataError& error) {
         note(error.what());
     }

@@ -163,7 +163,7 @@ void run_demo_command(const DemoOptions& options, const std::string& command_lin
     install_interrupt_handlers();
     remove_run_result_files(run_folder.path());
     remove_block_folders(run_folder.path());
-    prepare_log_with_progress(sequence, split, config, options.quiet);
+    prepare_log_for_training_with_progress(sequence, split, config, options.quiet);
     TrainResult result =
         train_scene_with_progress(device, sequence, split, config, run_folder.path(), options.quiet);
     end_progress_line();

@@ -72,7 +72,7 @@ void measure_actor_pose_update_times(Device& device, const DevCase& bench_case, 
     DeviceScene on_device(device, bench_case.scene);
     AccelerationStructure accel(device, on_device, make_benchmark_accel_options(bench_case));
     Stream stream(device, false);
-    on_device.record_surfel_record_computation(stream, bench_case.config.image, glm::vec3(0.0f));
+    on_device.record_activation_of_surfel_parameters(stream, bench_case.config.image, glm::vec3(0.0f));
     stream.submit_and_wait();
     Clock::time_point start = Clock::now();
     accel.record_bvh_refit_or_build(stream, on_device);

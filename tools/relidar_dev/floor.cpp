@@ -21,7 +21,7 @@ constexpr double kFewestNodes = 1.0 / 28.0;
 constexpr double kNodeOperations = 150, kSurfelOperations = 40;
 
 double compute_sh_bytes_per_surfel(const MemoryTrafficSizes& sizes) { return 4 * 3 * sizes.n_sh; }
-double get_sh_bytes_if_evaluated_per_ray(const MemoryTrafficSizes& sizes) {
+double compute_sh_bytes_for_per_ray_evaluation(const MemoryTrafficSizes& sizes) {
     return sizes.sh_per_surfel ? 0.0 : compute_sh_bytes_per_surfel(sizes);
 }
 
@@ -43,11 +43,11 @@ double count_bvh_build_bytes(const MemoryTrafficSizes& sizes) {
 }
 
 double count_backward_trace_bytes(const MemoryTrafficSizes& sizes) {
-    const double sums = sizes.gather
-                            ? sizes.n_hits * (kHitRecord + kRow)
-                            : sizes.n_touched * 2 * (kRecord + get_sh_bytes_if_evaluated_per_ray(sizes));
+    const double sums =
+        sizes.gather ? sizes.n_hits * (kHitRecord + kRow)
+                     : sizes.n_touched * 2 * (kRecord + compute_sh_bytes_for_per_ray_evaluation(sizes));
     return sizes.n_rays * (kRay + kRendered + kUpstream) + sizes.n_stored_hits_read * kStoredHit +
-           sizes.n_touched * (kRecord + get_sh_bytes_if_evaluated_per_ray(sizes)) + sums;
+           sizes.n_touched * (kRecord + compute_sh_bytes_for_per_ray_evaluation(sizes)) + sums;
 }
 
 /// Returns the memory traffic in bytes of the kernel that differentiates the activation
@@ -97,12 +97,12 @@ constexpr KernelTraffic kFloorRows[] = {
     {"diff/forward/blend", KernelCondition::lists,
      [](const MemoryTrafficSizes& sizes) {
          return sizes.n_rays * kRendered + sizes.n_hits * kHit + sizes.n_hits_written * kStoredHit +
-                sizes.n_touched * (kRecord + get_sh_bytes_if_evaluated_per_ray(sizes));
+                sizes.n_touched * (kRecord + compute_sh_bytes_for_per_ray_evaluation(sizes));
      }},
     {"diff/forward/trace", KernelCondition::chunks,
      [](const MemoryTrafficSizes& sizes) {
          return sizes.n_rays * (kRay + kRendered) + sizes.n_hits_written * kStoredHit +
-                sizes.n_touched * (kRecord + get_sh_bytes_if_evaluated_per_ray(sizes));
+                sizes.n_touched * (kRecord + compute_sh_bytes_for_per_ray_evaluation(sizes));
      }},
     {"diff/loss/image_loss", KernelCondition::training,
      [](const MemoryTrafficSizes& sizes) { return sizes.n_rays * (kRendered + kTarget + kUpstream); }},
@@ -120,7 +120,7 @@ constexpr KernelTraffic kFloorRows[] = {
     {"diff/backward/gather", KernelCondition::gather,
      [](const MemoryTrafficSizes& sizes) {
          return sizes.n_hits * (kHitRecord + kRow + kIndex) +
-                sizes.n_touched * 2 * (kRecord + get_sh_bytes_if_evaluated_per_ray(sizes));
+                sizes.n_touched * 2 * (kRecord + compute_sh_bytes_for_per_ray_evaluation(sizes));
      }},
     {"scene/activate_vjp", KernelCondition::training, count_activation_gradient_bytes},
     {"diff/optimizer/adam", KernelCondition::training, count_adam_step_bytes},
@@ -147,7 +147,7 @@ std::map<std::string, double> compute_cache_load_bytes_per_kernel(const MemoryTr
     std::map<std::string, double> bytes;
     if (sizes.nodes_opened <= 0.0) return bytes;
     const double search = sizes.nodes_opened * kNode + sizes.surfels_tested * kRecord;
-    const double shading = sizes.n_hits * (kRecord + get_sh_bytes_if_evaluated_per_ray(sizes));
+    const double shading = sizes.n_hits * (kRecord + compute_sh_bytes_for_per_ray_evaluation(sizes));
     if (sizes.lists) {
         bytes["diff/forward/append"] = search + sizes.n_hits * kHit;
         bytes["diff/forward/blend"] = shading + sizes.n_hits * kHit;
@@ -161,7 +161,8 @@ std::map<std::string, double> compute_cache_load_bytes_per_kernel(const MemoryTr
     // Bytes that the kernel writes per hit. With `gather`, the kernel stores the
     // gradients of the hit. Otherwise, it adds 16 floats with atomics. It also adds the
     // gradients of spherical harmonics if they are evaluated per ray.
-    const double sums = sizes.gather ? kHitRecord + kRow : kRecord + get_sh_bytes_if_evaluated_per_ray(sizes);
+    const double sums =
+        sizes.gather ? kHitRecord + kRow : kRecord + compute_sh_bytes_for_per_ray_evaluation(sizes);
     bytes["diff/backward/trace"] = searched_again * search + shading + sizes.n_hits * (kRecord + sums);
     return bytes;
 }

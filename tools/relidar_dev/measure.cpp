@@ -112,7 +112,7 @@ public:
         memory_ = measure_gpu_memory_of_each_part(device_, case_, includes_training);
         image_ = std::make_unique<Renderer>(device_, case_.scene, case_.config.image,
                                             make_forward_renderer_options(case_));
-        image_->record_view_preparation(case_.placed, case_.view_origin_m);
+        image_->record_scene_update_for_view(case_.placed, case_.view_origin_m);
         image_->record_forward_pass(make_ray_batch());
         image_->stream().submit_and_wait();
         const RenderedRayValues rendering =
@@ -144,7 +144,7 @@ public:
         stream.submit_and_wait();
         append_kernel_times_since_last_call("rebuild", rebuild_kernels_);
         const Clock::time_point start = Clock::now();
-        r.record_view_preparation(case_.placed, case_.view_origin_m);
+        r.record_scene_update_for_view(case_.placed, case_.view_origin_m);
         r.record_forward_pass(make_ray_batch());
         if (training_) {
             training_->record_loss_kernels(make_ray_batch());
@@ -168,7 +168,7 @@ public:
     /// Measures only the forward pass by wall time. Used for devices without timestamps.
     void measure_forward_pass_by_wall_clock() {
         Renderer& r = get_renderer();
-        r.record_view_preparation(case_.placed, case_.view_origin_m);
+        r.record_scene_update_for_view(case_.placed, case_.view_origin_m);
         r.stream().submit_and_wait();
         const Clock::time_point start = Clock::now();
         r.record_forward_pass(make_ray_batch());
@@ -317,10 +317,10 @@ TimePercentiles compute_p10_median_p90(std::vector<double> samples) {
     return {at(0.1), at(0.5), at(0.9)};
 }
 
-BenchResult run_benchmark(Device& device, const DevCase& bench_case_case, const BenchSettings& settings) {
+BenchResult run_benchmark(Device& device, const DevCase& bench_case, const BenchSettings& settings) {
     const bool device_clock = device.info().timestamps;
     TerminalProgress(settings.quiet).show_progress_text("running repetitions that are not measured");
-    BenchRunner bench(device, bench_case_case);
+    BenchRunner bench(device, bench_case);
     const auto repeat = [&] {
         device_clock ? bench.run_repetition_with_gpu_timestamps()
                      : bench.measure_forward_pass_by_wall_clock();

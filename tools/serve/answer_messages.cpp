@@ -118,7 +118,7 @@ void write_actor_boxes_into_message(const RenderedScan& scan, const RenderReques
             format.instance_names[actor.instance] = actor.track;
             format.actors.push_back({actor.track, actor.category, actor.size_m, {}});
         }
-        replace_actor_box_poses(format, *request.request.dataset_from_actor);
+        set_actor_boxes_to_requested_poses(format, *request.request.dataset_from_actor);
     }
     for (const ActorBox& box : find_actor_boxes(scan, format)) {
         v1::ActorBox& written = *message.add_boxes();

@@ -18,7 +18,7 @@ constexpr double kFarthest = 1e10;
 constexpr double kDoublePrecision = 1e-12;
 constexpr int kMostPoses = 100'000;
 
-double require_number_of_limited_size(double value, const std::string& field_name) {
+double require_finite_number_within_limit(double value, const std::string& field_name) {
     if (!(std::abs(value) <= kFarthest))
         throw_invalid_field(field_name, fmt::format("{}", value), "a finite number of at most 1e10");
     return value;
@@ -27,15 +27,15 @@ double require_number_of_limited_size(double value, const std::string& field_nam
 }  // namespace
 
 double require_time_within_limit(double time_s, const std::string& field_name) {
-    return require_number_of_limited_size(time_s, field_name);
+    return require_finite_number_within_limit(time_s, field_name);
 }
 
 Pose read_pose(const v1::Pose& message, const std::string& field_name) {
     const v1::Vector& t = message.translation();
     Pose pose;
-    pose.translation = {require_number_of_limited_size(t.x(), field_name + ".translation.x"),
-                        require_number_of_limited_size(t.y(), field_name + ".translation.y"),
-                        require_number_of_limited_size(t.z(), field_name + ".translation.z")};
+    pose.translation = {require_finite_number_within_limit(t.x(), field_name + ".translation.x"),
+                        require_finite_number_within_limit(t.y(), field_name + ".translation.y"),
+                        require_finite_number_within_limit(t.z(), field_name + ".translation.z")};
     if (!message.has_rotation()) return pose;
     const v1::Quaternion& q = message.rotation();
     pose.rotation = glm::dquat(q.w(), q.x(), q.y(), q.z());

@@ -15,8 +15,9 @@ namespace {
 /// Calls a function with the renderer of the requested scene. If the scene cannot be
 /// loaded, the error message names the folder of its run.
 template <class Function>
-SceneSet::SceneLoadNumber call_with_renderer_of_request(SceneSet& scenes, const RenderRequest& request,
-                                                        const Function& use_renderer) {
+SceneSet::SceneLoadNumber use_renderer_and_get_scene_load_number(SceneSet& scenes,
+                                                                 const RenderRequest& request,
+                                                                 const Function& use_renderer) {
     try {
         return scenes.load_scene_and_call_with_renderer(request.scene, request.weather,
                                                         [&](ScanRenderer& renderer) {
@@ -62,7 +63,7 @@ void throw_deadline_or_cancelled_error(const grpc::ServerContext& context) {
 }
 
 void ScanImageRequest::submit_to_device(bool) {
-    call_with_renderer_of_request(scenes_, render_request_, [&](ScanRenderer& renderer) {
+    use_renderer_and_get_scene_load_number(scenes_, render_request_, [&](ScanRenderer& renderer) {
         scan = renderer.render(*render_request_.sensor, render_request_.request, render_request_.sample);
     });
 }
@@ -78,7 +79,7 @@ void PointsRequest::submit_to_device(bool is_last) {
     try {
         for (const RenderRequest& scan : render_requests_) {
             const Send when = is_last && &scan == &render_requests_.back() ? Send::now : Send::with_next;
-            load_ = call_with_renderer_of_request(scenes_, scan, [&](ScanRenderer& renderer) {
+            load_ = use_renderer_and_get_scene_load_number(scenes_, scan, [&](ScanRenderer& renderer) {
                 renderer.submit_points(*scan.sensor, scan.request, scan.points_at_s, scan.sample, when);
             });
             ++n_submitted_;

@@ -71,8 +71,8 @@ void SceneSet::call_if_scene_was_not_reloaded(std::size_t scene_index, SceneLoad
 void SceneSet::call_with_renderer(std::size_t scene_index,
                                   const std::function<void(ScanRenderer&)>& use_renderer) {
     try {
-        call_and_add_allocated_scene_bytes(scene_index,
-                                           [&] { use_renderer(*loaded_[scene_index].renderer); });
+        call_and_count_allocated_scene_bytes(scene_index,
+                                             [&] { use_renderer(*loaded_[scene_index].renderer); });
     } catch (const DeviceError&) {
         // The state of the renderer is unknown after an error. The next request loads the
         // scene again.
@@ -86,7 +86,7 @@ void SceneSet::load_scene_to_device(std::size_t scene_index, const TrainedRun& r
     loaded.bytes = 0;
     loaded.used = ++clock_;
     loaded.load = SceneLoadNumber(std::uint64_t(loaded.load) + 1);
-    call_and_add_allocated_scene_bytes(scene_index, [&] {
+    call_and_count_allocated_scene_bytes(scene_index, [&] {
         loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
         // Rendering a single ray uploads the complete scene to the device.
         const SimulatedSensor sensor{.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}},
@@ -171,10 +171,10 @@ void SceneSet::unload_scenes_until_memory_suffices(std::size_t kept_scene_index,
 
 /// Calls a function, and adds the device memory that it allocates to the recorded size of
 /// the scene.
-void SceneSet::call_and_add_allocated_scene_bytes(std::size_t scene_index,
-                                                  const std::function<void()>& function) {
+void SceneSet::call_and_count_allocated_scene_bytes(std::size_t scene_index,
+                                                    const std::function<void()>& allocate) {
     const std::uint64_t before = device_.allocated_bytes();
-    function();
+    allocate();
     loaded_[scene_index].bytes += device_.allocated_bytes() - before;
 }
 

@@ -93,7 +93,7 @@ private:
     void load_scene_to_device(std::size_t scene_index, const TrainedRun& run);
     void load_scene_with_spawned_actors(std::size_t scene_index);
     void unload_scenes_until_memory_suffices(std::size_t kept_scene_index, std::uint64_t n_bytes_needed);
-    void call_and_add_allocated_scene_bytes(std::size_t scene_index, const std::function<void()>& function);
+    void call_and_count_allocated_scene_bytes(std::size_t scene_index, const std::function<void()>& allocate);
     void call_with_renderer(std::size_t scene_index, const std::function<void(ScanRenderer&)>& use_renderer);
 };
 

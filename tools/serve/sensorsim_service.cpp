@@ -19,12 +19,13 @@ namespace {
 // Maximum number of scans per call. The maximum number of sensors of a rig is the same.
 constexpr int kMostScans = 64;
 
-[[noreturn]] void throw_unsupported_images(const std::string& call, const std::string& found_value) {
+[[noreturn]] void throw_camera_image_unsupported(const std::string& rpc_name,
+                                                 const std::string& found_request) {
     throw RejectedRequest(grpc::StatusCode::UNIMPLEMENTED,
                           fmt::format("cannot answer {}: found {}, expected only requests for LiDAR scans "
                                       "(render_lidar), because relidar "
                                       "renders no camera images",
-                                      call, found_value));
+                                      rpc_name, found_request));
 }
 
 // Packages of the service. NuRec used the first name until version 26.09 and has used the
@@ -66,7 +67,7 @@ public:
             });
         register_method<sensorsim::RgbRenderRequest, sensorsim::RgbRenderReturn>(
             "render_rgb", [](Context, const auto&, auto&) {
-                throw_unsupported_images("render_rgb", "a request for an image");
+                throw_camera_image_unsupported("render_rgb", "a request for an image");
             });
         register_method<sensorsim::AggregatedRenderRequest, sensorsim::AggregatedRenderReturn>(
             "render_aggregated", [&](Context context, const auto& request, auto& answer) {
@@ -175,8 +176,8 @@ void SensorsimService::render_aggregated(const grpc::ServerContext& context,
                                          const sensorsim::AggregatedRenderRequest& request,
                                          sensorsim::AggregatedRenderReturn& answer) {
     if (request.rgb_size() > 0)
-        throw_unsupported_images("render_aggregated",
-                                 fmt::format("a request for {} images", request.rgb_size()));
+        throw_camera_image_unsupported("render_aggregated",
+                                       fmt::format("a request for {} images", request.rgb_size()));
     if (request.lidar_size() > kMostScans)
         throw_invalid_field("lidar", fmt::format("{} scans", request.lidar_size()),
                             fmt::format("at most {} per call", kMostScans));

@@ -12,7 +12,7 @@ void write_asset_into_message(const AssetDescription& asset_description, v1::Ass
     message.set_category(asset_description.category);
     message.set_kind(get_name(asset_description.kind));
     write_vector(asset_description.size_m, *message.mutable_size_m());
-    message.set_score(asset_description.get_observed_or_mirrored_fraction());
+    message.set_score(asset_description.get_observed_or_mirrored_surface_fraction());
     message.set_seen(asset_description.seen);
     message.set_nearest_m(asset_description.nearest_m);
     message.set_surfels(asset_description.surfels);

@@ -136,9 +136,9 @@ void add_spawned_actors_to_run(TrainedRun& run, const std::vector<SpawnedActorRe
         else {
             const AssetCatalogue::CatalogueEntry& asset = *assets.find_asset(source.name);
             const TrainedRun asset_run = load_run(asset.folder);
-            model = models[source.name] =
-                append_model(run.scene, asset_run.scene,
-                             get_model_index_of_actor(asset_run.scene, get_only_actor_track(asset_run)));
+            model = models[source.name] = append_model(
+                run.scene, asset_run.scene,
+                get_model_index_of_actor(asset_run.scene, get_track_name_of_only_actor(asset_run)));
             // Adds a box, from which the output channel "class" reads the kind of the
             // actor, for example vehicle.
             run.sequence.boxes.push_back({.id = run.scene.models[model].name,

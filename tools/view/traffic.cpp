@@ -118,8 +118,8 @@ ActorEdits::ActorCopy make_actor_copy_on_ground(const TrainedRun& run, const Oth
     const glm::dvec3& offset_m = run.sequence.world_offset_m;
     GroundPlacement placement{{request.at[0] + offset_m.x, request.at[1] + offset_m.y}};
     placement.clearance_m = read_asset_ground_clearance(owner);
-    const Pose pose = compute_actor_motion_on_ground({run.scene, run.sequence}, placement,
-                                                     {owner.scene, owner.sequence}, request.of)
+    const Pose pose = compute_motion_on_ground({run.scene, run.sequence}, placement,
+                                               {owner.scene, owner.sequence}, request.of)
                           .dataset_from_box;
     // yaw, pitch and roll; make_rotation() is the inverse of this conversion
     const glm::dmat3 rotation = glm::mat3_cast(pose.rotation);

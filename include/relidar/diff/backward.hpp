@@ -119,7 +119,7 @@ public:
     /// Records GPU commands that compute the gradients of all parameters for the rays of
     /// a batch. The commands overwrite all arrays in `gradients`.
     /// @param view_origin_m position of the sensor that was passed to the last
-    /// DeviceScene::record_surfel_record_computation(), [3] world frame
+    /// DeviceScene::record_activation_of_surfel_parameters(), [3] world frame
     void record_backward_pass(Stream& stream, DeviceScene& scene, const AccelerationStructure& accel,
                               const RenderedBatch& batch, const glm::vec3& view_origin_m,
                               DeviceGradients& gradients);

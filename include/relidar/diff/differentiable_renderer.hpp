@@ -2,10 +2,10 @@
 // Differentiable renderer. It renders rays from the parameters of a scene, and it
 // computes gradients of the parameters from gradients of the rendered rays. There are two
 // ways to write a training step. On the device, no call waits for the GPU:
-//   record_view_preparation() and record_forward_pass() of renderer(), losses that write
+//   record_scene_update_for_view() and record_forward_pass() of renderer(), losses that write
 //   get_last_rendered_batch().upstream, record_backward_pass(), Adam::record_adam_step().
 // On the host, with arrays, for custom losses in any language:
-//   record_view_preparation() and render_rays() of renderer(), then compute_gradients().
+//   record_scene_update_for_view() and render_rays() of renderer(), then compute_gradients().
 #pragma once
 
 #include <functional>
@@ -91,7 +91,7 @@ public:
     /// Calls `change_surfels`, which adds or removes surfels. Waits until the stream is
     /// idle, and frees all memory that depends on the number of surfels before the call.
     /// Allocates this memory again after the call. The caller must call
-    /// Renderer::record_view_preparation() next.
+    /// Renderer::record_scene_update_for_view() next.
     /// @param change_surfels receives the size of the freed memory that will be allocated
     /// again, in bytes per surfel
     void change_surfels_and_reallocate_memory(

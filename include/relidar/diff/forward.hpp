@@ -50,8 +50,9 @@ public:
                 const TraceOptions& options);
     ~ForwardPass();
     /// Records GPU commands that trace and render a batch. Before this call, the same
-    /// stream must contain two steps: DeviceScene::record_surfel_record_computation(),
-    /// and an update of the acceleration structure.
+    /// stream must contain two steps:
+    /// DeviceScene::record_activation_of_surfel_parameters(), and an update of the
+    /// acceleration structure.
     /// @param rendered_rays  output, [>= n_rays]
     /// @param stored_hits  output: hits for the backward pass of the same batch. Null =
     /// the backward pass traces the rays again
@@ -100,9 +101,9 @@ struct RendererOptions {
 };
 
 /// Renders one scene on one device. Contains the parameters, the acceleration structure
-/// and the rendered rays. Call record_view_preparation() first, then render_rays() or
-/// record_forward_pass() any number of times. The device must outlive the renderer. Only
-/// one thread at a time may use a renderer. Several renderers on one device are
+/// and the rendered rays. Call record_scene_update_for_view() first, then render_rays()
+/// or record_forward_pass() any number of times. The device must outlive the renderer.
+/// Only one thread at a time may use a renderer. Several renderers on one device are
 /// independent.
 class Renderer {
 public:
@@ -123,25 +124,25 @@ public:
     /// directions with ShDirection::surfel
     /// @throws DataError if the number of poses is wrong
     /// @throws UsageError if the image model and the scene have different primitives
-    void record_view_preparation(const std::vector<InstancePose>& instance_poses,
-                                 const glm::vec3& view_origin_m);
+    void record_scene_update_for_view(const std::vector<InstancePose>& instance_poses,
+                                      const glm::vec3& view_origin_m);
     /// Records GPU commands that prepare rendering with the current parameters from a new
     /// sensor position. All instances keep their poses. If no poses were set before, all
     /// instances are at the origin.
-    void record_view_preparation(const glm::vec3& view_origin_m) {
-        record_view_preparation(scene().get_instance_poses(), view_origin_m);
+    void record_scene_update_for_view(const glm::vec3& view_origin_m) {
+        record_scene_update_for_view(scene().get_instance_poses(), view_origin_m);
     }
     /// Records GPU commands that set the sensor position and the poses of all instances.
-    /// Faster than record_view_preparation(), because it does not update the ray-tracing
-    /// trees of rigid models. Must not be used if a surfel parameter has changed since
-    /// the last call of one of the two functions. If neither was called before, does the
-    /// same as record_view_preparation().
+    /// Faster than record_scene_update_for_view(), because it does not update the
+    /// ray-tracing trees of rigid models. Must not be used if a surfel parameter has
+    /// changed since the last call of one of the two functions. If neither was called
+    /// before, does the same as record_scene_update_for_view().
     void record_instance_poses_and_view(const std::vector<InstancePose>& instance_poses,
                                         const glm::vec3& view_origin_m);
 
     /// Renders rays and waits for the result.
     /// @param rays [n] world frame, directions of length 1
-    /// @throws UsageError if record_view_preparation() was not called before
+    /// @throws UsageError if record_scene_update_for_view() was not called before
     /// @throws DeviceError if a ray has too many hits to be traced completely
     RenderedRayValues render_rays(const WorldRays& rays);
     /// Records GPU commands that render rays on the device. The ray array must stay valid
@@ -169,7 +170,8 @@ public:
     void set_stored_hits_per_ray(std::uint32_t hits_per_ray);
 
     /// Sets the degree of the spherical harmonics (SH). The degree cannot exceed the
-    /// degree of the image model. The caller must call record_view_preparation() next.
+    /// degree of the image model. The caller must call record_scene_update_for_view()
+    /// next.
     void set_sh_degree(int degree);
     const ImageFormationModel& model() const;  ///< Image model with the active SH degree.
     /// Replaces all surfel parameters on the device. Waits until the copy is complete.
@@ -188,8 +190,9 @@ public:
     const DeviceScene& scene() const;
     AccelerationStructure& accel();
     const ForwardPass& forward_pass() const;
-    const glm::vec3& view_origin_m()
-        const;  ///< View origin of the last record_view_preparation() or record_instance_poses_and_view().
+    /// View origin of the last record_scene_update_for_view() or
+    /// record_instance_poses_and_view().
+    const glm::vec3& view_origin_m() const;
 
     /// Releases the acceleration structure. Must be called before surfels are added or
     /// removed. create_acceleration_structure() creates a new acceleration structure

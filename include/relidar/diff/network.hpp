@@ -114,7 +114,7 @@ struct RayDropTrainState {
 
     /// Calls visit(name, value) for each value that is stored in a checkpoint.
     template <class Visitor>
-    void visit_state(Visitor&& visit) {
+    void visit_checkpoint_state(Visitor&& visit) {
         visit("step", step);
         visit("parameters", parameters);
         visit("moment1", moment1);

@@ -50,7 +50,7 @@ public:
     void set_max_log_scale_of_each_surfel(Device& device, const std::vector<float>& max_log_scales);
     /// Upper bounds on the standard deviations, [n], natural logarithm of metres. Empty
     /// without bounds.
-    Array<float>& get_max_log_scales();
+    Array<float>& get_upper_bounds_of_log_scales();
 
 private:
     struct Impl;

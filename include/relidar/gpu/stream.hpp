@@ -193,7 +193,7 @@ public:
     ConcurrentSequenceScope& operator=(const ConcurrentSequenceScope&) = delete;
     /// Records the next launches in the sequence (lane) with this index. Until the first
     /// call, launches are recorded in sequence 0.
-    void select_sequence_to_record(std::size_t sequence_index);
+    void select_command_sequence(std::size_t sequence_index);
 
 private:
     Stream& stream_;

@@ -66,12 +66,13 @@ std::optional<double> measure_ground_clearance(const SceneWithLogView& actor_sce
 /// `actor_scene` has no ground below the box, the bottom of the box is placed on the
 /// plane. Bridges and trees are not ground. Therefore, a surfel is ignored if it is above
 /// the log's sensor by more than a quarter of its distance.
-/// @param actor_scene scene that contains the actor
+/// @param target_scene scene in which the actor is placed
+/// @param actor_scene scene that contains the actor with the track `actor_track`
 /// @throws UsageError naming the position if the background has no level surface below
 /// the start
-NewActorMotion compute_actor_motion_on_ground(const SceneWithLogView& scene_and_log,
-                                              const GroundPlacement& ground_place,
-                                              const SceneWithLogView& actor_scene, const std::string& track);
+NewActorMotion compute_motion_on_ground(const SceneWithLogView& target_scene,
+                                        const GroundPlacement& placement, const SceneWithLogView& actor_scene,
+                                        const std::string& actor_track);
 
 /// Removes an actor and its track. Rays then hit the surfaces behind the actor.
 /// @throws UsageError if no instance has this track. The message suggests the most

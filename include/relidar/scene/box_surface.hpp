@@ -67,7 +67,7 @@ public:
     bool is_patch_of_point_observed(const glm::dvec3& point_m) const;
     /// Returns true if the patch of a point was not observed, but its mirror patch on the
     /// other half of the box was.
-    bool is_only_mirror_patch_observed(const glm::dvec3& point_m) const;
+    bool is_observed_only_in_mirror_image(const glm::dvec3& point_m) const;
     /// Returns the observed fraction of a side, 0 to 1.
     double compute_observed_area_fraction(BoxSide side) const;
     /// Returns the observed fraction of the complete box surface, by area, 0 to 1.
@@ -89,7 +89,7 @@ public:
     /// Parts (patches) of the box surface that no ray observed can be filled with surfels
     /// mirrored from the other half of the box. If the point is in such a patch, returns
     /// the side of the box. Otherwise returns nothing.
-    std::optional<BoxSide> find_side_filled_by_mirroring(const glm::dvec3& point_m) const;
+    std::optional<BoxSide> find_box_side_with_mirrored_surfels(const glm::dvec3& point_m) const;
     /// Measures how much the left and right half of an object differ. Compares each patch
     /// with its mirror patch on the other half if both were observed.
     /// @param points_m points of the surface, box frame
@@ -125,14 +125,15 @@ private:
     /// Returns false if the surface patch is near the ground, where patches are ignored.
     bool is_patch_above_ground_margin(const BoxSurfacePatch& patch) const;
     bool has_observed_patch(const BoxSurfacePatch& patch) const;  ///< returns true if the patch was observed
-    /// Returns two areas in m2: [0] of some patches of a side, [1] of all its patches. If
-    /// `mirrored` is false, [0] counts observed patches. Otherwise it counts unobserved
-    /// patches whose mirror image on the other half of the box was observed.
-    std::array<double, 2> compute_counted_and_total_area_m2(BoxSide side, bool mirrored) const;
-    /// Returns the observed fraction of the box surface, by area. If count_mirrorable is
-    /// true, returns another fraction: the area that was not observed itself, but whose
-    /// mirror image on the other half of the box was observed.
-    double compute_area_fraction_of_all_sides(bool count_mirrorable) const;
+    /// Returns two areas of a side in m2: [0] the observed area, [1] the total area. If
+    /// `only_mirror_image_observed` is true, [0] is another area: the one that was not
+    /// observed, but whose mirror image on the other half of the box was observed.
+    std::array<double, 2> compute_observed_and_total_area_m2(BoxSide side,
+                                                             bool only_mirror_image_observed) const;
+    /// Returns the observed fraction of the box surface, by area. If
+    /// `only_mirror_image_observed` is true, returns another fraction: the area that was
+    /// not observed, but whose mirror image on the other half of the box was observed.
+    double compute_area_fraction_of_all_sides(bool only_mirror_image_observed) const;
 };
 
 }  // namespace relidar

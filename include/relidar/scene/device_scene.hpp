@@ -139,7 +139,7 @@ template <auto kHost, auto kDevice>
 constexpr SurfelParameterGroup make_parameter_group(
     const char* name, std::array<std::uint32_t, 2> shape_per_surfel, double LearningRates::*learning_rate,
     bool has_harmonics = false, bool has_scales = false,
-    SurfelParameterGroup::SceneRequirement parameter_set = SurfelParameterGroup::SceneRequirement::all) {
+    SurfelParameterGroup::SceneRequirement scene_requirement = SurfelParameterGroup::SceneRequirement::all) {
     using Element = typename std::remove_reference_t<decltype(std::declval<Surfels&>().*kHost)>::value_type;
     // Element is not a pointer. NOLINTNEXTLINE(bugprone-sizeof-expression)
     constexpr std::size_t kFloats = sizeof(Element) / sizeof(float);
@@ -148,7 +148,7 @@ constexpr SurfelParameterGroup make_parameter_group(
             learning_rate,
             has_harmonics,
             has_scales,
-            parameter_set,
+            scene_requirement,
             [](const SurfelArrays& arrays) -> const Array<float>& { return arrays.*kDevice; },
             [](SurfelArrays& arrays) -> Array<float>& { return arrays.*kDevice; },
             [](const Surfels& surfels) {
@@ -187,7 +187,7 @@ inline constexpr std::array<SurfelParameterGroup, 7> kParameterGroups{{
 constexpr std::span<const SurfelParameterGroup> list_parameter_groups(SurfelParameterSet parameter_set) {
     const std::size_t first = parameter_set.bends ? 0 : 1,
                       last = kParameterGroups.size() -
-                             (get_primitive_kind(parameter_set.primitive).third_scale ? 0 : 1);
+                             (get_primitive_properties(parameter_set.primitive).third_scale ? 0 : 1);
     return std::span(kParameterGroups).subspan(first, last - first);
 }
 
@@ -227,10 +227,10 @@ public:
     /// Records GPU commands that list the rows whose flag is 1. Waits for the stream if
     /// there are more rows than in any earlier call.
     /// @param touched_flags [n_rows] flags, 0 or 1
-    void record_listing_of_touched_rows(Stream& stream,
-                                        Address<std::uint32_t, shared::TouchedSurfels> touched_flags,
-                                        std::uint32_t n_rows);
-    /// Returns the address of the list that record_listing_of_touched_rows() makes:
+    void record_compaction_of_touched_rows(Stream& stream,
+                                           Address<std::uint32_t, shared::TouchedSurfels> touched_flags,
+                                           std::uint32_t n_rows);
+    /// Returns the address of the list that record_compaction_of_touched_rows() makes:
     /// [count] indices of the rows whose flag is 1, in no particular order.
     Address<std::uint32_t, shared::TouchedRows> get_touched_rows_address() const;
     Address<std::uint32_t, shared::TouchedCount> get_touched_count_address()
@@ -254,7 +254,7 @@ private:
 InstancePose compute_box_pose_in_sweep(const LidarSequence& sequence, const PoseTrack& world_from_box,
                                        const glm::dvec3& half_size_m, const SweepTiming& sweep);
 
-/// Inputs and outputs of DeviceScene::record_surfel_record_backpropagation(). Tracing
+/// Inputs and outputs of DeviceScene::record_activation_backpropagation(). Tracing
 /// kernels read SurfelRecords, which are computed from the trained parameters. The
 /// function applies the chain rule: from dL/d(SurfelRecord) to dL/d(parameters).
 struct ActivationGradients {
@@ -268,7 +268,7 @@ struct ActivationGradients {
     /// needed. Used only if SH are evaluated once per surfel (ShDirection::surfel).
     Array<float, shared::ViewGradients>* d_view = nullptr;
     bool zero_untouched =
-        true;  ///< If true, record_surfel_record_backpropagation() writes zeros for surfels without a gradient.
+        true;  ///< If true, record_activation_backpropagation() writes zeros for surfels without a gradient.
     /// If true, `touched` is also an input: 0 for each surfel that no ray has hit,
     /// otherwise 1. A surfel with 0 has no gradient. It is skipped if zero_untouched is
     /// false and can_skip_surfels_without_gradient() returns true. Then nothing is
@@ -302,7 +302,8 @@ public:
     void record_upload_of_instance_poses(Stream& stream, const std::vector<InstancePose>& instance_poses);
     const std::vector<InstancePose>& get_instance_poses() const;
     /// Returns true if the new poses change the phase of an actor's walking cycle. This
-    /// changes its surfels, so record_surfel_record_computation() must be called again.
+    /// changes its surfels, so record_activation_of_surfel_parameters() must be called
+    /// again.
     bool would_change_gait_phases(const std::vector<InstancePose>& instance_poses) const;
     /// Records the kernel that computes the SurfelRecord of each surfel from its
     /// parameters (docs/method.md M1, M2, M9). Tracing kernels read only these records.
@@ -311,9 +312,9 @@ public:
     /// @param view_origin_m [3] sensor position, world frame. If a model has several
     /// instances, it is used relative to the first of them
     /// @throws UsageError if `model` has another primitive than the scene
-    void record_surfel_record_computation(Stream& stream, const ImageFormationModel& model,
-                                          const glm::vec3& view_origin_m);
-    /// Returns true if record_surfel_record_backpropagation() can skip surfels that have
+    void record_activation_of_surfel_parameters(Stream& stream, const ImageFormationModel& model,
+                                                const glm::vec3& view_origin_m);
+    /// Returns true if record_activation_backpropagation() can skip surfels that have
     /// no gradient. This is the case on CPU devices. On a GPU, no thread can be left out,
     /// because all threads copy SH coefficients through shared memory together.
     bool can_skip_surfels_without_gradient() const;
@@ -321,16 +322,16 @@ public:
     /// gradients with respect to the parameters (chain rule). With ShDirection::surfel,
     /// it also writes the gradients of the SH coefficients. With ShDirection::ray, the
     /// backward pass has already written them.
-    void record_surfel_record_backpropagation(Stream& stream, const ImageFormationModel& model,
-                                              const glm::vec3& view_origin_m,
-                                              const ActivationGradients& gradients);
+    void record_activation_backpropagation(Stream& stream, const ImageFormationModel& model,
+                                           const glm::vec3& view_origin_m,
+                                           const ActivationGradients& gradients);
 
     /// Enlarges the arrays of parameters and records to at least `capacity` surfels.
     /// Existing values are kept.
     void reserve(Device& device, std::uint32_t capacity);
     /// Sets the range of each model in the surfel arrays, after the arrays were
-    /// rearranged. Two calls must follow. record_surfel_record_computation() updates the
-    /// surfel records. record_upload_of_instance_poses() or
+    /// rearranged. Two calls must follow. record_activation_of_surfel_parameters()
+    /// updates the surfel records. record_upload_of_instance_poses() or
     /// upload_instance_poses_and_wait() updates the instance table.
     void set_models(const std::vector<SurfelModel>& models);
 
@@ -338,8 +339,9 @@ public:
     SurfelArrays& get_surfel_parameters();
     const SurfelArrays& get_surfel_parameters() const;
     const Array<shared::SurfelRecord>& get_surfel_records() const;  ///< Surfel records, [n].
-    /// ImageFormationModel::alpha_min of the last record_surfel_record_computation().
-    /// Rays skip hits with a smaller alpha (opacity of the surfel times its Gaussian).
+    /// ImageFormationModel::alpha_min of the last
+    /// record_activation_of_surfel_parameters(). Rays skip hits with a smaller alpha
+    /// (opacity of the surfel times its Gaussian).
     float alpha_min() const;
     /// Table of models, [models], in the order of their surfel ranges.
     const Array<shared::ModelEntry>& get_model_table() const;

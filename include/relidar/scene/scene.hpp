@@ -59,7 +59,7 @@ inline constexpr std::array kPrimitives{
     RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)  // Adds one row per primitive.
 #undef RELIDAR_PRIMITIVE
 };
-constexpr const PrimitiveProperties& get_primitive_kind(PrimitiveType primitive) {
+constexpr const PrimitiveProperties& get_primitive_properties(PrimitiveType primitive) {
     return kPrimitives[static_cast<std::size_t>(primitive)];
 }
 
@@ -409,8 +409,8 @@ std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& p
 /// For an actor: 4 times the diagonal of its box. For any other model: 3 times the 90th
 /// percentile of 2 |p - centre| over its surfels. Without surfels: 1.
 double compute_robust_model_extent_m(const Scene& scene, std::size_t model_index);
-/// Returns 4 times the diagonal of a box with this half size [3], metres.
-double compute_four_times_box_diagonal_m(const glm::vec3& half_size_m);
+/// Returns the extent of an actor's model in metres: 4 times the diagonal of its box.
+double compute_actor_model_extent_m(const glm::vec3& half_size_m);
 /// Same as compute_robust_model_extent_m() of the background.
 double compute_robust_background_extent_m(const Scene& scene);
 

@@ -147,7 +147,7 @@ MetricValues compute_mean_kernel_ms(const KernelTimes& kernel_times);
 /// points where they were measured. "nearest-actors" moves points in a box together with
 /// the box.
 /// @throws UsageError for another name
-BoxPointMotion parse_baseline_motion(const std::string& name);
+BoxPointMotion parse_box_point_motion_of_baseline(const std::string& baseline_name);
 /// Computes the metrics of a baseline on the held-out frames of a log.
 /// @param baseline_name  "nearest" or "nearest-actors"
 /// @param sequence  the log, with its scans

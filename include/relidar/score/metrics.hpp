@@ -89,8 +89,8 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
 /// Returns the sets of pixels that reports score separately: all, moving_boxes, static,
 /// and the range bands range_0_20_m, range_20_40_m, range_40_80_m.
 /// @param moving_pixels [rows*columns] true for pixels whose return is in a moving box
-std::vector<PixelRegion> make_standard_regions(const RangeImage& real,
-                                               const std::vector<bool>& moving_pixels);
+std::vector<PixelRegion> make_evaluation_regions(const RangeImage& real,
+                                                 const std::vector<bool>& moving_pixels);
 
 /// Returns for each ray whether its return is inside a moving box that the dataset
 /// labelled.

@@ -33,9 +33,10 @@ struct ActorBox {
 /// been called before the scan was rendered
 std::vector<ActorBox> find_actor_boxes(const RenderedScan& scan, const ScanOutputOptions& format);
 
-/// Sets the poses in `format.actors`, the actor boxes that are written to recordings, to
-/// the poses of a ScanRequest. Removes the boxes of actors that the request does not
-/// contain.
-void replace_actor_box_poses(ScanOutputOptions& format, const ActorTracksByName& dataset_from_actor);
+/// Sets the poses in `output_options.actors`, the actor boxes that are written to
+/// recordings, to the poses of a ScanRequest. Removes the boxes of actors that the
+/// request does not contain.
+void set_actor_boxes_to_requested_poses(ScanOutputOptions& output_options,
+                                        const ActorTracksByName& dataset_from_actor);
 
 }  // namespace relidar

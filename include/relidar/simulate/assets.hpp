@@ -69,7 +69,7 @@ struct AssetDescription {
 
     /// Returns the fraction of the box surface that was observed, or completed with the
     /// mirror image.
-    double get_observed_or_mirrored_fraction() const { return seen + completed; }
+    double get_observed_or_mirrored_surface_fraction() const { return seen + completed; }
 };
 
 /// An actor that was extracted from a run.
@@ -104,6 +104,6 @@ std::vector<std::filesystem::path> list_asset_folders(const std::filesystem::pat
 
 /// Returns the track name of the only actor of a run, for example of an asset.
 /// @throws UsageError if the run has no actor or several
-std::string get_only_actor_track(const TrainedRun& run);
+std::string get_track_name_of_only_actor(const TrainedRun& run);
 
 }  // namespace relidar

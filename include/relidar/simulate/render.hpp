@@ -174,9 +174,9 @@ RenderedIntensityImage make_rendered_intensity_image(const RenderedScan& scan);
 /// intensity model of the LiDAR. Afterwards `drop_prob` is 0 or 1, and `image.range_m`
 /// equals `median_range_m`. Second returns keep their expected intensities. The result
 /// depends only on seed and time, not on the device.
-/// @param scatter if empty, intensities keep their expected values
-void sample_random_returns(RenderedScan& scan, const RangeNoiseTable& noise,
-                           const IntensityScatterModel& scatter, std::uint64_t seed);
+/// @param intensity_scatter if empty, intensities keep their expected values
+void replace_expected_returns_by_sample(RenderedScan& scan, const RangeNoiseTable& range_noise,
+                                        const IntensityScatterModel& intensity_scatter, std::uint64_t seed);
 
 /// The points of a scan without its other arrays.
 struct RenderedPoints {
@@ -335,8 +335,8 @@ public:
     /// Renders a scan on the recorded path of the log's vehicle.
     /// @param sensor_offset pose of the simulated sensor in the frame of the log's LiDAR.
     /// Identity = the same pose.
-    /// @param sample random seed for sample_random_returns(). If not set, the scan has
-    /// expected values without noise
+    /// @param sample random seed for replace_expected_returns_by_sample(). If not set,
+    /// the scan has expected values without noise
     RenderedScan render(const SimulatedSensor& sensor, double time_s, const Pose& sensor_offset = {},
                         std::optional<std::uint64_t> sample = {});
     /// Renders a scan from the poses of a request.
@@ -354,14 +354,16 @@ public:
     /// The device computes the points if the scan has no sub-rays, grid, channels,
     /// weather or sample. Otherwise convert_scan_to_points() computes the points on the
     /// host. Both results are bitwise equal.
-    /// @param points_at_s time of the sensor frame in which the points are expressed
-    /// @param mode with `with_next`, the scan is submitted together with the next
-    /// request. Scans whose points the device computes are then rendered in parallel.
+    /// @param point_frame_time_s time of the sensor frame in which the points are
+    /// expressed
+    /// @param submission_timing with `with_next`, the scan is submitted together with the
+    /// next request. Scans whose points the device computes are then rendered in
+    /// parallel.
     /// @throws UsageError if kScansInFlight requested scans were not collected, and as
     /// render()
-    void submit_points(const SimulatedSensor& sensor, const ScanRequest& request, double points_at_s,
-                       std::optional<std::uint64_t> sample = {},
-                       SubmissionTiming mode = SubmissionTiming::now);
+    void submit_points(const SimulatedSensor& sensor, const ScanRequest& request, double point_frame_time_s,
+                       std::optional<std::uint64_t> sample_seed = {},
+                       SubmissionTiming submission_timing = SubmissionTiming::now);
     /// Maximum number of scans that were requested and not yet collected with
     /// wait_for_points(). Fewer are enough: two such scans keep the device busy.
     static constexpr std::size_t kScansInFlight = 64;

@@ -215,8 +215,8 @@ public:
     /// both processes write scans to it. Removes no files.
     /// @throws UsageError for a recording, because only one process can write it
     /// @throws errors of the constructor
-    static ScanFolderWriter open_folder_of_other_process(std::filesystem::path folder,
-                                                         ScanOutputOptions format);
+    static ScanFolderWriter join_folder_of_other_process(std::filesystem::path folder,
+                                                         ScanOutputOptions output_options);
     /// Writes the files of a scan.
     /// @param frame_number  number of the frame
     /// @throws DataError if a file cannot be written
@@ -240,11 +240,11 @@ private:
     std::vector<std::string> entries_;
     std::vector<ChannelInfo> channels_;  ///< channels of the scans, in addition to the basic ones
     /// Recordings of the scans. A shared pointer, so that a ScanFolderWriter can be
-    /// moved. Null if open_folder_of_other_process() has opened the folder of another
+    /// moved. Null if join_folder_of_other_process() has opened the folder of another
     /// process.
     std::shared_ptr<ScanRecordingsWriter> recordings_;
 
-    /// returns true if `output_options` is one of ScanOutputOptions::formats
+    /// returns true if `format` is one of ScanOutputOptions::formats
     bool is_output_format_selected(const std::string& format) const;
     void write_summary_file() const;
 };
@@ -270,7 +270,7 @@ Image draw_scan_picture(const RenderedScan& scan);
 /// Returns the factor by which stack_images_vertically() stretches an image vertically.
 /// LiDAR images would otherwise look too flat, because the angles between rows are larger
 /// than between columns.
-int compute_vertical_scale(const RangeImage& image);
+int compute_vertical_stretch_factor(const RangeImage& image);
 /// Returns [rows*columns] values: 1 for pixels with a return, 0 for all others.
 std::vector<float> make_returned_pixel_mask(const RangeImage& image);
 

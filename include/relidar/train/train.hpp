@@ -50,14 +50,14 @@ struct TrainProgress {
 /// Poses that training has corrected (train.refine_poses), of both training and held-out
 /// scans.
 ///
-/// prepare_log() registers the poses before training. It registers a held-out scan by
-/// matching its points with the planes of the training scans. Training does not use
-/// held-out scans in any other way. Later, gradients correct a held-out pose only
-/// indirectly. With a rolling shutter, these gradients come from rays of neighbouring
-/// sweeps that were fired between the held-out pose and the next pose. Without a rolling
-/// shutter, the corrections of the neighbouring poses are interpolated. Registration of
-/// the sensor also moves all boxes. Gradients change boxes only if refine_poses includes
-/// actors.
+/// prepare_log_for_training() registers the poses before training. It registers a
+/// held-out scan by matching its points with the planes of the training scans. Training
+/// does not use held-out scans in any other way. Later, gradients correct a held-out pose
+/// only indirectly. With a rolling shutter, these gradients come from rays of
+/// neighbouring sweeps that were fired between the held-out pose and the next pose.
+/// Without a rolling shutter, the corrections of the neighbouring poses are interpolated.
+/// Registration of the sensor also moves all boxes. Gradients change boxes only if
+/// refine_poses includes actors.
 struct RefinedPoses {
     PoseTrack world_from_vehicle;
     std::vector<BoxTrack> boxes;
@@ -106,7 +106,7 @@ struct TrainSession {
     StageTimes* stages = nullptr;
 };
 
-/// Callbacks and process group for prepare_log().
+/// Callbacks and process group for prepare_log_for_training().
 struct LogPreparationCallbacks {
     /// Callback for one line of text about each estimate, as soon as it is available.
     std::function<void(const std::string&)> report_line;
@@ -131,8 +131,8 @@ struct LogPreparationCallbacks {
 /// @throws DataError if more than 5 % of the scans cannot be registered and
 /// train.allow_lost_scans is not set
 /// @throws UsageError if the log has no poses and the settings do not register it
-void prepare_log(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
-                 LogPreparationCallbacks session = {});
+void prepare_log_for_training(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
+                              LogPreparationCallbacks callbacks = {});
 
 /// Loads the log that config.dataset describes. Uses a rolling shutter if config.sensor
 /// enables it.
@@ -215,8 +215,8 @@ inline constexpr const char* kRefineCheckpoints = "drop_network";
 /// dropped ray
 /// @throws errors of require_network_training_is_resumable() if the session resumes from
 /// a checkpoint
-RayDropNetwork refine_drops(Device& device, const TrainedRun& run,
-                            const RayDropTrainingSession& session = {});
+RayDropNetwork train_ray_drop_network_of_run(Device& device, const TrainedRun& run,
+                                             const RayDropTrainingSession& session = {});
 
 /// Checks that the training of a ray-drop network can resume with this run. The run's
 /// sequence must contain the scans of its training frames. Scene, log and the relevant

@@ -109,8 +109,8 @@ std::string decompress_buffer_of_batch(const Batch& batch, std::size_t buffer_in
 
 /// Returns the number of rows of a column in a record batch. Throws an error if the
 /// column has missing values.
-std::size_t get_row_count_without_missing_values(const Batch& batch, std::size_t node_index,
-                                                 std::size_t last_buffer_index) {
+std::size_t require_no_nulls_and_get_row_count(const Batch& batch, std::size_t node_index,
+                                               std::size_t last_buffer_index) {
     if (node_index >= batch.layout.nodes.size() || last_buffer_index >= batch.layout.buffers.size())
         throw DataError(
             fmt::format("found a record batch with {} columns and {} buffers, which is fewer than the schema "
@@ -129,7 +129,7 @@ std::size_t get_row_count_without_missing_values(const Batch& batch, std::size_t
 template <class Stored, class T, class Convert>
 void append_values_of_column_converted(std::vector<T>& values, const Batch& batch,
                                        const Feather::Column& column, const Convert& convert_stored_value) {
-    const std::size_t n = get_row_count_without_missing_values(batch, column.node, column.buffer + 1);
+    const std::size_t n = require_no_nulls_and_get_row_count(batch, column.node, column.buffer + 1);
     const std::string bytes = decompress_buffer_of_batch(batch, column.buffer + 1, n * sizeof(Stored));
     for (std::size_t i = 0; i < n; ++i)
         values.push_back(convert_stored_value(read_little_endian<Stored>(bytes, i * sizeof(Stored))));
@@ -180,7 +180,7 @@ void append_float_column(std::vector<double>& values, const Batch& batch, const 
 /// @param max_text_bytes maximum number of text bytes
 void append_text_column(std::vector<std::string>& values, const Batch& batch, std::size_t node_index,
                         std::size_t first_buffer_index, std::size_t max_text_bytes) {
-    const std::size_t n = get_row_count_without_missing_values(batch, node_index, first_buffer_index + 2);
+    const std::size_t n = require_no_nulls_and_get_row_count(batch, node_index, first_buffer_index + 2);
     if (n == 0) return;  // Without rows, writers may omit the offsets.
     const std::string offsets =
         decompress_buffer_of_batch(batch, first_buffer_index + 1, (n + 1) * sizeof(std::int32_t));

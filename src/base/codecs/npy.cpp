@@ -33,11 +33,11 @@ public:
         while (!skip_spaces_and_character_if_next('}')) {
             const std::string key = parse_quoted_string();
             skip_required_character(':');
-            if (key == "descr")
-                descr = skip_spaces_and_test_next_character('[')
-                            ? throw_header_error("contains a struct type, expected a plain number type")
-                            : parse_quoted_string();
-            else if (key == "fortran_order") fortran_order = parse_boolean();
+            if (key == "descr") {
+                if (skip_spaces_and_test_next_character('['))
+                    throw_header_error("contains a struct type, expected a plain number type");
+                descr = parse_quoted_string();
+            } else if (key == "fortran_order") fortran_order = parse_boolean();
             else if (key == "shape") shape = parse_integer_tuple();
             else throw_header_error("has the unknown key '" + key + "'");
             if (!skip_spaces_and_character_if_next(',') && !skip_spaces_and_test_next_character('}'))
@@ -52,7 +52,7 @@ public:
     std::optional<std::vector<std::size_t>> shape;
 
 private:
-    [[noreturn]] static std::string throw_header_error(const std::string& reason) {
+    [[noreturn]] static void throw_header_error(const std::string& reason) {
         throw DataError("the npy header " + reason);
     }
 

@@ -138,23 +138,24 @@ SafetensorsHeader parse_safetensors_header(const std::vector<std::byte>& file_by
 }
 
 /// Returns a list of non-negative integers from a field of the header.
-std::vector<std::size_t> parse_integer_list(const std::string& array_name, const Json& array_json,
-                                            const char* key) {
-    if (!array_json.is_object() || !array_json.contains(key) || !array_json[key].is_array())
+std::vector<std::size_t> parse_integer_list(const std::string& array_name_for_errors, const Json& array_json,
+                                            const char* member_name) {
+    if (!array_json.is_object() || !array_json.contains(member_name) || !array_json[member_name].is_array())
         throw DataError(
             fmt::format("array '{}': the list '{}' is missing in the header of the file, expected a list of "
                         "integers",
-                        array_name, key));
-    if (array_json[key].size() > kMaxDimensions)
-        throw DataError(fmt::format("array '{}': '{}' contains {} numbers, expected at most {}", array_name,
-                                    key, array_json[key].size(), kMaxDimensions));
+                        array_name_for_errors, member_name));
+    if (array_json[member_name].size() > kMaxDimensions)
+        throw DataError(fmt::format("array '{}': '{}' contains {} numbers, expected at most {}",
+                                    array_name_for_errors, member_name, array_json[member_name].size(),
+                                    kMaxDimensions));
     std::vector<std::size_t> result;
-    for (const Json& value : array_json[key]) {
+    for (const Json& value : array_json[member_name]) {
         if (!value.is_number_unsigned())
             throw DataError(fmt::format(
                 "array '{}': the list '{}' in the header of the file contains a value of type {}, "
                 "expected only integers of at least 0",
-                array_name, key, value.type_name()));
+                array_name_for_errors, member_name, value.type_name()));
         result.push_back(value.get<std::size_t>());
     }
     return result;

@@ -122,7 +122,7 @@ struct Bvh::Impl {
     shared::BvhBinary get_binary_bvh_gpu_addresses() const;
     shared::BvhWide get_wide_bvh_gpu_addresses() const;
     template <class T, class Meaning>
-    Address<T, Meaning> get_scratch_address(std::uint32_t offset_words_per_surfel) const {
+    Address<T, Meaning> get_scratch_array_address(std::uint32_t offset_words_per_surfel) const {
         return scratch.address_as<T, Meaning>(offset_words_per_surfel *
                                               std::size_t(round_up_to_multiple_of_4(n)));
     }
@@ -203,11 +203,11 @@ std::uint32_t Bvh::Impl::compute_max_tree_levels() const {
 }
 
 shared::BvhBinary Bvh::Impl::get_binary_bvh_gpu_addresses() const {
-    return {.children = get_scratch_address<glm::uvec2, shared::BinaryChildren>(kChildrenAt),
-            .boxes = get_scratch_address<float, shared::BinaryBoxes>(kBoxesAt),
-            .costs = get_scratch_address<float, shared::BinaryCosts>(kCostsAt),
-            .decisions = get_scratch_address<std::uint32_t, shared::BinaryDecisions>(kDecisionsAt),
-            .spares = get_scratch_address<std::uint32_t, shared::SpareNodes>(kSparesAt)};
+    return {.children = get_scratch_array_address<glm::uvec2, shared::BinaryChildren>(kChildrenAt),
+            .boxes = get_scratch_array_address<float, shared::BinaryBoxes>(kBoxesAt),
+            .costs = get_scratch_array_address<float, shared::BinaryCosts>(kCostsAt),
+            .decisions = get_scratch_array_address<std::uint32_t, shared::BinaryDecisions>(kDecisionsAt),
+            .spares = get_scratch_array_address<std::uint32_t, shared::SpareNodes>(kSparesAt)};
 }
 
 shared::BvhWide Bvh::Impl::get_wide_bvh_gpu_addresses() const {
@@ -220,9 +220,10 @@ shared::BvhWide Bvh::Impl::get_wide_bvh_gpu_addresses() const {
 }
 
 SortBuffers Bvh::Impl::get_sort_buffer_gpu_addresses(int set_index) const {
-    return {.keys = get_scratch_address<std::uint32_t, shared::SortKeys>(get_sort_keys_offset(set_index)),
-            .order = get_scratch_address<std::uint32_t, shared::SortOrder>(set_index == 0 ? kValuesAt
-                                                                                          : kCostsAt + 2)};
+    return {
+        .keys = get_scratch_array_address<std::uint32_t, shared::SortKeys>(get_sort_keys_offset(set_index)),
+        .order = get_scratch_array_address<std::uint32_t, shared::SortOrder>(set_index == 0 ? kValuesAt
+                                                                                            : kCostsAt + 2)};
 }
 
 void Bvh::Impl::compute_surfel_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
@@ -255,9 +256,9 @@ SortBuffers Bvh::Impl::sort_surfels_by_morton_code(Stream& stream, const DeviceS
         {.records = scene.get_surfel_records().address(),
          .models = scene.get_model_table().address(),
          .bounds = bounds.address(),
-         .keys = get_scratch_address<glm::uvec2, shared::MortonKeys>(get_sort_keys_offset(first_set)),
-         .other_ends = get_scratch_address<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
-         .demands = get_scratch_address<std::uint32_t, shared::SlotDemands>(kDemandsAt),
+         .keys = get_scratch_array_address<glm::uvec2, shared::MortonKeys>(get_sort_keys_offset(first_set)),
+         .other_ends = get_scratch_array_address<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
+         .demands = get_scratch_array_address<std::uint32_t, shared::SlotDemands>(kDemandsAt),
          .n_surfels = n,
          .n_models = n_models});
     return sort.run(stream, get_sort_buffer_gpu_addresses(first_set),
@@ -270,13 +271,13 @@ void Bvh::Impl::collapse_binary_to_wide_tree(Stream& stream, const DeviceScene& 
         .tree = get_binary_bvh_gpu_addresses(),
         .wide = get_wide_bvh_gpu_addresses(),
         .queue = queue.address(),
-        .slots = get_scratch_address<std::uint32_t, shared::WideSlots>(kSlotsAt),
+        .slots = get_scratch_array_address<std::uint32_t, shared::WideSlots>(kSlotsAt),
         .level_sizes = level_sizes.address(),
-        .demands = get_scratch_address<std::uint32_t, shared::SlotDemands>(kDemandsAt),
-        .offsets = get_scratch_address<glm::uvec2, shared::TileOffsets>(kOffsetsAt),
+        .demands = get_scratch_array_address<std::uint32_t, shared::SlotDemands>(kDemandsAt),
+        .offsets = get_scratch_array_address<glm::uvec2, shared::TileOffsets>(kOffsetsAt),
         .tiles = tiles.address(),
-        .places = get_scratch_address<std::uint32_t, shared::WidePlaces>(kWideNodeIndicesAt),
-        .surfels = get_scratch_address<std::uint32_t, shared::SortedSurfels>(kValuesAt),
+        .places = get_scratch_array_address<std::uint32_t, shared::WidePlaces>(kWideNodeIndicesAt),
+        .surfels = get_scratch_array_address<std::uint32_t, shared::SortedSurfels>(kValuesAt),
         .models = scene.get_model_table().address(),
         .n_surfels = n,
         .n_tiles = count_surfel_tiles(n),
@@ -323,11 +324,11 @@ void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptio
     run(stream, b.cluster, b.n,
         {.tree = b.get_binary_bvh_gpu_addresses(),
          .boxes = b.boxes.address(),
-         .keys = b.get_scratch_address<glm::uvec2, shared::MortonKeys>(kKeysAt),
+         .keys = b.get_scratch_array_address<glm::uvec2, shared::MortonKeys>(kKeysAt),
          .surfels = sorted.order.cast_content_tag<shared::SortedSurfels>(),
          .models = scene.get_model_table().address(),
-         .other_ends = b.get_scratch_address<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
-         .clusters = b.get_scratch_address<std::uint32_t, shared::BinaryClusters>(kClustersAt),
+         .other_ends = b.get_scratch_array_address<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
+         .clusters = b.get_scratch_array_address<std::uint32_t, shared::BinaryClusters>(kClustersAt),
          .roots = b.queue.address(),
          .n_surfels = b.n,
          .n_models = b.n_models});

@@ -145,7 +145,8 @@ struct RayQueryAccel::Impl {
 
     Impl(Device& device, const Scene& layout, ProxyShape p, PrimitiveType primitive)
         : proxy(p),
-          mesh(get_primitive_kind(primitive).mesh == ProxyMesh::icosahedron ? kIcosahedron : kRectangle),
+          mesh(get_primitive_properties(primitive).mesh == ProxyMesh::icosahedron ? kIcosahedron
+                                                                                  : kRectangle),
           proxies(device, "diff/accel/proxies",
                   {{SpecialisationConstantId::BOXES, proxy == ProxyShape::boxes ? 1u : 0u},
                    {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),

@@ -142,7 +142,7 @@ void BackwardPass::record_backward_pass(Stream& stream, DeviceScene& scene,
     }
     relidar::run(stream, impl_->trace, count_trace_threads(batch.rays), params);
     if (impl_->gather) impl_->gather->sum_hit_gradients(stream, params);
-    scene.record_surfel_record_backpropagation(
+    scene.record_activation_backpropagation(
         stream, model, view_origin_m,
         {.d_records = &gradients.records,
          .d_surfels = &gradients.surfels,

@@ -21,7 +21,7 @@ struct BlockTable {
     std::vector<std::uint32_t> first;  ///< [instances + 1] first block of each instance
 };
 
-BlockTable make_surfel_block_table(const DeviceScene& scene) {
+BlockTable split_instances_into_surfel_blocks(const DeviceScene& scene) {
     const Scene& layout = scene.get_scene_layout();
     BlockTable table;
     std::vector<bool> viewed(layout.models.size(), false);
@@ -42,7 +42,7 @@ BlockTable make_surfel_block_table(const DeviceScene& scene) {
 }  // namespace
 
 DeviceGradients::PoseGradientSums::PoseGradientSums(Device& device, const DeviceScene& scene) {
-    const BlockTable table = make_surfel_block_table(scene);
+    const BlockTable table = split_instances_into_surfel_blocks(scene);
     blocks = Array<shared::PoseBlock>(device, table.blocks, "pose blocks");
     first_block = Array<std::uint32_t>(device, table.first, "first pose blocks");
     sums = {device, RELIDAR_POSE_SUMS * table.blocks.size(), "pose sums"};

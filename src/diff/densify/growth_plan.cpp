@@ -7,7 +7,7 @@
 
 namespace relidar {
 
-std::uint32_t GrowthPlan::count_copies_of_first_surfels(std::uint64_t cumulative_weight) const {
+std::uint32_t GrowthPlan::count_copies_up_to_cumulative_weight(std::uint64_t cumulative_weight) const {
     return total_weight == 0 ? 0u
                              : static_cast<std::uint32_t>((cumulative_weight * n_new + phase) / total_weight);
 }
@@ -19,8 +19,8 @@ std::vector<SurfelModel> GrowthPlan::assign_new_surfel_ranges(
     for (std::size_t i = 0; i < models.size(); ++i) {
         const std::uint64_t above = weight + counts[i][RELIDAR_DENSIFY_WEIGHT];
         models[i].first = next;
-        models[i].count = counts[i][RELIDAR_DENSIFY_KEPT] + count_copies_of_first_surfels(above) -
-                          count_copies_of_first_surfels(weight);
+        models[i].count = counts[i][RELIDAR_DENSIFY_KEPT] + count_copies_up_to_cumulative_weight(above) -
+                          count_copies_up_to_cumulative_weight(weight);
         next += models[i].count;
         weight = above;
     }

@@ -30,7 +30,7 @@ struct GrowthPlan {
     /// floor((cumulative_weight * n_new + phase) / total_weight), with a random `phase`
     /// below total_weight. Kernel diff/densify/allot must use the same formula.
     /// @param cumulative_weight sum of the weights of the first k surfels
-    std::uint32_t count_copies_of_first_surfels(std::uint64_t cumulative_weight) const;
+    std::uint32_t count_copies_up_to_cumulative_weight(std::uint64_t cumulative_weight) const;
     /// Returns the models with their surfel ranges after surfels were added and removed.
     std::vector<SurfelModel> assign_new_surfel_ranges(std::vector<SurfelModel> models,
                                                       const std::vector<ModelDensifyCounters>& counts) const;

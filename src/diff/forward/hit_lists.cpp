@@ -28,7 +28,7 @@ Kernel<shared::SortHitsParams> make_hit_sort_kernel(Device& device) {
 
 }  // namespace
 
-std::uint32_t compute_max_hits_per_list(const Device& device) {
+std::uint32_t compute_max_hits_per_ray_list(const Device& device) {
     return std::min<std::uint32_t>(
         RELIDAR_MOST_ROOM, RELIDAR_MOST_HELD * static_cast<std::uint32_t>(device.info().subgroup_size));
 }
@@ -39,7 +39,7 @@ HitListTracer::HitListTracer(Device& device, const KernelVariant& variant,
       append_(device, "diff/forward/append", variant, constants),
       blend_(device, "diff/forward/blend", constants),
       sort_(make_hit_sort_kernel(device)),
-      max_hits_per_list_(compute_max_hits_per_list(device)),
+      max_hits_per_list_(compute_max_hits_per_ray_list(device)),
       hits_per_list_(std::min(static_cast<std::uint32_t>(initial_hits_per_list), max_hits_per_list_)),
       n_overflows_(device, std::vector<std::uint32_t>{0u},
                    "number of rays with more hits than a hit list can store"),

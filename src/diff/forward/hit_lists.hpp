@@ -22,7 +22,7 @@ inline bool should_use_hit_lists(const Device& device, const TraceOptions& optio
 
 /// Returns the maximum number of hits in a list. A single subgroup of the device can sort
 /// at most this many hits.
-std::uint32_t compute_max_hits_per_list(const Device& device);
+std::uint32_t compute_max_hits_per_ray_list(const Device& device);
 
 class HitListTracer {
 public:

@@ -97,12 +97,12 @@ void Renderer::wait_for_device() noexcept {
     impl_->device.impl().wait_until_device_idle();
 }
 
-void Renderer::record_view_preparation(const std::vector<InstancePose>& instance_poses,
-                                       const glm::vec3& view_origin_m) {
+void Renderer::record_scene_update_for_view(const std::vector<InstancePose>& instance_poses,
+                                            const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
     r.view_origin_m = view_origin_m;
     r.scene.record_upload_of_instance_poses(r.stream, instance_poses);  // Eq. 4-5 of the paper
-    r.scene.record_surfel_record_computation(r.stream, r.model, view_origin_m);
+    r.scene.record_activation_of_surfel_parameters(r.stream, r.model, view_origin_m);
     r.accel->record_bvh_refit_or_build(r.stream, r.scene);
     r.placed = true;
 }
@@ -110,12 +110,12 @@ void Renderer::record_view_preparation(const std::vector<InstancePose>& instance
 void Renderer::record_instance_poses_and_view(const std::vector<InstancePose>& instance_poses,
                                               const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
-    if (!r.placed) return record_view_preparation(instance_poses, view_origin_m);
+    if (!r.placed) return record_scene_update_for_view(instance_poses, view_origin_m);
     r.view_origin_m = view_origin_m;
     const bool bends = r.scene.would_change_gait_phases(instance_poses);
     r.scene.record_upload_of_instance_poses(r.stream, instance_poses);
     if (bends || r.model.sh_direction == ShDirection::surfel)
-        r.scene.record_surfel_record_computation(r.stream, r.model, view_origin_m);
+        r.scene.record_activation_of_surfel_parameters(r.stream, r.model, view_origin_m);
     if (bends) r.accel->record_refit_of_animated_actor_bvhs(r.stream, r.scene);
     else r.accel->record_top_level_bvh_update(r.stream, r.scene);
 }

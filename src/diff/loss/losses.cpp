@@ -7,7 +7,7 @@
 namespace relidar {
 namespace {
 
-constexpr bool are_loss_terms_in_order() {
+constexpr bool are_loss_terms_sorted_by_index() {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) index,
     const std::size_t indices[] = {RELIDAR_LOSS_TERMS(RELIDAR_TERM)};
 #undef RELIDAR_TERM
@@ -16,7 +16,7 @@ constexpr bool are_loss_terms_in_order() {
         if (index != next++) return false;
     return true;
 }
-static_assert(are_loss_terms_in_order(),
+static_assert(are_loss_terms_sorted_by_index(),
               "RELIDAR_LOSS_TERMS must list the terms with the indices 0, 1, 2, ... in this order");
 
 }  // namespace

@@ -27,7 +27,7 @@ std::uint32_t count_partial_sums_per_weight(const ImageBatchSize& grid, std::siz
     return std::uint32_t(std::clamp<std::size_t>(divide_rounding_up(lines, kLinesOfPart), 1, most));
 }
 
-std::uint32_t require_supported_taps(const Device& device, std::uint32_t kernel_taps) {
+std::uint32_t require_supported_convolution_taps(const Device& device, std::uint32_t kernel_taps) {
     RELIDAR_ASSERT_EQ(kernel_taps == 1 || kernel_taps == 9, true);
     const DeviceInfo& info = device.info();
     const std::string missing = list_missing_neural_network_features(device);
@@ -69,7 +69,7 @@ Kernel<shared::ConvWeightsParams> make_weight_gradient_kernel(Device& device, st
 }  // namespace
 
 ConvolutionKernels::ConvolutionKernels(Device& device, std::uint32_t taps)
-    : taps_(require_supported_taps(device, taps)),
+    : taps_(require_supported_convolution_taps(device, taps)),
       pixels_(choose_pixels_per_lane(device)),
       lanes_(get_lanes_per_subgroup(device)),
       conv_(make_conv_kernel(device, taps)),

@@ -65,7 +65,7 @@ Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options,
 Adam::~Adam() = default;
 SurfelArrays& Adam::get_first_moments() { return impl_->moment1; }
 SurfelArrays& Adam::get_second_moments() { return impl_->moment2; }
-Array<float>& Adam::get_max_log_scales() { return impl_->max_log_scale; }
+Array<float>& Adam::get_upper_bounds_of_log_scales() { return impl_->max_log_scale; }
 
 void Adam::set_max_log_scale_of_each_surfel(Device& device, const std::vector<float>& max_log_scales) {
     impl_->max_log_scale = {device, std::span<const float>(max_log_scales), "bounds of scales"};
@@ -82,7 +82,7 @@ void Adam::record_adam_step(Stream& stream, SurfelArrays& parameters, const Surf
     const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step_number)));
     const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step_number)));
     const bool listed = a.list && touched_flags;
-    if (listed) a.list->record_listing_of_touched_rows(stream, touched_flags->address(first), n_rows);
+    if (listed) a.list->record_compaction_of_touched_rows(stream, touched_flags->address(first), n_rows);
     const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
     const ConcurrentLaunchScope groups(stream);  // launches may overlap, because the groups are independent
     for (const SurfelParameterGroup& group : list_parameter_groups(parameters.get_parameter_set())) {

@@ -39,7 +39,7 @@ Surfels make_surfel_ring() {
     return surfels;
 }
 
-WorldRays make_rays_from_origin() {
+WorldRays make_test_rays_from_origin() {
     WorldRays rays;
     for (int i = 0; i < kRays; ++i) {
         const float angle = 6.2831853f * float(i) / kRays, up = 0.1f * float(i % 5 - 2);
@@ -51,25 +51,25 @@ WorldRays make_rays_from_origin() {
 
 /// Renders a ring of surfels around the sensor. If `tree_state` is `refitted`, moves the
 /// surfels by 0.2 m after the tree was built, so that the tree is refitted.
-RenderedRayValues render_surfel_ring(Device& device, const AccelOptions& accel_options,
-                                     AccelTreeState tree_state) {
+RenderedRayValues render_test_ring_of_surfels(Device& device, const AccelOptions& accel_options,
+                                              AccelTreeState tree_state) {
     Surfels surfels = make_surfel_ring();
     Renderer renderer(device, make_background_scene(surfels), {}, {.accel = accel_options});
-    renderer.record_view_preparation(glm::vec3(0.0f));
+    renderer.record_scene_update_for_view(glm::vec3(0.0f));
     if (tree_state == AccelTreeState::refitted) {
         for (std::size_t i = 0; i < surfels.mean.size(); ++i) surfels.mean[i].z += i % 2 == 0 ? 0.2f : -0.2f;
         renderer.stream().submit_and_wait();
         renderer.upload_surfels(surfels);
-        renderer.record_view_preparation(glm::vec3(0.0f));
+        renderer.record_scene_update_for_view(glm::vec3(0.0f));
     }
-    return renderer.render_rays(make_rays_from_origin());
+    return renderer.render_rays(make_test_rays_from_origin());
 }
 
 /// Returns the largest subgroup size that gives correct results. Does not test the
 /// driver's default size again.
-/// @param default_size_error description of the wrong result with the default size
-int find_working_subgroup_size(const DeviceOptions& options, const Device& device,
-                               const std::string& default_size_error) {
+/// @param error_with_default_size description of the wrong result with the default size
+int find_fallback_subgroup_size(const DeviceOptions& options, const Device& device,
+                                const std::string& error_with_default_size) {
     const std::vector<int> sizes = list_requestable_subgroup_sizes(device);
     for (auto lanes = sizes.rbegin(); lanes != sizes.rend(); ++lanes) {
         if (*lanes == device.info().subgroup_size) continue;
@@ -80,7 +80,7 @@ int find_working_subgroup_size(const DeviceOptions& options, const Device& devic
     throw DeviceError(fmt::format(
         "cannot use the device {} (driver {}): it gives wrong results with subgroups of {} lanes ({}) and "
         "with every other size of subgroups; update the driver or use another device",
-        device.info().name, device.info().driver, device.info().subgroup_size, default_size_error));
+        device.info().name, device.info().driver, device.info().subgroup_size, error_with_default_size));
 }
 
 }  // namespace
@@ -91,9 +91,9 @@ int count_wrongly_traced_rays(Device& device, AccelTreeState tree_state) {
     if (gpu::is_fault_injected("ray_query") &&
         device.get_ray_tracing_backend() == RayTracingBackend::ray_query)
         accel.margin_scale = 0.3f;
-    const RenderedRayValues actual = render_surfel_ring(device, accel, tree_state);
+    const RenderedRayValues actual = render_test_ring_of_surfels(device, accel, tree_state);
     const ForcedBehaviourScope forced(device, {.brute_force = true});
-    const RenderedRayValues expected = render_surfel_ring(device, {}, tree_state);
+    const RenderedRayValues expected = render_test_ring_of_surfels(device, {}, tree_state);
     int n_wrong = 0;
     for (std::size_t i = 0; i < kRays; ++i)
         n_wrong += actual.hits[i] != expected.hits[i] ||
@@ -111,7 +111,7 @@ DeviceTestResults test_device_capabilities(const DeviceOptions& options) {
     // Only the kernels of the software ray tracer use subgroup operations.
     if (device.info().software)
         if (const std::string wrong = test_subgroups_and_describe_error(device); !wrong.empty())
-            trust.subgroup_size = find_working_subgroup_size(options, device, wrong);
+            trust.subgroup_size = find_fallback_subgroup_size(options, device, wrong);
     if (device.get_ray_tracing_backend() != RayTracingBackend::ray_query) return trust;
     int n_wrong = 0;
     if (trust.subgroup_size == 0) {

@@ -30,7 +30,7 @@ CollectedHits collect_ray_hits(Device& device, const PosedScene& posed_scene, co
     const Array<std::uint32_t, shared::HitInstances> instance(device, n * max_hits_per_ray, "hit instances");
     const Array<std::uint32_t, shared::HitSurfels> surfel(device, n * max_hits_per_ray, "hit surfels");
     const Array<float, shared::HitDistances> t(device, n * max_hits_per_ray, "hit distances");
-    on_device.record_surfel_record_computation(stream, posed_scene.model, glm::vec3(0.0f));
+    on_device.record_activation_of_surfel_parameters(stream, posed_scene.model, glm::vec3(0.0f));
     accel.record_bvh_refit_or_build(stream, on_device);
     run(stream, kernel, n,
         {.scene =

@@ -70,7 +70,8 @@ inline KernelVariant get_traversal_kernel_variant(const Device& device) {
 /// Returns the specialisation constant TOGETHER. 0: each ray traverses the tree
 /// separately (default on GPUs). 1: the rays of a subgroup traverse the tree together. 2
 /// (CPU only): these rays also load each surfel together.
-inline std::uint32_t get_joint_traversal_constant(const Device& device, const TraceOptions& options) {
+inline std::uint32_t get_subgroup_traversal_specialisation_value(const Device& device,
+                                                                 const TraceOptions& options) {
     const bool is_cpu = device.info().type == "CPU";
     if (options.traversal_mode == BvhTraversalMode::automatic
             ? !is_cpu
@@ -83,15 +84,16 @@ inline std::uint32_t get_joint_traversal_constant(const Device& device, const Tr
 inline std::vector<SpecialisationConstant> make_trace_kernel_constants(const Device& device, ProxyShape proxy,
                                                                        const TraceOptions& options,
                                                                        const ImageFormationModel& model) {
-    return {{SpecialisationConstantId::CHUNK, static_cast<std::uint32_t>(options.chunk)},
-            {SpecialisationConstantId::BOXES, proxy == ProxyShape::boxes ? 1u : 0u},
-            {SpecialisationConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
-            {SpecialisationConstantId::TOGETHER, get_joint_traversal_constant(device, options)},
-            {SpecialisationConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
-            {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
-            {SpecialisationConstantId::NORMAL, options.normals ? 1u : 0u},
-            {SpecialisationConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
-            {SpecialisationConstantId::MODE, options.mode_gap_m ? 1u : 0u}};
+    return {
+        {SpecialisationConstantId::CHUNK, static_cast<std::uint32_t>(options.chunk)},
+        {SpecialisationConstantId::BOXES, proxy == ProxyShape::boxes ? 1u : 0u},
+        {SpecialisationConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
+        {SpecialisationConstantId::TOGETHER, get_subgroup_traversal_specialisation_value(device, options)},
+        {SpecialisationConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
+        {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
+        {SpecialisationConstantId::NORMAL, options.normals ? 1u : 0u},
+        {SpecialisationConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
+        {SpecialisationConstantId::MODE, options.mode_gap_m ? 1u : 0u}};
 }
 
 }  // namespace relidar

@@ -150,7 +150,7 @@ void require_matching_scan_array_sizes(const Scan& scan, const std::string& erro
 
 /// Returns the name of the invalid field of a return: "range_m" or "intensity". Returns
 /// null if range and intensity are valid.
-const char* get_invalid_return_field_or_null(float range_m, float intensity) {
+const char* find_name_of_invalid_return_field(float range_m, float intensity) {
     if (!(range_m >= 0.0f && range_m <= kFarthest_m)) return "range_m";
     if (!(intensity >= 0.0f && intensity <= (range_m > 0.0f ? 1.0f : 0.0f))) return "intensity";
     return nullptr;
@@ -180,12 +180,12 @@ void require_valid_scan(const Scan& scan, std::size_t n_beams, const std::string
             !(angle >= 0.0 && angle <= kWidestBeam_rad))
             fail(ray("divergence"), fmt::format("{}", angle),
                  fmt::format("a beam divergence from 0 to {} rad", kWidestBeam_rad));
-        if (const char* field = get_invalid_return_field_or_null(scan.range_m[i], scan.intensity[i]))
+        if (const char* field = find_name_of_invalid_return_field(scan.range_m[i], scan.intensity[i]))
             fail(ray(field),
                  fmt::format("a range of {} m and an intensity of {}", scan.range_m[i], scan.intensity[i]),
                  "a range above 0 m and an intensity from 0 to 1, or both 0 for a dropped ray");
         for (const AdditionalReturns& f : scan.second_returns)
-            if (get_invalid_return_field_or_null(f.range_m[i], f.intensity[i]) ||
+            if (find_name_of_invalid_return_field(f.range_m[i], f.intensity[i]) ||
                 (scan.range_m[i] == 0.0f && f.range_m[i] != 0.0f))
                 fail(ray("second return"),
                      fmt::format("a range of {} m and an intensity of {} for the second return, and a range "

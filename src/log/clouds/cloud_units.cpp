@@ -34,7 +34,7 @@ std::vector<TimeRange> list_point_time_ranges(const std::vector<folder::PointTab
     for (std::size_t c = 0; c < clouds.size(); ++c) {
         TimeRange range{INFINITY, -INFINITY, cloud_stamps_s[c]};
         if (const folder::PointFieldView* times = clouds[c].find_field(folder::PointAttribute::time))
-            times->visit_with_value_reader([&](const auto& time_at) {
+            times->call_with_value_reader([&](const auto& time_at) {
                 for (std::size_t i = 0; i < clouds[c].n; ++i)
                     if (const auto t = double(time_at(i)); std::isfinite(t)) {
                         range.first = std::min(range.first, t);

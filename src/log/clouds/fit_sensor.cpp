@@ -110,7 +110,7 @@ int estimate_column_count(const LidarPoints& scan, const RingPointLists& rings) 
 
 /// Returns S_r(N), the sum of exp(i N azimuth) over the points of ring r, for each ring.
 /// |S_r| is large if the azimuths are on a grid of N columns.
-std::vector<std::complex<double>> compute_azimuth_phase_sums(const RingPointLists& rings, int n_columns) {
+std::vector<std::complex<double>> sum_azimuth_phases_per_ring(const RingPointLists& rings, int n_columns) {
     std::vector<std::complex<double>> sums;
     for (const RingPoints& ring : rings) {
         std::complex<double> sum = 0.0;
@@ -123,7 +123,7 @@ std::vector<std::complex<double>> compute_azimuth_phase_sums(const RingPointList
 /// Tests consecutive numbers of columns, starting with `first_column_count`. Returns for
 /// each number how well the azimuths in each ring fit a grid of so many columns. For a
 /// perfect fit, the value is the number of points.
-std::vector<double> compute_coherence_of_column_counts(const RingPointLists& rings, int first_column_count,
+std::vector<double> compute_fit_score_per_column_count(const RingPointLists& rings, int first_column_count,
                                                        std::size_t n_counts_to_try) {
     std::vector<double> lengths(n_counts_to_try, 0.0);
     for (const RingPoints& ring : rings) {
@@ -155,7 +155,7 @@ FiringColumnGrid estimate_columns_and_ring_offsets(const LidarPoints& scan, cons
     const int reach = std::max(1, int(kColumnSearchMargin * lattice.columns)),
               first = std::max(1, lattice.columns - reach);
     const std::vector<double> lengths =
-        compute_coherence_of_column_counts(rings, first, std::size_t(lattice.columns + reach + 1 - first));
+        compute_fit_score_per_column_count(rings, first, std::size_t(lattice.columns + reach + 1 - first));
     const auto best = std::ranges::max_element(lengths);
     if (*best <= kCoherent * double(scan.size())) {
         // A ring has at most one first return per column, so there are at least as many
@@ -167,7 +167,7 @@ FiringColumnGrid estimate_columns_and_ring_offsets(const LidarPoints& scan, cons
         return lattice;
     }
     lattice.columns = first + int(best - lengths.begin());
-    const std::vector<std::complex<double>> sums = compute_azimuth_phase_sums(rings, lattice.columns);
+    const std::vector<std::complex<double>> sums = sum_azimuth_phases_per_ring(rings, lattice.columns);
     const std::complex<double> common = std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));
     for (std::size_t r = 0; r < rings.size(); ++r)
         lattice.offset_rad[r] =

@@ -88,11 +88,11 @@ SequenceHeader read_log_description(const std::filesystem::path& log_folder, dou
 /// Poses with times are interpolated at the times of the frames. If the vehicle then does
 /// not drive forward, other meanings of the numbers are tested, such as another order of
 /// the quaternion.
-/// @param read_scan_pairs_or_null  reads pairs of scans that confirm a meaning; may be
-/// null
+/// @param read_scan_pairs_for_pose_check  reads pairs of scans that confirm a meaning;
+/// may be null
 std::optional<std::vector<Pose>> read_frame_poses(const std::filesystem::path& pose_file,
                                                   const std::vector<SequenceHeaderFrame>& frames,
-                                                  const OverlapScanPairReader& read_scan_pairs_or_null,
+                                                  const OverlapScanPairReader& read_scan_pairs_for_pose_check,
                                                   std::vector<std::string>& notes);
 
 /// Reads labelled boxes from boxes.json. Returns no boxes if the file does not exist.

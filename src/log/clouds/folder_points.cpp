@@ -52,7 +52,7 @@ std::vector<char> flag_no_return_points(const PointTable& table, const std::vect
     std::vector<char> marked;
     if (!ranges) return marked;
     marked.resize(table.n);
-    ranges->visit_with_value_reader([&](const auto& range_at) {
+    ranges->call_with_value_reader([&](const auto& range_at) {
         for (std::size_t i = 0; i < table.n; ++i) marked[i] = !is_valid_return_range(double(range_at(i)));
     });
     if (!do_ranges_match_point_distances(*ranges, points, marked)) marked.clear();
@@ -66,7 +66,7 @@ std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> select_return_poin
     const PointFileUnits& units) {
     std::vector<glm::vec3> all(table.n);
     for (int axis = 0; axis < 3; ++axis)
-        xyz_fields[std::size_t(axis)]->visit_with_value_reader([&](const auto& value_at) {
+        xyz_fields[std::size_t(axis)]->call_with_value_reader([&](const auto& value_at) {
             for (std::size_t i = 0; i < table.n; ++i) all[i][axis] = float(value_at(i));
         });
     const std::vector<char> marked = flag_no_return_points(table, all);
@@ -91,7 +91,7 @@ struct PointFieldConverter {
     template <class OfValue, class Set>
     void convert_each_value(const PointFieldView& field, const OfValue& convert_value,
                             const Set& store_value) const {
-        field.visit_with_value_reader([&](const auto& value_at) {
+        field.call_with_value_reader([&](const auto& value_at) {
             std::size_t k = 0;
             try {
                 for (; k < selected_indices.size(); ++k)
@@ -117,7 +117,7 @@ struct PointFieldConverter {
 /// otherwise 0. Every file has first returns, so this is the smallest number.
 double find_number_used_for_first_returns(const PointFieldView& return_numbers, std::size_t n_points) {
     double least = return_numbers[0];
-    return_numbers.visit_with_value_reader([&](const auto& number_at) {
+    return_numbers.call_with_value_reader([&](const auto& number_at) {
         for (std::size_t i = 1; i < n_points; ++i)
             if (const auto value = double(number_at(i)); value < least) least = value;
     });

@@ -85,7 +85,7 @@ public:
     }
     LidarPoints read_points_of_frame(std::size_t frame_index) const override {
         const PointTable table = read_point_file(files_[frame_index], head_.units.columns);
-        require_header_to_declare_deskewing(table.is_deskewed, head_, get_frame_name(frame_index));
+        require_deskewing_declared_in_header(table.is_deskewed, head_, get_frame_name(frame_index));
         return convert_table_to_points(table, head_.units, sequence_.frames[frame_index].time_s,
                                        get_frame_name(frame_index));
     }
@@ -127,7 +127,7 @@ public:
             if (sensor.name.empty()) sensor.name = sequence_.name;
             // Files store either points or rays. A LiDAR with rays needs only a sweep
             // period. If its beams are unknown, it is treated as not rotating (period 0).
-            if (!with_points.empty()) choose_point_conversion_of_lidar(l, with_points);
+            if (!with_points.empty()) choose_scan_conversion_plan_of_lidar(l, with_points);
             else if (!head_.lidars[l].has_beams) sensor.period_s = 0.0;
             else if (sensor.period_s == 0.0) sensor.period_s = get_or_estimate_sweep_duration_s(l);
         }
@@ -261,8 +261,8 @@ private:
                                       span_s, *frame_step_s));
     }
 
-    void choose_point_conversion_of_lidar(std::size_t lidar_index,
-                                          const std::vector<std::size_t>& frame_indices) {
+    void choose_scan_conversion_plan_of_lidar(std::size_t lidar_index,
+                                              const std::vector<std::size_t>& frame_indices) {
         ScanConversionPlan& plan = plans_[lidar_index];
         std::vector<LidarPoints> samples;
         std::vector<std::size_t> of_sample;  // frame of each sample

@@ -26,7 +26,7 @@ constexpr std::size_t kLooks = 1024;  // maximum number of points that are teste
 
 template <class Use>
 void for_each_value(const PointFieldView& field, std::size_t count, const Use& visit_value) {
-    field.visit_with_value_reader([&](const auto& value_at) {
+    field.call_with_value_reader([&](const auto& value_at) {
         for (std::size_t i = 0; i < count; ++i) visit_value(double(value_at(i)));
     });
 }

@@ -53,38 +53,38 @@ public:
     PointFieldView(ScalarType type, const char* first, std::size_t step)
         : first_(first), step_(step), type_(type) {}
 
-    /// Calls visitor(value_at). The function value_at(i) returns the value of this field
+    /// Calls callback(value_at). The function value_at(i) returns the value of this field
     /// for point i, in the number type of the file, for example float.
-    template <class Use>
-    void visit_with_value_reader(const Use& visitor) const {
+    template <class Callback>
+    void call_with_value_reader(const Callback& callback) const {
         switch (type_) {
             case ScalarType::f4:
-                return visitor(make_value_reader<float>());
+                return callback(make_value_reader<float>());
             case ScalarType::f8:
-                return visitor(make_value_reader<double>());
+                return callback(make_value_reader<double>());
             case ScalarType::i1:
-                return visitor(make_value_reader<std::int8_t>());
+                return callback(make_value_reader<std::int8_t>());
             case ScalarType::i2:
-                return visitor(make_value_reader<std::int16_t>());
+                return callback(make_value_reader<std::int16_t>());
             case ScalarType::i4:
-                return visitor(make_value_reader<std::int32_t>());
+                return callback(make_value_reader<std::int32_t>());
             case ScalarType::i8:
-                return visitor(make_value_reader<std::int64_t>());
+                return callback(make_value_reader<std::int64_t>());
             case ScalarType::u1:
-                return visitor(make_value_reader<std::uint8_t>());
+                return callback(make_value_reader<std::uint8_t>());
             case ScalarType::u2:
-                return visitor(make_value_reader<std::uint16_t>());
+                return callback(make_value_reader<std::uint16_t>());
             case ScalarType::u4:
-                return visitor(make_value_reader<std::uint32_t>());
+                return callback(make_value_reader<std::uint32_t>());
             case ScalarType::u8:
-                return visitor(make_value_reader<std::uint64_t>());
+                return callback(make_value_reader<std::uint64_t>());
         }
     }
     /// Returns the value of one point. To read many values, use
-    /// visit_with_value_reader(), which is faster.
+    /// call_with_value_reader(), which is faster.
     double operator[](std::size_t index) const {
         double value = 0.0;
-        visit_with_value_reader([&](const auto& value_at) { value = double(value_at(index)); });
+        call_with_value_reader([&](const auto& value_at) { value = double(value_at(index)); });
         return value;
     }
 

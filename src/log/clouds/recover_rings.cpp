@@ -38,7 +38,7 @@ double compute_elevation(const glm::dvec3& vector) {
 /// Returns elevations of points in ascending order. Uses only the farther half of the
 /// points in each degree of elevation. Near points are less accurate, because beams start
 /// beside the sensor origin.
-std::vector<double> collect_sorted_far_elevations(const std::vector<LidarPoints>& scans) {
+std::vector<double> collect_sorted_elevations_of_far_points(const std::vector<LidarPoints>& scans) {
     struct PointRangeElevation {
         float range_m;
         double elevation_rad;
@@ -87,8 +87,8 @@ std::vector<RingBand> group_filled_elevation_bins(const std::vector<int>& points
 /// bands. Stray points do not have such regular distances.
 /// @param candidate_bands  groups of all bins with points, in the order of the search
 /// @param strong_bands  bands with enough points, in the same order
-std::vector<RingBand> add_weak_bands(const std::vector<RingBand>& candidate_bands,
-                                     const std::vector<RingBand>& strong_bands) {
+std::vector<RingBand> add_regularly_spaced_weak_bands(const std::vector<RingBand>& candidate_bands,
+                                                      const std::vector<RingBand>& strong_bands) {
     constexpr double kNearest = 0.75, kFarthest = 1.35;  // distances, relative to the usual distance
     constexpr int kWidestWeak = 2;
     std::vector<RingBand> complete;
@@ -133,7 +133,7 @@ std::vector<RingBand> find_elevation_bands(const std::vector<double>& sorted_ele
     std::vector<RingBand> groups = group_filled_elevation_bins(count, 1.0),
                           bands = group_filled_elevation_bins(count, least);
     for (int pass = 0; pass < 2; ++pass) {  // upward, then downward
-        bands = add_weak_bands(groups, bands);
+        bands = add_regularly_spaced_weak_bands(groups, bands);
         std::ranges::reverse(groups);
         std::ranges::reverse(bands);
     }
@@ -150,7 +150,7 @@ std::vector<RingBand> find_elevation_bands(const std::vector<double>& sorted_ele
 }  // namespace
 
 std::vector<Beam> estimate_beams(const std::vector<LidarPoints>& scans) {
-    const std::vector<RingBand> bands = find_elevation_bands(collect_sorted_far_elevations(scans));
+    const std::vector<RingBand> bands = find_elevation_bands(collect_sorted_elevations_of_far_points(scans));
     if (bands.size() < kFewestBands) return {};
     // Every band must be narrow compared with its distance from the next band.
     for (std::size_t i = 0; i + 1 < bands.size(); ++i) {

@@ -72,7 +72,7 @@ std::vector<NamedArray> convert_channels_to_arrays(const ExrImage& image, const 
 
 /// If the beams of a LiDAR are unknown, sets them from the sensor name in the image.
 /// Accepts only built-in sensors. Otherwise an image could make relidar read any file.
-Lidar set_sensor_named_in_image_if_unknown(Lidar lidar, const ExrImage& image) {
+Lidar fill_missing_sensor_from_image(Lidar lidar, const ExrImage& image) {
     const auto note = image.notes.find("sensor");
     if (note == image.notes.end() || !lidar.sensor.beams.empty() || lidar.pattern) return lidar;
     if (!find_built_in_sensor(note->second.substr(0, note->second.rfind(':')))) return lidar;
@@ -90,7 +90,7 @@ Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& im
     std::vector<NamedArray> arrays = convert_channels_to_arrays(image, where);
     if (find_array(arrays, "directions"))
         return make_scan_from_arrays(where, std::move(arrays), image_context);
-    const Lidar lidar = set_sensor_named_in_image_if_unknown(image_context.lidar, image);
+    const Lidar lidar = fill_missing_sensor_from_image(image_context.lidar, image);
     return make_scan_from_arrays(where, std::move(arrays),
                                  {image_context.head, image_context.of_head, lidar, image_context.time_s});
 }

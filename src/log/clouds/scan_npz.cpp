@@ -74,7 +74,7 @@ public:
     std::string format_ray_location(const char* array_name, std::size_t ray_index) const {
         return fmt::format("{}: {} of ray {}", where_, array_name, ray_index);
     }
-    const std::string& get_location() const { return where_; }
+    const std::string& get_error_location() const { return where_; }
 
 private:
     std::string where_;
@@ -126,18 +126,19 @@ std::vector<SurfaceClass> read_ray_classes(const ScanNpzArrays& arrays, const st
 
 /// Returns the rays of the LiDAR's sensor model, for a range image without ray
 /// directions. Throws if the image and the model differ in size.
-RayTable make_sensor_rays_of_array_shape(const ScanNpzArrays& arrays, const ScanImageContext& image_context) {
+RayTable make_sensor_rays_matching_scan_arrays(const ScanNpzArrays& arrays,
+                                               const ScanImageContext& image_context) {
     RayTable rays = make_nominal_rays(image_context.lidar, image_context.time_s);
     if (rays.size() == 0)
         throw DataError(fmt::format(
             "{}: the array of ray directions is missing; add it, or set the sensor of the LiDAR in "
             "sequence.json",
-            arrays.get_location()));
+            arrays.get_error_location()));
     if (std::size_t(rays.rows) != arrays.rows || std::size_t(rays.columns) != arrays.columns)
         throw DataError(
             fmt::format("{}: the array range has {} x {} values, expected {} x {} values (beams x columns of "
                         "the sensor of the LiDAR), because the array of ray directions is missing",
-                        arrays.get_location(), arrays.rows, arrays.columns, rays.rows, rays.columns));
+                        arrays.get_error_location(), arrays.rows, arrays.columns, rays.rows, rays.columns));
     return rays;
 }
 
@@ -197,9 +198,9 @@ RayTable make_rays_from_stored_directions(const ScanNpzArrays& arrays) {
 
 }  // namespace
 
-void require_header_to_declare_deskewing(bool is_deskewed, const SequenceHeader& sequence_header,
-                                         const std::string& error_location) {
-    if (is_deskewed && !sequence_header.motion_compensated)
+void require_deskewing_declared_in_header(bool are_points_deskewed, const SequenceHeader& sequence_header,
+                                          const std::string& error_location) {
+    if (are_points_deskewed && !sequence_header.motion_compensated)
         throw DataError(
             fmt::format("{}: the points are motion-compensated or in the world frame, but sequence.json does "
                         "not say so; set \"motion_compensated\": true in sequence.json, or render the scans "
@@ -250,12 +251,12 @@ Scan make_scan_from_arrays(const std::string& error_location, std::vector<NamedA
         reverse_image_rows(stored_arrays, range->shape[0]);
     const ScanNpzArrays arrays(error_location, std::move(stored_arrays));
     const NamedArray* deskewed = arrays.find_optional_array("deskewed");
-    require_header_to_declare_deskewing(
+    require_deskewing_declared_in_header(
         deskewed && deskewed->count_array_elements() == 1 && deskewed->convert_to_floats()[0] != 0.0f, head,
-        arrays.get_location());
+        arrays.get_error_location());
     Scan scan;
     scan.rays = has_rays ? make_rays_from_stored_directions(arrays)
-                         : make_sensor_rays_of_array_shape(arrays, image_context);
+                         : make_sensor_rays_matching_scan_arrays(arrays, image_context);
     set_ray_fields_that_exist(arrays, image_context, scan.rays);
     // A rendered file contains a median and a mean range. The median is used, because the
     // mean can be between two surfaces.

@@ -44,11 +44,11 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool mo
 
 /// Throws if a scan file contains motion-compensated points, but sequence.json does not
 /// declare this.
-/// @param is_deskewed  true if the points of the scan file are motion-compensated
+/// @param are_points_deskewed  true if the points of the scan file are motion-compensated
 /// (deskewed) or in the world frame
 /// @throws DataError in this case
-void require_header_to_declare_deskewing(bool is_deskewed, const SequenceHeader& sequence_header,
-                                         const std::string& error_location);
+void require_deskewing_declared_in_header(bool are_points_deskewed, const SequenceHeader& sequence_header,
+                                          const std::string& error_location);
 
 /// Scales an intensity from a file to the range 0 to 1.
 /// @throws DataError if it is not a number, or if it is outside 0 to 1 and sequence.json

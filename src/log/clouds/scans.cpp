@@ -119,9 +119,9 @@ public:
         firing_of.reserve(points.size());
         if (points.firing.empty())
             nearest_ = find_nearest_firing_per_tick(sweep.firings, sweep.lattice.n_ticks);
-        get_or_add_image_of_return_number(0);
+        get_or_add_point_indices_of_return(0);
         for (std::size_t i = 0; i < points.size(); ++i) assign_point_to_ray(i);
-        for (std::size_t i = 0; i < points.size(); ++i) assign_far_point_if_ray_is_free(i);
+        for (std::size_t i = 0; i < points.size(); ++i) assign_far_point_to_ray_without_point(i);
     }
     std::vector<RayPointIndices> by_return;
     /// [points] index of the firing (one shot of all lasers) that measured each point;
@@ -141,7 +141,7 @@ private:
         return glm::length(points_.position_m[static_cast<std::size_t>(point_index)]);
     }
 
-    RayPointIndices& get_or_add_image_of_return_number(std::size_t return_index) {
+    RayPointIndices& get_or_add_point_indices_of_return(std::size_t return_index) {
         while (by_return.size() <= return_index)
             by_return.push_back({sweep_.firings.size(),
                                  std::vector<int>(sensor_.beams.size() * sweep_.firings.size(), kEmpty)});
@@ -162,7 +162,7 @@ private:
         const std::size_t firing =
             points_.firing.empty() ? find_nearest_firing(point_index) : points_.firing[point_index];
         firing_of.back() = static_cast<int>(firing);
-        RayPointIndices& cells = get_or_add_image_of_return_number(number);
+        RayPointIndices& cells = get_or_add_point_indices_of_return(number);
         int point = static_cast<int>(point_index);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
             // A ray (ring, firing) stores only one point. If the ray of a first return is
@@ -178,11 +178,11 @@ private:
 
     /// Assigns a point beyond the sensor's maximum range to its ray, if the ray has no
     /// point yet.
-    void assign_far_point_if_ray_is_free(std::size_t point_index) {
+    void assign_far_point_to_ray_without_point(std::size_t point_index) {
         if (!(double(compute_point_range(static_cast<int>(point_index))) > sensor_.max_range_m)) return;
         const std::size_t firing =
             points_.firing.empty() ? find_nearest_firing(point_index) : points_.firing[point_index];
-        int& point = get_or_add_image_of_return_number(get_zero_based_return_number(points_, point_index))
+        int& point = get_or_add_point_indices_of_return(get_zero_based_return_number(points_, point_index))
                          .get_point_index(points_.ring[point_index], firing);
         if (point == kEmpty) point = static_cast<int>(point_index);
     }

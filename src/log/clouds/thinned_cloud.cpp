@@ -19,7 +19,7 @@ constexpr double kShortest_rad = 1e-5, kLongest_rad = 0.2;
 /// Returns the number of regular steps / the number of all steps. A step is the azimuth
 /// difference between neighbouring points of a ring. It is regular if it is at most
 /// kRegular times the median step.
-double compute_regular_step_fraction(const LidarPoints& scan) {
+double compute_fraction_of_regular_azimuth_steps(const LidarPoints& scan) {
     std::vector<std::pair<std::uint16_t, double>> rings_and_azimuths;  // ring and azimuth
     for (std::size_t i = 0; i < scan.size(); ++i)
         rings_and_azimuths.emplace_back(
@@ -51,7 +51,7 @@ std::string explain_removed_points(const std::vector<LidarPoints>& scans,
             "the points fill only {:.0f} % of the rays of {} beams and {} columns, so "
             "points were probably removed from the cloud",
             100.0 * filled, fitted_sensor.beams.size(), fitted_sensor.columns);
-    if (const double share = compute_regular_step_fraction(*fullest); share < kFewRegular)
+    if (const double share = compute_fraction_of_regular_azimuth_steps(*fullest); share < kFewRegular)
         return fmt::format(
             "only {:.0f} % of the azimuth steps between neighbouring points are equal, so points were "
             "probably removed from the cloud",

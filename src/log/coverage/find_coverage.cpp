@@ -23,7 +23,8 @@ struct ObservedRaySegment {
 /// return. Its length is then the smaller of two ranges: the next return above and the
 /// next return below. If there is no return above, the length is max_range_m.
 /// @param ranges_m  [rows] ranges of the returns, 0 if the ray was dropped
-std::vector<double> compute_observed_lengths_m(const std::vector<double>& ranges_m, double max_range_m) {
+std::vector<double> compute_observed_ray_lengths_of_column_m(const std::vector<double>& ranges_m,
+                                                             double max_range_m) {
     const std::size_t n = ranges_m.size();
     std::vector<double> above(n, 0.0), result(n, 0.0);  // range of the nearest return above each row
     for (std::size_t row = 1; row < n; ++row)
@@ -73,7 +74,7 @@ ObservedVoxelSet compute_voxels_observed_by_frame(const LidarSequence& sequence,
     for (std::size_t column = 0; column < columns; column += step) {
         for (std::size_t row = 0; row < rows; ++row)
             range_m[row] = std::min(double(scan.range_m[row * columns + column]), max_range_m);
-        const std::vector<double> length_m = compute_observed_lengths_m(range_m, max_range_m);
+        const std::vector<double> length_m = compute_observed_ray_lengths_of_column_m(range_m, max_range_m);
         for (std::size_t row = 0; row < rows; ++row) {
             looks[row].length_m = length_m[row];
             if (!(length_m[row] > 0.0)) continue;

@@ -125,7 +125,7 @@ public:
         }
         const std::size_t tail_offset = bytes.size();
         bytes.append(product_.reserved, '\0');
-        write_operation_mode_and_sequences(bytes, packet_number);
+        write_operation_mode_and_firing_sequences(bytes, packet_number);
         const std::uint8_t mode = blocks_.has_dual_returns() ? kLastAndStrongest : kSingleReturn;
         const auto speed_rpm = std::uint16_t(std::lround(60.0 / sensor_.period_s));
         const std::int64_t time_us = (clock_ns + 500) / 1000, second_us = kSecond_ns / 1000;
@@ -149,7 +149,7 @@ private:
 
     /// Writes the operation mode of the sensor. If its lasers fire in two alternating
     /// sequences, also writes which sequence each block of the packet contains.
-    void write_operation_mode_and_sequences(std::string& bytes, std::uint32_t packet_number) const {
+    void write_operation_mode_and_firing_sequences(std::string& bytes, std::uint32_t packet_number) const {
         const PacketLayout& layout = blocks_.layout();
         bytes.back() = char(product_.operation_mode);
         if (layout.part_rule == FiringSequenceRule::mode_flag)

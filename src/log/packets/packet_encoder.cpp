@@ -61,12 +61,12 @@ struct PacketEncoder::Impl {
     double get_firing_period_s() const { return 1e-6 * format->get_firing_period_us(); }
     double get_firing_step_deg() const { return 360.0 * get_firing_period_s() / sensor.period_s; }
     std::int64_t get_firings_per_packet() const { return format->firings_per_packet(); }
-    bool has_fixed_columns() const { return format->get_fixed_columns_per_revolution() > 0; }
+    bool has_fixed_column_azimuths() const { return format->get_fixed_columns_per_revolution() > 0; }
 
-    void require_firing_period_of_product() const {
+    void require_expected_firing_period() const {
         const double step_us = 1e6 * sensor.period_s / sensor.columns;
         const double expected_us = format->get_firing_period_us() / format->get_scan_columns_per_firing();
-        if (has_fixed_columns() || std::abs(step_us / expected_us - 1.0) < kMostStepError) return;
+        if (has_fixed_column_azimuths() || std::abs(step_us / expected_us - 1.0) < kMostStepError) return;
         throw UsageError(fmt::format(
             "cannot write packets of {}: found {} columns in {} s, expected {:.0f} columns, "
             "because this sensor fires every {} us",
@@ -74,7 +74,7 @@ struct PacketEncoder::Impl {
     }
 
     /// Returns the column of a firing, for a sensor that fires at fixed azimuths.
-    std::int64_t compute_firing_column(const FiringColumn& firing) const {
+    std::int64_t compute_firing_column_index(const FiringColumn& firing) const {
         const double fractional_column =
             (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * format->get_fixed_columns_per_revolution();
         if (std::abs(fractional_column - std::round(fractional_column)) > kMostColumnError)
@@ -90,10 +90,10 @@ struct PacketEncoder::Impl {
     /// negative if `firing` is not in a later period than `anchor`.
     double count_firing_steps_between(const FiringClockAnchor& anchor, const FiringColumn& firing) const {
         const double by_time = (firing.time_s - anchor.time_s) / get_firing_period_s();
-        if (has_fixed_columns()) {
+        if (has_fixed_column_azimuths()) {
             const double n = format->get_fixed_columns_per_revolution();
             const double turned =
-                std::fmod(double(compute_firing_column(firing) - anchor.position) + n * 1e6, n);
+                std::fmod(double(compute_firing_column_index(firing) - anchor.position) + n * 1e6, n);
             return turned + n * std::round((by_time - turned) / n);
         }
         if (!options.times_jitter) return std::round(by_time);
@@ -121,7 +121,7 @@ struct PacketEncoder::Impl {
     /// firing times jump at the border between two packets. This function searches for
     /// the jumps, so that new packets begin at the same firings as the recorded packets.
     std::int64_t find_packet_slot_of_first_firing(const std::vector<FiringColumn>& firings_of_scan) const {
-        if (has_fixed_columns()) return compute_firing_column(firings_of_scan.front());
+        if (has_fixed_column_azimuths()) return compute_firing_column_index(firings_of_scan.front());
         if (!options.times_jitter) return 1;
         std::vector<int> n_jumps(std::size_t(get_firings_per_packet()), 0);
         std::int64_t firing_index = 0;
@@ -141,7 +141,7 @@ struct PacketEncoder::Impl {
     /// times in the log are uneven, because they depend on when packets were received.
     void set_firing_clock_time(FiringColumn& firing, std::int64_t firing_index) {
         firing.clock_s = firing.time_s;
-        if (!options.times_jitter || has_fixed_columns()) return;
+        if (!options.times_jitter || has_fixed_column_azimuths()) return;
         const double even_s =
             clock_start
                 ? clock_start->time_s + double(firing_index - clock_start->position) * get_firing_period_s()
@@ -155,14 +155,14 @@ struct PacketEncoder::Impl {
     void store_firing_in_packet(FiringColumn firing, std::int64_t firing_index) {
         // Sensor drivers need a firing that precedes the first revolution. If each packet
         // holds only one firing, first writes an extra packet without returns.
-        const bool needs_packet = get_firings_per_packet() == 1 && !has_fixed_columns();
+        const bool needs_packet = get_firings_per_packet() == 1 && !has_fixed_column_azimuths();
         if (pending.empty())
             start_packet(needs_packet ? firing_index - 1 : firing_index / get_firings_per_packet());
         while (packet < firing_index / get_firings_per_packet()) {
             write_pending_packet();
             // A sensor with fixed azimuths sends no packets outside its azimuth window.
             // So packet numbers are skipped. Any other sensor sends all packets.
-            start_packet(has_fixed_columns() ? firing_index / get_firings_per_packet() : packet + 1);
+            start_packet(has_fixed_column_azimuths() ? firing_index / get_firings_per_packet() : packet + 1);
         }
         pending[std::size_t(firing_index % get_firings_per_packet())] = std::move(firing);
     }
@@ -189,7 +189,7 @@ struct PacketEncoder::Impl {
         std::int64_t position =
             last ? last->position + count_firing_steps_from_last(firing) : first_firing_index;
         if (last && position == last->position) return;
-        if (has_fixed_columns()) {
+        if (has_fixed_column_azimuths()) {
             fired[std::size_t(position % format->get_fixed_columns_per_revolution())] = true;
         } else if (last) {
             // Fills gaps at the end of a revolution, where a log can omit firings without
@@ -236,8 +236,8 @@ struct PacketEncoder::Impl {
     void write_pending_packet() {
         fill_missing_firings();
         for (int k = 0; k < format->get_packets_per_firing(); ++k, ++n_written)
-            complete.push_back(
-                format->encode_packet(pending, has_fixed_columns() ? std::uint32_t(packet) : n_written));
+            complete.push_back(format->encode_packet(
+                pending, has_fixed_column_azimuths() ? std::uint32_t(packet) : n_written));
     }
 
     /// Writes the pending packet, at the end of the log or before a long gap. Then writes
@@ -246,7 +246,7 @@ struct PacketEncoder::Impl {
     void encode_final_packets() {
         if (pending.empty()) return;
         write_pending_packet();
-        if (has_fixed_columns()) return;
+        if (has_fixed_column_azimuths()) return;
         start_packet(packet + 1);
         write_pending_packet();
     }
@@ -264,7 +264,7 @@ PacketEncoder::PacketEncoder(const SpinningSensor& sensor, const PacketOptions& 
                                      sensor.name, format_packet_sensor_names()));
     impl_->offsets_us = impl_->format->get_beam_delays_us();
     impl_->fired.resize(std::size_t(impl_->format->get_fixed_columns_per_revolution()));
-    impl_->require_firing_period_of_product();
+    impl_->require_expected_firing_period();
 }
 
 PacketEncoder::~PacketEncoder() = default;

@@ -84,16 +84,17 @@ const DatasetKind& find_dataset_kind(const std::string& kind_name) {
                                  fmt::join(list_dataset_kind_names(), ", ")));
 }
 
-bool matches_dataset_marker(const fs::path& path, std::string_view file_marker) {
-    if (!file_marker.starts_with('.') && !file_marker.ends_with('*'))
-        return does_path_exist(path / file_marker);
+bool contains_file_identifying_dataset(const fs::path& path, std::string_view file_name_pattern) {
+    if (!file_name_pattern.starts_with('.') && !file_name_pattern.ends_with('*'))
+        return does_path_exist(path / file_name_pattern);
     const auto matches = [&](const fs::path& file) {
-        return file_marker.starts_with('.')
-                   ? file.filename().string().ends_with(file_marker)
-                   : file.filename().string().starts_with(file_marker.substr(0, file_marker.size() - 1));
+        return file_name_pattern.starts_with('.')
+                   ? file.filename().string().ends_with(file_name_pattern)
+                   : file.filename().string().starts_with(
+                         file_name_pattern.substr(0, file_name_pattern.size() - 1));
     };
     if (!does_path_exist(path)) return false;
-    if (!fs::is_directory(path)) return file_marker.starts_with('.') && matches(path);
+    if (!fs::is_directory(path)) return file_name_pattern.starts_with('.') && matches(path);
     const std::vector<fs::path> files = list_folder_entries(path);
     return std::any_of(files.begin(), files.end(), matches);
 }
@@ -101,7 +102,7 @@ bool matches_dataset_marker(const fs::path& path, std::string_view file_marker) 
 bool is_dataset_of_kind(const fs::path& path, const DatasetKind& kind) {
     for (std::string_view left = kind.marker; !left.empty();) {
         const std::size_t end = std::min(left.find(' '), left.size());
-        if (matches_dataset_marker(path, left.substr(0, end))) return true;
+        if (contains_file_identifying_dataset(path, left.substr(0, end))) return true;
         left.remove_prefix(std::min(end + 1, left.size()));
     }
     return false;

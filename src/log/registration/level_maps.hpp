@@ -26,10 +26,10 @@ public:
     void clear() {
         maps_.clear();
         for (int level = 0; level < kLevels; ++level)
-            maps_.emplace_back(get_round_settings_of_level(level).cell_m);
+            maps_.emplace_back(get_registration_settings_of_level(level).cell_m);
     }
     bool empty() const { return maps_.front().empty(); }
-    RegistrationRound get_round_settings_of_level(int level) const {
+    RegistrationRound get_registration_settings_of_level(int level) const {
         return interpolate_round_settings(first_, last_, level / double(kLevels - 1));
     }
     /// Adds points to the map of each cell size.

@@ -14,9 +14,9 @@
 namespace relidar {
 namespace {
 
-// Distance along the path between two key poses (selected poses of the track). Loop
-// closures connect only key poses.
-constexpr double kKey_m = 4.0;
+// Distance along the path between two keyframes (selected poses of the track). Loop
+// closures connect only keyframes.
+constexpr double kKeyframeDistance_m = 4.0;
 // Minimum path length between two passes over the same road. If the path between two
 // passes is shorter, odometry has already aligned them.
 constexpr double kApart_m = 80.0;
@@ -41,8 +41,8 @@ constexpr double kLoopStep_m = 1e-3, kLoopPrior = 1e-4;
 // of the map.
 constexpr double kLeastShare = 0.4;
 constexpr std::size_t kMinLoopClosures = 2;
-// standard deviations of odometry errors on a path of length kKey_m, which is the
-// distance between two key poses
+// standard deviations of odometry errors on a path of length kKeyframeDistance_m, which
+// is the distance between two keyframes
 constexpr double kOdometrySigma_m = 0.01, kOdometrySigma_rad = 3e-4;
 constexpr double kClosureSigma_m = 0.05, kClosureSigma_rad = 2e-3;  // standard deviations of a loop closure
 // Scale of a robust kernel. A loop closure that contradicts the other loop closures by
@@ -50,10 +50,10 @@ constexpr double kClosureSigma_m = 0.05, kClosureSigma_rad = 2e-3;  // standard 
 constexpr double kBelieved_m = 0.5;
 constexpr int kReweighted = 6;
 
-/// Loop closure: the scan at a later key pose was registered to the map of an earlier
+/// Loop closure: the scan at a later keyframe was registered to the map of an earlier
 /// pass over the same road.
 struct LoopClosure {
-    std::size_t earlier, later;  // indices of the key poses
+    std::size_t earlier, later;  // indices of the keyframes
     // correction of the later pose: translation, then rotation vector
     Twist off;
 };
@@ -67,17 +67,19 @@ public:
         for (std::size_t k = 0; k < track.pose.size(); ++k) {
             if (k > 0) driven_m += glm::distance(track.pose[k].translation, track.pose[k - 1].translation);
             path_length_m_.push_back(driven_m);
-            if (!scans[k].empty() && (keys_.empty() || driven_m >= path_length_m_[keys_.back()] + kKey_m))
-                keys_.push_back(k);
+            if (!scans[k].empty() &&
+                (keyframes_.empty() || driven_m >= path_length_m_[keyframes_.back()] + kKeyframeDistance_m))
+                keyframes_.push_back(k);
         }
     }
 
     LoopClosureResult detect_and_close_loops() {
         LoopClosureResult result{track_, 0, 0.0};
         std::optional<LoopClosure> before;
-        for (std::size_t later = 0; later < keys_.size(); ++later) {
-            if (later % 16 == 0 && !options_.proceed(double(later) / double(keys_.size()))) return result;
-            const std::optional<std::size_t> earlier = find_nearest_earlier_key_pose(later);
+        for (std::size_t later = 0; later < keyframes_.size(); ++later) {
+            if (later % 16 == 0 && !options_.proceed(double(later) / double(keyframes_.size())))
+                return result;
+            const std::optional<std::size_t> earlier = find_nearest_earlier_keyframe(later);
             if (!earlier) continue;
             if (before && before->later + 3 < later) before.reset();
             const std::optional<LoopClosure> closure = register_scan_as_loop_closure(*earlier, later, before);
@@ -94,29 +96,32 @@ private:
     const PoseTrack& track_;
     const std::vector<std::vector<SubsampledPoint>>& scans_;
     const LoopClosureOptions& options_;
-    std::vector<double> path_length_m_;  // [poses] length of the path up to each pose
-    std::vector<std::size_t> keys_;      // indices of the key poses
+    std::vector<double> path_length_m_;   // [poses] length of the path up to each pose
+    std::vector<std::size_t> keyframes_;  // indices of the keyframes
     std::vector<LoopClosure> closures_;
-    MultiScalePlaneMaps maps_;  // map around the key pose `map_of_`
+    MultiScalePlaneMaps maps_;  // map around the keyframe `map_of_`
     std::optional<std::size_t> map_of_;
 
-    const Pose& get_key_pose(std::size_t key_index) const { return track_.pose[keys_[key_index]]; }
-    double get_path_length_to_key_pose_m(std::size_t key_index) const {
-        return path_length_m_[keys_[key_index]];
+    const Pose& get_keyframe_pose(std::size_t keyframe_index) const {
+        return track_.pose[keyframes_[keyframe_index]];
+    }
+    double get_path_length_to_keyframe_m(std::size_t keyframe_index) const {
+        return path_length_m_[keyframes_[keyframe_index]];
     }
 
-    std::optional<std::size_t> find_nearest_earlier_key_pose(std::size_t later_key_index) const {
+    std::optional<std::size_t> find_nearest_earlier_keyframe(std::size_t later_keyframe_index) const {
         std::optional<std::size_t> nearest;
         double least_m = 1e30;
         for (std::size_t key = 0;
-             key < later_key_index &&
-             get_path_length_to_key_pose_m(later_key_index) - get_path_length_to_key_pose_m(key) > kApart_m;
+             key < later_keyframe_index &&
+             get_path_length_to_keyframe_m(later_keyframe_index) - get_path_length_to_keyframe_m(key) >
+                 kApart_m;
              ++key) {
-            const double distance_m =
-                glm::distance(get_key_pose(key).translation, get_key_pose(later_key_index).translation);
+            const double distance_m = glm::distance(get_keyframe_pose(key).translation,
+                                                    get_keyframe_pose(later_keyframe_index).translation);
             const double max_distance_m = std::min(
-                kLoopDistance_m + kLoopDistanceGrowth * (get_path_length_to_key_pose_m(later_key_index) -
-                                                         get_path_length_to_key_pose_m(key)),
+                kLoopDistance_m + kLoopDistanceGrowth * (get_path_length_to_keyframe_m(later_keyframe_index) -
+                                                         get_path_length_to_keyframe_m(key)),
                 kMaxLoopDistance_m);
             if (distance_m > max_distance_m || distance_m >= least_m) continue;
             least_m = distance_m;
@@ -125,28 +130,28 @@ private:
         return nearest;
     }
 
-    void build_map_around_key_pose(std::size_t centre_key_index) {
-        if (map_of_ == centre_key_index) return;
-        map_of_ = centre_key_index;
+    void build_map_around_keyframe(std::size_t centre_keyframe_index) {
+        if (map_of_ == centre_keyframe_index) return;
+        map_of_ = centre_keyframe_index;
         maps_.clear();
         std::vector<glm::dvec3> points_m;
-        for (std::size_t key = 0; key < keys_.size(); ++key) {
-            if (std::abs(get_path_length_to_key_pose_m(key) -
-                         get_path_length_to_key_pose_m(centre_key_index)) > kMap_m)
+        for (std::size_t key = 0; key < keyframes_.size(); ++key) {
+            if (std::abs(get_path_length_to_keyframe_m(key) -
+                         get_path_length_to_keyframe_m(centre_keyframe_index)) > kMap_m)
                 continue;
-            for (const SubsampledPoint& point : scans_[keys_[key]])
+            for (const SubsampledPoint& point : scans_[keyframes_[key]])
                 points_m.push_back(transform_point_to_world(track_, point).point_m);
         }
         maps_.add_points_to_maps(points_m, 0.0);
     }
 
-    /// Returns the points of the scan at key pose `key_index` (a selected pose of the
-    /// track), in the vehicle frame of this pose. Also returns the vehicle position from
-    /// which each point was measured.
-    std::vector<WorldPointWithOrigin> transform_scan_to_key_pose_frame(std::size_t key_index) const {
-        const Pose pose_from_world = inverse(get_key_pose(key_index));
+    /// Returns the points of the scan at keyframe `keyframe_index` (a selected pose of
+    /// the track), in the vehicle frame of this pose. Also returns the vehicle position
+    /// from which each point was measured.
+    std::vector<WorldPointWithOrigin> transform_scan_to_keyframe(std::size_t keyframe_index) const {
+        const Pose pose_from_world = inverse(get_keyframe_pose(keyframe_index));
         std::vector<WorldPointWithOrigin> points;
-        for (const SubsampledPoint& point : scans_[keys_[key_index]]) {
+        for (const SubsampledPoint& point : scans_[keyframes_[keyframe_index]]) {
             const WorldPointWithOrigin at = transform_point_to_world(track_, point);
             points.push_back({pose_from_world * at.point_m, pose_from_world * at.vehicle_m});
         }
@@ -194,15 +199,16 @@ private:
     /// Moves a scan by one Gauss-Newton step, so that its points move towards planes of
     /// the map.
     /// @return length of the step
-    double align_scan_by_one_step(const std::vector<WorldPointWithOrigin>& points, Pose& pose, int level,
-                                  double& fraction_on_planes) const {
-        const double scale_m = maps_.get_round_settings_of_level(level).scale_m;
+    double align_scan_by_one_step_and_get_length_m(const std::vector<WorldPointWithOrigin>& points,
+                                                   Pose& pose, int map_level,
+                                                   double& fraction_on_planes) const {
+        const double scale_m = maps_.get_registration_settings_of_level(map_level).scale_m;
         const SinglePoseEquations equations =
             parallel_sum_over_ranges(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 SinglePoseEquations part;
                 for (const WorldPointWithOrigin& point : std::span(points).subspan(begin, end - begin)) {
                     const glm::dvec3 p = pose * point.point_m;
-                    if (const LocalPlane* plane = maps_.find_finest_plane_at(p, level))
+                    if (const LocalPlane* plane = maps_.find_finest_plane_at(p, map_level))
                         part.add_plane_residual(
                             compute_plane_residual({p, pose.translation}, *plane, scale_m));
                 }
@@ -215,55 +221,57 @@ private:
         return compute_pose_change_size_m(x);
     }
 
-    double refine_pose_and_get_plane_fraction(const std::vector<WorldPointWithOrigin>& points,
-                                              Pose& pose) const {
+    double refine_pose_and_get_fraction_on_planes(const std::vector<WorldPointWithOrigin>& points,
+                                                  Pose& pose) const {
         double share = 0.0;
         for (int level = 0; level < MultiScalePlaneMaps::kLevels; ++level)
-            for (int i = 0;
-                 i < kMostLoopSteps && align_scan_by_one_step(points, pose, level, share) > kLoopStep_m;
+            for (int i = 0; i < kMostLoopSteps &&
+                            align_scan_by_one_step_and_get_length_m(points, pose, level, share) > kLoopStep_m;
                  ++i) {}
         return share;
     }
 
     std::optional<LoopClosure> register_scan_as_loop_closure(
-        std::size_t earlier_key_index, std::size_t later_key_index,
+        std::size_t earlier_keyframe_index, std::size_t later_keyframe_index,
         const std::optional<LoopClosure>& previous_closure) {
-        build_map_around_key_pose(earlier_key_index);
-        const std::vector<WorldPointWithOrigin> points = transform_scan_to_key_pose_frame(later_key_index);
-        const double reach_m = 1.0 + kLoopDistanceGrowth * (get_path_length_to_key_pose_m(later_key_index) -
-                                                            get_path_length_to_key_pose_m(earlier_key_index));
+        build_map_around_keyframe(earlier_keyframe_index);
+        const std::vector<WorldPointWithOrigin> points = transform_scan_to_keyframe(later_keyframe_index);
+        const double reach_m =
+            1.0 + kLoopDistanceGrowth * (get_path_length_to_keyframe_m(later_keyframe_index) -
+                                         get_path_length_to_keyframe_m(earlier_keyframe_index));
         Pose at;
         if (previous_closure) {
             // Predicts the start pose from the previous loop closure, which corrects a
             // nearby pose. Assumes that both poses move together, like one rigid body.
-            const Pose& previous_pose = get_key_pose(previous_closure->later);
+            const Pose& previous_pose = get_keyframe_pose(previous_closure->later);
             const Pose world_from_world =
                 apply_twist(previous_pose, previous_closure->off) * inverse(previous_pose);
-            at = world_from_world * get_key_pose(later_key_index);
+            at = world_from_world * get_keyframe_pose(later_keyframe_index);
         } else {
-            at = find_best_start_pose(points, get_key_pose(later_key_index), reach_m);
+            at = find_best_start_pose(points, get_keyframe_pose(later_keyframe_index), reach_m);
         }
-        double share = refine_pose_and_get_plane_fraction(points, at);
+        double share = refine_pose_and_get_fraction_on_planes(points, at);
         // The start pose `at` was predicted from the previous loop closure. If too few
         // points match, searches for a better start pose and aligns the scan again.
         if (previous_closure && share < kLeastShare) {
-            at = find_best_start_pose(points, get_key_pose(later_key_index), reach_m);
-            share = refine_pose_and_get_plane_fraction(points, at);
+            at = find_best_start_pose(points, get_keyframe_pose(later_keyframe_index), reach_m);
+            share = refine_pose_and_get_fraction_on_planes(points, at);
         }
         if (share < kLeastShare) return std::nullopt;
-        return LoopClosure{earlier_key_index, later_key_index,
-                           compute_twist(get_key_pose(later_key_index), at)};
+        return LoopClosure{earlier_keyframe_index, later_keyframe_index,
+                           compute_twist(get_keyframe_pose(later_keyframe_index), at)};
     }
 
-    /// Least-squares equations for the corrections of selected poses (key poses). Each
+    /// Least-squares equations for the corrections of selected poses (keyframes). Each
     /// term gives the expected difference between the corrections of two poses.
     struct LoopClosureEquations {
         std::vector<Eigen::Triplet<double>> h;
         Eigen::VectorXd g;
 
-        void add_relative_correction_constraint(std::size_t first_key_index, std::size_t second_key_index,
-                                                const glm::dvec3& first_to_second_m,
-                                                const Twist& expected_difference, const Vector6& weights) {
+        void add_relative_keyframe_constraint(std::size_t first_keyframe_index,
+                                              std::size_t second_keyframe_index,
+                                              const glm::dvec3& first_to_second_m,
+                                              const Twist& expected_difference, const Vector6& weights) {
             const Matrix6 ja = -make_twist_transfer_matrix(first_to_second_m);
             const Matrix6 jb = Matrix6::Identity();
             const Vector6 target = Eigen::Map<const Vector6>(expected_difference.data());
@@ -274,12 +282,12 @@ private:
                             h.emplace_back(int(6 * index) + r, int(6 * j) + c, matrix(r, c));
             };
             const Matrix6 wa = weights.asDiagonal() * ja, wb = weights.asDiagonal() * jb;
-            block(first_key_index, first_key_index, ja.transpose() * wa);
-            block(first_key_index, second_key_index, ja.transpose() * wb);
-            block(second_key_index, first_key_index, jb.transpose() * wa);
-            block(second_key_index, second_key_index, jb.transpose() * wb);
-            g.segment<6>(6 * Eigen::Index(first_key_index)) += wa.transpose() * target;
-            g.segment<6>(6 * Eigen::Index(second_key_index)) += wb.transpose() * target;
+            block(first_keyframe_index, first_keyframe_index, ja.transpose() * wa);
+            block(first_keyframe_index, second_keyframe_index, ja.transpose() * wb);
+            block(second_keyframe_index, first_keyframe_index, jb.transpose() * wa);
+            block(second_keyframe_index, second_keyframe_index, jb.transpose() * wb);
+            g.segment<6>(6 * Eigen::Index(first_keyframe_index)) += wa.transpose() * target;
+            g.segment<6>(6 * Eigen::Index(second_keyframe_index)) += wb.transpose() * target;
         }
     };
 
@@ -291,22 +299,23 @@ private:
         return w;
     }
 
-    Eigen::VectorXd solve_key_corrections(const std::vector<double>& closure_weights) const {
-        const std::size_t n = keys_.size();
+    Eigen::VectorXd solve_keyframe_corrections(const std::vector<double>& closure_weights) const {
+        const std::size_t n = keyframes_.size();
         LoopClosureEquations equations{{}, Eigen::VectorXd::Zero(6 * Eigen::Index(n))};
-        const auto between_keys = [&](std::size_t first, std::size_t second) {
-            return get_key_pose(second).translation - get_key_pose(first).translation;
+        const auto between_keyframes = [&](std::size_t first, std::size_t second) {
+            return get_keyframe_pose(second).translation - get_keyframe_pose(first).translation;
         };
         for (std::size_t k = 0; k + 1 < n; ++k)
-            equations.add_relative_correction_constraint(
-                k, k + 1, between_keys(k, k + 1), Twist{},
+            equations.add_relative_keyframe_constraint(
+                k, k + 1, between_keyframes(k, k + 1), Twist{},
                 make_translation_rotation_weights(
                     kOdometrySigma_m, kOdometrySigma_rad,
-                    kKey_m / (get_path_length_to_key_pose_m(k + 1) - get_path_length_to_key_pose_m(k))));
+                    kKeyframeDistance_m /
+                        (get_path_length_to_keyframe_m(k + 1) - get_path_length_to_keyframe_m(k))));
         for (std::size_t i = 0; i < closures_.size(); ++i)
-            equations.add_relative_correction_constraint(
+            equations.add_relative_keyframe_constraint(
                 closures_[i].earlier, closures_[i].later,
-                between_keys(closures_[i].earlier, closures_[i].later), closures_[i].off,
+                between_keyframes(closures_[i].earlier, closures_[i].later), closures_[i].off,
                 make_translation_rotation_weights(kClosureSigma_m, kClosureSigma_rad, closure_weights[i]));
         for (int i = 0; i < 6; ++i) equations.h.emplace_back(i, i, 1e9);  // fixes the first pose
         Eigen::SparseMatrix<double> h(6 * Eigen::Index(n), 6 * Eigen::Index(n));
@@ -314,21 +323,21 @@ private:
         return Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(h).solve(equations.g);
     }
 
-    /// Converts the correction of a key pose (a selected pose of the track) to a
+    /// Converts the correction of a keyframe (a selected pose of the track) to a
     /// correction of pose `pose_index`. Assumes that both move like one rigid body.
-    Vector6 transfer_key_correction(std::size_t pose_index, std::size_t key_index,
-                                    const Eigen::VectorXd& key_corrections) const {
+    Vector6 compute_pose_correction_from_keyframe(std::size_t pose_index, std::size_t keyframe_index,
+                                                  const Eigen::VectorXd& keyframe_corrections) const {
         return make_twist_transfer_matrix(track_.pose[pose_index].translation -
-                                          get_key_pose(key_index).translation) *
-               key_corrections.segment<6>(6 * Eigen::Index(key_index));
+                                          get_keyframe_pose(keyframe_index).translation) *
+               keyframe_corrections.segment<6>(6 * Eigen::Index(keyframe_index));
     }
 
     /// Returns the error in metres of a loop closure after the poses are corrected.
     double compute_closure_residual_m(const LoopClosure& loop_closure,
-                                      const Eigen::VectorXd& key_corrections) const {
-        const Vector6 moves =
-            key_corrections.segment<6>(6 * Eigen::Index(loop_closure.later)) -
-            transfer_key_correction(keys_[loop_closure.later], loop_closure.earlier, key_corrections);
+                                      const Eigen::VectorXd& keyframe_corrections) const {
+        const Vector6 moves = keyframe_corrections.segment<6>(6 * Eigen::Index(loop_closure.later)) -
+                              compute_pose_correction_from_keyframe(
+                                  keyframes_[loop_closure.later], loop_closure.earlier, keyframe_corrections);
         return (moves.head<3>() -
                 Eigen::Vector3d(loop_closure.off[0], loop_closure.off[1], loop_closure.off[2]))
             .norm();
@@ -338,7 +347,7 @@ private:
         std::vector<double> believed(closures_.size(), 1.0);
         Eigen::VectorXd x;
         for (int i = 0; i < kReweighted; ++i) {
-            x = solve_key_corrections(believed);
+            x = solve_keyframe_corrections(believed);
             for (std::size_t k = 0; k < closures_.size(); ++k)
                 believed[k] = compute_robust_weight(compute_closure_residual_m(closures_[k], x), kBelieved_m);
         }
@@ -351,15 +360,15 @@ private:
         if (result.n_closures < kMinLoopClosures) return;
         std::size_t key = 0;
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
-            while (key + 1 < keys_.size() && keys_[key + 1] <= k) ++key;
-            const std::size_t next = std::min(key + 1, keys_.size() - 1);
-            const double length = get_path_length_to_key_pose_m(next) - get_path_length_to_key_pose_m(key);
+            while (key + 1 < keyframes_.size() && keyframes_[key + 1] <= k) ++key;
+            const std::size_t next = std::min(key + 1, keyframes_.size() - 1);
+            const double length = get_path_length_to_keyframe_m(next) - get_path_length_to_keyframe_m(key);
             const double s =
                 length > 0.0
-                    ? glm::clamp((path_length_m_[k] - get_path_length_to_key_pose_m(key)) / length, 0.0, 1.0)
+                    ? glm::clamp((path_length_m_[k] - get_path_length_to_keyframe_m(key)) / length, 0.0, 1.0)
                     : 0.0;
-            const Vector6 c =
-                (1.0 - s) * transfer_key_correction(k, key, x) + s * transfer_key_correction(k, next, x);
+            const Vector6 c = (1.0 - s) * compute_pose_correction_from_keyframe(k, key, x) +
+                              s * compute_pose_correction_from_keyframe(k, next, x);
             result.track.pose[k] = apply_twist(track_.pose[k], {c[0], c[1], c[2], c[3], c[4], c[5]});
         }
     }

@@ -67,14 +67,15 @@ public:
           begin_(begin),
           first_motion_(first_motion),
           maps_(options.first, options.last) {
-        if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = list_predicted_poses(begin + 1).front();
+        if (begin + 1 < track_.pose.size())
+            track_.pose[begin + 1] = list_alternative_pose_predictions(begin + 1).front();
     }
 
     /// Estimates a pose and adds its scan to the map. Must be called for each pose in
     /// order.
     void estimate_pose_and_add_scan_to_map(std::size_t pose_index, const std::vector<SubsampledPoint>& scan) {
         const std::vector<Pose> starts = pose_index == begin_ ? std::vector<Pose>{track_.pose[pose_index]}
-                                                              : list_predicted_poses(pose_index);
+                                                              : list_alternative_pose_predictions(pose_index);
         PoseCandidate best{starts.front(), 0.0};
         for (const Pose& start : starts) {
             const PoseCandidate candidate = align_scan(pose_index, start, scan);
@@ -95,7 +96,7 @@ public:
 
     const PoseTrack& track() const { return track_; }
     /// sum over all scans of the share of points that lie on planes of the map
-    double get_sum_of_plane_fractions() const { return share_; }
+    double get_sum_of_fractions_on_planes() const { return share_; }
 
 private:
     struct PoseCandidate {
@@ -138,7 +139,7 @@ private:
 
     /// Returns predictions of pose `pose_index`, the most likely one first. The alignment
     /// of the scan starts from each of them.
-    std::vector<Pose> list_predicted_poses(std::size_t pose_index) const {
+    std::vector<Pose> list_alternative_pose_predictions(std::size_t pose_index) const {
         const Pose constant_motion_pose = track_.pose[pose_index - 1] * predict_constant_motion(pose_index);
         if (!options_.use_pose_motion) return {constant_motion_pose};
         const Pose pose_file_prediction =
@@ -166,9 +167,10 @@ private:
         if (maps_.empty() || scan.empty()) return {start_pose, 0.0};
         double share = 0.0;
         for (int level = 0; level < MultiScalePlaneMaps::kLevels; ++level) {
-            const double scale_m = maps_.get_round_settings_of_level(level).scale_m;
-            for (int i = 0; i < kMostSteps && align_scan_by_one_step(pose_index, start_pose, scan, level,
-                                                                     scale_m, share) > kConverged_m;
+            const double scale_m = maps_.get_registration_settings_of_level(level).scale_m;
+            for (int i = 0;
+                 i < kMostSteps && align_scan_by_one_step_and_get_length_m(
+                                       pose_index, start_pose, scan, level, scale_m, share) > kConverged_m;
                  ++i) {}
         }
         return {track_.pose[pose_index], share};
@@ -176,16 +178,16 @@ private:
 
     /// Moves pose `pose_index` by one Gauss-Newton step.
     /// @return length of the step
-    double align_scan_by_one_step(std::size_t pose_index, const Pose& start_pose,
-                                  const std::vector<SubsampledPoint>& scan, int level, double kernel_scale_m,
-                                  double& fraction_on_planes) {
+    double align_scan_by_one_step_and_get_length_m(std::size_t pose_index, const Pose& start_pose,
+                                                   const std::vector<SubsampledPoint>& scan, int map_level,
+                                                   double kernel_scale_m, double& fraction_on_planes) {
         const SinglePoseEquations equations =
             parallel_sum_over_ranges(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 SinglePoseEquations part;
                 for (const SubsampledPoint& point : std::span(scan).subspan(begin, end - begin)) {
                     const WorldPointWithOrigin at = transform_point_to_world(track_, point);
                     const double moves_along = point.left + 1 == pose_index ? double(point.s) : 1.0;
-                    if (const LocalPlane* plane = maps_.find_finest_plane_at(at.point_m, level))
+                    if (const LocalPlane* plane = maps_.find_finest_plane_at(at.point_m, map_level))
                         part.add_plane_residual(compute_plane_residual(at, *plane, kernel_scale_m),
                                                 moves_along);
                 }
@@ -214,8 +216,8 @@ Pose estimate_initial_forward_motion(const PoseTrack& initial_track,
         int n = 0;
         for (std::size_t k = section.begin; k < section.end && n < kTrialScans; n += !scans[k++].empty())
             follower.estimate_pose_and_add_scan_to_map(k, scans[k]);
-        if (follower.get_sum_of_plane_fractions() <= best_share) continue;
-        best_share = follower.get_sum_of_plane_fractions();
+        if (follower.get_sum_of_fractions_on_planes() <= best_share) continue;
+        best_share = follower.get_sum_of_fractions_on_planes();
         best = motion;
     }
     return best;

@@ -91,10 +91,10 @@ PlanePoseAdjustment::PlanePoseAdjustment(const PoseTrack& initial_track, const P
 
 std::vector<RegistrationRound> PlanePoseAdjustment::adjust_poses_in_rounds(
     const RegistrationRound& first_round_settings, const RegistrationRound& last_round_settings,
-    const std::function<bool(double done)>& proceed) {
+    const std::function<bool(double finished_fraction)>& should_continue) {
     constexpr int kRounds = kShrinking + kLastRounds;
     std::vector<RegistrationRound> rounds;
-    for (int i = 0; i < kRounds && proceed(i / double(kRounds)); ++i)
+    for (int i = 0; i < kRounds && should_continue(i / double(kRounds)); ++i)
         rounds.push_back(
             adjust_poses_in_one_round(interpolate_round_settings(first_round_settings, last_round_settings,
                                                                  std::min(1.0, i / double(kShrinking - 1))),
@@ -242,10 +242,10 @@ double PlanePoseAdjustment::compute_deviation_from_neighbours_m(std::size_t pose
     return least;
 }
 
-std::vector<std::size_t> PlanePoseAdjustment::find_and_interpolate_unregistered_poses(
-    const PlaneMap& map, const std::vector<bool>& has_pose_points, double kernel_scale_m,
+std::vector<std::size_t> PlanePoseAdjustment::interpolate_and_list_unregistered_poses(
+    const PlaneMap& map, const std::vector<bool>& pose_has_points, double kernel_scale_m,
     double max_deviation_m) {
-    std::vector<std::span<const SubsampledPoint>> scans(has_pose_points.size());
+    std::vector<std::span<const SubsampledPoint>> scans(pose_has_points.size());
     for (std::size_t k = 0, begin = 0, end = 0; k < scans.size(); ++k, begin = end) {
         while (end < points_.size() && points_[end].pose == k) ++end;
         scans[k] = std::span(points_).subspan(begin, end - begin);
@@ -255,11 +255,11 @@ std::vector<std::size_t> PlanePoseAdjustment::find_and_interpolate_unregistered_
         shares[std::size_t(k)] = compute_fraction_on_planes(map, scans[std::size_t(k)], kernel_scale_m);
     });
     std::vector<std::size_t> lost;
-    std::vector<bool> is_registered = has_pose_points;
+    std::vector<bool> is_registered = pose_has_points;
     for (std::size_t k = 0; k < is_registered.size(); ++k) {
-        if (!has_pose_points[k] ||
+        if (!pose_has_points[k] ||
             (has_enough_points_on_planes(shares[k], scans[k].size()) &&
-             compute_deviation_from_neighbours_m(k, has_pose_points) <= max_deviation_m))
+             compute_deviation_from_neighbours_m(k, pose_has_points) <= max_deviation_m))
             continue;
         lost.push_back(k);
         is_registered[k] = false;

@@ -44,11 +44,11 @@ public:
 
     /// Optimises all poses in several rounds. The cell size and the scale of the robust
     /// kernel decrease from `first_round_settings` to `last_round_settings`.
-    /// @return statistics of each round; fewer rounds if the callback `proceed` returned
-    /// false
-    std::vector<RegistrationRound> adjust_poses_in_rounds(const RegistrationRound& first_round_settings,
-                                                          const RegistrationRound& last_round_settings,
-                                                          const std::function<bool(double done)>& proceed);
+    /// @return statistics of each round; fewer rounds if the callback `should_continue`
+    /// returned false
+    std::vector<RegistrationRound> adjust_poses_in_rounds(
+        const RegistrationRound& first_round_settings, const RegistrationRound& last_round_settings,
+        const std::function<bool(double finished_fraction)>& should_continue);
     /// Sets weights that keep pose corrections small and smooth.
     void set_pose_correction_prior(const PoseCorrectionPrior& prior) { prior_ = prior; }
     PlaneMap fit_planes_to_all_points(const RegistrationRound& round_settings) const;
@@ -58,10 +58,10 @@ public:
     /// or their correction differs from the corrections of both neighbours by more than
     /// `max_deviation_m`. Replaces these poses, and all poses without points, by
     /// interpolation between the nearest valid poses.
-    /// @param has_pose_points  [poses] true for the poses that have points
+    /// @param pose_has_points  [poses] true for the poses that have points
     /// @return indices of the failed poses
-    std::vector<std::size_t> find_and_interpolate_unregistered_poses(const PlaneMap& map,
-                                                                     const std::vector<bool>& has_pose_points,
+    std::vector<std::size_t> interpolate_and_list_unregistered_poses(const PlaneMap& map,
+                                                                     const std::vector<bool>& pose_has_points,
                                                                      double kernel_scale_m,
                                                                      double max_deviation_m);
     /// Moves one pose by a Gauss-Newton step that moves its points towards fixed planes.

@@ -33,9 +33,9 @@ glm::dvec3 get_matrix_column(const Eigen::Matrix3d& matrix, int column) {
 
 /// Fits a plane to weighted points.
 /// @return eigenvalues of the weighted covariance matrix, ascending
-glm::dvec3 fit_weighted_plane(const std::vector<WorldPointWithOrigin>& points,
-                              std::span<const std::uint32_t> point_indices,
-                              const std::vector<double>& weights, LocalPlane& plane) {
+glm::dvec3 fit_weighted_plane_and_get_eigenvalues(const std::vector<WorldPointWithOrigin>& points,
+                                                  std::span<const std::uint32_t> point_indices,
+                                                  const std::vector<double>& weights, LocalPlane& plane) {
     double sum = 0.0;
     glm::dvec3 mean(0.0);
     for (std::size_t i = 0; i < point_indices.size(); ++i) {
@@ -71,7 +71,7 @@ std::optional<LocalPlane> fit_plane_robustly(const std::vector<WorldPointWithOri
     LocalPlane plane;
     double within = 0.0, spread2 = 0.0;
     for (int i = 0; i < kFits; ++i) {
-        spread2 = fit_weighted_plane(points, point_indices, weight, plane).y;
+        spread2 = fit_weighted_plane_and_get_eigenvalues(points, point_indices, weight, plane).y;
         within = 0.0;
         for (std::size_t k = 0; k < point_indices.size(); ++k) {
             weight[k] = compute_robust_weight(

@@ -35,7 +35,8 @@ std::array<std::pair<std::size_t, double>, 2> get_poses_and_weights_of_point(con
 
 /// Returns the derivatives of a point's residual with respect to the three parameters of
 /// its plane: offset and two tilts.
-Eigen::Vector3d compute_plane_derivatives(const WorldPointWithOrigin& point, const LocalPlane& plane) {
+Eigen::Vector3d differentiate_residual_by_plane_parameters(const WorldPointWithOrigin& point,
+                                                           const LocalPlane& plane) {
     const glm::dvec3 d = point.point_m - plane.point_m;
     return {1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)};
 }
@@ -131,7 +132,7 @@ void PoseEquations::add_plane_residuals_of_cell(const std::vector<SubsampledPoin
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : point_indices) {
         const PlaneResidual row = compute_plane_residual(world_points[i], plane, kernel_scale_m);
-        const Eigen::Vector3d b = compute_plane_derivatives(world_points[i], plane);
+        const Eigen::Vector3d b = differentiate_residual_by_plane_parameters(world_points[i], plane);
         stiffness += row.weight * b * b.transpose();
         pull += row.weight * row.residual_m * b;
     }
@@ -143,7 +144,8 @@ void PoseEquations::add_plane_residuals_of_cell(const std::vector<SubsampledPoin
     for (const std::uint32_t i : point_indices) {
         const PlaneResidual row = compute_plane_residual(world_points[i], plane, kernel_scale_m);
         add_plane_residual_of_point(points[i], row);
-        const Eigen::Vector3d b = whitened(compute_plane_derivatives(world_points[i], plane));
+        const Eigen::Vector3d b =
+            whitened(differentiate_residual_by_plane_parameters(world_points[i], plane));
         for (const auto& [pose, share] : get_poses_and_weights_of_point(points[i]))
             if (share != 0.0) coupling(pose).c += (share * row.weight * row.j * b.transpose()).cast<float>();
     }
@@ -244,14 +246,16 @@ public:
         factorise_matrix();
     }
 
-    /// Solves for one rigid motion per group of poses. `residual` (6 values per pose) is
-    /// the right-hand side. Adds a group's motion to each of its poses in `pose_steps`.
-    void add_group_motions_for_residual(const Eigen::VectorXd& residual, Eigen::VectorXd& pose_steps) const {
+    /// Solves for one rigid motion per group of poses. `right_hand_side` (6 values per
+    /// pose) is the right-hand side. Adds a group's motion to each of its poses in
+    /// `pose_steps`.
+    void solve_and_add_pose_group_motions(const Eigen::VectorXd& right_hand_side,
+                                          Eigen::VectorXd& pose_steps) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
         for (std::size_t k = 0; k < n_; ++k)
             sums.segment<6>(6 * Eigen::Index(k / kGroup)) +=
-                carry_[k].transpose() * residual.segment<6>(6 * Eigen::Index(k));
+                carry_[k].transpose() * right_hand_side.segment<6>(6 * Eigen::Index(k));
         const Eigen::VectorXd motion = solver_.solve(sums);
         for (std::size_t k = 0; k < n_; ++k)
             pose_steps.segment<6>(6 * Eigen::Index(k)) +=
@@ -312,7 +316,7 @@ Eigen::VectorXd PoseEquations::solve_for_all_pose_steps(const PoseTrack& track,
         Eigen::VectorXd z(r.size());
         for (std::size_t k = 0; k < n; ++k)
             z.segment<6>(6 * Eigen::Index(k)) = inverse[k].solve(r.segment<6>(6 * Eigen::Index(k)));
-        groups.add_group_motions_for_residual(r, z);
+        groups.solve_and_add_pose_group_motions(r, z);
         return z;
     };
     const Eigen::VectorXd pulls = pull.replicate(Eigen::Index(n), 1);

@@ -83,9 +83,9 @@ std::vector<BoxFramePoints> collect_points_in_boxes(const LidarSequence& sequenc
 /// Fits a parabola over time to poses near `pose_index`: up to three before it and three
 /// after it. Uses only poses with points, at most one second away. Returns the pose on
 /// the parabola at the time of `pose_index`, or nothing if one side has no such pose.
-std::optional<Pose> fit_pose_to_neighbours_with_points(const PoseTrack& track,
-                                                       const std::vector<bool>& pose_has_points,
-                                                       std::size_t pose_index) {
+std::optional<Pose> interpolate_pose_from_neighbours(const PoseTrack& track,
+                                                     const std::vector<bool>& pose_has_points,
+                                                     std::size_t pose_index) {
     const double time_s = track.time_s[pose_index];
     std::vector<std::size_t> used;
     for (const int step : {-1, 1}) {
@@ -117,16 +117,16 @@ std::optional<Pose> fit_pose_to_neighbours_with_points(const PoseTrack& track,
 
 /// Returns the share of points that lie on planes. A plane is fitted in each grid cell
 /// that contains points of at least two poses.
-double compute_actor_fraction_on_planes(const PlanePoseAdjustment& adjustment,
-                                        const std::vector<SubsampledPoint>& points) {
+double compute_fraction_of_actor_points_on_planes(const PlanePoseAdjustment& adjustment,
+                                                  const std::vector<SubsampledPoint>& points) {
     return adjustment.compute_fraction_on_planes(adjustment.fit_planes_to_all_points(kLastActorRound), points,
                                                  kLastActorRound.scale_m);
 }
 
 /// Prepares the optimisation of the poses of a labelled box. A prior keeps the
 /// corrections of the labelled poses small and smooth.
-PlanePoseAdjustment make_actor_adjustment(const PoseTrack& track, std::vector<SubsampledPoint> points,
-                                          const std::vector<bool>& pose_has_points) {
+PlanePoseAdjustment make_actor_pose_adjustment(const PoseTrack& track, std::vector<SubsampledPoint> points,
+                                               const std::vector<bool>& pose_has_points) {
     PlanePoseAdjustment adjustment(track, track, std::move(points), pose_has_points);
     // Weights relative to a point, whose standard deviation is 0.05 m: (0.05 / standard
     // deviation in m or rad)^2. Label errors (pull): 0.15 m and 2 degrees. Changes of
@@ -148,7 +148,7 @@ PoseTrack make_identity_poses_at_track_times(const PoseTrack& track) {
 
 /// Returns true if the points of an actor fit a fixed box about as well as a moving box.
 bool is_stationary_actor(const BoxTrack& box, const BoxFramePoints& actor_points,
-                         const std::vector<bool>& pose_has_points, double registered_fraction) {
+                         const std::vector<bool>& pose_has_points, double moving_box_fraction_on_planes) {
     const PoseTrack& track = box.world_from_box;
     const Pose middle = track.pose[track.pose.size() / 2];
     for (const Pose& pose : track.pose)
@@ -157,8 +157,9 @@ bool is_stationary_actor(const BoxTrack& box, const BoxFramePoints& actor_points
     for (SubsampledPoint& point : still)
         point.point_m = glm::vec3(inverse(middle) * transform_point_to_world(track, point).point_m);
     const PlanePoseAdjustment adjustment =
-        make_actor_adjustment(make_identity_poses_at_track_times(track), still, pose_has_points);
-    return compute_actor_fraction_on_planes(adjustment, still) >= registered_fraction - kGain;
+        make_actor_pose_adjustment(make_identity_poses_at_track_times(track), still, pose_has_points);
+    return compute_fraction_of_actor_points_on_planes(adjustment, still) >=
+           moving_box_fraction_on_planes - kGain;
 }
 
 /// Applies corrections, which are in the frame of the box, to the poses of a track. A
@@ -173,7 +174,7 @@ void apply_corrections_in_box_frame(PoseTrack& track, const PoseTrack& correctio
     for (std::size_t k = 0; k < track.pose.size(); ++k)
         if (!pose_has_points[k])
             if (const std::optional<Pose> pose =
-                    fit_pose_to_neighbours_with_points(registered, pose_has_points, k))
+                    interpolate_pose_from_neighbours(registered, pose_has_points, k))
                 track.pose[k] = *pose;
 }
 
@@ -188,11 +189,12 @@ void refine_actor_track_by_registration(BoxTrack& box, const BoxFramePoints& act
     if (actor_points.points.size() < kFewestActorPoints ||
         std::ranges::count(has_points, true) < std::ptrdiff_t(kFewestPoses))
         return;
-    PlanePoseAdjustment adjustment = make_actor_adjustment(
+    PlanePoseAdjustment adjustment = make_actor_pose_adjustment(
         make_identity_poses_at_track_times(box.world_from_box), actor_points.points, has_points);
-    const double labelled_share = compute_actor_fraction_on_planes(adjustment, actor_points.points);
+    const double labelled_share = compute_fraction_of_actor_points_on_planes(adjustment, actor_points.points);
     adjustment.adjust_poses_in_rounds(kFirstActorRound, kLastActorRound, [](double) { return true; });
-    const double registered_share = compute_actor_fraction_on_planes(adjustment, actor_points.points);
+    const double registered_share =
+        compute_fraction_of_actor_points_on_planes(adjustment, actor_points.points);
     std::vector<double> lengths_m;
     for (std::size_t k = 0; k < has_points.size(); ++k) {
         const Twist twist = compute_twist(Pose{}, adjustment.track().pose[k]);

@@ -86,7 +86,7 @@ std::vector<bool> flag_sweeps_with_any_of_frames(const SweepsToRegister& sweeps,
 }
 
 /// Returns one flag per sweep. Only the flag of the middle selected sweep is true.
-std::vector<bool> flag_middle_selected_sweep(const std::vector<bool>& is_selected) {
+std::vector<bool> keep_middle_selected_sweep(const std::vector<bool>& is_selected) {
     std::vector<bool> is(is_selected.size(), false);
     auto to_go = std::ranges::count(is_selected, true) / 2;
     for (std::size_t k = 0; k < is_selected.size(); ++k)
@@ -147,7 +147,7 @@ RegistrationResult register_scans(const LidarSequence& sequence, const TrainTest
     result.largest_loop_error_m = closed.largest_m;
 
     PlanePoseAdjustment adjustment(sweeps.track, closed.track, concatenate_scan_points(scans),
-                                   options.use_pose_motion ? is_train : flag_middle_selected_sweep(is_train));
+                                   options.use_pose_motion ? is_train : keep_middle_selected_sweep(is_train));
     result.rounds = adjustment.adjust_poses_in_rounds(first, kLast, proceed("registering all scans jointly"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)
@@ -158,7 +158,7 @@ RegistrationResult register_scans(const LidarSequence& sequence, const TrainTest
     const PlaneMap map = adjustment.fit_planes_to_all_points(kLast);
     result.on_planes = compute_median_fraction_on_planes(adjustment, map, scans, is_train);
     result.lost =
-        adjustment.find_and_interpolate_unregistered_poses(map, is_train, kLast.scale_m, options.largest_m);
+        adjustment.interpolate_and_list_unregistered_poses(map, is_train, kLast.scale_m, options.largest_m);
     const std::vector<std::vector<SubsampledPoint>> held_out =
         downsample_selected_sweeps(sequence, sweeps, is_test, options, thin_m);
     const std::vector<std::size_t> lost = align_test_sweeps_to_training_planes(

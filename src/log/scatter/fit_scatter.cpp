@@ -102,8 +102,8 @@ RayFeatures compute_return_features(std::span<const PairedIntensities> images, I
         .compute_all_features(ray / columns, ray % columns);
 }
 
-ScatterSampleSet make_returns_with_binned_features(std::span<const PairedIntensities> images,
-                                                   const std::vector<ImageRayIndex>& return_indices) {
+ScatterSampleSet make_scatter_samples_with_binned_features(std::span<const PairedIntensities> images,
+                                                           const std::vector<ImageRayIndex>& return_indices) {
     ScatterSampleSet result{std::vector<ScatterSample>(return_indices.size())};
     const std::size_t stride = return_indices.size() / kQuantileReturns + 1;
     std::vector<RayFeatures> some((return_indices.size() + stride - 1) / stride);
@@ -199,17 +199,17 @@ TreeNodeSplit find_best_feature_split(const ClassCountsByBin& class_counts_by_bi
 
 /// Returns the best split of a tree node by one of the features from `first_feature` to
 /// `first_feature + kTogether - 1`.
-TreeNodeSplit find_best_split_of_features(const ScatterSampleSet& returns,
-                                          std::span<const ScatterSample> node_returns,
+TreeNodeSplit find_best_split_of_features(const ScatterSampleSet& samples,
+                                          std::span<const ScatterSample> node_samples,
                                           std::size_t first_feature, const EntropyTermTable& k_log_k_table) {
     const std::size_t n = std::min(kTogether, kFeatures - first_feature);
     std::array<ClassCountsByBin, kTogether> counts{};
-    for (const ScatterSample& one : node_returns)
+    for (const ScatterSample& one : node_samples)
         for (std::size_t f = 0; f < n; ++f) ++counts[f][one.bins[first_feature + f]].of[one.of_class];
     TreeNodeSplit best;
     for (std::size_t f = 0; f < n; ++f)
         if (const TreeNodeSplit cut = find_best_feature_split(
-                counts[f], first_feature + f, returns.cuts[first_feature + f].size(), k_log_k_table);
+                counts[f], first_feature + f, samples.cuts[first_feature + f].size(), k_log_k_table);
             cut.gain > best.gain)
             best = cut;
     return best;
@@ -219,15 +219,15 @@ TreeNodeSplit find_best_split_of_features(const ScatterSampleSet& returns,
 /// with the lower feature index.
 /// @param run_for_each_index  function that runs a task for 0, 1, ..., n - 1
 template <class Each>
-TreeNodeSplit find_best_node_split(const ScatterSampleSet& returns,
-                                   std::span<const ScatterSample> node_returns,
+TreeNodeSplit find_best_node_split(const ScatterSampleSet& samples,
+                                   std::span<const ScatterSample> node_samples,
                                    const EntropyTermTable& k_log_k_table, const Each& run_for_each_index) {
     TreeNodeSplit best;
-    if (node_returns.size() < 2 * kFewestOfLeaf) return best;
+    if (node_samples.size() < 2 * kFewestOfLeaf) return best;
     std::array<TreeNodeSplit, (kFeatures + kTogether - 1) / kTogether> cuts;
     run_for_each_index(int(cuts.size()), [&](int k) {
         cuts[std::size_t(k)] =
-            find_best_split_of_features(returns, node_returns, std::size_t(k) * kTogether, k_log_k_table);
+            find_best_split_of_features(samples, node_samples, std::size_t(k) * kTogether, k_log_k_table);
     });
     for (const TreeNodeSplit& cut : cuts)
         if (cut.gain > best.gain) best = cut;
@@ -237,17 +237,17 @@ TreeNodeSplit find_best_node_split(const ScatterSampleSet& returns,
 /// Finds the best splits of several tree nodes in parallel. For large nodes, also
 /// processes the features in parallel.
 std::vector<TreeNodeSplit> find_best_layer_splits(
-    const ScatterSampleSet& returns, const EntropyTermTable& k_log_k,
+    const ScatterSampleSet& samples, const EntropyTermTable& k_log_k,
     std::span<const IntensityScatterModel::DecisionTreeNode> nodes) {
     constexpr std::size_t kLarge = 65536;
     std::vector<TreeNodeSplit> cuts(nodes.size());
     const auto part = [&](std::size_t index) {
-        return std::span(returns.all).subspan(nodes[index].first, nodes[index].count);
+        return std::span(samples.all).subspan(nodes[index].first, nodes[index].count);
     };
     parallel_for(int(nodes.size()), [&](int k) {
         const bool is_large = nodes[std::size_t(k)].count >= kLarge;
         cuts[std::size_t(k)] =
-            find_best_node_split(returns, part(std::size_t(k)), k_log_k, [&](int count, const auto& task) {
+            find_best_node_split(samples, part(std::size_t(k)), k_log_k, [&](int count, const auto& task) {
                 if (is_large) return parallel_for(count, task);
                 for (int i = 0; i < count; ++i) task(i);
             });
@@ -256,18 +256,18 @@ std::vector<TreeNodeSplit> find_best_layer_splits(
 }
 
 /// Splits the nodes of the decision tree with index `first_node` or higher. A node stays
-/// a leaf if no split predicts better. Reorders `returns` so that those of each node stay
+/// a leaf if no split predicts better. Reorders `samples` so that those of each node stay
 /// contiguous.
-void split_tree_layer(ScatterSampleSet& returns, const EntropyTermTable& k_log_k_table,
+void split_tree_layer(ScatterSampleSet& samples, const EntropyTermTable& k_log_k_table,
                       std::vector<IntensityScatterModel::DecisionTreeNode>& nodes, std::size_t first_node) {
     const std::vector<TreeNodeSplit> cuts =
-        find_best_layer_splits(returns, k_log_k_table, std::span(nodes).subspan(first_node));
+        find_best_layer_splits(samples, k_log_k_table, std::span(nodes).subspan(first_node));
     std::vector<std::uint32_t> n_low(cuts.size(), 0);
     parallel_for(int(cuts.size()), [&](int k) {
         const TreeNodeSplit& cut = cuts[std::size_t(k)];
         if (cut.feature < 0) return;
         const IntensityScatterModel::DecisionTreeNode& node = nodes[first_node + std::size_t(k)];
-        const auto node_samples = std::span(returns.all).subspan(node.first, node.count);
+        const auto node_samples = std::span(samples.all).subspan(node.first, node.count);
         const auto is_low = [&](const ScatterSample& one) {
             return one.bins[std::size_t(cut.feature)] <= cut.bin;
         };
@@ -278,7 +278,7 @@ void split_tree_layer(ScatterSampleSet& returns, const EntropyTermTable& k_log_k
         if (cuts[k].feature < 0) continue;
         IntensityScatterModel::DecisionTreeNode& node = nodes[first_node + k];
         node.feature = cuts[k].feature;
-        node.at = returns.cuts[std::size_t(cuts[k].feature)][cuts[k].bin];
+        node.at = samples.cuts[std::size_t(cuts[k].feature)][cuts[k].bin];
         node.child = std::int32_t(nodes.size());
         const std::uint32_t begin = node.first, count = node.count;
         nodes.push_back({.first = begin, .count = n_low[k]});
@@ -342,15 +342,15 @@ IntensityScatterModel fit_intensity_scatter_model(std::span<const PairedIntensit
     const std::vector<ImageRayIndex> return_locations = sample_return_locations(images, kMostReturns);
     IntensityScatterModel result;
     if (return_locations.size() < kFewestReturns) return result;
-    ScatterSampleSet returns = make_returns_with_binned_features(images, return_locations);
+    ScatterSampleSet samples = make_scatter_samples_with_binned_features(images, return_locations);
     result.nodes = {{.first = 0, .count = std::uint32_t(return_locations.size())}};
     const EntropyTermTable terms(return_locations.size());
     for (std::size_t first = 0; first < result.nodes.size();) {
         const std::size_t end = result.nodes.size();
-        split_tree_layer(returns, terms, result.nodes, first);
+        split_tree_layer(samples, terms, result.nodes, first);
         first = end;
     }
-    for (const ScatterSample& one : returns.all) result.values.push_back(one.value);
+    for (const ScatterSample& one : samples.all) result.values.push_back(one.value);
     result.step = find_quantisation_step(result.values);
     return result;
 }

@@ -181,7 +181,7 @@ SensorModel make_at128_sensor() {
 
 /// Returns a scanning-window sensor with the data-sheet values of Hesai's AT128: 128
 /// rows, 120 x 25.4 degrees, 0.1 degrees per column, 10 Hz.
-SensorModel make_window_128_sensor() {
+SensorModel make_scanning_window_sensor_of_128_rows() {
     return {"window-128",
             "hybrid solid-state LiDAR similar to the AT128: mirrors scan 120 x 25.4 degrees, 1200 "
             "columns of 128 rows",
@@ -249,7 +249,7 @@ std::optional<SensorModel> find_built_in_sensor(const std::string& name, int col
     if (*sensor_name == "HDL-64E") return make_hdl64e_sensor(columns, rate);
     if (*sensor_name == "waymo-side") return make_waymo_side_sensor(columns, rate);
     if (*sensor_name == "AT128") return make_at128_sensor();
-    if (*sensor_name == "window-128") return make_window_128_sensor();
+    if (*sensor_name == "window-128") return make_scanning_window_sensor_of_128_rows();
     if (*sensor_name == "rosette") return make_rosette_sensor();
     return make_built_in_beam_table_sensor(
         *std::ranges::find(kTabled, *sensor_name,

@@ -14,13 +14,13 @@
 namespace relidar {
 
 // Defined in src/log/sensor/kinds.
-PatternKind make_window_pattern_kind();
+PatternKind make_scanning_window_pattern_kind();
 PatternKind make_rosette_pattern_kind();
 
 const std::vector<PatternKind>& list_pattern_kinds() {
     static const std::vector<PatternKind> kinds{
         make_spinning_pattern_kind(),
-        make_window_pattern_kind(),
+        make_scanning_window_pattern_kind(),
         make_rosette_pattern_kind(),
         make_ray_table_pattern_kind(),
     };
@@ -161,8 +161,8 @@ void require_allowed_ray_count(const std::string& sensor_name, double n_rays) {
                                      n_rays, kMaxRays));
 }
 
-void require_finite_values_and_valid_period(const std::string& sensor_name, double sum_of_values,
-                                            double period_s) {
+void require_finite_sum_and_valid_period(const std::string& sensor_name, double sum_of_values,
+                                         double period_s) {
     if (!std::isfinite(sum_of_values))
         throw UsageError(
             fmt::format("sensor '{}': an angle or rate is not finite, expected finite numbers", sensor_name));

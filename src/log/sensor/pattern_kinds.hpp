@@ -36,7 +36,7 @@ struct PatternKind {
 /// @tparam Functions  struct with the type Pattern and the static functions parse, write,
 /// make_rays and describe
 template <class Functions>
-PatternKind make_pattern_kind(const char* kind_name, const char* json_member_names) {
+PatternKind make_scan_pattern_kind(const char* kind_name, const char* json_member_names) {
     using Pattern = typename Functions::Pattern;
     return {kind_name,
             json_member_names,
@@ -104,8 +104,8 @@ void require_allowed_ray_count(const std::string& sensor_name, double n_rays);
 /// @param sum_of_values  sum of all angles and rates; it is not finite if one of them is
 /// not finite
 /// @throws UsageError if a check fails
-void require_finite_values_and_valid_period(const std::string& sensor_name, double sum_of_values,
-                                            double period_s);
+void require_finite_sum_and_valid_period(const std::string& sensor_name, double sum_of_values,
+                                         double period_s);
 
 }  // namespace pattern_detail
 }  // namespace relidar

@@ -97,9 +97,9 @@ public:
         return address >= begin_ && address < begin_ + kReserved;
     }
 
-    void free_block_of_file(void* array, std::size_t bytes) noexcept {
+    void free_block_in_file(void* block_address, std::size_t bytes) noexcept {
         const std::size_t size = round_up_to_page_size(bytes),
-                          offset = std::size_t(static_cast<std::byte*>(array) - begin_);
+                          offset = std::size_t(static_cast<std::byte*>(block_address) - begin_);
         // Frees the disk space of these pages, if the file system can make holes in
         // files.
         ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));
@@ -200,7 +200,7 @@ void free_scan_array(void* array, std::size_t bytes) noexcept {
     ScanMemoryState& m = get_scan_memory_state();
     MappedFile* file = m.file;
     if (bytes >= kSmall && file && file->contains_address(array))
-        return file->free_block_of_file(array, bytes);
+        return file->free_block_in_file(array, bytes);
     if (bytes >= kSmall) m.used -= bytes;
     ::operator delete(array);
 }

@@ -101,22 +101,23 @@ void fit_albedo_of_each_cell(IntensityFit& model, const RepeatedCellReturns& ret
         });
 }
 
-/// Indices of the unknowns in the linear system: intensity factor at each sampled range,
+/// Indices of the variables of the linear system: intensity factor at each sampled range,
 /// incidence factor, then gain and offset of each beam.
-struct UnknownIndices {
+struct VariableIndices {
     FittedIntensityTerms parts;
     std::size_t n_beams;
-    Eigen::Index get_unknown_index_of_range_factor(std::size_t range_knot) const {
+    Eigen::Index get_variable_index_of_range_factor(std::size_t range_knot) const {
         return Eigen::Index(range_knot);
     }
-    Eigen::Index get_unknown_index_of_incidence() const { return Eigen::Index(kKnots_m.size()); }
-    Eigen::Index get_unknown_index_of_beam_gain(std::size_t beam_index) const {
-        return (parts.shared ? get_unknown_index_of_incidence() + 1 : 0) + 2 * Eigen::Index(beam_index);
+    Eigen::Index get_variable_index_of_incidence_factor() const { return Eigen::Index(kKnots_m.size()); }
+    Eigen::Index get_variable_index_of_beam_gain(std::size_t beam_index) const {
+        return (parts.shared ? get_variable_index_of_incidence_factor() + 1 : 0) +
+               2 * Eigen::Index(beam_index);
     }
-    Eigen::Index get_unknown_index_of_beam_offset(std::size_t beam_index) const {
-        return get_unknown_index_of_beam_gain(beam_index) + 1;
+    Eigen::Index get_variable_index_of_beam_offset(std::size_t beam_index) const {
+        return get_variable_index_of_beam_gain(beam_index) + 1;
     }
-    Eigen::Index size() const { return get_unknown_index_of_beam_gain(parts.beams ? n_beams : 0); }
+    Eigen::Index size() const { return get_variable_index_of_beam_gain(parts.beams ? n_beams : 0); }
 };
 
 /// Nonzero derivatives of the expected intensity of one return: by two range factors,
@@ -127,13 +128,13 @@ struct IntensityJacobianRow {
     /// `by_albedo`: derivative of the expected intensity with respect to the albedo of
     /// the surface. `error`: measured minus expected intensity.
     double by_albedo, error;
-    void append_derivative_by_unknown(Eigen::Index unknown_index, double derivative) {
-        by[n++] = {unknown_index, derivative};
+    void append_derivative_by_variable(Eigen::Index variable_index, double derivative) {
+        by[n++] = {variable_index, derivative};
     }
 };
 
 IntensityJacobianRow compute_intensity_jacobian_row(const IntensityFit& model,
-                                                    const UnknownIndices& unknown_indices,
+                                                    const VariableIndices& variable_indices,
                                                     const CellReturn& measured_return) {
     const BeamGainOffset& beam = model.beams[measured_return.beam];
     // Finds the two sampled ranges around `range_m`: kKnots_m[knot], where s = 0, and
@@ -150,19 +151,19 @@ IntensityJacobianRow compute_intensity_jacobian_row(const IntensityFit& model,
                              0,
                              beam.gain * rho * kappa,
                              double(measured_return.intensity) - beam.gain * mean_beam - beam.offset};
-    if (unknown_indices.parts.shared) {
-        row.append_derivative_by_unknown(unknown_indices.get_unknown_index_of_range_factor(knot),
-                                         beam.gain * albedo * kappa * (1.0 - s));
-        row.append_derivative_by_unknown(unknown_indices.get_unknown_index_of_range_factor(knot + 1),
-                                         beam.gain * albedo * kappa * s);
-        row.append_derivative_by_unknown(unknown_indices.get_unknown_index_of_incidence(),
-                                         -beam.gain * albedo * rho * (1.0 - double(measured_return.cosine)));
+    if (variable_indices.parts.shared) {
+        row.append_derivative_by_variable(variable_indices.get_variable_index_of_range_factor(knot),
+                                          beam.gain * albedo * kappa * (1.0 - s));
+        row.append_derivative_by_variable(variable_indices.get_variable_index_of_range_factor(knot + 1),
+                                          beam.gain * albedo * kappa * s);
+        row.append_derivative_by_variable(variable_indices.get_variable_index_of_incidence_factor(),
+                                          -beam.gain * albedo * rho * (1.0 - double(measured_return.cosine)));
     }
-    if (unknown_indices.parts.beams) {
-        row.append_derivative_by_unknown(unknown_indices.get_unknown_index_of_beam_gain(measured_return.beam),
-                                         mean_beam);
-        row.append_derivative_by_unknown(
-            unknown_indices.get_unknown_index_of_beam_offset(measured_return.beam), 1.0);
+    if (variable_indices.parts.beams) {
+        row.append_derivative_by_variable(
+            variable_indices.get_variable_index_of_beam_gain(measured_return.beam), mean_beam);
+        row.append_derivative_by_variable(
+            variable_indices.get_variable_index_of_beam_offset(measured_return.beam), 1.0);
     }
     return row;
 }
@@ -187,12 +188,12 @@ struct alignas(64) Sums {
     explicit Sums(Eigen::Index n)
         : system{Eigen::MatrixXd::Zero(n, n), Eigen::VectorXd::Zero(n)}, coupling(std::size_t(n), 0.0) {}
 
-    void add_equations_of_cell_returns(const IntensityFit& model, const UnknownIndices& unknown_indices,
+    void add_equations_of_cell_returns(const IntensityFit& model, const VariableIndices& variable_indices,
                                        std::span<const CellReturn> cell_returns) {
         double cc = 0.0, ce = 0.0;
         touched.clear();
         for (const CellReturn& r : cell_returns) {
-            const IntensityJacobianRow row = compute_intensity_jacobian_row(model, unknown_indices, r);
+            const IntensityJacobianRow row = compute_intensity_jacobian_row(model, variable_indices, r);
             for (std::size_t i = 0; i < row.n; ++i) {
                 const auto [unknown, derivative] = row.by[i];
                 if (coupling[std::size_t(unknown)] == 0.0) touched.push_back(unknown);
@@ -216,12 +217,12 @@ struct alignas(64) Sums {
     }
 };
 
-NormalEquations build_normal_equations(const IntensityFit& model, const UnknownIndices& unknown_indices,
+NormalEquations build_normal_equations(const IntensityFit& model, const VariableIndices& variable_indices,
                                        const RepeatedCellReturns& returns) {
-    std::vector<Sums> sums(kChunks, Sums(unknown_indices.size()));
+    std::vector<Sums> sums(kChunks, Sums(variable_indices.size()));
     group_returns_by_cell_in_parallel(
         returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t chunk) {
-            sums[chunk].add_equations_of_cell_returns(model, unknown_indices, place);
+            sums[chunk].add_equations_of_cell_returns(model, variable_indices, place);
         });
     for (std::size_t c = 1; c < kChunks; ++c) {
         sums[0].system.h += sums[c].system.h;
@@ -237,7 +238,7 @@ NormalEquations build_normal_equations(const IntensityFit& model, const UnknownI
 }
 
 void add_intensity_priors_to_equations(NormalEquations& equations, const IntensityFit& model,
-                                       const UnknownIndices& unknown_indices) {
+                                       const VariableIndices& variable_indices) {
     const auto pull = [&](Eigen::Index i, double weight, double error) {
         equations.h(i, i) += weight;
         equations.g[i] += weight * error;
@@ -247,58 +248,59 @@ void add_intensity_priors_to_equations(NormalEquations& equations, const Intensi
     // If the intensity factor over range is fitted (`shared`), a prior smooths it. It
     // pulls the factor at range kKnots_m[k] towards linear interpolation between the
     // factors k - 1 and k + 1. It matters only at ranges with few returns.
-    for (std::size_t k = 1; unknown_indices.parts.shared && k + 1 < kKnots_m.size(); ++k) {
+    for (std::size_t k = 1; variable_indices.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
                               now(model.shared.factor[k - 1], model.shared.factor[k],
                                   model.shared.factor[k + 1]);
-        equations.h.block<3, 3>(unknown_indices.get_unknown_index_of_range_factor(k - 1),
-                                unknown_indices.get_unknown_index_of_range_factor(k - 1)) +=
+        equations.h.block<3, 3>(variable_indices.get_variable_index_of_range_factor(k - 1),
+                                variable_indices.get_variable_index_of_range_factor(k - 1)) +=
             prior * bend * bend.transpose();
-        equations.g.segment<3>(unknown_indices.get_unknown_index_of_range_factor(k - 1)) -=
+        equations.g.segment<3>(variable_indices.get_variable_index_of_range_factor(k - 1)) -=
             prior * bend * bend.dot(now);
     }
-    if (unknown_indices.parts.shared) {
+    if (variable_indices.parts.shared) {
         // Doubling all albedos and halving all range factors gives the same intensities.
         // Therefore the range factor is fixed to 1 at one range.
-        pull(unknown_indices.get_unknown_index_of_range_factor(kReference), 1e3 * prior,
+        pull(variable_indices.get_variable_index_of_range_factor(kReference), 1e3 * prior,
              1.0 - model.shared.factor[kReference]);
         for (std::size_t k = 0; k < kKnots_m.size(); ++k)
-            pull(unknown_indices.get_unknown_index_of_range_factor(k), 1e-3 * prior,
+            pull(variable_indices.get_variable_index_of_range_factor(k), 1e-3 * prior,
                  1.0 - model.shared.factor[k]);
-        pull(unknown_indices.get_unknown_index_of_incidence(), 1e-3 * prior, -model.shared.incidence);
+        pull(variable_indices.get_variable_index_of_incidence_factor(), 1e-3 * prior,
+             -model.shared.incidence);
     }
-    for (std::size_t b = 0; unknown_indices.parts.beams && b < model.beams.size(); ++b)
+    for (std::size_t b = 0; variable_indices.parts.beams && b < model.beams.size(); ++b)
         for (const double x : {equations.mean - equations.spread, equations.mean + equations.spread}) {
             const double weight = 0.5 * kResponsePrior,
                          error = x - model.beams[b].gain * x - model.beams[b].offset;
-            equations.h(unknown_indices.get_unknown_index_of_beam_gain(b),
-                        unknown_indices.get_unknown_index_of_beam_gain(b)) += weight * x * x;
-            equations.h(unknown_indices.get_unknown_index_of_beam_offset(b),
-                        unknown_indices.get_unknown_index_of_beam_offset(b)) += weight;
-            equations.h(unknown_indices.get_unknown_index_of_beam_offset(b),
-                        unknown_indices.get_unknown_index_of_beam_gain(b)) += weight * x;
-            equations.g[unknown_indices.get_unknown_index_of_beam_gain(b)] += weight * x * error;
-            equations.g[unknown_indices.get_unknown_index_of_beam_offset(b)] += weight * error;
+            equations.h(variable_indices.get_variable_index_of_beam_gain(b),
+                        variable_indices.get_variable_index_of_beam_gain(b)) += weight * x * x;
+            equations.h(variable_indices.get_variable_index_of_beam_offset(b),
+                        variable_indices.get_variable_index_of_beam_offset(b)) += weight;
+            equations.h(variable_indices.get_variable_index_of_beam_offset(b),
+                        variable_indices.get_variable_index_of_beam_gain(b)) += weight * x;
+            equations.g[variable_indices.get_variable_index_of_beam_gain(b)] += weight * x * error;
+            equations.g[variable_indices.get_variable_index_of_beam_offset(b)] += weight * error;
         }
 }
 
-void add_solver_step_to_model(IntensityFit& model, const UnknownIndices& unknown_indices,
+void add_solver_step_to_model(IntensityFit& model, const VariableIndices& variable_indices,
                               const Eigen::VectorXd& step) {
-    if (unknown_indices.parts.shared) {
+    if (variable_indices.parts.shared) {
         for (std::size_t k = 0; k < model.shared.factor.size(); ++k)
             model.shared.factor[k] = std::clamp(
-                model.shared.factor[k] + step[unknown_indices.get_unknown_index_of_range_factor(k)],
+                model.shared.factor[k] + step[variable_indices.get_variable_index_of_range_factor(k)],
                 kMinFactor, kMaxFactor);
-        model.shared.incidence =
-            std::clamp(model.shared.incidence + step[unknown_indices.get_unknown_index_of_incidence()], 0.0,
-                       kMaxIncidence);
+        model.shared.incidence = std::clamp(
+            model.shared.incidence + step[variable_indices.get_variable_index_of_incidence_factor()], 0.0,
+            kMaxIncidence);
     }
-    for (std::size_t b = 0; unknown_indices.parts.beams && b < model.beams.size(); ++b) {
+    for (std::size_t b = 0; variable_indices.parts.beams && b < model.beams.size(); ++b) {
         model.beams[b].gain =
-            std::clamp(model.beams[b].gain + step[unknown_indices.get_unknown_index_of_beam_gain(b)],
+            std::clamp(model.beams[b].gain + step[variable_indices.get_variable_index_of_beam_gain(b)],
                        kMinGain, kMaxGain);
-        model.beams[b].offset += step[unknown_indices.get_unknown_index_of_beam_offset(b)];
+        model.beams[b].offset += step[variable_indices.get_variable_index_of_beam_offset(b)];
     }
 }
 
@@ -348,7 +350,7 @@ IntensityFit fit_intensity_model(const RepeatedCellReturns& returns, std::size_t
     m.beams.resize(n_beams);
     fit_albedo_of_each_cell(m, returns);
     m.rms = compute_rms_intensity_error(m, returns);
-    const UnknownIndices at{terms_to_fit, n_beams};
+    const VariableIndices at{terms_to_fit, n_beams};
     double damping = kDamping;
     for (int i = 0; i < kSteps && at.size() > 0; ++i) {  // Levenberg-Marquardt
         NormalEquations sys = build_normal_equations(m, at, returns);

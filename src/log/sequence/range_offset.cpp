@@ -175,11 +175,16 @@ BeamResiduals sum_plane_residuals_by_beam(const ReturnsByCell& cells,
     return all;
 }
 
+/// Number of returns on planes, and their mean squared distance from the planes.
+struct PlaneFitQuality {
+    std::size_t n_returns;
+    double mean_square_m2;
+};
+
 /// Improves the range offsets of all beams by one iteration.
-/// @return number of returns on planes and their mean squared distance from the planes,
-/// both before the iteration
-std::pair<std::size_t, double> refine_beam_range_offsets_once(const ReturnsByCell& cells,
-                                                              std::vector<double>& beam_offsets_m) {
+/// @return quality before the iteration
+PlaneFitQuality refine_beam_range_offsets_once(const ReturnsByCell& cells,
+                                               std::vector<double>& beam_offsets_m) {
     const BeamResiduals r = sum_plane_residuals_by_beam(cells, beam_offsets_m);
     double mean = 0.0, weight = 0.0;
     for (std::size_t b = 0; b < beam_offsets_m.size(); ++b) {
@@ -204,9 +209,9 @@ RangeCalibrationResult fit_and_set_range_offset_of_beams(LidarSequence& sequence
     if (cells.returns.empty()) return result;
     std::vector<double> offset_m(beams.size(), 0.0);
     for (int round = 0; round < kRounds; ++round) {
-        const auto [n, mean_square] = refine_beam_range_offsets_once(cells, offset_m);
-        result.returns = n;
-        result.rms_after = std::sqrt(mean_square);
+        const PlaneFitQuality quality = refine_beam_range_offsets_once(cells, offset_m);
+        result.returns = quality.n_returns;
+        result.rms_after = std::sqrt(quality.mean_square_m2);
         if (round == 0) result.rms_before = result.rms_after;
     }
     if (result.rms_after > kLeastGain * result.rms_before) return result;

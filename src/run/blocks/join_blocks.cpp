@@ -37,7 +37,7 @@ SceneBlock make_block_from_background_surfels(const Scene& scene, const fs::path
 /// weight of a block is its number of training frames.
 class MeanRayDropTable {
 public:
-    void add_weighted_table(const RayDropTable& table, std::size_t n_training_frames) {
+    void add_table_weighted_by_frames(const RayDropTable& table, std::size_t n_training_frames) {
         if (table.empty()) return;
         if (sum_.empty())
             sum_ = {table.channels, table.bins, std::vector<float>(table.probability.size(), 0.0f)};
@@ -45,7 +45,7 @@ public:
             sum_.probability[i] += float(n_training_frames) * table.probability[i];
         n_frames_ += n_training_frames;
     }
-    RayDropTable compute_mean_table() const {
+    RayDropTable compute_mean_over_training_frames() const {
         RayDropTable table = sum_;
         for (float& p : table.probability) p /= float(std::max<std::size_t>(n_frames_, 1));
         return table;
@@ -118,14 +118,14 @@ void join_trained_blocks(TrainedRun& run, const std::vector<TrajectoryBlock>& bl
     for (std::size_t k = 0; k < blocks.size(); ++k) {
         const TrainedRun part = load_run(run_folders[k]);
         scene.blocks.push_back(make_block_from_background_surfels(part.scene, run_folders[k] / kModelFile));
-        drop.add_weighted_table(part.scene.sensor_drop, blocks[k].train.size());
+        drop.add_table_weighted_by_frames(part.scene.sensor_drop, blocks[k].train.size());
         keep_most_observed_actor_models(part, run.sequence, blocks[k], actors);
         copy_block_vehicle_poses_to_track(part, run.sequence, blocks[k], poses);
         run.coverage.add_all_voxels_of_set(part.coverage);
         add_missing_cells_of_class_map(run.classes, part.classes);
         if (!part.refined_poses.empty()) run.refined_poses = part.refined_poses;
     }
-    scene.sensor_drop = drop.compute_mean_table();
+    scene.sensor_drop = drop.compute_mean_over_training_frames();
     run.sequence.world_from_vehicle = std::move(poses);
     // Adds the actors in the order of the log's boxes. A scene that is trained without
     // blocks has the same order.

@@ -62,7 +62,7 @@ void CheckpointWriter::operator()(const std::string& name, const SurfelArrays& s
     for (const SurfelParameterGroup& group : list_parameter_groups(surfels.get_parameter_set()))
         copy_array_into_checkpoint(name + "/" + group.name, "f4", group.get_array_shape(host.size()),
                                    group.values(host).data());
-    checkpoint_.texts[name + "/" + kPrimitiveKey] = get_primitive_kind(surfels.primitive).name;
+    checkpoint_.texts[name + "/" + kPrimitiveKey] = get_primitive_properties(surfels.primitive).name;
 }
 
 const NamedArray& CheckpointReader::get_array_of_type_and_shape(const std::string& name, const char* dtype,

@@ -39,7 +39,7 @@ Config make_paper_preset_config() {
 /// includes SSIM, which needs full images. The Chamfer distance has no gradient in that
 /// program, so it is not used for training. Surfels outside their box are penalised. The
 /// errors of the released program (docs/method.md section 10) are not reproduced.
-Config make_released_code_preset_config() {
+Config make_paper_code_preset_config() {
     Config config = make_paper_preset_config();
     config.preset = "released";
     config.loss.intensity_ssim = 0.15f;
@@ -153,7 +153,7 @@ struct Preset {
     Config (*make)();
 };
 constexpr Preset kPresets[] = {{"paper", make_paper_preset_config},
-                               {"released", make_released_code_preset_config},
+                               {"released", make_paper_code_preset_config},
                                {"default", make_default_preset_config},
                                {"quick", make_quick_preset_config}};
 

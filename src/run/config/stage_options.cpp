@@ -28,7 +28,7 @@ TraceOptions make_rendering_trace_options(const Config& config) {
     TraceOptions options = make_common_trace_options(config);
     // Computes normals if the surfels have normals, because output channels and ray-drop
     // networks can use them.
-    options.normals = get_primitive_kind(config.image.primitive).has_normals;
+    options.normals = get_primitive_properties(config.image.primitive).has_normals;
     if (config.render.range == "mode")
         options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);
     return options;

@@ -155,7 +155,8 @@ PoseTrack insert_interpolated_poses(const PoseTrack& track, double max_step_s) {
 
 /// Returns the model that an earlier edit has made from `model` by completing it.
 /// @return no value if there is none
-std::optional<std::uint32_t> find_completed_copy_of_model(const Scene& scene, const SurfelModel& model) {
+std::optional<std::uint32_t> find_mirror_completed_copy_of_model(const Scene& scene,
+                                                                 const SurfelModel& model) {
     ObservedBoxSurface completed = *model.surface;
     completed.is_completed = true;
     const auto copy = std::ranges::find_if(scene.models, [&](const SurfelModel& other) {
@@ -180,7 +181,7 @@ void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, const std::s
         return;
     const bool is_shared = std::ranges::count(scene.instances, instance.model, &ModelInstance::model) > 1;
     if (is_shared) {
-        if (const auto copy = find_completed_copy_of_model(scene, shared_model)) {
+        if (const auto copy = find_mirror_completed_copy_of_model(scene, shared_model)) {
             instance.model = *copy;
             return;
         }

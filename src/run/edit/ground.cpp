@@ -147,7 +147,7 @@ public:
 
 private:
     void add_opaque_horizontal_surfels(const Surfels& surfels, std::size_t n_surfels) {
-        const bool has_normals = get_primitive_kind(surfels.primitive).has_normals;
+        const bool has_normals = get_primitive_properties(surfels.primitive).has_normals;
         for (std::size_t i = 0; i < n_surfels; ++i)
             if (surfels.opacity_logit[i] > kFaintLogit &&
                 (!has_normals || std::abs(compute_surfel_normal(surfels.rotation[i]).z) > kLevelSurfel))
@@ -235,18 +235,18 @@ const BoxTrack& get_box_track_of_actor(const SceneWithLogView& scene_and_log_vie
 /// box covers it. Computes the plane from the pose of the box, because the actor hides
 /// the road from the sensor.
 /// @param get_box_clearance_m  returns the height of the bottom of a box above the ground
-std::optional<GroundPlane> estimate_ground_below_box_at_position(
-    const glm::dvec2& xy, const LidarSequence& sequence,
+std::optional<GroundPlane> estimate_ground_below_box_covering(
+    const glm::dvec2& position_m, const LidarSequence& sequence,
     const std::function<double(const BoxTrack&)>& get_box_clearance_m) {
     const BoxTrack* nearest = nullptr;
     Pose at;
     double nearest_m = std::numeric_limits<double>::infinity();
     for (const BoxTrack& box : sequence.boxes)
         for (const Pose& pose : box.world_from_box.pose) {
-            const double apart_m = glm::distance(glm::dvec2(pose.translation), xy);
+            const double apart_m = glm::distance(glm::dvec2(pose.translation), position_m);
             const Footprint footprint{pose.translation, compute_heading_rad(pose),
                                       0.5 * glm::dvec2(box.size_m)};
-            if (apart_m < nearest_m && footprint.contains_point(glm::dvec3(xy, 0.0), 0.0)) {
+            if (apart_m < nearest_m && footprint.contains_point(glm::dvec3(position_m, 0.0), 0.0)) {
                 nearest = &box;
                 at = pose;
                 nearest_m = apart_m;
@@ -304,30 +304,30 @@ std::optional<double> measure_ground_clearance(const SceneWithLogView& actor_sce
     return estimate_median_ground_clearance_m(actor_scene, get_box_track_of_actor(actor_scene, track));
 }
 
-NewActorMotion compute_actor_motion_on_ground(const SceneWithLogView& scene_and_log,
-                                              const GroundPlacement& ground_place,
-                                              const SceneWithLogView& actor_scene, const std::string& track) {
-    const LidarSequence& sequence = scene_and_log.sequence;
-    const BoxTrack& box = get_box_track_of_actor(actor_scene, track);
+NewActorMotion compute_motion_on_ground(const SceneWithLogView& target_scene,
+                                        const GroundPlacement& placement, const SceneWithLogView& actor_scene,
+                                        const std::string& actor_track) {
+    const LidarSequence& sequence = target_scene.sequence;
+    const BoxTrack& box = get_box_track_of_actor(actor_scene, actor_track);
     const glm::dvec3 offset_m = sequence.world_offset_m;
-    const glm::dvec2 xy = ground_place.dataset_m - glm::dvec2(offset_m);
-    const double yaw_rad = ground_place.yaw_rad
-                               ? *ground_place.yaw_rad
+    const glm::dvec2 xy = placement.dataset_m - glm::dvec2(offset_m);
+    const double yaw_rad = placement.yaw_rad
+                               ? *placement.yaw_rad
                                : compute_heading_rad(find_nearest_pose(sequence.world_from_vehicle, xy));
     std::vector<double> times_s;
-    if (ground_place.speed_mps != 0.0) times_s = list_distinct_frame_times(sequence);
+    if (placement.speed_mps != 0.0) times_s = list_distinct_frame_times(sequence);
     std::vector<glm::dvec2> positions{xy};
     for (const double time_s : times_s)
-        positions.push_back(xy + ground_place.speed_mps * (time_s - times_s.front()) *
+        positions.push_back(xy + placement.speed_mps * (time_s - times_s.front()) *
                                      glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad)));
 
-    const HorizontalSurfels surfels(scene_and_log, positions);
+    const HorizontalSurfels surfels(target_scene, positions);
     const auto ground_at = [&](const glm::dvec2& position_m) {
         const std::optional<GroundPlane> plane =
             surfels.fit_ground_plane_below(make_footprint(position_m, yaw_rad, box.size_m));
         if (plane) return plane;
-        return estimate_ground_below_box_at_position(position_m, sequence, [&](const BoxTrack& other_box) {
-            return estimate_median_ground_clearance_m(scene_and_log, other_box).value_or(0.0);
+        return estimate_ground_below_box_covering(position_m, sequence, [&](const BoxTrack& other_box) {
+            return estimate_median_ground_clearance_m(target_scene, other_box).value_or(0.0);
         });
     };
     std::optional<GroundPlane> plane = ground_at(xy);
@@ -335,17 +335,17 @@ NewActorMotion compute_actor_motion_on_ground(const SceneWithLogView& scene_and_
         throw UsageError(fmt::format(
             "cannot place {} on the ground at {:.6g},{:.6g} in the dataset's world: the background has no "
             "surface below its box ({}); choose a position on a surface that the log has observed",
-            track, ground_place.dataset_m.x, ground_place.dataset_m.y,
+            actor_track, placement.dataset_m.x, placement.dataset_m.y,
             surfels.describe_nearest_horizontal_surfel(xy)));
     const std::optional<double> clearance_m =
-        ground_place.clearance_m ? ground_place.clearance_m : measure_ground_clearance(actor_scene, track);
+        placement.clearance_m ? placement.clearance_m : measure_ground_clearance(actor_scene, actor_track);
     const double above_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);
     const auto pose_on = [&](const GroundPlane& ground, const glm::dvec2& position_m) {
         const glm::dvec3 centre_m(position_m,
                                   ground.compute_plane_height_at(position_m) + above_m / ground.normal.z);
         return Pose{make_rotation_on_plane(ground, yaw_rad), centre_m + offset_m};
     };
-    NewActorMotion start{pose_on(*plane, xy), ground_place.speed_mps};
+    NewActorMotion start{pose_on(*plane, xy), placement.speed_mps};
     // Sum of the ground normals along the path of the actor. Where the ground was not
     // observed, their mean direction is used, because a single normal is noisy.
     glm::dvec3 normal_sum = plane->normal;

@@ -239,7 +239,7 @@ void save_scene_to_model_file(const std::filesystem::path& path, const Scene& sc
         {"format", kModelFormat},
         {"version", kModelVersion},
         {"relidar", RELIDAR_VERSION},
-        {kPrimitiveKey, get_primitive_kind(scene.surfels.primitive).name},
+        {kPrimitiveKey, get_primitive_properties(scene.surfels.primitive).name},
         {"layout", format_scene_layout_json(scene)}};
     if (!scene.blocks.empty()) metadata[kBlocks] = format_blocks_json(scene, path.parent_path());
     write_safetensors(path, arrays, metadata);

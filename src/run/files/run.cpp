@@ -241,11 +241,11 @@ TrainedRun load_run(const fs::path& folder) {
                                     run.scene.surfels.size()));
     }
     if (run.scene.surfels.size() > 0 && run.scene.surfels.primitive != run.config.image.primitive)
-        throw DataError(
-            fmt::format("{}: image.primitive is {}, but {} contains {}; change this setting to {}",
-                        (folder / kConfigFile).string(), get_primitive_kind(run.config.image.primitive).name,
-                        kModelFile, get_primitive_kind(run.scene.surfels.primitive).label,
-                        get_primitive_kind(run.scene.surfels.primitive).name));
+        throw DataError(fmt::format(
+            "{}: image.primitive is {}, but {} contains {}; change this setting to {}",
+            (folder / kConfigFile).string(), get_primitive_properties(run.config.image.primitive).name,
+            kModelFile, get_primitive_properties(run.scene.surfels.primitive).label,
+            get_primitive_properties(run.scene.surfels.primitive).name));
     return run;
 }
 

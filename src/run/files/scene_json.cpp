@@ -168,7 +168,7 @@ IntensityResponse read_intensity_response(const JsonField& field) {
     return r;
 }
 
-void read_frames_and_split(const JsonField& field, SceneJsonContents& scene) {
+void read_frames_and_train_test_split(const JsonField& field, SceneJsonContents& scene) {
     const auto last_lidar = static_cast<std::int64_t>(scene.sequence.lidars.size()) - 1;
     for (std::size_t i = 0; i < field.size(); ++i) {
         const JsonField entry = field.at(i);
@@ -232,7 +232,7 @@ BoxTrack read_box_track(const JsonField& field) {
 
 /// Compares each count in the file with the length of its list, to detect entries that a
 /// manual edit or a wrong merge has removed.
-void require_entry_counts_match_lists(const JsonField& root, const SceneJsonContents& scene) {
+void require_counts_match_list_lengths(const JsonField& root, const SceneJsonContents& scene) {
     const auto check = [&](const char* name, std::size_t n) {
         const JsonField count = root.at("counts").at(name);
         if (count.get_integer_in_range(0, kMaxInt) != static_cast<std::int64_t>(n))
@@ -301,7 +301,7 @@ SceneJsonContents parse_scene_json(const std::string& json_text, const std::stri
     s.world_offset_m = read_vector(root.at("world_offset_m"), kFarthestWorld_m);
     s.rolling_shutter = root.at("rolling_shutter").get_boolean();
     s.lidars = read_lidars(root);
-    read_frames_and_split(root.at("frames"), scene);
+    read_frames_and_train_test_split(root.at("frames"), scene);
     const JsonField boxes = root.at("boxes");
     for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box_track(boxes.at(i)));
     if (root.has_member("intensity_response"))
@@ -313,7 +313,7 @@ SceneJsonContents parse_scene_json(const std::string& json_text, const std::stri
     }
     scene.held_out_placed = root.has_member("held_out_placed") && root.at("held_out_placed").get_boolean();
     if (root.has_member("refined_poses")) scene.refined_poses = root.at("refined_poses").get_string();
-    require_entry_counts_match_lists(root, scene);
+    require_counts_match_list_lengths(root, scene);
     scene.n_surfels =
         static_cast<std::size_t>(root.at("counts").at("surfels").get_integer_in_range(0, 4294967295));
     return scene;

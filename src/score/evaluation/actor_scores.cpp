@@ -93,7 +93,7 @@ struct BoxGroupErrors {
     std::vector<double> range_error_m, chamfer_m, inlier_flags;
     double both = 0.0, either = 0.0;
 
-    void add_box_errors(const MovingBoxPoints& points) {
+    void accumulate_errors_of_box(const MovingBoxPoints& points) {
         range_error_m.insert(range_error_m.end(), points.range_error_m.begin(), points.range_error_m.end());
         both += double(points.n_both);
         either += double(points.n_both) + 0.5 * double(points.n_missed + points.n_false);
@@ -165,7 +165,7 @@ FrameActorScores compute_actor_scores(const RangeImage& rendered, const std::vec
         if (p.real_m.size() < kFewest || box.category == kDiscoveredCategory) continue;
         const ObjectKind kind = parse_object_kind(box.category);
         const bool is_person_or_cyclist = kind == ObjectKind::person || kind == ObjectKind::cyclist;
-        (is_person_or_cyclist ? people : vehicles).add_box_errors(p);
+        (is_person_or_cyclist ? people : vehicles).accumulate_errors_of_box(p);
     }
     people.add_scores_to_row(scores.metrics, "actors/people_");
     vehicles.add_scores_to_row(scores.metrics, "actors/vehicles_");

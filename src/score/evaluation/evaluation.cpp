@@ -77,7 +77,7 @@ RenderedFrame make_frame_with_real_image(const Config& config, const LidarSequen
 
 /// Returns true if the rendered classes of a frame can be compared with labels. The frame
 /// must have labels, and each pixel must be a recorded ray (grid "native").
-bool can_score_classes(const ScanRenderer& renderer, const Config& config, const LidarFrame& frame) {
+bool can_score_surface_classes(const ScanRenderer& renderer, const Config& config, const LidarFrame& frame) {
     return renderer.has_background_classes() && config.sensor.grid == "native" && !frame.scan.classes.empty();
 }
 
@@ -89,7 +89,7 @@ RenderedFrame render_frame_for_scoring(ScanRenderer& renderer, const Config& con
     result.frame.n_rays = sensor.rays.size();
     result.frame.rendered = renderer.render(sensor, frame.time_s, sensor_offset);
     const auto* classes = find_channel_values<std::int32_t>(result.frame.rendered.channels, "class");
-    if (classes && can_score_classes(renderer, config, frame))
+    if (classes && can_score_surface_classes(renderer, config, frame))
         result.class_scores = compute_surface_class_metrics(*classes, frame.scan.classes);
     return result;
 }
@@ -113,7 +113,7 @@ std::vector<ScoredFrame> score_rendered_frames(std::vector<RenderedFrame> render
     options.lpips = lpips_network;
     std::vector<RangeImageComparison> comparisons;
     for (const RenderedFrame& r : rendered_frames) {
-        std::vector<PixelRegion> regions = make_standard_regions(r.frame.real, r.moving);
+        std::vector<PixelRegion> regions = make_evaluation_regions(r.frame.real, r.moving);
         if (!r.discovered.empty()) regions.push_back({"discovered_boxes", r.discovered});
         comparisons.push_back({&r.frame.rendered.image, &r.frame.real, std::move(regions),
                                select_point_ranges(r.frame.rendered, config)});
@@ -251,7 +251,7 @@ EvaluationResult evaluate_frames(ScanRenderer& renderer, const Config& config, c
     if (on_frame && renderer.has_drop_network_for(make_sensor_from_config(config, sequence)))
         renderer.enable_optional_channels("surfel_drop_prob");
     if (std::ranges::any_of(frame_indices, [&](int position) {
-            return can_score_classes(renderer, config, sequence.frames.at(std::size_t(position)));
+            return can_score_surface_classes(renderer, config, sequence.frames.at(std::size_t(position)));
         }))
         renderer.enable_optional_channels("class");
     std::vector<ScoredFrame> scored =
@@ -262,16 +262,17 @@ EvaluationResult evaluate_frames(ScanRenderer& renderer, const Config& config, c
     return summarise_evaluation(std::move(scored), renderer.times());
 }
 
-BoxPointMotion parse_baseline_motion(const std::string& name) {
-    if (name == "nearest") return BoxPointMotion::stay;
-    if (name == "nearest-actors") return BoxPointMotion::follow;
-    throw UsageError(fmt::format("baseline: found \"{}\", expected nearest or nearest-actors", name));
+BoxPointMotion parse_box_point_motion_of_baseline(const std::string& baseline_name) {
+    if (baseline_name == "nearest") return BoxPointMotion::stay;
+    if (baseline_name == "nearest-actors") return BoxPointMotion::follow;
+    throw UsageError(
+        fmt::format("baseline: found \"{}\", expected nearest or nearest-actors", baseline_name));
 }
 
 EvaluationResult evaluate_baseline(const std::string& baseline_name, const Config& config,
                                    const LidarSequence& sequence, const TrainTestSplit& split,
                                    const ProgressReporter& progress, const ScoredFrameCallback& on_frame) {
-    const BoxPointMotion boxes = parse_baseline_motion(baseline_name);
+    const BoxPointMotion boxes = parse_box_point_motion_of_baseline(baseline_name);
     const auto project = [&](int position, const LidarFrame& frame) {
         RenderedFrame result = make_frame_with_real_image(config, sequence, frame, {});
         Scan points = predict_scan_from_neighbours(sequence, position, split.train, boxes);

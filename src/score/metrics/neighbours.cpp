@@ -122,7 +122,7 @@ struct RayTableNeighbours {
     }
     /// Returns true if a point is above the highest or below the lowest row of rays. The
     /// distance must be more than half the spacing of the rows.
-    bool is_point_outside_ray_rows(RayPixel ray_cell, const glm::vec3& point_m) const {
+    bool is_point_outside_vertical_field_of_view(RayPixel ray_cell, const glm::vec3& point_m) const {
         const double half_spacing =
             0.5 * std::abs(compute_elevation_rad(get_ray_direction(ray_cell)) -
                            compute_elevation_rad(get_ray_direction(
@@ -187,7 +187,7 @@ Scan assign_points_to_nearest_rays(const RayTable& rays, const Scan& points) {
     for (std::size_t i = 0; i < points.range_m.size(); ++i) {
         const glm::vec3 point = points.compute_return_point_in_sensor_frame(i);
         const RayPixel ray_cell = beams.find_nearest_ray_cell(point);
-        if (beams.is_point_outside_ray_rows(ray_cell, point)) continue;
+        if (beams.is_point_outside_vertical_field_of_view(ray_cell, point)) continue;
         const std::size_t ray = beams.get_ray_index(ray_cell);
         const float range = glm::distance(point, rays.origin[ray]);
         if (!(range > 0.0f) || (scan.range_m[ray] > 0.0f && scan.range_m[ray] <= range)) continue;

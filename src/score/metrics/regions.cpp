@@ -87,8 +87,8 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
     return row;
 }
 
-std::vector<PixelRegion> make_standard_regions(const RangeImage& real,
-                                               const std::vector<bool>& moving_pixels) {
+std::vector<PixelRegion> make_evaluation_regions(const RangeImage& real,
+                                                 const std::vector<bool>& moving_pixels) {
     PixelMask resting = moving_pixels;
     resting.flip();
     return {{"all", PixelMask(moving_pixels.size(), true)},

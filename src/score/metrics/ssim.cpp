@@ -23,7 +23,7 @@ constexpr int kWindow = 7;
 struct SsimWindowSums {
     std::array<double, 5> sum{};
 
-    void add_pixel_pair(double first, double second) {
+    void add_pixel_pair_to_sums(double first, double second) {
         const std::array<double, 5> term{first, second, first * first, second * second, first * second};
         for (std::size_t k = 0; k < sum.size(); ++k) sum[k] += term[k];
     }
@@ -54,7 +54,7 @@ std::vector<SsimWindowSums> compute_row_window_sums(const std::vector<double>& f
             const std::size_t first = std::size_t(row) * std::size_t(columns) + std::size_t(column);
             SsimWindowSums& sum = sums[std::size_t(row) * std::size_t(width) + std::size_t(column)];
             for (std::size_t k = 0; k < kWindow; ++k)
-                sum.add_pixel_pair(first_image[first + k], second_image[first + k]);
+                sum.add_pixel_pair_to_sums(first_image[first + k], second_image[first + k]);
         }
     return sums;
 }

@@ -32,7 +32,7 @@ struct ChartAxis {
     bool logarithmic = false;
 
     double apply_log_scale_if_set(double value) const { return logarithmic ? std::log10(value) : value; }
-    double compute_page_position(double value) const {
+    double convert_value_to_svg_coordinate(double value) const {
         return at_low + (apply_log_scale_if_set(value) - apply_log_scale_if_set(low)) /
                             (apply_log_scale_if_set(high) - apply_log_scale_if_set(low)) * (at_high - at_low);
     }
@@ -181,8 +181,8 @@ std::string draw_curve_as_svg_path(const ReportCurve& curve, const ChartAxis& x_
             connected = false;
             continue;
         }
-        const double px = x_axis.compute_page_position(curve.x[i]),
-                     py = y_axis.compute_page_position(curve.y[i]);
+        const double px = x_axis.convert_value_to_svg_coordinate(curve.x[i]),
+                     py = y_axis.convert_value_to_svg_coordinate(curve.y[i]);
         path += fmt::format("{}{:.1f} {:.1f}", connected ? "L" : "M", px, py);
         if (point_indices.size() <= 30)
             dots += fmt::format("<circle class=\"{}\" cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"2.6\"/>", css_class, px,
@@ -198,14 +198,14 @@ std::string draw_axes_as_svg(const ChartAxis& x_axis, const ChartAxis& y_axis) {
         svg += fmt::format(
             "<line class=\"grid\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>"
             "<text class=\"axis\" x=\"{3:.1f}\" y=\"{4:.1f}\" text-anchor=\"end\">{5}</text>\n",
-            x_axis.at_low, x_axis.at_high, y_axis.compute_page_position(tick), x_axis.at_low - 8,
-            y_axis.compute_page_position(tick) + 4, format_tick_label(tick));
+            x_axis.at_low, x_axis.at_high, y_axis.convert_value_to_svg_coordinate(tick), x_axis.at_low - 8,
+            y_axis.convert_value_to_svg_coordinate(tick) + 4, format_tick_label(tick));
     for (double tick : make_linear_ticks(x_axis, x_axis.at_high - x_axis.at_low > 600 ? 10 : 5))
         svg += fmt::format(
             "<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.1f}\" y2=\"{2:.1f}\"/>"
             "<text class=\"axis\" x=\"{0:.1f}\" y=\"{3:.1f}\" text-anchor=\"middle\">{4}</text>\n",
-            x_axis.compute_page_position(tick), y_axis.at_low, y_axis.at_low + 4, y_axis.at_low + 18,
-            format_tick_label(tick));
+            x_axis.convert_value_to_svg_coordinate(tick), y_axis.at_low, y_axis.at_low + 4,
+            y_axis.at_low + 18, format_tick_label(tick));
     return svg +
            fmt::format("<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>\n",
                        x_axis.at_low, x_axis.at_high, y_axis.at_low);

@@ -36,7 +36,7 @@ std::string format_asset_description_as_json(const AssetDescription& facts) {
         {"kind", get_name(facts.kind)},
         {"size_m", {facts.size_m.x, facts.size_m.y, facts.size_m.z}},
         {"source", {{"run", facts.source_run}, {"track", facts.source_track}, {"sensor", facts.sensor}}},
-        {"score", facts.get_observed_or_mirrored_fraction()},
+        {"score", facts.get_observed_or_mirrored_surface_fraction()},
         {"seen", facts.seen},
         {"seen_sides", sides},
         {"completed", facts.completed},

@@ -41,12 +41,12 @@ bool can_surfel_be_visible(const Surfels& surfels, std::size_t surfel_index, con
 
 /// Returns the frames of a log in which an actor is present, without their scans and
 /// without other actors.
-LidarSequence make_log_of_actor_without_scans(const LidarSequence& sequence_of_log, const BoxTrack& box) {
-    LidarSequence sequence = copy_without_frames(sequence_of_log);
-    sequence.boxes = {box};
+LidarSequence make_scanless_log_of_actor(const LidarSequence& full_log, const BoxTrack& actor_box) {
+    LidarSequence sequence = copy_without_frames(full_log);
+    sequence.boxes = {actor_box};
     sequence.world_from_vehicle = {};
-    for (const LidarFrame& frame : sequence_of_log.frames) {
-        if (!box.is_observed_at_time(frame.time_s)) continue;
+    for (const LidarFrame& frame : full_log.frames) {
+        if (!actor_box.is_observed_at_time(frame.time_s)) continue;
         LidarFrame frame_without_scan;
         frame_without_scan.index = frame.index;
         frame_without_scan.time_s = frame.time_s;
@@ -56,7 +56,7 @@ LidarSequence make_log_of_actor_without_scans(const LidarSequence& sequence_of_l
         if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;
         track.time_s.push_back(frame.time_s);
         track.pose.push_back(
-            sequence_of_log.world_from_vehicle.pose[sequence_of_log.get_vehicle_pose_index_of_frame(frame)]);
+            full_log.world_from_vehicle.pose[full_log.get_vehicle_pose_index_of_frame(frame)]);
     }
     return sequence;
 }
@@ -123,7 +123,7 @@ ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
     alone.scene.instances[1].track = facts.name;
     alone.scene.sensor_drop = {};
     asset.run.config = run.config;
-    asset.run.sequence = make_log_of_actor_without_scans(alone.sequence, named);
+    asset.run.sequence = make_scanless_log_of_actor(alone.sequence, named);
     for (int i = 0; i < int(asset.run.sequence.frames.size()); ++i) asset.run.split.train.push_back(i);
     asset.run.scene = std::move(alone.scene);
     asset.run.edits = run.edits;
@@ -132,7 +132,7 @@ ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
     return asset;
 }
 
-std::string get_only_actor_track(const TrainedRun& run) {
+std::string get_track_name_of_only_actor(const TrainedRun& run) {
     std::vector<std::string> tracks;
     for (const ModelInstance& instance : run.scene.instances)
         if (!instance.track.empty()) tracks.push_back(instance.track);

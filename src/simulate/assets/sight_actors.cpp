@@ -57,7 +57,7 @@ void add_actor_returns_to_observations(const RenderedScan& scan, const TrainedRu
         // Skips returns from surfels that were mirrored to fill an unobserved side of the
         // actor.
         const SurfelModel& model = run.scene.models[run.scene.instances[std::size_t(scan.instance[i])].model];
-        if (model.surface && model.surface->find_side_filled_by_mirroring(point_m)) continue;
+        if (model.surface && model.surface->find_box_side_with_mirrored_surfels(point_m)) continue;
         ActorObservations& actor = observations_by_track[box->id];
         actor.points_m.push_back(glm::vec3(point_m));
         actor.directions.push_back(glm::vec3(box_from_world.rotation * world_from_firing.rotation *

@@ -21,7 +21,7 @@ namespace {
 /// Copies the points that the device computed to `points`. Rounds their intensities to
 /// the steps of the sensor.
 void copy_device_points(std::span<const shared::ReturnedPoint> returned_points,
-                        const IntensityScatterModel& intensity_rounding, LidarPoints& points) {
+                        const IntensityScatterModel& intensity_scatter, LidarPoints& points) {
     constexpr std::size_t kTogether = 1 << 13;
     static_assert(std::int32_t(RELIDAR_NO_INSTANCE) == -1);
     const std::size_t n = returned_points.size();
@@ -34,7 +34,7 @@ void copy_device_points(std::span<const shared::ReturnedPoint> returned_points,
         for (std::size_t i = begin; i < end; ++i) {
             const shared::ReturnedPoint& point = returned_points[i];
             points.position_m[i] = point.position;
-            points.intensity[i] = intensity_rounding.quantise_intensity(point.intensity);
+            points.intensity[i] = intensity_scatter.quantise_intensity(point.intensity);
             points.ring[i] = std::uint16_t(point.ring);
             points.time_offset_s[i] = point.time_offset_s;
             points.instance[i] = std::int32_t(point.instance);
@@ -61,7 +61,7 @@ PendingPoints ScanRenderer::Impl::record_point_rendering_commands(const Simulate
                                                                             sweeps.get_log().world_offset_m),
                        .dataset_from_points = dataset_from_points,
                        .time_s = sweep.time_s,
-                       .max_range_m = make_observed_space(sweep.sensor).max_range_m,
+                       .max_range_m = get_space_observed_in_log(sweep.sensor).max_range_m,
                        .step = settings.scatter[std::size_t(sweep.sensor.lidar)].step,
                        .renderer = &lanes->get_renderer(lane)};
     const PoseTrack points_from_sensor =
@@ -120,8 +120,8 @@ void ScanRenderer::Impl::finish_pending_scans() {
 }
 
 void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanRequest& request,
-                                 double points_at_s, std::optional<std::uint64_t> sample,
-                                 SubmissionTiming mode) {
+                                 double point_frame_time_s, std::optional<std::uint64_t> sample_seed,
+                                 SubmissionTiming submission_timing) {
     Impl& s = *impl_;
     if (s.pending.size() >= kScansInFlight)
         throw UsageError(
@@ -129,13 +129,14 @@ void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanReques
                         "yet, expected fewer than {}; call wait_for_points() first",
                         s.pending.size(), kScansInFlight));
     const SimulatedSweep sweep = s.sweeps.make_sweep_of_request(sensor, request);
-    const Pose dataset_from_points = request.dataset_from_sensor.interpolate_pose(points_at_s);
-    const ScanRenderPlan plan = s.plan_steps_for_sweep(sweep, sample.has_value());
+    const Pose dataset_from_points = request.dataset_from_sensor.interpolate_pose(point_frame_time_s);
+    const ScanRenderPlan plan = s.plan_steps_for_sweep(sweep, sample_seed.has_value());
     if (plan.points_on_device) {
-        s.pending.push_back(s.record_point_rendering_commands(sweep, dataset_from_points, plan, mode));
+        s.pending.push_back(
+            s.record_point_rendering_commands(sweep, dataset_from_points, plan, submission_timing));
         return;
     }
-    const RenderedScan scan = s.render_sweep(sweep, sample);
+    const RenderedScan scan = s.render_sweep(sweep, sample_seed);
     s.pending.push_back({.ready = RenderedPoints{convert_scan_to_points(scan, s.config, dataset_from_points),
                                                  scan.image.range_m.size(), scan.unseen_share}});
 }

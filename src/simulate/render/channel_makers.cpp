@@ -97,7 +97,7 @@ ChannelValues make_observed_fraction_channel(const RenderedScan& scan, const Cha
 
 // Returns "surface" as the cause of each return. If the scan has weather,
 // add_weather_to_scan() overwrites these values later.
-ChannelValues make_default_return_cause_channel(const RenderedScan& scan, const ChannelInputs&) {
+ChannelValues make_return_cause_channel_without_weather(const RenderedScan& scan, const ChannelInputs&) {
     return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(ReturnCause::surface));
 }
 
@@ -121,7 +121,7 @@ constexpr ChannelComputation kMakers[] = {
     {"class", nullptr, nullptr, make_class_channel},
     {"seen", nullptr, nullptr, make_observed_fraction_channel},
     {"surfel_drop_prob", nullptr, nullptr, make_surfel_drop_probability_channel},
-    {"source", nullptr, nullptr, make_default_return_cause_channel},
+    {"source", nullptr, nullptr, make_return_cause_channel_without_weather},
 };
 
 ChannelComputation find_channel_computation(const ChannelInfo& channel) {

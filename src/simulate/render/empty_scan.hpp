@@ -8,10 +8,10 @@ namespace relidar {
 
 /// Returns a scan with the given rays, but without measurements. Its channels have no
 /// values yet.
-/// @param source_scan another scan of the same sweep, from which times, poses and channel
-/// names are copied; optional
+/// @param metadata_source another scan of the same sweep, from which times, poses and
+/// channel names are copied; optional
 inline RenderedScan make_scan_without_measurements(const RayTable& rays,
-                                                   const RenderedScan& source_scan = {}) {
+                                                   const RenderedScan& metadata_source = {}) {
     RenderedScan scan;
     scan.image.rows = rays.rows;
     scan.image.columns = rays.columns;
@@ -19,12 +19,12 @@ inline RenderedScan make_scan_without_measurements(const RayTable& rays,
     scan.image.direction = to_vector(rays.direction);
     scan.time_offset_s = to_vector(rays.time_offset_s);
     scan.ring = to_vector(rays.channel);
-    scan.world_from_sensor = source_scan.world_from_sensor;
-    scan.track = source_scan.track;
-    scan.time_s = source_scan.time_s;
-    scan.trace_ms = source_scan.trace_ms;
-    scan.unseen_share = source_scan.unseen_share;
-    scan.channels = copy_channels_without_values(source_scan.channels);
+    scan.world_from_sensor = metadata_source.world_from_sensor;
+    scan.track = metadata_source.track;
+    scan.time_s = metadata_source.time_s;
+    scan.trace_ms = metadata_source.trace_ms;
+    scan.unseen_share = metadata_source.unseen_share;
+    scan.channels = copy_channels_without_values(metadata_source.channels);
     return scan;
 }
 

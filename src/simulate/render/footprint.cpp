@@ -179,7 +179,7 @@ public:
             second ? sum_over_group(*second, parts_.image.intensity) / static_cast<float>(n) : 0.0f);
     }
 
-    RenderedScan take_joined_scan() { return std::move(scan_); }
+    RenderedScan extract_joined_scan() { return std::move(scan_); }
 
 private:
     const RenderedScan& parts_;
@@ -219,7 +219,7 @@ RenderedScan join_sub_rays_to_beam_returns(const RenderedScan& sub_ray_scan, con
                                            const SensorConfig& config) {
     SubRayMerger joiner(sub_ray_scan, beam_rays, config);
     for (std::size_t ray = 0; ray < beam_rays.size(); ++ray) joiner.append_beam_return(ray);
-    return joiner.take_joined_scan();
+    return joiner.extract_joined_scan();
 }
 
 std::vector<std::size_t> find_multi_surface_beams(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,

@@ -53,16 +53,17 @@ void append_second_return_values(ScanChannel& merged_channel, const ScanChannel&
     std::visit(add, source_channel.second);
 }
 
-/// Combines the poses of a sensor rig (`merged_scan`) with the firing times of one of its
-/// sensors (`scan`). Used to interpolate the rig's pose at each firing time.
-RenderedScan make_scan_with_rig_poses(const RenderedScan& merged_scan, const RenderedScan& scan) {
+/// Combines the poses of a sensor rig (`rig_scan`) with the firing times of one of its
+/// sensors (`sensor_scan`). Used to interpolate the rig's pose at each firing time.
+RenderedScan combine_rig_poses_with_firing_times(const RenderedScan& rig_scan,
+                                                 const RenderedScan& sensor_scan) {
     RenderedScan rig;
-    rig.image.rows = scan.image.rows;
-    rig.image.columns = scan.image.columns;
-    rig.time_offset_s = scan.time_offset_s;
-    rig.time_s = merged_scan.time_s;
-    rig.track = merged_scan.track;
-    rig.world_from_sensor = merged_scan.world_from_sensor;
+    rig.image.rows = sensor_scan.image.rows;
+    rig.image.columns = sensor_scan.image.columns;
+    rig.time_offset_s = sensor_scan.time_offset_s;
+    rig.time_s = rig_scan.time_s;
+    rig.track = rig_scan.track;
+    rig.world_from_sensor = rig_scan.world_from_sensor;
     return rig;
 }
 
@@ -74,10 +75,12 @@ public:
     /// @param merged merged scan, which has the poses of the rig
     /// @param scan scan of the sensor; must outlive this object
     RigPoseInterpolator(const RenderedScan& merged, const RenderedScan& scan)
-        : rig_(make_scan_with_rig_poses(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
+        : rig_(combine_rig_poses_with_firing_times(merged, scan)),
+          world_from_rig_(rig_),
+          world_from_firing_(scan) {}
     RigPoseInterpolator(const RigPoseInterpolator&) = delete;
     RigPoseInterpolator& operator=(const RigPoseInterpolator&) = delete;
-    Pose compute_rig_from_firing_pose(std::size_t ray_index) {
+    Pose compute_rig_from_sensor_pose_at_firing(std::size_t ray_index) {
         return inverse(world_from_rig_.compute_firing_pose(ray_index)) *
                world_from_firing_.compute_firing_pose(ray_index);
     }
@@ -88,9 +91,9 @@ private:
 };
 
 /// Appends the values of all channels of a scan.
-/// @param first_ray index of the scan's first ray in the merged scan
-void append_scan_channels(RenderedScan& merged_scan, const RenderedScan& scan, RigPoseInterpolator& rig_poses,
-                          std::size_t first_ray) {
+/// @param first_ray_index index of the scan's first ray in the merged scan
+void append_channels_in_rig_frame(RenderedScan& merged_scan, const RenderedScan& scan,
+                                  RigPoseInterpolator& rig_poses, std::size_t first_ray_index) {
     const std::size_t n = scan.image.range_m.size();
     for (ScanChannel& channel : merged_scan.channels) {
         // Copies the reference, because lambdas cannot capture structured bindings in
@@ -102,19 +105,20 @@ void append_scan_channels(RenderedScan& merged_scan, const RenderedScan& scan, R
                 all.push_back(scan_values ? (*scan_values)[i] : get_value_of_rays_without_hit<T>(info));
             if constexpr (std::is_same_v<T, glm::vec3>)
                 for (std::size_t i = 0; scan_values && info.turns && i < n; ++i)
-                    all[first_ray + i] = glm::vec3(rig_poses.compute_rig_from_firing_pose(i).rotation *
-                                                   glm::dvec3((*scan_values)[i]));
+                    all[first_ray_index + i] =
+                        glm::vec3(rig_poses.compute_rig_from_sensor_pose_at_firing(i).rotation *
+                                  glm::dvec3((*scan_values)[i]));
         };
         std::visit(add, channel.values);
         for (const ScanChannel& scan_channel : scan.channels)
             if (scan_channel.info.name == info.name && count_channel_values(scan_channel.second) > 0)
-                append_second_return_values(channel, scan_channel, first_ray);
+                append_second_return_values(channel, scan_channel, first_ray_index);
     }
 }
 
 /// Extends the lists of second returns to all rays. For rays without a second return,
 /// range and intensity are 0, and the channels have no value.
-void pad_second_returns(RenderedScan& merged_scan) {
+void pad_second_returns_to_all_rays(RenderedScan& merged_scan) {
     const std::size_t n = merged_scan.image.range_m.size();
     for (AdditionalReturns& second : merged_scan.second_returns) {
         second.range_m.resize(n);
@@ -160,7 +164,7 @@ void append_rays_in_rig_frame(RenderedScan& merged_scan, const RenderedScan& sca
     for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {
         merged_scan.time_offset_s.push_back(scan.time_offset_s[i]);
         merged_scan.ring.push_back(static_cast<std::uint16_t>(first_ring + scan.ring[i]));
-        const Pose rig_from_firing = rig_poses.compute_rig_from_firing_pose(i);
+        const Pose rig_from_firing = rig_poses.compute_rig_from_sensor_pose_at_firing(i);
         merged_scan.image.origin.emplace_back(rig_from_firing * glm::dvec3(scan.image.origin[i]));
         merged_scan.image.direction.emplace_back(
             glm::normalize(rig_from_firing.rotation * glm::dvec3(scan.image.direction[i])));
@@ -192,7 +196,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
             throw UsageError(
                 fmt::format("cannot merge scans: found {} beams in total, expected at most 65536", rings));
         const std::size_t first_ray = merged.image.range_m.size();
-        append_scan_channels(merged, scan, poses, first_ray);
+        append_channels_in_rig_frame(merged, scan, poses, first_ray);
         for_each_basic_channel_pair(
             scan, merged, [](const ChannelInfo&, const auto& from, auto& to) { append_elements(to, from); });
         if (scan.unseen_share) {
@@ -209,7 +213,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
         merge_actor_ray_counts(merged, scan);
         merged.trace_ms += scan.trace_ms;
     }
-    pad_second_returns(merged);
+    pad_second_returns_to_all_rays(merged);
     merged.image.rows = 1;
     merged.image.columns = static_cast<int>(merged.image.range_m.size());
     return merged;

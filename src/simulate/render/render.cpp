@@ -31,11 +31,11 @@ namespace {
 constexpr int kSideBySide = 4;  // number of scans that a GPU renders in parallel
 
 void require_normals_for_channel(const Config& config, const ChannelInfo& channel, const char* error_prefix) {
-    if (!channel.needs_normals || get_primitive_kind(config.image.primitive).has_normals) return;
+    if (!channel.needs_normals || get_primitive_properties(config.image.primitive).has_normals) return;
     throw UsageError(
         fmt::format("{}: the channel {} needs surface normals, but a scene that was trained with "
                     "image.primitive={} has none; use a run with image.primitive=surfel, or other channels",
-                    error_prefix, channel.name, get_primitive_kind(config.image.primitive).name));
+                    error_prefix, channel.name, get_primitive_properties(config.image.primitive).name));
 }
 
 TraceOptions make_trace_options(const Config& config) {
@@ -128,14 +128,14 @@ bool ScanRenderer::Impl::is_optional_channel_enabled(const std::string& name) co
     return std::ranges::find(settings.channels, name, &ChannelInfo::name) != settings.channels.end();
 }
 
-LogObservedSpace ScanRenderer::Impl::make_observed_space(const SimulatedSensor& sensor) const {
+LogObservedSpace ScanRenderer::Impl::get_space_observed_in_log(const SimulatedSensor& sensor) const {
     return {settings.coverage, sweeps.get_log().world_offset_m,
             std::min(sensor.limits.max_m, double(config.dataset.max_range_m))};
 }
 
 /// Returns the data from which the channels of a scan are computed.
 ChannelInputs ScanRenderer::Impl::make_channel_inputs(const SimulatedSweep& sweep) {
-    ChannelInputs context{make_observed_space(sweep.sensor),
+    ChannelInputs context{get_space_observed_in_log(sweep.sensor),
                           sweeps.get_log().get_world_from_sensor(sweep.sensor.lidar), sweep.instances};
     if (!is_optional_channel_enabled("class")) return context;
     context.classes = compute_instance_classes(sweeps.get_scene_layout(), sweeps.get_log());
@@ -145,14 +145,14 @@ ChannelInputs ScanRenderer::Impl::make_channel_inputs(const SimulatedSweep& swee
 }
 
 /// Loads the part of the scene around the sensor, and moves the instances to their poses.
-void ScanRenderer::Impl::prepare_scene_for_sweep(const ParallelScanResources& lane,
+void ScanRenderer::Impl::prepare_scene_for_sweep(const ParallelScanResources& resources,
                                                  const SimulatedSweep& sweep) {
     // Waits for pending scans, because loading blocks of the scene can replace the
     // renderer that these scans use.
     if (!sweeps.get_scene_layout().blocks.empty()) finish_pending_scans();
     const glm::vec3 sensor_m(sweep.pose.translation);
     scene.load_blocks_near_sensor(sensor_m, sweeps.get_range_limits(sweep.sensor).max_m);
-    lanes->get_renderer(lane).record_instance_poses_and_view(sweep.instances, sensor_m);
+    lanes->get_renderer(resources).record_instance_poses_and_view(sweep.instances, sensor_m);
 }
 
 /// Records GPU commands that trace rays and compute the measurements. Call
@@ -170,7 +170,7 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace_commands(Para
     Renderer& renderer = lanes->get_renderer(lane);
     recorded->record_ray_transform_to_world(renderer.stream(), sweep.world_from_sensor, sweep.time_s);
     renderer.record_forward_pass(recorded->get_world_ray_batch());
-    recorded->record_measurement(
+    recorded->record_measurement_of_rendered_rays(
         renderer.stream(), renderer.get_last_rendered_batch(),
         {config.render.range, sensor.beams, sweeps.get_log().intensity_response, sensor.limits, kMinWeight});
     if (with_drop_network)
@@ -257,7 +257,8 @@ void ScanRenderer::Impl::apply_noise_and_weather(RenderedScan& scan, const Simul
     const LidarSequence& log = sweeps.get_log();
     const IntensityScatterModel& scatter = settings.scatter[std::size_t(sensor.lidar)];
     if (noise_seed)
-        sample_random_returns(scan, log.lidars[std::size_t(sensor.lidar)].range_noise, scatter, *noise_seed);
+        replace_expected_returns_by_sample(scan, log.lidars[std::size_t(sensor.lidar)].range_noise, scatter,
+                                           *noise_seed);
     if (!settings.weather.is_clear() || find_channel_values<std::int32_t>(scan.channels, "source")) {
         const WeatherSensorProperties in_weather = make_sensor_properties_for_weather(
             config, sweep.get_rays(), sweeps.get_range_limits(sensor), scatter.step);
@@ -292,7 +293,7 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep,
                              ? TracedScan{trace_beams_with_sub_rays(sweep, plan.beams), {}}
                              : trace_rays(sweep, sweep.get_rays(), plan.network == Network::device);
     add_beam_channels(scan, make_channel_inputs(sweep), settings.channels);
-    estimate_and_set_unobserved_fraction(scan, make_observed_space(sensor));
+    estimate_and_set_unobserved_fraction(scan, get_space_observed_in_log(sensor));
     std::vector<ActorVisibility> views;
     if (settings.has_views) views = count_first_hits_per_instance(scan);
     if (plan.network == Network::cells) scan = project_points_into_grid_image(scan, *sensor.grid);

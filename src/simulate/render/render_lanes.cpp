@@ -35,7 +35,7 @@ ParallelScanResources& ParallelScanResourcePool::get_next_scan_resources_of_batc
         n_batch_ = 0;
     }
     const std::size_t lane = n_batch_++ % (1 + others_.size());
-    batch_->select_sequence_to_record(lane);
+    batch_->select_command_sequence(lane);
     return lane == 0 ? first_ : others_[lane - 1];
 }
 

@@ -34,8 +34,8 @@ RenderedIntensityImage make_rendered_intensity_image(const RenderedScan& scan) {
     return result;
 }
 
-void sample_random_returns(RenderedScan& scan, const RangeNoiseTable& noise,
-                           const IntensityScatterModel& scatter, std::uint64_t seed) {
+void replace_expected_returns_by_sample(RenderedScan& scan, const RangeNoiseTable& range_noise,
+                                        const IntensityScatterModel& intensity_scatter, std::uint64_t seed) {
     const std::uint64_t of_scan = hash_integer_pair(seed, std::bit_cast<std::uint64_t>(scan.time_s));
     const RenderedIntensityImage likely = make_rendered_intensity_image(scan);
     const std::vector<float>& likely_m = likely.range_m;
@@ -47,14 +47,14 @@ void sample_random_returns(RenderedScan& scan, const RangeNoiseTable& noise,
             likely_m[i] > 0.0f && random.sample_uniform_number() >= double(scan.image.drop_prob[i]);
         returning[i] = returns;
         scan.image.drop_prob[i] = returns ? 0.0f : 1.0f;
-        const double cosine = double(likely.cosine[i]), sigma_m = noise.get_range_noise_sigma_m(
+        const double cosine = double(likely.cosine[i]), sigma_m = range_noise.get_range_noise_sigma_m(
                                                             double(likely_m[i]), cosine < 0.0 ? 1.0 : cosine);
         for (AdditionalReturns& echo : scan.second_returns) {
             if (!returns) echo.range_m[i] = echo.intensity[i] = 0.0f;
             if (echo.range_m[i] > 0.0f)
                 echo.range_m[i] = std::max(
                     echo.range_m[i] +
-                        static_cast<float>(noise.get_range_noise_sigma_m(double(echo.range_m[i]), 1.0) *
+                        static_cast<float>(range_noise.get_range_noise_sigma_m(double(echo.range_m[i]), 1.0) *
                                            random.sample_standard_normal()),
                     1e-3f);
         }
@@ -62,9 +62,9 @@ void sample_random_returns(RenderedScan& scan, const RangeNoiseTable& noise,
             ranges_m[i] =
                 std::max(likely_m[i] + static_cast<float>(sigma_m * random.sample_standard_normal()), 1e-3f);
     });
-    if (!scatter.empty()) {
-        const std::vector<float> drawn =
-            sample_random_intensities(scatter, likely, returning, hash_integer_pair(of_scan, kOfIntensities));
+    if (!intensity_scatter.empty()) {
+        const std::vector<float> drawn = sample_random_intensities(
+            intensity_scatter, likely, returning, hash_integer_pair(of_scan, kOfIntensities));
         for (std::size_t i = 0; i < drawn.size(); ++i)
             if (returning[i] != 0) scan.image.intensity[i] = drawn[i];
     }

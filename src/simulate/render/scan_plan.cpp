@@ -16,33 +16,34 @@ constexpr const char* kNative = "native";
 
 /// Checks that the beams of a sensor can be split into sub-rays.
 /// @throws UsageError for a beam without divergence
-void require_beams_can_be_split(const RayTable& rays, const SensorConfig& beam_config,
-                                const SimulatedSensor& sensor) {
-    if (sensor.grid && beam_config.returns > 1)
+void require_valid_sub_ray_settings(const RayTable& rays, const SensorConfig& sensor_config,
+                                    const SimulatedSensor& sensor) {
+    if (sensor.grid && sensor_config.returns > 1)
         throw UsageError(fmt::format(
             "sensor.returns: found 2 for {}, expected 1, because its range image has one range per pixel",
             sensor.name));
-    if (beam_config.sub_rays == 1 && beam_config.returns > 1)
+    if (sensor_config.sub_rays == 1 && sensor_config.returns > 1)
         throw UsageError(
             "sensor.returns: found 2 with sensor.sub_rays=1, expected sensor.sub_rays=5 or 9, because a "
             "single ray has only one return");
-    if (beam_config.sub_rays == 1) return;
-    if (beam_config.sub_rays != 5 && beam_config.sub_rays != 9)
-        throw UsageError(fmt::format("sensor.sub_rays: found {}, expected 1, 5 or 9", beam_config.sub_rays));
-    if (!(beam_config.divergence_mrad > 0.0 || rays.find_max_divergence_rad() > 0.0))
+    if (sensor_config.sub_rays == 1) return;
+    if (sensor_config.sub_rays != 5 && sensor_config.sub_rays != 9)
+        throw UsageError(
+            fmt::format("sensor.sub_rays: found {}, expected 1, 5 or 9", sensor_config.sub_rays));
+    if (!(sensor_config.divergence_mrad > 0.0 || rays.find_max_divergence_rad() > 0.0))
         throw UsageError(
             fmt::format("sensor.sub_rays: the beam divergence of {} is unknown; set sensor.divergence_mrad",
                         sensor.name));
-    if (rays.size() * std::size_t(beam_config.sub_rays) > kMaxRays)
+    if (rays.size() * std::size_t(sensor_config.sub_rays) > kMaxRays)
         throw UsageError(
             fmt::format("sensor.sub_rays: found {} for {} rays, expected at most {} rays in total",
-                        beam_config.sub_rays, rays.size(), kMaxRays));
+                        sensor_config.sub_rays, rays.size(), kMaxRays));
 }
 
 /// Returns true if there is a network and it can correct an image with this name and
 /// size.
-bool can_network_correct_image(const RayDropNetwork* network, const std::string& image_name, int rows,
-                               int columns) {
+bool can_apply_network_to_image(const RayDropNetwork* network, const std::string& image_name, int rows,
+                                int columns) {
     if (!network || network->image != image_name) return false;
     // A network with 1 x 1 convolutions processes each ray separately, so an image of one
     // pixel is enough.
@@ -54,11 +55,11 @@ ScanRenderPlan::RayDropStage choose_drop_network_stage(const RayDropNetwork* net
                                                        const SimulatedSensor& sensor, const RayTable& rays,
                                                        bool has_sub_rays) {
     using enum ScanRenderPlan::RayDropStage;
-    if (can_network_correct_image(network, kNative, rays.rows, rays.columns) ||
-        (!sensor.grid && can_network_correct_image(network, sensor.name, rays.rows, rays.columns)))
+    if (can_apply_network_to_image(network, kNative, rays.rows, rays.columns) ||
+        (!sensor.grid && can_apply_network_to_image(network, sensor.name, rays.rows, rays.columns)))
         return has_sub_rays ? beams : device;
     const RangeImageGrid* grid = sensor.grid ? &*sensor.grid : nullptr;
-    return grid && can_network_correct_image(network, grid->name, grid->rows, grid->columns) ? cells : none;
+    return grid && can_apply_network_to_image(network, grid->name, grid->rows, grid->columns) ? cells : none;
 }
 
 }  // namespace
@@ -69,7 +70,7 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
     ScanRenderPlan plan{.beams = config.sensor};
     if (sensor.returns > 0) plan.beams.returns = sensor.returns;
     if (sensor.returns > 1 && plan.beams.sub_rays == 1) plan.beams.sub_rays = 9;
-    require_beams_can_be_split(rays, plan.beams, sensor);
+    require_valid_sub_ray_settings(rays, plan.beams, sensor);
     if (rays.size() == 0)
         throw UsageError(
             fmt::format("cannot render {}: this sensor does not spin and defines no rays; use another sensor",

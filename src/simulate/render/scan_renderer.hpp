@@ -64,7 +64,7 @@ struct ScanRenderer::Impl {
     };
     /// Decides which steps run for a sweep.
     ScanRenderPlan plan_steps_for_sweep(const SimulatedSweep& sweep, bool has_random_sampling) const;
-    void prepare_scene_for_sweep(const ParallelScanResources& lane, const SimulatedSweep& sweep);
+    void prepare_scene_for_sweep(const ParallelScanResources& resources, const SimulatedSweep& sweep);
     std::shared_ptr<DeviceSensorRays> record_trace_commands(ParallelScanResources& lane,
                                                             const SimulatedSweep& sweep, const RayTable& rays,
                                                             bool with_drop_network);
@@ -86,7 +86,7 @@ struct ScanRenderer::Impl {
     void finish_pending_scans();
     void wait_for_device() noexcept;
     bool is_optional_channel_enabled(const std::string& name) const;
-    LogObservedSpace make_observed_space(const SimulatedSensor& sensor) const;
+    LogObservedSpace get_space_observed_in_log(const SimulatedSensor& sensor) const;
     ChannelInputs make_channel_inputs(const SimulatedSweep& sweep);
 };
 

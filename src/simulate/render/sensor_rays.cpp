@@ -166,8 +166,9 @@ RayBatch DeviceSensorRays::get_world_ray_batch() const {
             .columns = table_.rows > 1 ? std::uint32_t(table_.columns) : 0};
 }
 
-void DeviceSensorRays::record_measurement(Stream& stream, const RenderedBatch& rendered_batch,
-                                          const RayMeasurementOptions& options) {
+void DeviceSensorRays::record_measurement_of_rendered_rays(Stream& stream,
+                                                           const RenderedBatch& rendered_batch,
+                                                           const RayMeasurementOptions& options) {
     std::vector<shared::SensorBeam> beams;
     for (const Beam& beam : options.beams)
         beams.push_back({.range_offset_m = float(beam.range_offset_m),

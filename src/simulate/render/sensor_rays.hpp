@@ -53,8 +53,8 @@ public:
     RayBatch get_world_ray_batch() const;
     /// Records GPU commands that convert rendering results to measurements, such as range
     /// and intensity, for all rays.
-    void record_measurement(Stream& stream, const RenderedBatch& rendered_batch,
-                            const RayMeasurementOptions& options);
+    void record_measurement_of_rendered_rays(Stream& stream, const RenderedBatch& rendered_batch,
+                                             const RayMeasurementOptions& options);
     /// Records GPU commands that run a ray-drop network on the measured rays. Afterwards
     /// get_drop_probability_address() returns the address of the result.
     /// @param relative_sensor_position_m sensor position relative to the first vehicle
@@ -101,7 +101,7 @@ private:
     Array<shared::RenderedSurface> no_surfaces_;  ///< a single entry of zeros
     Array<float, shared::DropSamples> samples_;   ///< inputs of the ray-drop network
     /// Output of the ray-drop network. Null if the network did not run after the last
-    /// record_measurement().
+    /// record_measurement_of_rendered_rays().
     const Array<float, shared::DropProbabilities>* refined_ = nullptr;
 };
 

@@ -67,7 +67,7 @@ struct PartlyObservedActor {
                                       double range_m, bool hits_actor) {
         if (hits_actor && range_m > 0.0)
             if (const auto side =
-                    surface->find_side_filled_by_mirroring(ray_origin + range_m * ray_direction))
+                    surface->find_box_side_with_mirrored_surfels(ray_origin + range_m * ray_direction))
                 ++n_completed[std::size_t(*side)];
         const auto [enter_m, axis] = find_ray_entry_into_box(ray_origin, ray_direction, half_m);
         if (!std::isfinite(enter_m) || (range_m > 0.0 && range_m < enter_m)) return;

@@ -48,7 +48,7 @@ std::string make_odometry_message(const RecordedPose& pose) {
     return cdr.take_encoded_message();
 }
 
-std::string make_clock_message(const RecordedPose& pose) {
+std::string make_ros_clock_message(const RecordedPose& pose) {
     CdrWriter cdr;
     add_time(cdr, pose.time_ns);
     return cdr.take_encoded_message();
@@ -91,7 +91,7 @@ RecordedTopic make_ros_topic(const std::string& name, const std::string& message
 
 std::vector<RecordedTopic> list_ros_topics(const RecordedRig& rig) {
     std::vector<RecordedTopic> topics{
-        make_topic_with_message_per_pose("/clock", "rosgraph_msgs/msg/Clock", make_clock_message),
+        make_topic_with_message_per_pose("/clock", "rosgraph_msgs/msg/Clock", make_ros_clock_message),
         make_static_transform_topic(rig),
         make_topic_with_message_per_pose("/tf", "tf2_msgs/msg/TFMessage", make_vehicle_transform_message),
         make_topic_with_message_per_pose("/odom", "nav_msgs/msg/Odometry", make_odometry_message)};

@@ -38,9 +38,9 @@ std::vector<double> get_row_major_matrix(const Pose& pose) {
     return numbers;
 }
 
-std::string describe_point_frame(const ScanOutputOptions& format) {
-    if (format.frame == PointCoordinateFrame::world) return "world: the dataset's own";
-    return are_points_in_one_coordinate_frame(format)
+std::string describe_point_coordinate_frame(const ScanOutputOptions& output_options) {
+    if (output_options.frame == PointCoordinateFrame::world) return "world: the dataset's own";
+    return are_points_in_one_coordinate_frame(output_options)
                ? "sensor at time_s: x forward, y left, z up"
                : "sensor at each ray's firing time: x forward, y left, z up";
 }
@@ -52,7 +52,7 @@ FileMetadata make_scan_file_metadata(const ScanOutputOptions& format, int frame_
             {"sensor", format.sensor},
             {"frame_number", fmt::format("{}", frame_number)},
             {"time_s", fmt::format("{}", scan.time_s)},
-            {"points_in", describe_point_frame(format)},
+            {"points_in", describe_point_coordinate_frame(format)},
             {"points_range", format.config.render.points == "median" ? "median" : format.config.render.range},
             {"world_from_sensor",
              fmt::format("{}", fmt::join(get_row_major_matrix(scan.world_from_sensor), " "))},

@@ -86,8 +86,9 @@ ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format, Jo
     channels_ = parse_channel_names(format_.config.render.channels);
 }
 
-ScanFolderWriter ScanFolderWriter::open_folder_of_other_process(fs::path folder, ScanOutputOptions format) {
-    ScanFolderWriter joined(std::move(folder), std::move(format), JoinExistingTag{});
+ScanFolderWriter ScanFolderWriter::join_folder_of_other_process(fs::path folder,
+                                                                ScanOutputOptions output_options) {
+    ScanFolderWriter joined(std::move(folder), std::move(output_options), JoinExistingTag{});
     for (const std::string& name : joined.format_.formats)
         if (is_recording_format(name))
             throw UsageError(fmt::format(

@@ -21,7 +21,7 @@ constexpr int kRaysPerLine = 2048;
 
 /// Arranges the rays of a scan without image rows in lines. The last line ends with
 /// dropped rays. The result has only the values that a picture shows.
-RangeImage arrange_rays_in_lines(const RangeImage& image) {
+RangeImage arrange_rays_in_picture_rows(const RangeImage& image) {
     RangeImage lines;
     lines.columns = kRaysPerLine;
     lines.rows = (image.columns + kRaysPerLine - 1) / kRaysPerLine;
@@ -60,7 +60,7 @@ Image draw_ray_drop_picture(const RangeImage& image) {
     return apply_colour_map(image.drop_prob, image.rows, image.columns, 0.0f, 1.0f, "gray");
 }
 
-int compute_vertical_scale(const RangeImage& image) {
+int compute_vertical_stretch_factor(const RangeImage& image) {
     return std::max(1, static_cast<int>(std::lround(image.columns / (kPictureAspect * image.rows))));
 }
 
@@ -73,14 +73,14 @@ Image draw_channels_of_image(const RangeImage& image) {
     return stack_images_vertically(
         {draw_range_picture(image, static_cast<double>(std::min(farthest, kFarthest_m))),
          draw_intensity_picture(image), draw_ray_drop_picture(image)},
-        compute_vertical_scale(image));
+        compute_vertical_stretch_factor(image));
 }
 
 }  // namespace
 
 Image draw_scan_picture(const RenderedScan& scan) {
     if (scan.image.rows == 1 && scan.image.columns > kRaysPerLine)
-        return draw_channels_of_image(arrange_rays_in_lines(scan.image));
+        return draw_channels_of_image(arrange_rays_in_picture_rows(scan.image));
     return draw_channels_of_image(scan.image);
 }
 

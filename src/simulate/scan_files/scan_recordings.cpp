@@ -74,10 +74,10 @@ void require_unique_topic_names(const std::vector<scan_files::RecordedTopic>& to
 }
 
 /// Describes the coordinate frame of the points, for the metadata of a recording.
-const char* describe_frame_of_points(const ScanOutputOptions& format) {
-    if (format.frame == PointCoordinateFrame::world) return "world";
-    return are_points_in_one_coordinate_frame(format) ? "sensor at the stamp"
-                                                      : "sensor at each ray's firing time";
+const char* describe_recording_coordinate_frame(const ScanOutputOptions& output_options) {
+    if (output_options.frame == PointCoordinateFrame::world) return "world";
+    return are_points_in_one_coordinate_frame(output_options) ? "sensor at the stamp"
+                                                              : "sensor at each ray's firing time";
 }
 
 /// Returns the metadata of a recording.
@@ -91,7 +91,7 @@ FileMetadata make_recording_metadata(const std::vector<ScanOutputOptions>& senso
             {"dataset", format.config.dataset.path},
             {"sensor", fmt::format("{}", fmt::join(names, ", "))},
             {"trajectory", format.trajectory},
-            {"points_in", describe_frame_of_points(format)},
+            {"points_in", describe_recording_coordinate_frame(format)},
             {"units", "metres, seconds; intensity 0 to 1"}};
 }
 

@@ -26,7 +26,7 @@ public:
     /// @param get_position_m returns the position of the point at a given time, in the
     /// world frame of the dataset
     template <class PositionFunction>
-    double find_time_facing_point(const PositionFunction& get_position_m) const {
+    double find_firing_time_towards_point(const PositionFunction& get_position_m) const {
         // Number of fixed-point iterations. Each iteration computes the direction from
         // the sensor to the point at `time_s`. The firing time of the ray closest to this
         // direction becomes the new `time_s`.
@@ -91,7 +91,7 @@ std::vector<ActorInScan> find_actors_present_in_scan(const RenderedScan& scan,
             return Pose{pose.rotation, pose.translation + format.world_offset_m};
         };
         const double faced_s =
-            rays.find_time_facing_point([&](double t_s) { return world_from_box(t_s).translation; });
+            rays.find_firing_time_towards_point([&](double t_s) { return world_from_box(t_s).translation; });
         actors.push_back(
             {&box, world_from_box, faced_s, count_returns_on_actor(scan, format, box.id), visible_share});
     }
@@ -117,11 +117,12 @@ std::vector<ActorBox> find_actor_boxes(const RenderedScan& scan, const ScanOutpu
     return boxes;
 }
 
-void replace_actor_box_poses(ScanOutputOptions& format, const ActorTracksByName& dataset_from_actor) {
-    std::erase_if(format.actors, [&](BoxTrack& box) {
+void set_actor_boxes_to_requested_poses(ScanOutputOptions& output_options,
+                                        const ActorTracksByName& dataset_from_actor) {
+    std::erase_if(output_options.actors, [&](BoxTrack& box) {
         const auto poses = dataset_from_actor.find(box.id);
         if (poses == dataset_from_actor.end()) return true;
-        box.world_from_box = add_offset_to_track_positions(poses->second, -format.world_offset_m);
+        box.world_from_box = add_offset_to_track_positions(poses->second, -output_options.world_offset_m);
         return false;
     });
 }

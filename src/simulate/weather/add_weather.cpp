@@ -18,7 +18,7 @@ using ReturnCauses = std::vector<std::int32_t>;
 
 /// Returns the channel named "source", which stores the cause of each return. Sets all
 /// causes to `nothing`. Adds the channel if the scan does not have it.
-ScanChannel& reset_or_add_return_cause_channel(RenderedScan& scan) {
+ScanChannel& prepare_return_cause_channel(RenderedScan& scan) {
     const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSource; };
     const auto source_channel = std::ranges::find_if(scan.channels, has_name);
     const bool is_there = source_channel != scan.channels.end();
@@ -47,7 +47,7 @@ void clear_surface_values_of_ray(RenderedScan& scan, std::size_t ray_index) {
 class ScanWeatherApplier {
 public:
     ScanWeatherApplier(RenderedScan& scan, const WeatherInput& input)
-        : scan_(scan), input_(input), air_(input), channel_(reset_or_add_return_cause_channel(scan)) {}
+        : scan_(scan), input_(input), air_(input), channel_(prepare_return_cause_channel(scan)) {}
 
     void apply_weather_to_ray(std::size_t ray_index, std::uint64_t seed) {
         const bool has_second = !scan_.second_returns.empty();
@@ -98,17 +98,20 @@ private:
         if (!is_blocked || !(median_m > 0.0f)) return input_.sensor.max_range_m;
         return std::max(double(median_m), ray.second.range_m);
     }
-    void write_strongest_echo(std::size_t ray_index, const LidarEcho& original_echo, const LidarEcho& echo) {
+    void write_strongest_echo(std::size_t ray_index, const LidarEcho& echo_before_weather,
+                              const LidarEcho& echo_after_weather) {
         RangeImage& image = scan_.image;
-        if (echo.source == ReturnCause::nothing) {
-            if (original_echo.source != ReturnCause::nothing) image.drop_prob[ray_index] = 1.0f;
+        if (echo_after_weather.source == ReturnCause::nothing) {
+            if (echo_before_weather.source != ReturnCause::nothing) image.drop_prob[ray_index] = 1.0f;
             return;
         }
-        image.intensity[ray_index] = compute_reported_intensity(echo);
-        if (echo.source == original_echo.source && echo.range_m == original_echo.range_m) return;
+        image.intensity[ray_index] = compute_reported_intensity(echo_after_weather);
+        if (echo_after_weather.source == echo_before_weather.source &&
+            echo_after_weather.range_m == echo_before_weather.range_m)
+            return;
         image.drop_prob[ray_index] = 0.0f;
         image.range_m[ray_index] = scan_.median_range_m[ray_index] = scan_.mean_range_m[ray_index] =
-            static_cast<float>(echo.range_m);
+            static_cast<float>(echo_after_weather.range_m);
         clear_surface_values_of_ray(scan_, ray_index);
     }
     void write_second_echo(AdditionalReturns& second, std::size_t ray_index, const LidarEcho& echo) const {

@@ -88,7 +88,7 @@ GroundPlane fit_ground_plane_to_cell(const GroundGridCell& cell) {
 
 /// Returns the hit point of each ray that hits the background below the sensor, relative
 /// to the sensor. Other rays have NaN.
-std::vector<glm::dvec3> compute_background_points_below(const RenderedScan& scan) {
+std::vector<glm::dvec3> compute_background_points_below_sensor(const RenderedScan& scan) {
     const glm::dvec3 none(std::numeric_limits<double>::quiet_NaN());
     std::vector<glm::dvec3> points(scan.median_range_m.size(), none);
     parallel_for_in_blocks(points.size(), [&](std::size_t ray) {
@@ -134,7 +134,7 @@ GroundPlane fit_plane_around_point(const GroundGrid& cells, const glm::dvec3& po
 /// @return [rays] unit normal of the ground in the world frame of the dataset, or 0 for
 /// rays without a return from ground
 std::vector<glm::dvec3> estimate_level_ground_normals(const RenderedScan& scan) {
-    const std::vector<glm::dvec3> points = compute_background_points_below(scan);
+    const std::vector<glm::dvec3> points = compute_background_points_below_sensor(scan);
     const GroundGrid cells = make_ground_cells(points);
     std::unordered_map<std::uint64_t, GroundPlane> planes;
     std::vector<glm::dvec3> normals(points.size(), glm::dvec3(0.0));

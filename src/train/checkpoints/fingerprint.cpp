@@ -51,8 +51,8 @@ private:
     std::uint64_t state_ = 0;
 };
 
-std::string describe_frame_range_with_hash(const LidarSequence& sequence,
-                                           const std::vector<int>& frame_indices) {
+std::string format_frame_selection_with_hash(const LidarSequence& sequence,
+                                             const std::vector<int>& frame_indices) {
     std::vector<int> indices;
     for (const int position : frame_indices) indices.push_back(sequence.frames[std::size_t(position)].index);
     RunningHash hash;
@@ -109,7 +109,7 @@ std::string format_checkpoint_mismatch_message(const std::string& action, const 
 std::vector<ResumeFingerprint> compute_log_fingerprints(const LidarSequence& sequence,
                                                         const TrainTestSplit& split) {
     return {{"log/training frames", "the log's training frames",
-             describe_frame_range_with_hash(sequence, split.train)},
+             format_frame_selection_with_hash(sequence, split.train)},
             {"log/scans", "the log's scans", hash_scans(sequence, split.train)},
             {"log/sensor poses", "the log's sensor poses", hash_poses(sequence)},
             {"log/boxes", "the log's boxes", hash_boxes(sequence)}};
@@ -124,12 +124,13 @@ ResumeFingerprint compute_scene_fingerprint(const Scene& scene) {
     return {"scene", "the scene", hash.get_hex_digest()};
 }
 
-void add_entry_to_checkpoint_texts(const ConfigKey& setting, std::map<std::string, std::string>& texts) {
-    texts[kSetting + setting.key] = setting.value;
+void add_setting_to_checkpoint_texts(const ConfigKey& setting,
+                                     std::map<std::string, std::string>& checkpoint_texts) {
+    checkpoint_texts[kSetting + setting.key] = setting.value;
 }
-void add_entry_to_checkpoint_texts(const ResumeFingerprint& fingerprint,
-                                   std::map<std::string, std::string>& texts) {
-    texts[fingerprint.key] = fingerprint.value;
+void add_fingerprint_to_checkpoint_texts(const ResumeFingerprint& fingerprint,
+                                         std::map<std::string, std::string>& checkpoint_texts) {
+    checkpoint_texts[fingerprint.key] = fingerprint.value;
 }
 
 void require_same_as_in_checkpoint(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,

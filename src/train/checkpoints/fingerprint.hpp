@@ -30,10 +30,11 @@ std::vector<ResumeFingerprint> compute_log_fingerprints(const LidarSequence& seq
 /// @throws DataError if the file of a block is invalid
 ResumeFingerprint compute_scene_fingerprint(const Scene& scene);
 
-/// Adds a setting, or a hash (second overload), to the texts that a checkpoint stores.
-void add_entry_to_checkpoint_texts(const ConfigKey& setting, std::map<std::string, std::string>& texts);
-void add_entry_to_checkpoint_texts(const ResumeFingerprint& fingerprint,
-                                   std::map<std::string, std::string>& texts);
+/// Adds a setting, or the hash of a fingerprint, to the texts that a checkpoint stores.
+void add_setting_to_checkpoint_texts(const ConfigKey& setting,
+                                     std::map<std::string, std::string>& checkpoint_texts);
+void add_fingerprint_to_checkpoint_texts(const ResumeFingerprint& fingerprint,
+                                         std::map<std::string, std::string>& checkpoint_texts);
 /// Compares settings or a hash with the values in a checkpoint.
 /// @param error_prefix  start of the error message
 /// @throws UsageError if a setting has another value

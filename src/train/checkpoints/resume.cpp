@@ -48,7 +48,7 @@ struct LogColumns {
     std::array<std::vector<std::uint32_t>, kDensifyCounts.size()> densified;
 
     template <class Visitor>
-    void visit_state(Visitor&& visit) {
+    void visit_checkpoint_state(Visitor&& visit) {
         visit("log/iteration", iteration);
         visit("log/seconds", seconds);
         visit("log/surfels", surfels);
@@ -78,9 +78,9 @@ std::map<std::string, std::string> list_settings_and_hashes_for_resume(const Lid
                                                                        const TrainTestSplit& split,
                                                                        const Config& config) {
     std::map<std::string, std::string> texts;
-    for (const ConfigKey& key : list_config_keys(config)) add_entry_to_checkpoint_texts(key, texts);
+    for (const ConfigKey& key : list_config_keys(config)) add_setting_to_checkpoint_texts(key, texts);
     for (const ResumeFingerprint& mark : compute_log_fingerprints(sequence, split))
-        add_entry_to_checkpoint_texts(mark, texts);
+        add_fingerprint_to_checkpoint_texts(mark, texts);
     return texts;
 }
 
@@ -128,14 +128,14 @@ void write_training_log_and_times(CheckpointWriter& writer, const TrainResult& r
         for (std::size_t k = 0; k < kDensifyCounts.size(); ++k)
             log.densified[k].push_back(p.densified.*kDensifyCounts[k].second);
     }
-    log.visit_state(writer);
+    log.visit_checkpoint_state(writer);
     writer("initialise_s", result.initialise_s);
     writer("train_s", training_time_s);
 }
 
 std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const Config& config) {
     LogColumns log;
-    log.visit_state(CheckpointReader(checkpoint));
+    log.visit_checkpoint_state(CheckpointReader(checkpoint));
     const std::size_t n = log.iteration.size();
     const auto as_long = [n](const auto& column) { return column.size() == n; };
     const bool even = as_long(log.seconds) && as_long(log.surfels) &&

@@ -21,16 +21,17 @@
 namespace relidar {
 namespace {
 
-bool should_use_range_grid(const Config& config) {
+bool should_train_on_range_image_grid(const Config& config) {
     return config.refine.image == "grid" && config.sensor.grid != "native";
 }
 
 /// Returns the rays along which a frame is rendered to train the ray-drop network. These
 /// are the rays of the frame's LiDAR. If the network corrects range images (setting
 /// refine.image is "grid"), returns one ray for each cell of the range image instead.
-SimulatedSensor choose_drop_training_sensor(const Config& config, const LidarSequence& sequence,
-                                            const LidarFrame& frame) {
-    if (!should_use_range_grid(config)) return choose_nominal_sensor_of_frame(config, sequence, frame);
+SimulatedSensor choose_sensor_for_ray_drop_training(const Config& config, const LidarSequence& sequence,
+                                                    const LidarFrame& frame) {
+    if (!should_train_on_range_image_grid(config))
+        return choose_nominal_sensor_of_frame(config, sequence, frame);
     SimulatedSensor sensor = make_sensor_from_config(config, sequence, frame.lidar);
     // uses the rolling shutter of the log, because the network learns from the scans of
     // the log
@@ -77,9 +78,9 @@ std::vector<float> convert_ray_drops_to_grid(const Config& config, const LidarFr
 /// Returns the training frames that the ray-drop network can read as images. These are
 /// all frames if refine.image is "grid". Otherwise the rays must be ordered in rows and
 /// columns, and only frames with the most common image size are returned.
-std::vector<int> select_frames_with_image_rays(const Config& config, const LidarSequence& sequence,
-                                               const std::vector<int>& train_frame_indices) {
-    if (should_use_range_grid(config)) return train_frame_indices;
+std::vector<int> select_frames_with_range_image(const Config& config, const LidarSequence& sequence,
+                                                const std::vector<int>& train_frame_indices) {
+    if (should_train_on_range_image_grid(config)) return train_frame_indices;
     std::map<std::pair<int, int>, std::vector<int>> by_shape;
     for (const int position : train_frame_indices) {
         const RayTable& rays = sequence.frames[std::size_t(position)].scan.rays;
@@ -97,7 +98,7 @@ std::vector<RayDropImage> render_drop_network_training_images(Device& device, co
                                                               const Config& config,
                                                               const RayDropTrainingSession& session) {
     const std::vector<int> positions = select_evenly_spaced_frames(
-        select_frames_with_image_rays(run.config, run.sequence, run.split.train), run.config.refine.frames);
+        select_frames_with_range_image(run.config, run.sequence, run.split.train), run.config.refine.frames);
     if (positions.empty())
         throw DataError(
             fmt::format("cannot train the ray-drop network of {}: no training frame has its rays in rows and "
@@ -106,23 +107,24 @@ std::vector<RayDropImage> render_drop_network_training_images(Device& device, co
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const IgnoredMeasurements masks = make_mask_for_movers_without_model(config, run.scene);
     const std::vector<std::string> channels = list_network_input_channels(config.refine);
-    if (get_primitive_kind(config.image.primitive).has_normals)
+    if (get_primitive_properties(config.image.primitive).has_normals)
         renderer.enable_optional_channels("incidence");
     std::vector<RayDropImage> images;
     for (const int position : positions) {
         if (session.progress)
             session.progress("rendering training frames", double(images.size()) / double(positions.size()));
         const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
-        SimulatedSensor sensor = choose_drop_training_sensor(config, run.sequence, frame);
+        SimulatedSensor sensor = choose_sensor_for_ray_drop_training(config, run.sequence, frame);
         const bool parted = config.refine.network == "pixel" && !sensor.grid;
-        const ImageStripes stripes(parted ? choose_stripe_interval(sensor.rays) : 1, sensor.rays,
+        const ImageStripes stripes(parted ? choose_image_stripe_interval(sensor.rays) : 1, sensor.rays,
                                    images.size());
         sensor.rays =
             stripes.select_stripe_rays(rotate_rays_by_column_fraction(std::move(sensor.rays), 0.5f));
         const RenderedScan scan = renderer.render(sensor, frame.time_s);
         images.push_back(make_network_input_image(scan, channels, get_first_vehicle_position(run.sequence)));
         std::vector<float> dropped = classify_measured_drops_per_ray(run.sequence, frame, masks);
-        if (should_use_range_grid(config)) dropped = convert_ray_drops_to_grid(config, frame, dropped);
+        if (should_train_on_range_image_grid(config))
+            dropped = convert_ray_drops_to_grid(config, frame, dropped);
         images.back().dropped = stripes.select_stripe_values(dropped);
         for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
             // Excludes rays that the scene always drops, because the output of the
@@ -136,7 +138,8 @@ std::vector<RayDropImage> render_drop_network_training_images(Device& device, co
 
 }  // namespace
 
-RayDropNetwork refine_drops(Device& device, const TrainedRun& run, const RayDropTrainingSession& session) {
+RayDropNetwork train_ray_drop_network_of_run(Device& device, const TrainedRun& run,
+                                             const RayDropTrainingSession& session) {
     if (session.start) require_network_training_is_resumable(*session.start, run);
     Config config = run.config;
     config.sensor.sub_rays = config.sensor.returns = 1;
@@ -158,7 +161,7 @@ RayDropNetwork refine_drops(Device& device, const TrainedRun& run, const RayDrop
     };
     RayDropNetwork network = train_ray_drop_network(device, images, config.refine, config.train.seed,
                                                     after_step, start ? &*start : nullptr);
-    if (should_use_range_grid(config)) network.image = config.sensor.grid;
+    if (should_train_on_range_image_grid(config)) network.image = config.sensor.grid;
     return stopped ? RayDropNetwork{} : network;
 }
 

@@ -15,7 +15,7 @@ namespace relidar {
 namespace {
 
 /// Returns true if a setting changes the rendered images or the network.
-bool can_affect_drop_network(const std::string& setting_key) {
+bool can_setting_affect_ray_drop_network(const std::string& setting_key) {
     constexpr std::array kGroups{"refine.", "image.", "sensor.", "init.", "render.range", "train.seed"};
     return setting_key != "refine.enabled" &&
            std::ranges::any_of(kGroups, [&](const char* group) { return setting_key.starts_with(group); });
@@ -37,9 +37,9 @@ RayDropCheckpointKeeper::RayDropCheckpointKeeper(const TrainedRun& run, const Ra
     texts_ = std::async(std::launch::async, [&run] {
         std::map<std::string, std::string> texts;
         for (const ConfigKey& key : list_config_keys(run.config))
-            if (can_affect_drop_network(key.key)) add_entry_to_checkpoint_texts(key, texts);
+            if (can_setting_affect_ray_drop_network(key.key)) add_setting_to_checkpoint_texts(key, texts);
         for (const ResumeFingerprint& mark : compute_run_fingerprints(run))
-            add_entry_to_checkpoint_texts(mark, texts);
+            add_fingerprint_to_checkpoint_texts(mark, texts);
         return texts;
     });
 }
@@ -55,13 +55,13 @@ void RayDropCheckpointKeeper::save_checkpoint_if_due(const RayDropTrainProgress&
     // checkpoint.
     last_ = Clock::now();
     folder_.save_checkpoint_or_report_failure({progress.step, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
-        get_state().visit_state(CheckpointWriter(checkpoint));
+        get_state().visit_checkpoint_state(CheckpointWriter(checkpoint));
     });
 }
 
 RayDropTrainState read_network_training_state(const Checkpoint& checkpoint) {
     RayDropTrainState state;
-    state.visit_state(CheckpointReader(checkpoint));
+    state.visit_checkpoint_state(CheckpointReader(checkpoint));
     return state;
 }
 
@@ -69,7 +69,8 @@ void require_network_training_is_resumable(const Checkpoint& checkpoint, const T
     const std::string doing =
         fmt::format("cannot resume the ray-drop network from step {}", checkpoint.iteration);
     std::vector<ConfigKey> settings = list_config_keys(run.config);
-    std::erase_if(settings, [](const ConfigKey& key) { return !can_affect_drop_network(key.key); });
+    std::erase_if(settings,
+                  [](const ConfigKey& key) { return !can_setting_affect_ray_drop_network(key.key); });
     require_same_as_in_checkpoint(settings, checkpoint, doing);
     for (const ResumeFingerprint& mark : compute_run_fingerprints(run))
         require_same_as_in_checkpoint(checkpoint, mark, doing);

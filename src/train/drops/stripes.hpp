@@ -14,7 +14,7 @@ namespace relidar {
 
 /// Returns an interval n. If every n-th stripe of the image is used, the used stripes
 /// have about 32,768 pixels in total. If n is below 2, the full image is used.
-inline int choose_stripe_interval(const RayTable& rays) { return int(rays.size()) / 32768; }
+inline int choose_image_stripe_interval(const RayTable& rays) { return int(rays.size()) / 32768; }
 
 /// Some vertical stripes of an image. The image covers a full turn, so its last column is
 /// next to its first.

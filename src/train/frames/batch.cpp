@@ -39,10 +39,10 @@ ImageShape get_frame_image_shape(const TrainingFrameData& frame) {
     return frame.image.has_image_rows_and_columns() ? frame.image : ImageShape{1, frame.n_rays, false};
 }
 
-StridedColumns choose_batch_columns(const TrainingFrameData& frame, const TrainConfig& config,
-                                    bool use_windows) {
+StridedColumns choose_columns_of_training_batch(const TrainingFrameData& frame, const TrainConfig& config,
+                                                bool use_contiguous_window) {
     if (config.rays_per_iteration == 0) return {};
-    if (use_windows) {
+    if (use_contiguous_window) {
         const ImageShape image = get_frame_image_shape(frame);
         const std::uint32_t n =
             std::clamp((static_cast<std::uint32_t>(config.rays_per_iteration) + image.rows / 2) / image.rows,
@@ -63,10 +63,10 @@ std::size_t compute_max_rays_in_column_batch(const std::vector<TrainingFrameData
                                              const Config& config) {
     std::size_t largest = 0;
     for (const TrainingFrameData& frame : frames)
-        largest = std::max(
-            largest,
-            std::size_t(get_frame_image_shape(frame).rows) *
-                choose_batch_columns(frame, config.train, config.has_loss_between_neighbour_pixels()).n);
+        largest = std::max(largest, std::size_t(get_frame_image_shape(frame).rows) *
+                                        choose_columns_of_training_batch(
+                                            frame, config.train, config.has_loss_between_neighbour_pixels())
+                                            .n);
     return largest;
 }
 
@@ -97,12 +97,12 @@ std::size_t SampledBatch::convert_batch_to_frame_ray_index(std::uint32_t batch_r
 }
 
 std::uint32_t BatchSampler::count_batches_covering_frame(const TrainingFrameData& frame) const {
-    const StridedColumns columns = choose_batch_columns(frame, impl_->config, impl_->windows);
+    const StridedColumns columns = choose_columns_of_training_batch(frame, impl_->config, impl_->windows);
     return columns.n > 0 || impl_->windows ? columns.stride : choose_ray_stride(frame, impl_->config);
 }
 
 std::uint32_t BatchSampler::sample_random_first_column(const TrainingFrameData& frame, Random& random) const {
-    const StridedColumns columns = choose_batch_columns(frame, impl_->config, impl_->windows);
+    const StridedColumns columns = choose_columns_of_training_batch(frame, impl_->config, impl_->windows);
     std::uint32_t choices = count_batches_covering_frame(frame);
     if (columns.n > 0) {
         const ImageShape image = get_frame_image_shape(frame);
@@ -121,7 +121,7 @@ SampledBatch BatchSampler::sample_random_batch(Stream& stream, const TrainingFra
 SampledBatch BatchSampler::gather_nth_batch(Stream& stream, const TrainingFrameData& frame,
                                             std::uint32_t first_column, std::uint32_t batch_index) {
     Impl& b = *impl_;
-    const StridedColumns columns = choose_batch_columns(frame, b.config, b.windows);
+    const StridedColumns columns = choose_columns_of_training_batch(frame, b.config, b.windows);
     if (columns.n > 0) {
         const ImageShape image = get_frame_image_shape(frame);
         if (columns.stride > 1)

@@ -40,8 +40,8 @@ struct GriddedFrame {
           frame(binned ? *binned : sequence.frames[std::size_t(position)]) {}
 };
 
-TrainingFrameData make_training_frame_without_arrays(const LidarSequence& sequence, int frame_index,
-                                                     const std::optional<RangeImageGrid>& grid) {
+TrainingFrameData make_training_frame_metadata(const LidarSequence& sequence, int frame_index,
+                                               const std::optional<RangeImageGrid>& grid) {
     const GriddedFrame trained(sequence, frame_index, grid);
     const LidarFrame& frame = trained.frame;
     const RayTable& table = frame.scan.rays;
@@ -95,7 +95,7 @@ TrainingFrames::TrainingFrames(Device& device, const LidarSequence& sequence,
                                const std::vector<int>& frame_indices, FrameUploadOptions use)
     : sequence_(sequence), use_(std::move(use)) {
     for (const int position : frame_indices)
-        frames_.push_back(make_training_frame_without_arrays(sequence, position, use_.grid));
+        frames_.push_back(make_training_frame_metadata(sequence, position, use_.grid));
     std::uint64_t bytes = 0;
     for (const TrainingFrameData& frame : frames_) {
         bytes += std::uint64_t(frame.n_rays) * count_bytes_per_ray();

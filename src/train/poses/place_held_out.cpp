@@ -77,7 +77,7 @@ HeldOutPoseReport estimate_held_out_vehicle_poses(Device& device, TrainedRun& ru
     HeldOutPoseReport result;
     const Config& config = run.config;
     if (!config.train.place_held_out || !should_register_sensor_poses(config.train) ||
-        !get_primitive_kind(config.image.primitive).has_normals) {
+        !get_primitive_properties(config.image.primitive).has_normals) {
         run.held_out_placed = true;
         return result;
     }

@@ -60,11 +60,11 @@ public:
     RefinedPoses get_refined_poses() const;
 
     template <class Visitor>
-    void visit_state(Visitor&& visit) {
+    void visit_checkpoint_state(Visitor&& visit) {
         if (!is_pose_refinement_enabled()) return;
-        if (sensor_) sensor_->visit_state("poses/sensor", visit);
+        if (sensor_) sensor_->visit_checkpoint_state("poses/sensor", visit);
         for (RefinedActor& actor : actors_)
-            actor.correction.visit_state("poses/actor " + poses_.boxes[actor.box].id, visit);
+            actor.correction.visit_checkpoint_state("poses/actor " + poses_.boxes[actor.box].id, visit);
         visit("poses/coming/step", pending_iterations_.step);
         visit("poses/coming/frame", pending_iterations_.frame);
         visit("poses/coming/actor_time_s", pending_iterations_.actor_time_s);

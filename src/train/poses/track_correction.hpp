@@ -48,14 +48,14 @@ public:
     /// checkpoint.
     /// @param name  name of the track
     template <class Visitor>
-    void visit_state(const std::string& name, Visitor&& visit) {
+    void visit_checkpoint_state(const std::string& name, Visitor&& visit) {
         visit(name + "/correction", values_);
         visit(name + "/moment1", moment1_);
         visit(name + "/moment2", moment2_);
         visit(name + "/steps", n_steps_);
     }
-    /// Returns true if the arrays that visit_state() read from a checkpoint fit this
-    /// track.
+    /// Returns true if the arrays that visit_checkpoint_state() read from a checkpoint
+    /// fit this track.
     bool is_restored_correction_valid() const;
 
 private:

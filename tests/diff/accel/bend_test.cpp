@@ -62,7 +62,7 @@ TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
         void place(double turns) {
             scene.record_upload_of_instance_poses(stream,
                                                   list_poses_at_phase(scene.get_scene_layout(), turns));
-            scene.record_surfel_record_computation(stream, {}, glm::vec3(0.0f));
+            scene.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
         }
         Placed(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {
             place(0.0);
@@ -109,12 +109,12 @@ TEST_F(Bend, RendersAsPlacedAnew) {
         for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes}) {
             Renderer moved(device(), scene, model, {.accel = {.proxy = proxy}}),
                 anew(device(), scene, model, {.accel = {.proxy = proxy}});
-            moved.record_view_preparation(list_poses_at_phase(scene, 0.0), glm::vec3(0.0f));
+            moved.record_scene_update_for_view(list_poses_at_phase(scene, 0.0), glm::vec3(0.0f));
             const RenderedRayValues start = moved.render_rays(rays);
             bool differs = false;
             for (const double turns : {0.25, 0.6}) {
                 moved.record_instance_poses_and_view(list_poses_at_phase(scene, turns), glm::vec3(0.0f));
-                anew.record_view_preparation(list_poses_at_phase(scene, turns), glm::vec3(0.0f));
+                anew.record_scene_update_for_view(list_poses_at_phase(scene, turns), glm::vec3(0.0f));
                 const RenderedRayValues a = moved.render_rays(rays), b = anew.render_rays(rays);
                 EXPECT_EQ(a.hits, b.hits);
                 EXPECT_EQ(a.depth, b.depth);

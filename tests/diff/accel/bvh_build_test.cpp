@@ -63,13 +63,13 @@ protected:
         Stream stream;
         Built(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {}
         HostBvhCopy build() {
-            scene.record_surfel_record_computation(stream, {}, glm::vec3(0.0f));
+            scene.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
             bvh.build_trees(stream, scene, {});
             stream.submit_and_wait();
             return bvh.download_bvh();
         }
         HostBvhCopy refit() {
-            scene.record_surfel_record_computation(stream, {}, glm::vec3(0.0f));
+            scene.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
             bvh.refit_trees(stream, scene, {}, {{0, scene.size()}});
             stream.submit_and_wait();
             return bvh.download_bvh();

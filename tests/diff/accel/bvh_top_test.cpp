@@ -61,7 +61,7 @@ protected:
         Bvh bvh;
         Stream stream;
         Built(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {
-            scene.record_surfel_record_computation(stream, {}, glm::vec3(0.0f));
+            scene.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
             bvh.build_trees(stream, scene, {});
             stream.submit_and_wait();
         }

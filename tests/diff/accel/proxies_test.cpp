@@ -69,7 +69,7 @@ TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
     scene.models = {{"background", 0, kFirst}, {"actor", kFirst, kAll - kFirst}};
     DeviceScene on_device(device(), scene);
     Stream stream(device());
-    on_device.record_surfel_record_computation(stream, {}, glm::vec3(0.0f));
+    on_device.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
     Kernel<shared::ModelRadiiParams> kernel(device(), "diff/accel/model_radii");
     const Array<std::uint32_t, shared::ModelRadii> radii(device(), 2, "radii");
     stream.fill(radii);
@@ -104,7 +104,7 @@ TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
         for (const float opacity : {0.005f, 0.1f, 0.6f, 0.999f}) {
             Renderer renderer(device(), make_background_scene(make_one_surfel(opacity)), {},
                               {.accel = {.proxy = proxy}});
-            renderer.record_view_preparation(glm::vec3(0.0f));
+            renderer.record_scene_update_for_view(glm::vec3(0.0f));
             for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 0.999)).hits)
                 EXPECT_EQ(n, 1u) << "opacity " << opacity;
             for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 1.001)).hits)
@@ -112,7 +112,7 @@ TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
         }
     // A surfel whose opacity is below the smallest blended opacity has no proxy.
     Renderer renderer(device(), make_background_scene(make_one_surfel(1.0f / 256.0f)), {});
-    renderer.record_view_preparation(glm::vec3(0.0f));
+    renderer.record_scene_update_for_view(glm::vec3(0.0f));
     for (const std::uint32_t n : renderer.render_rays(make_rim_rays(0.5f, 0.1)).hits) EXPECT_EQ(n, 0u);
 }
 
@@ -123,7 +123,7 @@ TEST_F(Proxies, HoldEverythingOfGaussiansThatCanBeSeen) {
         for (const float opacity : {0.005f, 0.1f, 0.999f}) {
             Renderer renderer(device(), make_background_scene(make_one_gaussian(opacity)), model,
                               {.accel = {.proxy = proxy}});
-            renderer.record_view_preparation(glm::vec3(0.0f));
+            renderer.record_scene_update_for_view(glm::vec3(0.0f));
             for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 0.999)).hits)
                 EXPECT_EQ(n, 1u) << "opacity " << opacity;
             for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 1.001)).hits)
@@ -138,7 +138,7 @@ TEST_F(Proxies, FollowTheCutOfTheImageModel) {
             model.alpha_min = alpha_min;
             Renderer renderer(device(), make_background_scene(make_one_surfel(0.6f)), model,
                               {.accel = {.proxy = proxy}});
-            renderer.record_view_preparation(glm::vec3(0.0f));
+            renderer.record_scene_update_for_view(glm::vec3(0.0f));
             for (const std::uint32_t n : renderer.render_rays(make_rim_rays(0.6f, 0.999, alpha_min)).hits)
                 EXPECT_EQ(n, 1u) << "alpha_min " << alpha_min;
             for (const std::uint32_t n : renderer.render_rays(make_rim_rays(0.6f, 1.001, alpha_min)).hits)
@@ -160,13 +160,13 @@ TEST_F(Proxies, RefitFollowsMovedSurfelsAndMovingInstancesBuildsNothing) {
             const shared::RenderedRay r = rendered.download()[0];
             return r.depth / r.weight;
         };
-        scene.record_surfel_record_computation(stream, {}, glm::vec3(0.0f));
+        scene.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
         accel.record_bvh_refit_or_build(stream, scene);
         EXPECT_NEAR(depth(), 10.0f, 1e-5f);
         Surfels moved = make_one_surfel(0.9f);
         moved.mean[0].x = 4.0f;
         scene.get_surfel_parameters().upload(moved);
-        scene.record_surfel_record_computation(stream, {}, glm::vec3(0.0f));
+        scene.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
         accel.record_bvh_refit_or_build(stream, scene);
         EXPECT_NEAR(depth(), 4.0f, 1e-5f);
         const std::uint64_t updates = accel.get_build_and_refit_count();

@@ -18,7 +18,7 @@ protected:
 
     int count_refits_after(Stream& stream, DeviceScene& scene, AccelerationStructure& accel,
                            bool rebuild = false) {
-        scene.record_surfel_record_computation(stream, {}, glm::vec3(0.0f));
+        scene.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
         accel.record_bvh_refit_or_build(stream, scene, rebuild);
         stream.submit_and_wait();
         return accel.count_refits_since_build();

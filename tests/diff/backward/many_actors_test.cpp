@@ -144,7 +144,7 @@ std::vector<float> train(Passes& passes) {
     std::vector<float> losses;
     for (int step = 1; step <= 20; ++step) {
         for (InstancePose& pose : placed) pose.world_from_model.translation.y += 1e-4;
-        renderer.record_view_preparation(placed, passes.view_origin);
+        renderer.record_scene_update_for_view(placed, passes.view_origin);
         renderer.stream().fill(terms);
         renderer.record_forward_pass(passes.batch());
         loss.record_ray_losses(renderer.stream(), differentiable.get_last_rendered_batch(),

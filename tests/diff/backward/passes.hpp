@@ -73,7 +73,7 @@ struct Passes {
     RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size()), 0, &targets}; }
     DeviceGradients& gradients() { return differentiable.gradients(); }
     void run_forward() {
-        renderer.record_view_preparation(view_origin);
+        renderer.record_scene_update_for_view(view_origin);
         renderer.record_forward_pass(batch());
     }
     void run() {

@@ -223,7 +223,7 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
         DeviceScene scene(device(), layout);
         scene.upload_instance_poses_and_wait({Pose{}, pose});
         Stream stream(device());
-        scene.record_surfel_record_computation(stream, model, glm::vec3(view_origin));
+        scene.record_activation_of_surfel_parameters(stream, model, glm::vec3(view_origin));
         stream.submit_and_wait();
         DeviceGradients gradients(device(), scene, {.poses = true});
         gradients.records.upload(d_records);

@@ -318,7 +318,7 @@ TEST_F(Densify, EmptyModelsCanBeTraced) {
     for (const std::vector<std::uint32_t>& counts :
          {std::vector<std::uint32_t>{50, 0, 20}, std::vector<std::uint32_t>{0, 0}}) {
         Renderer renderer(device(), test::make_random_model_scene(counts, 20), {});
-        renderer.record_view_preparation(glm::vec3(0.0f));
+        renderer.record_scene_update_for_view(glm::vec3(0.0f));
         WorldRays rays;
         rays.origin = {glm::vec3(0.0f)};
         rays.direction = {glm::vec3(1.0f, 0.0f, 0.0f)};

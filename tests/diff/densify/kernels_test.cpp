@@ -63,8 +63,8 @@ void expect_allotted(Device& device, std::uint32_t largest) {
             EXPECT_EQ(actual[i], action[i] == RELIDAR_DENSIFY_DROP ? 0 : 1 + copies[i]);
             EXPECT_EQ(fate[i], action[i] == RELIDAR_DENSIFY_CLONE && copies[i] == 0 ? RELIDAR_DENSIFY_KEEP
                                                                                     : action[i]);
-            EXPECT_EQ(plan.count_copies_of_first_surfels(cumulative[i] + weight[i]) -
-                          plan.count_copies_of_first_surfels(cumulative[i]),
+            EXPECT_EQ(plan.count_copies_up_to_cumulative_weight(cumulative[i] + weight[i]) -
+                          plan.count_copies_up_to_cumulative_weight(cumulative[i]),
                       copies[i])
                 << "what the host expects";
         }

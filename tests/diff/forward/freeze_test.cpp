@@ -83,10 +83,10 @@ TEST_F(Freeze, RendersAsThePlacedScene) {
                 const glm::vec3 view(0.2f, -0.1f, 0.3f);
                 Renderer moving(device(), scene, model),
                     still(device(), make_background_scene(frozen), model);
-                moving.record_view_preparation(placed, view);
-                still.record_view_preparation(view);
+                moving.record_scene_update_for_view(placed, view);
+                still.record_scene_update_for_view(view);
                 expect_equal(moving.render_rays(rays), still.render_rays(rays),
-                             std::string(get_primitive_kind(primitive).name) +
+                             std::string(get_primitive_properties(primitive).name) +
                                  (direction == ShDirection::ray ? ", a ray" : ", a surfel"));
             }
         }

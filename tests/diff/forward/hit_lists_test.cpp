@@ -60,7 +60,7 @@ struct Placed {
           rays(device, std::span<const DeviceRay>(to_device_rays(test_case.rays)), "rays") {
         model.primitive = test_case.surfels.primitive;
         scene.upload_instance_poses_and_wait(placed.world_from_instance);
-        scene.record_surfel_record_computation(stream, model, glm::vec3(0.0f));
+        scene.record_activation_of_surfel_parameters(stream, model, glm::vec3(0.0f));
         accel.record_bvh_refit_or_build(stream, scene);
         stream.submit_and_wait();
     }
@@ -190,7 +190,7 @@ TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
     EXPECT_TRUE(std::ranges::any_of(expected, [](const auto& ray) { return ray.n_hits > 60; }));
     for (const int requested_capacity : {1, 60, 512}) {
         const int list_capacity =
-            std::min(requested_capacity, static_cast<int>(compute_max_hits_per_list(device())));
+            std::min(requested_capacity, static_cast<int>(compute_max_hits_per_ray_list(device())));
         const std::vector<shared::RenderedRay> actual = placed.render_lists(requested_capacity);
         for (std::size_t i = 0; i < actual.size(); ++i) {
             if (expected[i].n_hits > static_cast<std::uint32_t>(list_capacity))
@@ -293,7 +293,7 @@ TEST_F(Lists, Grow) {
         EXPECT_EQ(count_differences(rendered.download(), expected), 0u)
             << "room " << lists.get_hit_list_capacity();
     }
-    EXPECT_GE(lists.get_hit_list_capacity(), std::min(most, compute_max_hits_per_list(device())));
+    EXPECT_GE(lists.get_hit_list_capacity(), std::min(most, compute_max_hits_per_ray_list(device())));
     EXPECT_LT(lists.get_hit_list_capacity(), 4 * most);
 }
 

@@ -42,7 +42,7 @@ protected:
                                                   "targets");
         const Array<shared::RenderedSurface>* surfaces = renderer.get_last_rendered_batch().surfaces;
         if (surfaces) renderer.stream().fill(*surfaces, 0xc0e00000u);  // -7 as a float
-        renderer.record_view_preparation(glm::vec3(random.view_origin));
+        renderer.record_scene_update_for_view(glm::vec3(random.view_origin));
         renderer.record_forward_pass({&rays, 0, 1, n_rays, 0, &targets});
         renderer.stream().submit_and_wait();
         Found result;
@@ -161,7 +161,7 @@ TEST_F(OnDemand, LikelihoodOfEveryThirdRay) {
         test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
     Renderer renderer(device(), placed.scene, {}, {.trace = {.likelihood = kKernel}, .n_rays = 60});
     renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
-    renderer.record_view_preparation(glm::vec3(scene.view_origin));
+    renderer.record_scene_update_for_view(glm::vec3(scene.view_origin));
     const Array<DeviceRay> rays(
         device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(scene.rays))), "rays");
     const Array<shared::DeviceTarget> targets(
@@ -194,7 +194,7 @@ TEST_F(OnDemand, OfARenderer) {
     for (const bool with_normals : {true, false}) {
         Renderer renderer(device(), placed.scene, settings.image, {.trace = {.normals = with_normals}});
         renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
-        renderer.record_view_preparation(glm::vec3(scene.view_origin));
+        renderer.record_scene_update_for_view(glm::vec3(scene.view_origin));
         const RenderedRayValues actual = renderer.render_rays(test::to_world_rays(scene.rays));
         ASSERT_EQ(actual.normal.size(), with_normals ? scene.rays.size() : 0u);
         for (std::size_t i = 0; i < actual.normal.size(); ++i) {

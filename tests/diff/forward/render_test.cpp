@@ -26,7 +26,7 @@ class Forward : public test::DeviceTest {};
 RenderedRayValues render_once(Device& device, const Scene& scene, const ImageFormationModel& model,
                               const WorldRays& rays, const RendererOptions& options = {}) {
     Renderer renderer(device, scene, model, options);
-    renderer.record_view_preparation(glm::vec3(0.0f));
+    renderer.record_scene_update_for_view(glm::vec3(0.0f));
     return renderer.render_rays(rays);
 }
 
@@ -109,7 +109,7 @@ TEST_F(Forward, AgreesWithDoubleReference) {
                               {.accel = {.proxy = proxy},
                                .trace = {.chunk = 5, .order = order, .initial_list_capacity = room}});
             renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
-            renderer.record_view_preparation(glm::vec3(scene.view_origin));
+            renderer.record_scene_update_for_view(glm::vec3(scene.view_origin));
             const RenderedRayValues r = renderer.render_rays(test::to_world_rays(scene.rays));
             EXPECT_EQ(r.hits, e.hits);
             EXPECT_EQ(r.instance, e.instance);
@@ -160,7 +160,7 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
             test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
         Renderer renderer(device(), placed.scene, settings.image, {.trace = {.chunk = 5}});
         renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
-        renderer.record_view_preparation(glm::vec3(scene.view_origin));
+        renderer.record_scene_update_for_view(glm::vec3(scene.view_origin));
         const RenderedRayValues r = renderer.render_rays(test::to_world_rays(scene.rays));
         EXPECT_EQ(r.hit_logit, std::vector<float>(scene.rays.size(), 0.0f));
         EXPECT_LE(compute_normalised_error(r.drop_logit, e.drop_logit), test::kKernelNmse);
@@ -186,7 +186,7 @@ TEST_F(Forward, ThinGaussiansApproachSurfels) {
         model.primitive = scene.surfels.primitive;
         Renderer renderer(device(), scene, model);
         renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
-        renderer.record_view_preparation(glm::vec3(0.0f));
+        renderer.record_scene_update_for_view(glm::vec3(0.0f));
         return renderer.render_rays(rays);
     };
     const RenderedRayValues flat = rendered(placed.scene);

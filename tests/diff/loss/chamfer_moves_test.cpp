@@ -62,7 +62,7 @@ double measure_distance_after(Device& device, float shift, bool cut_gradient, bo
     const TargetBatch measured{
         &device_targets, 0, 1, kRays, kRays, kRays, image ? ImageShape{kSide, kSide, false} : ImageShape{}};
     for (int step = 1; step <= 60; ++step) {
-        renderer.record_view_preparation(glm::vec3(0.0f));
+        renderer.record_scene_update_for_view(glm::vec3(0.0f));
         renderer.record_forward_pass(batch);
         for (const std::unique_ptr<Loss>& loss : losses)
             loss->record_ray_losses(renderer.stream(), differentiable.get_last_rendered_batch(), measured,

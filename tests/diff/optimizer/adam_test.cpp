@@ -143,7 +143,7 @@ void for_each_parameter(const Surfels& start, const Surfels& actual, std::uint32
     for (int k = 0; k < 5 && set.bends; ++k)
         expect((&start.gait[i].phase)[k], (&actual.gait[i].phase)[k], kRates.gait,
                [&](const Surfels& surfels) { return (&surfels.gait[i].phase)[k]; });
-    if (get_primitive_kind(set.primitive).third_scale)
+    if (get_primitive_properties(set.primitive).third_scale)
         expect(start.log_scale_w[i], actual.log_scale_w[i], kRates.log_scale,
                [&](const Surfels& surfels) { return surfels.log_scale_w[i]; });
     expect(start.opacity_logit[i], actual.opacity_logit[i], kRates.opacity_logit,

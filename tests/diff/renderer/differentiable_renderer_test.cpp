@@ -30,7 +30,7 @@ protected:
 
     void place(Renderer& renderer) {
         renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
-        renderer.record_view_preparation(glm::vec3(scene.view_origin));
+        renderer.record_scene_update_for_view(glm::vec3(scene.view_origin));
     }
 };
 
@@ -124,7 +124,7 @@ TEST_F(Differentiable, ArraysOfSeveralAllocationsGiveTheSameBits) {
     for (const std::uint64_t n_bytes : {impl.largest_allocation.n_bytes, std::uint64_t(1)}) {
         const std::uint64_t before = std::exchange(impl.largest_allocation.n_bytes, n_bytes);
         DifferentiableRenderer differentiable(device(), many, settings.image, {.keep_hits = 8}, bit_equal);
-        differentiable.renderer().record_view_preparation(glm::vec3(scene.view_origin));
+        differentiable.renderer().record_scene_update_for_view(glm::vec3(scene.view_origin));
         images.push_back(differentiable.renderer().render_rays(rays));
         gradients.push_back(differentiable.compute_gradients(d));
         const Array<float>& sh = differentiable.renderer().scene().get_surfel_parameters().sh;
@@ -178,7 +178,7 @@ TEST_F(Differentiable, MovedIsAsPlaced) {
         std::vector<InstancePose> poses = moved.scene().get_instance_poses();
         poses[1].world_from_model.translation.x += 0.3;
         moved.record_instance_poses_and_view(poses, glm::vec3(0.1f, 0.0f, 0.2f));
-        anew.record_view_preparation(poses, glm::vec3(0.1f, 0.0f, 0.2f));
+        anew.record_scene_update_for_view(poses, glm::vec3(0.1f, 0.0f, 0.2f));
         const RenderedRayValues a = moved.render_rays(rays), b = anew.render_rays(rays);
         EXPECT_EQ(a.depth, b.depth);
         EXPECT_EQ(a.intensity, b.intensity);
@@ -219,7 +219,7 @@ TEST_F(Differentiable, WhatIsOutOfOrderIsRefused) {
     renderer.render_rays(rays);
     EXPECT_THROW(differentiable.compute_gradients({.weight = std::vector<float>(3)}), DataError);
     EXPECT_THROW(renderer.upload_surfels(placed.scene.surfels.slice(0, 2)), DataError);
-    EXPECT_THROW(renderer.record_view_preparation({InstancePose{}}, glm::vec3(0.0f)), DataError);
+    EXPECT_THROW(renderer.record_scene_update_for_view({InstancePose{}}, glm::vec3(0.0f)), DataError);
     differentiable.change_surfels_and_reallocate_memory([](double bytes) { EXPECT_GT(bytes, 0.0); });
     EXPECT_THROW(renderer.render_rays(rays), UsageError) << "the structure is gone";
     place(renderer);

@@ -68,7 +68,7 @@ TEST(HostProviders, AgreeOnModelsThatMove) {
         const HitDifferences d = compare(c, BruteForce(world, model, Precision::double_record), brute);
         EXPECT_EQ(d.n_errors, 0u) << c.name << ", seed " << kSeed << ": " << d.first_error;
         EXPECT_LE(double(d.n_flips), 1e-3 * double(d.n_hits) + 1.0) << c.name;
-        if (!get_primitive_kind(c.surfels.primitive).third_scale)
+        if (!get_primitive_properties(c.surfels.primitive).third_scale)
             expect_identical(compare(c, brute, EmbreeFilter(world, model)), c);
     }
 }

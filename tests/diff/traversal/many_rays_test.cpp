@@ -130,7 +130,7 @@ TEST_P(ManyRays, AgreeAfterBuildRefitAndRebuild) {
         // The surfel ranges of this case are consecutive, so a surfel has the same index
         // in the case and in the scene.
         scene.get_surfel_parameters().upload(case_.surfels);
-        scene.record_surfel_record_computation(stream, model_, glm::vec3(0.0f));
+        scene.record_activation_of_surfel_parameters(stream, model_, glm::vec3(0.0f));
         accel.record_bvh_refit_or_build(stream, scene, rebuild);
         stream.submit_and_wait();
     };

@@ -21,7 +21,7 @@ protected:
         scene.upload_instance_poses_and_wait(placed.world_from_instance);
         ImageFormationModel model;
         model.primitive = test_case.surfels.primitive;
-        scene.record_surfel_record_computation(stream, model, glm::vec3(0.0f));
+        scene.record_activation_of_surfel_parameters(stream, model, glm::vec3(0.0f));
         stream.submit_and_wait();
         const test::HostBvh bvh(device(), scene);
         const shared::TraceScene trace =

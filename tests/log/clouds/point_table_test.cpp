@@ -51,12 +51,12 @@ TEST(PointTable, KeepsTheTypeOfTheFile) {
     const PointTable table = make_two_points(kFirst, kSecond);
     const PointFieldView* time = table.find_field(PointAttribute::time);
     ASSERT_NE(time, nullptr);
-    time->visit_with_value_reader([&](const auto& time_at) {
+    time->call_with_value_reader([&](const auto& time_at) {
         EXPECT_TRUE((std::is_same_v<decltype(time_at(0)), std::int64_t>));
         EXPECT_EQ(std::int64_t(time_at(0)), kFirst);
         EXPECT_EQ(std::int64_t(time_at(1)), kSecond);
     });
-    table.find_field(PointAttribute::ring)->visit_with_value_reader([](const auto& ring_at) {
+    table.find_field(PointAttribute::ring)->call_with_value_reader([](const auto& ring_at) {
         EXPECT_TRUE((std::is_same_v<decltype(ring_at(0)), std::uint16_t>));
         EXPECT_EQ(int(ring_at(1)), 300);
     });

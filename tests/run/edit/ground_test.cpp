@@ -68,8 +68,8 @@ SceneWithLog make_slope() {
 
 NewActorMotion place_on_ground(const SceneWithLog& driving, const GroundPlacement& place,
                                const std::string& track) {
-    return compute_actor_motion_on_ground({driving.scene, driving.sequence}, place,
-                                          {driving.scene, driving.sequence}, track);
+    return compute_motion_on_ground({driving.scene, driving.sequence}, place,
+                                    {driving.scene, driving.sequence}, track);
 }
 
 /// Returns the pose of the van in relidar's world after it is placed at a position.
@@ -140,8 +140,8 @@ TEST(Ground, IsAsFarBelowAnActorAsItIsKnownToBe) {
     for (const double clearance_m : {0.0, 0.5}) {
         GroundPlacement placement{{6.0 + kWorldOffset_m.x, 3.0 + kWorldOffset_m.y}, 0.0};
         placement.clearance_m = clearance_m;
-        const NewActorMotion start = compute_actor_motion_on_ground({d.scene, d.sequence}, placement,
-                                                                    {alone.scene, alone.sequence}, "van");
+        const NewActorMotion start =
+            compute_motion_on_ground({d.scene, d.sequence}, placement, {alone.scene, alone.sequence}, "van");
         const glm::dvec3 above = start.dataset_from_box.translation - kWorldOffset_m -
                                  glm::dvec3(6.0, 3.0, compute_slope_height(6.0, 3.0));
         EXPECT_NEAR(glm::dot(kSlopeNormal, above), 0.8 + clearance_m, 0.02);

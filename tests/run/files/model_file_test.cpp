@@ -76,7 +76,7 @@ TEST_F(ModelFile, KeepsWhichPatchesWereSeen) {
     ASSERT_TRUE(read.models[1].surface);
     EXPECT_TRUE(read.models[1].surface->is_completed);
     EXPECT_TRUE(read.models[1].surface->is_patch_of_point_observed({2.25, 0.3, 0.2}));
-    EXPECT_TRUE(read.models[1].surface->is_only_mirror_patch_observed({2.25, -0.3, 0.2}));
+    EXPECT_TRUE(read.models[1].surface->is_observed_only_in_mirror_image({2.25, -0.3, 0.2}));
     EXPECT_EQ(read.models[1].surface->compute_covered_fraction_of_each_side(),
               surface.compute_covered_fraction_of_each_side());
     arrays = read_safetensors(path, &metadata);

@@ -181,7 +181,7 @@ TEST(Regions, ScoreTheirRealReturnsWhateverIsDropped) {
     const RangeImage real = image_of({10, 20, 30, 0, 50}, {0, 0, 0, 1, 0}),
                      rendered = image_of({11, 20, 33, 7, 50}, {0, 0.9f, 0.6f, 0, 0});
     const MetricValues row =
-        evaluate_regions(rendered, real, make_standard_regions(real, {true, false, true, true, false}));
+        evaluate_regions(rendered, real, make_evaluation_regions(real, {true, false, true, true, false}));
     EXPECT_EQ(row.at("moving_boxes/pixels"), 2.0);    // pixel 3 has no return
     EXPECT_EQ(row.at("moving_boxes/returned"), 0.5);  // pixel 2 is dropped, but counts
     EXPECT_NEAR(row.at("moving_boxes/depth_medae_m"), 2.0, 1e-12);

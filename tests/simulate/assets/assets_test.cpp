@@ -99,7 +99,7 @@ TEST(MakeAsset, OnlyVehiclesAreMirrored) {
         EXPECT_EQ(asset.facts.kind == ObjectKind::vehicle, is_vehicle) << category;
         EXPECT_EQ(asset.facts.mirrored > 0, is_vehicle) << category;
         EXPECT_EQ(asset.facts.completed > 0.1, is_vehicle) << category;
-        EXPECT_DOUBLE_EQ(asset.facts.get_observed_or_mirrored_fraction(),
+        EXPECT_DOUBLE_EQ(asset.facts.get_observed_or_mirrored_surface_fraction(),
                          asset.facts.seen + asset.facts.completed);
     }
 }
@@ -112,12 +112,12 @@ TEST(MakeAsset, IsARunOfThatActorAlone) {
     run.sequence.boxes.push_back({"8", "Pedestrian", {1, 1, 2}, {}});  // without a model
     const ActorAsset asset = extract_actor_asset(run, "7", {});
     EXPECT_EQ(asset.facts.name, "car-7");
-    EXPECT_EQ(get_only_actor_track(asset.run), "car-7");
+    EXPECT_EQ(get_track_name_of_only_actor(asset.run), "car-7");
     ASSERT_EQ(asset.run.sequence.boxes.size(), 1u);
     EXPECT_EQ(asset.run.sequence.boxes[0].id, "car-7");
     EXPECT_EQ(asset.run.scene.models.size(), 2u);
     EXPECT_THROW(extract_actor_asset(run, "nobody", {}), UsageError);
-    EXPECT_THROW(get_only_actor_track(run), UsageError) << "it has two";
+    EXPECT_THROW(get_track_name_of_only_actor(run), UsageError) << "it has two";
 }
 
 class AssetFiles : public TemporaryFolder {};

@@ -25,7 +25,8 @@ glm::dmat3 compute_covariance(const Surfels& surfels, std::size_t index) {
     const glm::vec4 q = surfels.rotation[index];
     const glm::dmat3 axes = glm::mat3_cast(glm::normalize(glm::dquat(q[0], q[1], q[2], q[3])));
     glm::dvec3 sigma(std::exp(surfels.log_scale[index].x), std::exp(surfels.log_scale[index].y), 0.0);
-    if (get_primitive_kind(surfels.primitive).third_scale) sigma.z = std::exp(surfels.log_scale_w[index]);
+    if (get_primitive_properties(surfels.primitive).third_scale)
+        sigma.z = std::exp(surfels.log_scale_w[index]);
     const glm::dmat3 scaled(sigma.x * axes[0], sigma.y * axes[1], sigma.z * axes[2]);
     return scaled * glm::transpose(scaled);
 }

@@ -89,9 +89,9 @@ TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
     const RangeNoiseTable noise{{80.0}, {0.8, 1.0}, {0.2, 0.05}};
     RenderedScan scan = likely, again = likely, other = likely;
     for (float& mean_m : scan.mean_range_m) mean_m += 0.5f;
-    sample_random_returns(scan, noise, {}, 7);
-    sample_random_returns(again, noise, {}, 7);
-    sample_random_returns(other, noise, {}, 8);
+    replace_expected_returns_by_sample(scan, noise, {}, 7);
+    replace_expected_returns_by_sample(again, noise, {}, 7);
+    replace_expected_returns_by_sample(other, noise, {}, 8);
     EXPECT_EQ(scan.image.range_m, again.image.range_m);
     EXPECT_NE(scan.image.drop_prob, other.image.drop_prob);
     const std::vector<float> spread_m = compute_range_spread(scan);
@@ -125,7 +125,7 @@ TEST(SampleReturns, WhatCannotReturnDoesNotAndWhatMustDoes) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         scan.image.drop_prob[i] = i % 2 ? 1.0f : 0.0f;
     const std::vector<float> before = scan.image.drop_prob, ranges_m = scan.image.range_m;
-    sample_random_returns(scan, {}, {}, 3);
+    replace_expected_returns_by_sample(scan, {}, {}, 3);
     EXPECT_EQ(scan.image.drop_prob, before);
     EXPECT_EQ(scan.image.range_m, ranges_m) << "no noise is known";
 }

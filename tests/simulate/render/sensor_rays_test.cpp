@@ -155,7 +155,7 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     for (const std::string range : {"normalised", "expected", "mode", "median"}) {
         const RayMeasurementOptions how{range, beams, response, {range == "median" ? 0.0 : 0.9, 80.0}, 1e-3f};
         Stream stream(device());
-        on_device.record_measurement(
+        on_device.record_measurement_of_rendered_rays(
             stream, {.rays = on_device.get_world_ray_batch(), .rendered = &rendered, .surfaces = &surfaces},
             how);
         const std::span<const shared::MeasuredRay> measured = on_device.wait_for_measurements(stream);
@@ -194,8 +194,9 @@ TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     DeviceSensorRays on_device(device());
     const auto drop_of_first = [&] {
         Stream stream(device());
-        on_device.record_measurement(stream, {.rays = on_device.get_world_ray_batch(), .rendered = &rendered},
-                                     {"median", {}, {}, {0.0, 80.0}, 1e-3f});
+        on_device.record_measurement_of_rendered_rays(
+            stream, {.rays = on_device.get_world_ray_batch(), .rendered = &rendered},
+            {"median", {}, {}, {0.0, 80.0}, 1e-3f});
         return on_device.wait_for_measurements(stream)[0].drop_prob;
     };
     on_device.upload_ray_table(rays, "one", [](std::size_t) { return 0.0f; });
@@ -259,7 +260,7 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
                                                   "surfaces");
     const glm::dvec3 first_origin_m(10.0, 5.0, 0.0);
     const auto measure = [&] {
-        on_device.record_measurement(
+        on_device.record_measurement_of_rendered_rays(
             stream, {.rays = on_device.get_world_ray_batch(), .rendered = &rendered, .surfaces = &surfaces},
             {"median", {}, {}, {0.0, 80.0}, 1e-3f});
     };

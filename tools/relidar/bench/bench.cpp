@@ -67,7 +67,7 @@ BenchTimes measure_benchmark_times(Device& device, const BenchCase& bench_case) 
     const auto rendered = [&] {
         Renderer image(device, bench_case.scene, bench_case.config.image,
                        {.trace = make_common_trace_options(bench_case.config), .n_rays = n_rays});
-        image.record_view_preparation(bench_case.placed, bench_case.view_origin_m);
+        image.record_scene_update_for_view(bench_case.placed, bench_case.view_origin_m);
         return image.render_rays(bench_case.rays);
     };
     TrainingStep step(device, bench_case, options,
@@ -86,7 +86,7 @@ BenchTimes measure_benchmark_times(Device& device, const BenchCase& bench_case) 
     const auto repeat = [&] {
         throw_if_interrupted();
         time(iteration, [&] {
-            renderer.record_view_preparation(bench_case.placed, bench_case.view_origin_m);
+            renderer.record_scene_update_for_view(bench_case.placed, bench_case.view_origin_m);
             renderer.record_forward_pass(batch);
             step.record_loss_kernels(batch);
             step.differentiable.record_backward_pass();

@@ -94,7 +94,7 @@ std::string make_check_report_json(const DeviceInfo& device_info,
 }
 
 /// Returns all checks. If a run is given, also the checks of its scene.
-std::vector<DeviceCheck> list_device_checks_and_run_checks(const std::string& run_folder_or_empty) {
+std::vector<DeviceCheck> list_checks_of_device_and_trained_run(const std::string& run_folder_or_empty) {
     std::vector<DeviceCheck> checks(get_builtin_device_checks().begin(), get_builtin_device_checks().end());
     if (run_folder_or_empty.empty()) return checks;
     const auto bench =
@@ -118,7 +118,7 @@ void run_device_checks(const CheckOptions& options) {
     std::vector<NamedCheckResult> rows;
     std::vector<std::string> wrong_names;
     bool is_lost = false;
-    for (const DeviceCheck& check : list_device_checks_and_run_checks(options.run)) {
+    for (const DeviceCheck& check : list_checks_of_device_and_trained_run(options.run)) {
         throw_if_interrupted();
         rows.push_back(run_device_check(check, checked, is_lost));
         const NamedCheckResult& row = rows.back();

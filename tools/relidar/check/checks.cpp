@@ -23,7 +23,7 @@ std::span<const DeviceCheck> get_builtin_device_checks() {
                     [](CheckedDevice& c) { return check_images_and_gradients(c, ray_query); }},
         DeviceCheck{"Adam", check_adam_optimizer},
         DeviceCheck{"ray-drop network", check_network_convolutions},
-        DeviceCheck{"points on the device", check_device_point_cloud},
+        DeviceCheck{"points on the device", check_points_computed_on_device},
         DeviceCheck{"largest buffer", check_largest_buffer},
         DeviceCheck{"memory", check_device_memory},
         DeviceCheck{"longest dispatch", check_long_kernel_dispatch},

@@ -64,7 +64,7 @@ CheckResult check_bvh_ray_hits(CheckedDevice& tested_device, RayTracingBackend b
 CheckResult check_images_and_gradients(CheckedDevice& tested_device, RayTracingBackend backend);
 CheckResult check_adam_optimizer(CheckedDevice& tested_device);
 CheckResult check_network_convolutions(CheckedDevice& tested_device);
-CheckResult check_device_point_cloud(CheckedDevice& tested_device);
+CheckResult check_points_computed_on_device(CheckedDevice& tested_device);
 CheckResult check_largest_buffer(CheckedDevice& tested_device);
 CheckResult check_device_memory(CheckedDevice& tested_device);
 CheckResult check_long_kernel_dispatch(CheckedDevice& tested_device);

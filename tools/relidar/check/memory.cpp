@@ -20,7 +20,7 @@ namespace {
 constexpr std::uint64_t kMiB = std::uint64_t(1) << 20;
 
 /// Returns how many bytes of device memory each memory check in this file may allocate.
-std::uint64_t compute_memory_limit_of_check_bytes(const Device& device) {
+std::uint64_t compute_check_memory_limit_bytes(const Device& device) {
     std::uint64_t n_free = gpu::query_memory_budget(device.impl().physical).get_free_device_memory_bytes();
     if (const std::uint64_t limit = device.impl().memory_limit_bytes; limit > 0)
         n_free = std::min(n_free, limit - std::min(limit, device.allocated_bytes()));
@@ -43,7 +43,7 @@ bool is_buffer_filled_with(const Buffer& buffer, std::uint32_t expected_word) {
 CheckResult check_largest_buffer(CheckedDevice& tested_device) {
     Device& device = tested_device.get_default_device();
     const std::uint64_t limit = device.impl().largest_buffer.n_bytes,
-                        n_bytes = std::min(limit, compute_memory_limit_of_check_bytes(device)) / 64 * 64;
+                        n_bytes = std::min(limit, compute_check_memory_limit_bytes(device)) / 64 * 64;
     if (n_bytes < kMiB) return make_unsupported_check_result("less than 1 MiB of device memory is free");
     const Buffer buffer(device, n_bytes, "the largest buffer");
     Stream stream(device);
@@ -62,7 +62,7 @@ CheckResult check_largest_buffer(CheckedDevice& tested_device) {
 CheckResult check_device_memory(CheckedDevice& tested_device) {
     Device& device = tested_device.get_default_device();
     constexpr std::uint64_t kPiece = 256 * kMiB;
-    const std::uint64_t allowed = compute_memory_limit_of_check_bytes(device);
+    const std::uint64_t allowed = compute_check_memory_limit_bytes(device);
     std::vector<std::unique_ptr<Buffer>> pieces;
     Stream stream(device);
     while ((pieces.size() + 1) * kPiece <= allowed) {

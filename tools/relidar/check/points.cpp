@@ -12,7 +12,7 @@
 
 namespace relidar::cli {
 
-CheckResult check_device_point_cloud(CheckedDevice& tested_device) {
+CheckResult check_points_computed_on_device(CheckedDevice& tested_device) {
     const DeviceInfo& info = tested_device.get_default_device().info();
     if (!info.software && !info.ray_query)
         return make_unsupported_check_result(

@@ -53,7 +53,7 @@ RenderAndGradients run_forward_and_backward_pass(Device& device) {
 #undef RELIDAR_COPY
     }
     differentiable.get_last_rendered_batch().upstream->upload(upstream);
-    renderer.record_view_preparation(placed.world_from_instance, glm::vec3(pass.scene.view_origin));
+    renderer.record_scene_update_for_view(placed.world_from_instance, glm::vec3(pass.scene.view_origin));
     renderer.record_forward_pass({&rays, 0, 1, n_rays});
     differentiable.record_backward_pass();
     pass.rendering = renderer.download_rendering();

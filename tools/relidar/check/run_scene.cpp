@@ -106,7 +106,7 @@ CheckResult check_rendering_of_trained_run(CheckedDevice& tested_device, RayTrac
     Renderer renderer(
         tested_device.get_or_open_device_with_backend(backend), bench_case.scene, bench_case.config.image,
         {.trace = make_common_trace_options(bench_case.config), .n_rays = std::uint32_t(rays.size())});
-    renderer.record_view_preparation(bench_case.placed, bench_case.view_origin_m);
+    renderer.record_scene_update_for_view(bench_case.placed, bench_case.view_origin_m);
     const RenderedRayValues rendering = renderer.render_rays(rays);
 
     const std::vector<reference::Ray> exact_rays = test::to_reference(rays);

@@ -13,7 +13,7 @@ namespace {
 
 /// Returns the result of a check that adds small integers on the device. Only an error of
 /// exactly 0 is right, because float represents these sums exactly.
-CheckResult make_sum_check_result(double relative_error) {
+CheckResult make_result_of_exact_sum_check(double relative_error) {
     if (relative_error == 0.0) return {CheckResult::CheckOutcome::right, "exact"};
     return make_failed_check_result(
         fmt::format("found a sum with a relative error of {:.3g}, expected an exact sum", relative_error));
@@ -25,12 +25,12 @@ CheckResult check_float_atomics(CheckedDevice& tested_device) {
     if (!tested_device.get_default_device().info().float_atomics)
         return make_unsupported_check_result(
             "the driver has no VK_EXT_shader_atomic_float, or its sums are known to be wrong");
-    return make_sum_check_result(
+    return make_result_of_exact_sum_check(
         test_atomic_adds_and_get_max_error(tested_device.get_default_device(), false));
 }
 
 CheckResult check_float_compare_and_swap(CheckedDevice& tested_device) {
-    return make_sum_check_result(
+    return make_result_of_exact_sum_check(
         test_atomic_adds_and_get_max_error(tested_device.get_default_device(), true));
 }
 

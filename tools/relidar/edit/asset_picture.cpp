@@ -94,7 +94,7 @@ void draw_asset_view(Image& canvas, int top_left_row, int top_left_column, const
             const auto i = std::size_t(r) * std::size_t(scan.image.columns) + std::size_t(c);
             if (pixel_brightness[i] < 0.0f) continue;
             const glm::vec3 point_m = scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i];
-            const bool of_mirror = surface.is_only_mirror_patch_observed(glm::dvec3(point_m));
+            const bool of_mirror = surface.is_observed_only_in_mirror_image(glm::dvec3(point_m));
             const std::size_t i_canvas = std::size_t(top_left_row + r) * std::size_t(canvas.columns) +
                                          std::size_t(top_left_column + c);
             std::uint8_t* pixel = &canvas.rgb[3 * i_canvas];
@@ -109,7 +109,8 @@ void draw_asset_view(Image& canvas, int top_left_row, int top_left_column, const
 Image draw_asset_picture(Device& device, const ActorAsset& asset, const ObservedBoxSurface& surface) {
     const TrainedRun& run = asset.run;
     Config config = run.config;
-    config.render.channels = get_primitive_kind(run.scene.surfels.primitive).has_normals ? "normal" : "";
+    config.render.channels =
+        get_primitive_properties(run.scene.surfels.primitive).has_normals ? "normal" : "";
     config.sensor.sub_rays = config.sensor.returns = 1;
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const BoxTrack& box = run.sequence.boxes.front();

@@ -38,7 +38,7 @@ std::string explain_why_asset_is_not_saved(const AssetDescription& asset_descrip
                                            const ActorObservations& observations,
                                            double min_covered_fraction) {
     if (observations.points_m.empty()) return "no ray of the training frames hits this actor";
-    if (asset_description.get_observed_or_mirrored_fraction() >= min_covered_fraction) return "";
+    if (asset_description.get_observed_or_mirrored_surface_fraction() >= min_covered_fraction) return "";
     std::string side_shares;
     for (std::size_t s = 0; s < kBoxSides; ++s)
         side_shares +=
@@ -46,7 +46,7 @@ std::string explain_why_asset_is_not_saved(const AssetDescription& asset_descrip
     return fmt::format(
         "the score of the actor is {:.2f}, expected at least {:.2f} (--least); share of each side that "
         "rays of the log hit: {}{}",
-        asset_description.get_observed_or_mirrored_fraction(), min_covered_fraction, side_shares,
+        asset_description.get_observed_or_mirrored_surface_fraction(), min_covered_fraction, side_shares,
         asset_description.completed > 0.0
             ? fmt::format("; mirroring completed a share of {:.2f} of its surface",
                           asset_description.completed)
@@ -68,7 +68,7 @@ std::vector<std::string> list_actor_track_ids(const TrainedRun& run) {
 
 /// Adds a number to the name of an asset if another asset already has this name. Names
 /// can collide, because characters that are not allowed in folder names are replaced.
-void add_number_to_used_asset_name(ActorAsset& asset, std::set<std::string>& used_names) {
+void make_asset_name_unique(ActorAsset& asset, std::set<std::string>& used_names) {
     const std::string stem = asset.facts.name;
     std::string name = stem;
     for (int n = 2; !used_names.insert(name).second; ++n) name = fmt::format("{}-{}", stem, n);
@@ -80,7 +80,7 @@ void add_number_to_used_asset_name(ActorAsset& asset, std::set<std::string>& use
 std::vector<std::string> format_asset_table_row(const AssetDescription& asset_description) {
     std::vector<std::string> row{
         asset_description.name, asset_description.category,
-        fmt::format("{:.2f}", asset_description.get_observed_or_mirrored_fraction())};
+        fmt::format("{:.2f}", asset_description.get_observed_or_mirrored_surface_fraction())};
     for (const double side : asset_description.seen_sides) row.push_back(fmt::format("{:.2f}", side));
     for (const double value : {asset_description.completed, asset_description.nearest_m})
         row.push_back(fmt::format("{:.2f}", value));
@@ -115,11 +115,11 @@ void run_assets_command(const AssetOptions& options) {
         if (const std::string reason =
                 explain_why_asset_is_not_saved(asset.facts, actor_sightings, options.least);
             !reason.empty()) {
-            highest_score = std::max(highest_score, asset.facts.get_observed_or_mirrored_fraction());
+            highest_score = std::max(highest_score, asset.facts.get_observed_or_mirrored_surface_fraction());
             skipped += fmt::format("skipped {} ({}): {}\n", track, asset.facts.category, reason);
             continue;
         }
-        add_number_to_used_asset_name(asset, used_names);
+        make_asset_name_unique(asset, used_names);
         save_asset(asset, folder.path() / asset.facts.name);
         const Image views =
             draw_asset_picture(device, asset, make_observed_box_surface(asset.facts.size_m, actor_sightings));

@@ -46,9 +46,9 @@ std::pair<std::string, std::string> split_text_at_required_separator(const EditA
     return {text.substr(0, separator_position), text.substr(separator_position + 1)};
 }
 
-std::vector<double> parse_comma_separated_edit_numbers(const EditArgument& edit_for_errors,
-                                                       const std::string& text, std::size_t min_count,
-                                                       std::size_t max_count) {
+std::vector<double> parse_comma_separated_numbers(const EditArgument& edit_for_errors,
+                                                  const std::string& text, std::size_t min_count,
+                                                  std::size_t max_count) {
     const std::vector<double> values = parse_number_list(edit_for_errors.option, text);
     if (values.size() < min_count || values.size() > max_count)
         throw_edit_error(edit_for_errors, get_expected_value_syntax_of_option(edit_for_errors));
@@ -74,15 +74,14 @@ std::optional<GroundPlacement> parse_ground_placement_if_present(const EditArgum
     constexpr std::string_view kWord = ",ground";
     const std::size_t at = text.find(kWord);
     if (at == std::string::npos) return {};
-    const std::vector<double> xy =
-        parse_comma_separated_edit_numbers(edit_for_errors, text.substr(0, at), 2, 2);
+    const std::vector<double> xy = parse_comma_separated_numbers(edit_for_errors, text.substr(0, at), 2, 2);
     GroundPlacement placement{{xy[0], xy[1]}};
     const std::string rest = text.substr(at + kWord.size());
     if (!rest.empty() && rest[0] != ',')
         throw_edit_error(edit_for_errors, get_expected_value_syntax_of_option(edit_for_errors));
     if (!rest.empty())
         placement.yaw_rad =
-            parse_comma_separated_edit_numbers(edit_for_errors, rest.substr(1), 1, 1)[0] * kPi / 180.0;
+            parse_comma_separated_numbers(edit_for_errors, rest.substr(1), 1, 1)[0] * kPi / 180.0;
     return placement;
 }
 
@@ -101,20 +100,20 @@ NewActorMotion parse_actor_start_pose_and_speed(const EditArgument& edit_for_err
                                                 const SceneWithLog& driving_scene,
                                                 const ActorToInsert& actor) {
     const std::size_t colon = pose_and_speed_text.find(':');
-    const double speed_mps = colon == std::string::npos
-                                 ? 0.0
-                                 : parse_comma_separated_edit_numbers(
-                                       edit_for_errors, pose_and_speed_text.substr(colon + 1), 1, 1)[0];
+    const double speed_mps =
+        colon == std::string::npos
+            ? 0.0
+            : parse_comma_separated_numbers(edit_for_errors, pose_and_speed_text.substr(colon + 1), 1, 1)[0];
     if (std::abs(speed_mps) > kFarOff_m) throw_edit_error(edit_for_errors, "a speed from -1e6 to 1e6 m/s");
     const std::string position_text = pose_and_speed_text.substr(0, colon);
     if (std::optional<GroundPlacement> ground =
             parse_ground_placement_if_present(edit_for_errors, position_text)) {
         ground->speed_mps = speed_mps;
         ground->clearance_m = actor.clearance_m;
-        return compute_actor_motion_on_ground({driving_scene.scene, driving_scene.sequence}, *ground,
-                                              {actor.owner.scene, actor.owner.sequence}, actor.track);
+        return compute_motion_on_ground({driving_scene.scene, driving_scene.sequence}, *ground,
+                                        {actor.owner.scene, actor.owner.sequence}, actor.track);
     }
-    const std::vector<double> pose = parse_comma_separated_edit_numbers(edit_for_errors, position_text, 4, 6);
+    const std::vector<double> pose = parse_comma_separated_numbers(edit_for_errors, position_text, 4, 6);
     if (pose.size() == 5)
         throw_edit_error(edit_for_errors, get_expected_value_syntax_of_option(edit_for_errors));
     const Pose start = make_pose_from_numbers(pose);
@@ -190,9 +189,8 @@ EditResult apply_remove_edit(SceneWithLog driving_scene, const EditArgument& edi
 
 EditResult apply_move_edit(SceneWithLog driving_scene, const EditArgument& edit) {
     const auto [track, offset] = split_text_at_required_separator(edit, edit.value, edit.value.rfind(':'));
-    driving_scene =
-        move_track(std::move(driving_scene), track,
-                   make_pose_from_numbers(parse_comma_separated_edit_numbers(edit, offset, 3, 4)));
+    driving_scene = move_track(std::move(driving_scene), track,
+                               make_pose_from_numbers(parse_comma_separated_numbers(edit, offset, 3, 4)));
     const std::string note = describe_unobserved_sides_of_actor(driving_scene, track);
     return {std::move(driving_scene), "moved " + track, note};
 }
@@ -224,8 +222,8 @@ BoxTrack copy_box_track_or_empty(const SceneWithLog& driving_scene, const std::s
 EditResult apply_motion_delay_edit(SceneWithLog driving_scene, const EditArgument& edit) {
     const auto [track, seconds] = split_text_at_required_separator(edit, edit.value, edit.value.rfind(':'));
     const BoxTrack before = copy_box_track_or_empty(driving_scene, track);
-    driving_scene = delay_track(std::move(driving_scene), track,
-                                parse_comma_separated_edit_numbers(edit, seconds, 1, 1)[0]);
+    driving_scene =
+        delay_track(std::move(driving_scene), track, parse_comma_separated_numbers(edit, seconds, 1, 1)[0]);
     const std::string note =
         join_nonempty_notes({format_warning_if_actor_misses_frames(driving_scene, track, &before),
                              describe_unobserved_sides_of_actor(driving_scene, track)});
@@ -273,7 +271,7 @@ ExternalActor load_actor_from_run_or_asset(const EditArgument& edit_for_errors,
                                                  run_and_track_or_asset_folder.rfind('#'))
               : std::pair(run_and_track_or_asset_folder, std::string());
     TrainedRun run = load_run(folder);
-    const std::string track = named ? named_track : get_only_actor_track(run);
+    const std::string track = named ? named_track : get_track_name_of_only_actor(run);
     SceneWithLog owner = run.copy_driving_scene();
     return {folder, track, std::move(run), std::move(owner)};
 }

@@ -137,8 +137,8 @@ void select_frames_of_this_process(std::vector<int>& frame_positions, const MpiP
 /// the log is a synthetic street and the run was edited, computes exact scans of the
 /// edited street instead.
 /// @return exact scans of the street before the edits; empty if the scans were copied
-std::vector<Scan> set_held_out_scans_of_run(TrainedRun& run, const LidarSequence& log) {
-    if (is_edited_synthetic_street_run(run)) return replace_held_out_scans_by_noise_free_scans(run);
+std::vector<Scan> set_held_out_scans_and_get_unedited_scans(TrainedRun& run, const LidarSequence& log) {
+    if (is_edited_synthetic_street_run(run)) return set_noise_free_scans_and_get_unedited_scans(run);
     copy_scans_into_run(run, run.split.test, log);
     return {};
 }
@@ -164,7 +164,7 @@ void evaluate_trained_run(const EvalOptions& options, const MpiProcessGroup& ran
     select_frames_of_this_process(run.split.test, ranks);
     Device device(convert_to_device_options(options.device));
     const LidarSequence log = load_dataset(run.config, options.quiet);
-    const std::vector<Scan> before = set_held_out_scans_of_run(run, log);
+    const std::vector<Scan> before = set_held_out_scans_and_get_unedited_scans(run, log);
     if (!options.baseline.empty()) copy_scans_into_run(run, run.split.train, log);
 
     install_interrupt_handlers();
@@ -192,7 +192,7 @@ void evaluate_trained_run(const EvalOptions& options, const MpiProcessGroup& ran
         options.quiet);
     if (!output.pictures.empty()) {
         run.split.test = all_test;
-        if (ranks.size() > 1) (void)set_held_out_scans_of_run(run, log);
+        if (ranks.size() > 1) (void)set_held_out_scans_and_get_unedited_scans(run, log);
         write_worst_actor_pictures(output.pictures, device, run, evaluation);
     }
     if (!options.open) return;
@@ -265,7 +265,7 @@ void run_eval_command(const EvalOptions& command_options, const std::string& com
             ranks.size()));
     // Throws an error if the baseline is unknown. This is checked before the log is
     // loaded, because loading takes a long time.
-    if (!options.baseline.empty()) (void)parse_baseline_motion(options.baseline);
+    if (!options.baseline.empty()) (void)parse_box_point_motion_of_baseline(options.baseline);
     if (!options.baseline.empty() && !is_run_folder(options.target)) {
         if (options.open)
             throw UsageError(
@@ -283,7 +283,7 @@ void run_eval_command(const EvalOptions& command_options, const std::string& com
 
 /// Checks that the option --table is not combined with options for scoring.
 /// @throws UsageError if such an option is given
-void require_no_scoring_options_with_table(const CLI::App& command) {
+void require_no_scoring_options_if_table_given(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {
         if (option->count() == 0 || option->get_positional() || option->check_lname("table") ||
             option->check_lname("quiet"))
@@ -355,7 +355,7 @@ void add_eval_command(CLI::App& app, ParsedCommand& selected_command) {
         ->allow_extra_args(false);
     command->footer(kEvalHelp);
     command->callback([&selected_command, options, command] {
-        if (!options->tables.empty()) require_no_scoring_options_with_table(*command);
+        if (!options->tables.empty()) require_no_scoring_options_if_table_given(*command);
         selected_command.run = [&selected_command, options] {
             run_eval_command(*options, selected_command.command_line);
         };

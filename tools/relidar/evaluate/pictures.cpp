@@ -78,14 +78,14 @@ void write_comparison_pictures(const std::filesystem::path& folder, const Scored
         std::vector<Image> strip;
         for (const auto& [caption, image] : figures[k].images) strip.push_back(image);
         write_png(folder / fmt::format("{}_{:06}.png", names[k], frame.frame),
-                  stack_images_vertically(strip, compute_vertical_scale(frame.real)));
+                  stack_images_vertically(strip, compute_vertical_stretch_factor(frame.real)));
     }
 }
 
 Image draw_stacked_real_and_rendered_range(const ScoredFrame& frame, double max_range_m) {
     return stack_images_vertically(
         {draw_range_picture(frame.real, max_range_m), draw_range_picture(frame.rendered.image, max_range_m)},
-        compute_vertical_scale(frame.real));
+        compute_vertical_stretch_factor(frame.real));
 }
 
 Image draw_rays_as_coloured_dots(const RayTable& rays) {

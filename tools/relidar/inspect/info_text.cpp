@@ -318,7 +318,7 @@ std::string format_summary_as_text(const LogSummary& log) { return format_summar
 std::string format_summary_as_text(const RunSummary& run) {
     const std::string other = run.primitive == ImageFormationModel{}.primitive
                                   ? ""
-                                  : fmt::format(" {}", get_primitive_kind(run.primitive).label);
+                                  : fmt::format(" {}", get_primitive_properties(run.primitive).label);
     std::string text = format_name_value_line("surfels", fmt::format("{}{}", run.n_surfels, other));
     if (run.n_blocks > 0)
         text += format_name_value_line(
@@ -353,7 +353,7 @@ std::string format_summary_as_json(const RunSummary& run) {
     Json json = {{"preset", run.preset},
                  {"iterations", run.iterations},
                  {"surfels", run.n_surfels},
-                 {"primitive", get_primitive_kind(run.primitive).name},
+                 {"primitive", get_primitive_properties(run.primitive).name},
                  {"models", Json::array()},
                  {"train_frames", run.n_train},
                  {"test_frames", run.test_frames},

@@ -15,7 +15,7 @@ namespace relidar::cli {
 /// Without a selection, returns the held-out frames. If the run has no held-out frames,
 /// returns all frames.
 /// @throws UsageError if no frame is selected
-std::vector<int> select_frame_positions_by_text(const TrainedRun& run,
-                                                const std::optional<std::string>& frames_text, bool quiet);
+std::vector<int> select_frame_indices_by_text(const TrainedRun& run,
+                                              const std::optional<std::string>& frames_text, bool quiet);
 
 }  // namespace relidar::cli

@@ -32,7 +32,7 @@ struct ExportOptions {
 /// are at their poses at the time of the frame. Positions are in relidar's world frame.
 void export_frames_as_ply(const ExportOptions& options) {
     const TrainedRun run = load_run(options.run);
-    const std::vector<int> positions = select_frame_positions_by_text(run, options.frames, options.quiet);
+    const std::vector<int> positions = select_frame_indices_by_text(run, options.frames, options.quiet);
     const LockedFolder folder(options.out);
     const Scene scene = copy_scene_with_all_blocks_loaded(run.scene);
     const glm::dvec3& offset = run.sequence.world_offset_m;

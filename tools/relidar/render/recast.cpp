@@ -58,7 +58,7 @@ bool is_edited_synthetic_street_run(const TrainedRun& run) {
            std::filesystem::exists(get_synthetic_street_folder(run) / "street.toml");
 }
 
-std::vector<Scan> replace_held_out_scans_by_noise_free_scans(TrainedRun& run) {
+std::vector<Scan> set_noise_free_scans_and_get_unedited_scans(TrainedRun& run) {
     const SyntheticOptions street = read_synthetic_options(get_synthetic_street_folder(run));
     const std::vector<SyntheticCar> cars = list_synthetic_cars(run);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);

@@ -19,7 +19,7 @@ bool is_edited_synthetic_street_run(const TrainedRun& run);
 /// street, which are computed by ray casting without noise.
 /// @return exact scans of the same frames in the street before the edits
 /// @throws DataError if the model of an actor is not a car of the synthetic street
-std::vector<Scan> replace_held_out_scans_by_noise_free_scans(TrainedRun& run);
+std::vector<Scan> set_noise_free_scans_and_get_unedited_scans(TrainedRun& run);
 
 /// Returns the pixels whose range is changed by an edit. Both images must be exact scans
 /// of the synthetic street. The metrics of these pixels are named edited/*.

@@ -112,10 +112,10 @@ PointCoordinateFrame parse_point_frame(const std::string& name) {
 
 /// Removes the boxes of actors that are not rendered, so that they do not appear in
 /// recordings.
-void keep_boxes_of_visible_parts(ScanOutputOptions& output_options, const TrainedRun& run,
-                                 const std::vector<std::string>& visible_parts) {
-    if (visible_parts.empty()) return;
-    const std::vector<bool> shown = mark_instances_with_names(run.scene, visible_parts);
+void remove_boxes_of_hidden_scene_parts(ScanOutputOptions& output_options, const TrainedRun& run,
+                                        const std::vector<std::string>& visible_scene_parts) {
+    if (visible_scene_parts.empty()) return;
+    const std::vector<bool> shown = mark_instances_with_names(run.scene, visible_scene_parts);
     std::erase_if(output_options.actors, [&](const BoxTrack& box) {
         for (std::size_t i = 0; i < shown.size(); ++i)
             if (run.scene.instances[i].track == box.id) return !shown[i];
@@ -139,7 +139,7 @@ ScanOutputOptions make_scan_output_format(const RenderOptions& options, const Tr
     format.frame = parse_point_frame(options.point_frame);
     format.deskew = options.deskew;
     format.only = options.only;
-    keep_boxes_of_visible_parts(format, run, options.only);
+    remove_boxes_of_hidden_scene_parts(format, run, options.only);
     format.sample = options.sample;
     format.weather = parse_weather(options.weather);
     return format;
@@ -199,7 +199,7 @@ struct NumberedScanTime {
 std::vector<NumberedScanTime> list_sweeps_of_frames(const TrainedRun& run, const RenderOptions& options,
                                                     int lidar_index) {
     std::vector<NumberedScanTime> sweeps;
-    for (const int position : select_frame_positions_by_text(run, options.frames, options.quiet)) {
+    for (const int position : select_frame_indices_by_text(run, options.frames, options.quiet)) {
         const LidarFrame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
         if (frame.lidar == lidar_index) sweeps.push_back({frame.index, frame.time_s});
     }
@@ -268,7 +268,7 @@ RenderOutputs create_output_folders(const RenderOptions& options, const TrainedR
     if (!ranks.is_first_mpi_process()) ranks.wait_for_all_ranks();
     const auto add = [&](const std::filesystem::path& folder, const ScanOutputOptions& format) {
         if (!ranks.is_first_mpi_process())
-            return output.folders.push_back(ScanFolderWriter::open_folder_of_other_process(folder, format));
+            return output.folders.push_back(ScanFolderWriter::join_folder_of_other_process(folder, format));
         if (folder != options.out) {
             require_no_files_overwritten(folder, options);
             std::filesystem::create_directories(folder);
@@ -307,7 +307,7 @@ void finish_output_files(RenderOutputs& output, const MpiProcessGroup& ranks, bo
                 for (const std::string& entry : split_text(of_one, '\n')) entries.push_back(entry);
         folder.set_summary_entries(std::move(entries));
         if (ranks.is_first_mpi_process()) folder.finish_scan_folder();
-        if (!quiet) print_note_on_unseen_space(folder.get_summary_entries(), folder.path().string());
+        if (!quiet) print_note_on_unobserved_space(folder.get_summary_entries(), folder.path().string());
     }
 }
 
@@ -416,7 +416,7 @@ void run_render_command(const RenderOptions& command_options) {
     renderer.set_weather(parse_weather(options.weather));
     RenderOutputs output = create_output_folders(options, run, targets, offset, ranks);
     if (options.sample && !options.quiet) print_notes_on_missing_noise_models(run, lidar);
-    if (!options.quiet) print_assumed_sensor_properties(parse_weather(options.weather));
+    if (!options.quiet) print_sensor_properties_assumed_for_weather(parse_weather(options.weather));
     for (const MountedSimulatedSensor& w : targets)
         if (!options.quiet) print_notes_on_sensor(run, renderer, w.sensor);
     install_interrupt_handlers();

@@ -54,7 +54,7 @@ void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index)
                     run.folder.string()));
 }
 
-void print_assumed_sensor_properties(const Weather& weather) {
+void print_sensor_properties_assumed_for_weather(const Weather& weather) {
     if (weather.is_clear()) return;
     print_note(
         fmt::format("weather {}: the wavelength of the sensors is unknown, so 905 nm is assumed; if a beam "
@@ -68,8 +68,8 @@ namespace {
 /// observed. Lists these sides, each with its numbers of scans and rays.
 /// @param sides_json_key key of the list of these sides in an entry of scans.json
 /// @param effect_text what happens to these rays, for example "pass through such a side"
-void print_unobserved_sides_note(const std::vector<nlohmann::json>& scans, const std::string& folder,
-                                 const char* sides_json_key, const char* effect_text) {
+void print_note_on_unobserved_actor_sides(const std::vector<nlohmann::json>& scans, const std::string& folder,
+                                          const char* sides_json_key, const char* effect_text) {
     struct ScanRayCounts {
         std::size_t scans = 0, rays = 0;
     };
@@ -93,14 +93,14 @@ void print_unobserved_sides_note(const std::vector<nlohmann::json>& scans, const
 
 }  // namespace
 
-void print_note_on_unseen_space(const std::vector<std::string>& scan_json_entries,
-                                const std::string& scan_folder) {
+void print_note_on_unobserved_space(const std::vector<std::string>& scan_json_entries,
+                                    const std::string& scan_folder) {
     std::vector<nlohmann::json> scans;
     for (const std::string& entry : scan_json_entries) scans.push_back(nlohmann::json::parse(entry));
-    print_unobserved_sides_note(scans, scan_folder, "unseen_sides",
-                                "pass through such a side, because it has no surfels");
-    print_unobserved_sides_note(scans, scan_folder, "completed_sides",
-                                "hit surfels that were mirrored from the other side of the actor");
+    print_note_on_unobserved_actor_sides(scans, scan_folder, "unseen_sides",
+                                         "pass through such a side, because it has no surfels");
+    print_note_on_unobserved_actor_sides(scans, scan_folder, "completed_sides",
+                                         "hit surfels that were mirrored from the other side of the actor");
     std::size_t n_unseen = 0, n_scans_with_value = 0;
     double worst = 0.0;
     int worst_number = 0;

@@ -21,13 +21,13 @@ void print_notes_on_sensor(const TrainedRun& run, const ScanRenderer& renderer,
 void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index);
 
 /// Prints a note with the sensor properties that the weather simulation assumes.
-void print_assumed_sensor_properties(const Weather& weather);
+void print_sensor_properties_assumed_for_weather(const Weather& weather);
 
 /// Prints a note about scans in which many rays cross space that the log has not
 /// observed. Prints another note about rays that hit a side of an actor that the log has
 /// not observed.
 /// @param scan_json_entries entries of scans.json
-void print_note_on_unseen_space(const std::vector<std::string>& scan_json_entries,
-                                const std::string& scan_folder);
+void print_note_on_unobserved_space(const std::vector<std::string>& scan_json_entries,
+                                    const std::string& scan_folder);
 
 }  // namespace relidar::cli

@@ -166,7 +166,7 @@ void run_serve_command(const ServeCommandOptions& options) {
                                             const std::string& name, const RenderedScan& scan) {
             sender.send_or_queue_packets_of_scan(run, sensor, name, scan);
         };
-    if (!options.quiet) print_assumed_sensor_properties(server_settings.weather);
+    if (!options.quiet) print_sensor_properties_assumed_for_weather(server_settings.weather);
     const std::string host = server_settings.listen.substr(0, server_settings.listen.rfind(':'));
     if (!is_loopback_host(host))
         print_note(fmt::format(

@@ -56,7 +56,7 @@ bool is_file(const fs::path& path) {
 
 /// Decides which argument is the log and which is the output folder, because the option
 /// --resume can precede either of them.
-TrainOptions assign_log_and_output_folder(TrainOptions options) {
+TrainOptions resolve_log_and_output_folder(TrainOptions options) {
     if (options.out.empty()) options.out = options.resume_folder;
     else if (options.dataset.empty())
         options.dataset = options.resume_folder == options.out ? "" : options.resume_folder;
@@ -121,7 +121,7 @@ bool is_setting_group_equal(const Config& first, const Config& second, std::stri
 
 /// Compares the current settings with the settings of a finished run.
 /// @throws UsageError if the run was trained with other settings
-void require_settings_of_finished_run(const fs::path& run_folder, const Config& current_config) {
+void require_same_settings_as_finished_run(const fs::path& run_folder, const Config& current_config) {
     const Config trained = load_saved_config(run_folder / kConfigFile);
     std::string key = find_setting_that_prevents_resuming(trained, current_config);
     if (key.empty() && trained.dataset.path != current_config.dataset.path) key = "dataset.path";
@@ -218,8 +218,8 @@ Error make_error_with_resume_command(const char* interrupted_step, const Trained
 
 /// Runs the steps after the training of the scene and before the training of the ray-drop
 /// network. These steps align the held-out scans and learn the intensity noise.
-void align_held_out_and_learn_noise_or_throw(Device& device, TrainedRun& run, const TrainOptions& options,
-                                             StageTimes& stage_times) {
+void align_held_out_scans_and_learn_noise_or_throw(Device& device, TrainedRun& run,
+                                                   const TrainOptions& options, StageTimes& stage_times) {
     if (align_held_out_scans_and_fit_intensity_noise(device, run, options.quiet, stage_times) ==
         TrainingEndReason::stopped)
         throw make_error_with_resume_command(
@@ -357,7 +357,7 @@ void run_steps_missing_after_scene_training(const TrainOptions& options, const C
         print("resume  all iterations are done; continuing with the steps after them\n");
     }
     install_interrupt_handlers();
-    if (!run.held_out_placed) align_held_out_and_learn_noise_or_throw(device, run, options, stages);
+    if (!run.held_out_placed) align_held_out_scans_and_learn_noise_or_throw(device, run, options, stages);
     // The network is trained, so its checkpoints are obsolete. A process that was killed
     // may have left them.
     if (has_network) remove_network_checkpoints(run.folder);
@@ -385,7 +385,7 @@ void remove_old_results_and_save_config(const fs::path& run_folder, const Config
     write_text_file(run_folder / kConfigFile, to_toml(config));
 }
 
-void require_blocks_for_multiple_ranks(const MpiProcessGroup& ranks, bool trains_in_blocks) {
+void require_block_training_if_several_ranks(const MpiProcessGroup& ranks, bool trains_in_blocks) {
     if (ranks.size() > 1 && !trains_in_blocks)
         throw UsageError(fmt::format(
             "training with {} MPI processes needs --blocks, because the processes share the blocks "
@@ -408,12 +408,12 @@ ExistingRunPolicy choose_existing_run_policy(const TrainOptions& options) {
 
 void run_train_command(const TrainOptions& command_options, const std::string& command_line) {
     const MpiProcessGroup ranks;
-    TrainOptions options = assign_log_and_output_folder(command_options);
+    TrainOptions options = resolve_log_and_output_folder(command_options);
     options.quiet = options.quiet || !ranks.is_first_mpi_process();
     options.device = ranks.select_device_unless_user_chose(options.device);
     Config config = make_training_config(options);
     if (options.resume && !options.force && is_training_finished(options.out, config)) {
-        require_settings_of_finished_run(options.out, config);
+        require_same_settings_as_finished_run(options.out, config);
         if (!options.quiet) print(format_training_is_finished(options.out, config.train.iterations));
         return;
     }
@@ -425,7 +425,7 @@ void run_train_command(const TrainOptions& command_options, const std::string& c
         return;
     }
     const bool in_blocks = config.blocks.length_m > 0.0;
-    require_blocks_for_multiple_ranks(ranks, in_blocks);
+    require_block_training_if_several_ranks(ranks, in_blocks);
     std::optional<RunOutputFolder> folder;
     if (ranks.is_first_mpi_process()) folder.emplace(options.out, choose_existing_run_policy(options));
     if (resume && in_blocks) require_same_settings_as_all_trained_blocks(options.out, config);
@@ -441,7 +441,8 @@ void run_train_command(const TrainOptions& command_options, const std::string& c
     if (!options.quiet)
         print_frames_and_device_of_training(sequence, split, device, start ? &*start : nullptr);
     install_interrupt_handlers();
-    prepare_log_with_progress(sequence, split, config, options.quiet, ranks.get_process_group(), &stages);
+    prepare_log_for_training_with_progress(sequence, split, config, options.quiet, ranks.get_process_group(),
+                                           &stages);
     if (start) require_training_is_resumable(*start, sequence, split, config);
     if (folder)
         remove_old_results_and_save_config(folder->path(), config, resume && in_blocks, start.has_value());
@@ -458,7 +459,7 @@ void run_train_command(const TrainOptions& command_options, const std::string& c
     if (!in_blocks) move_result_into_run(run, result);
     stages.start_stage("save");
     save_run(run);
-    if (!result.interrupted) align_held_out_and_learn_noise_or_throw(device, run, options, stages);
+    if (!result.interrupted) align_held_out_scans_and_learn_noise_or_throw(device, run, options, stages);
     if (config.refine.enabled && !result.interrupted)
         train_and_save_drop_network_if_possible(device, run, options, stages);
     score_and_write_training_report(device, run, result, options, command_line, stages);

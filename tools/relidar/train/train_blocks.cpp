@@ -92,7 +92,7 @@ public:
         sum_.peak_device_bytes = std::max(sum_.peak_device_bytes, result.peak_device_bytes);
         sum_.times.add_times(result.times);
     }
-    TrainResult compute_mean_block_result(int n_iterations) {
+    TrainResult average_train_results_of_blocks(int n_iterations) {
         for (TrainProgress& line : sum_.log) {
             line.n_iterations = n_iterations;
             line.loss /= double(n_);
@@ -142,7 +142,7 @@ public:
             total_.add_block_progress_to_sums(read_training_log_file(folders[k]));
         join_trained_blocks(run_, blocks_, folders);
         train_actors_in_joined_scene();
-        TrainResult result = total_.compute_mean_block_result(run_.config.train.iterations);
+        TrainResult result = total_.average_train_results_of_blocks(run_.config.train.iterations);
         write_training_log_file(run_.folder, result.log);
         return result;
     }

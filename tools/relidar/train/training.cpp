@@ -90,8 +90,9 @@ void align_held_out_scans_with_progress(Device& device, TrainedRun& run, bool qu
 
 }  // namespace
 
-void prepare_log_with_progress(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
-                               bool quiet, const ProcessGroup& process_group, StageTimes* stage_times) {
+void prepare_log_for_training_with_progress(LidarSequence& sequence, const TrainTestSplit& split,
+                                            const Config& config, bool quiet,
+                                            const ProcessGroup& process_group, StageTimes* stage_times) {
     TerminalProgress progress(quiet);
     const auto report_line = [&](const std::string& line) {
         if (quiet) return;
@@ -99,7 +100,7 @@ void prepare_log_with_progress(LidarSequence& sequence, const TrainTestSplit& sp
         print(line + "\n");
         std::fflush(stdout);
     };
-    prepare_log(
+    prepare_log_for_training(
         sequence, split, config,
         {report_line, is_interrupted, make_terminal_progress_callback(progress), stage_times, process_group});
 }
@@ -163,7 +164,7 @@ TrainingEndReason train_drop_network_with_progress(Device& device, TrainedRun& r
                         format_four_significant_digits(p.entropy), p.accuracy),
             p.step == p.n_steps);
     };
-    RayDropNetwork network = refine_drops(device, run, session);
+    RayDropNetwork network = train_ray_drop_network_of_run(device, run, session);
     end_progress_line();
     if (network.empty()) return TrainingEndReason::stopped;
     run.drop_network = std::move(network);

@@ -14,9 +14,10 @@ namespace relidar::cli {
 /// Prepares a log for training: registers scans, calibrates beams and finds moving
 /// objects, as the settings require. Shows the progress.
 /// @throws Error with exit code 130 after Ctrl-C
-void prepare_log_with_progress(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
-                               bool quiet, const ProcessGroup& process_group = {},
-                               StageTimes* stage_times = nullptr);
+void prepare_log_for_training_with_progress(LidarSequence& sequence, const TrainTestSplit& split,
+                                            const Config& config, bool quiet,
+                                            const ProcessGroup& process_group = {},
+                                            StageTimes* stage_times = nullptr);
 
 /// Trains a scene and shows a progress line on stderr. Each progress report is also a
 /// JSON line in log.jsonl. A resumed training keeps the lines before its checkpoint.

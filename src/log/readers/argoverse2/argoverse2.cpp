@@ -194,7 +194,7 @@ LidarSweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vect
 /// Adds a frame with a scan for each sweep and LiDAR. Adds no frame if the LiDAR has no
 /// points in the sweep.
 void append_sweeps_as_frames(LidarSequence& sequence, const std::vector<SweepFile>& sweep_files,
-                             const PoseTrack& vehicle_poses, LidarSweepPairs sweeps,
+                             const PoseTrack& vehicle_poses, LidarSweepPairs lidar_sweep_points,
                              const ProgressReporter& progress, const ScanErrorCollector& broken_scans) {
     broken_scans.note_broken_scans_or_throw_if_all_broken(sequence, sweep_files.size());
     std::vector<LidarSweepPoints*> of_frame;
@@ -202,7 +202,7 @@ void append_sweeps_as_frames(LidarSequence& sequence, const std::vector<SweepFil
     for (std::size_t at = 0; at < sweep_files.size(); ++at) {
         if (broken_scans.is_scan_broken(at)) continue;
         for (std::size_t l = 0; l < 2; ++l) {
-            LidarSweepPoints& lidar_sweep = sweeps[at][l];
+            LidarSweepPoints& lidar_sweep = lidar_sweep_points[at][l];
             SpinningSensor& sensor = sequence.lidars[l].sensor;
             if (lidar_sweep.points.size() == 0 && ++missing) continue;
             sensor.columns = std::max(sensor.columns, int(lidar_sweep.sweep.firings.size()));

@@ -19,7 +19,7 @@ constexpr std::size_t kSampleClouds = 6;
 double find_earliest_point_time(const folder::PointTable& table) {
     double first = INFINITY;
     if (const folder::PointFieldView* times = table.find_field(folder::PointAttribute::time))
-        times->visit_with_value_reader([&](const auto& time_at) {
+        times->call_with_value_reader([&](const auto& time_at) {
             for (std::size_t i = 0; i < table.n; ++i)
                 if (const auto t = double(time_at(i)); std::isfinite(t)) first = std::min(first, t);
         });

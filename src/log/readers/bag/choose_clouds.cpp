@@ -101,7 +101,7 @@ std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagI
 /// Returns a score that is higher if a topic has raw measurements. Packets have the
 /// highest score, then clouds with times, rings and return numbers, then clouds with many
 /// points.
-double compute_raw_data_score(const CloudTopic& cloud_topic) {
+double score_topic_by_raw_measurements(const CloudTopic& cloud_topic) {
     if (!cloud_topic.packets.empty()) return 200.0;
     const bool timed = cloud_topic.has_field_with_attribute(folder::PointAttribute::time);
     const bool ringed = cloud_topic.has_field_with_attribute(folder::PointAttribute::ring);
@@ -127,8 +127,8 @@ bool are_clouds_in_single_sensor_frame(const CloudTopic& cloud_topic) {
 
 /// Throws if the clouds of a topic are in a world-fixed frame. Adds a note for the user
 /// if the clouds are in the vehicle frame.
-void require_clouds_outside_world_frame(const std::string& topic_name, const CloudTopic& clouds,
-                                        SelectedCloudTopics& selected_topics) {
+void reject_world_frame_or_note_vehicle_frame(const std::string& topic_name, const CloudTopic& clouds,
+                                              SelectedCloudTopics& selected_topics) {
     if (is_cloud_frame_one_of(clouds, kOfWorld))
         throw DataError(
             fmt::format("{}: the clouds are in the world-fixed frame '{}', so the positions of the LiDAR are "
@@ -191,7 +191,8 @@ std::vector<std::size_t> select_best_cloud_topic_per_lidar(const BagIndex& bag_i
         const CloudTopic& clouds = bag_index.clouds[c];
         if (!has_clouds(clouds) || (any_of_sensor && !are_clouds_in_single_sensor_frame(clouds))) continue;
         const auto [at, is_new] = best.try_emplace(get_lidar_frame_id(bag_index, clouds), c);
-        if (!is_new && compute_raw_data_score(clouds) > compute_raw_data_score(bag_index.clouds[at->second]))
+        if (!is_new && score_topic_by_raw_measurements(clouds) >
+                           score_topic_by_raw_measurements(bag_index.clouds[at->second]))
             at->second = c;
     }
     std::vector<std::size_t> lidars;
@@ -204,7 +205,7 @@ std::size_t choose_main_lidar_index(const BagIndex& bag_index,
                                     const std::vector<std::size_t>& cloud_topic_indices) {
     const auto most = std::ranges::max_element(cloud_topic_indices, {}, [&](std::size_t c) {
         const CloudTopic& clouds = bag_index.clouds[c];
-        return std::pair(compute_raw_data_score(clouds) >= 100.0,
+        return std::pair(score_topic_by_raw_measurements(clouds) >= 100.0,
                          double(clouds.compute_median_point_count()) * double(clouds.clouds.size()));
     });
     return std::size_t(most - cloud_topic_indices.begin());
@@ -239,7 +240,7 @@ SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex&
             why = fmt::format("it contains {:.3g} times as many clouds as topic {}", rate,
                               bag.topics()[main.topic].name);
         if (why.empty()) {
-            require_clouds_outside_world_frame(name, clouds, choice);
+            reject_world_frame_or_note_vehicle_frame(name, clouds, choice);
             accepted_lidars.push_back(c);
         } else if (requested_topics.empty()) {
             choice.notes.push_back(fmt::format(

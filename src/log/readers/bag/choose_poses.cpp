@@ -24,9 +24,9 @@ struct PoseSourceCandidate {
 /// Follows the parent frames from the sensor to `ancestor_frame`. Returns the first frame
 /// that moves relative to its parent, which is the vehicle. If no frame moves, returns
 /// the sensor's frame.
-std::string find_vehicle_frame(const FrameTree& frame_tree,
-                               const std::vector<std::string>& frame_path_to_root,
-                               const std::string& ancestor_frame) {
+std::string find_vehicle_frame_below_ancestor(const FrameTree& frame_tree,
+                                              const std::vector<std::string>& frame_path_to_root,
+                                              const std::string& ancestor_frame) {
     for (const std::string& frame : frame_path_to_root) {
         if (frame == ancestor_frame) break;
         if (frame_tree.is_frame_moving(frame)) return frame;
@@ -46,7 +46,10 @@ PoseSourceCandidate make_pose_source_from_tf(const FrameTree& frame_tree,
                                              const std::vector<std::string>& frame_path_to_root,
                                              const std::string& ancestor_frame) {
     PoseSourceCandidate source{
-        ancestor_frame, nullptr, find_vehicle_frame(frame_tree, frame_path_to_root, ancestor_frame), {}};
+        ancestor_frame,
+        nullptr,
+        find_vehicle_frame_below_ancestor(frame_tree, frame_path_to_root, ancestor_frame),
+        {}};
     source.about = fmt::format("poses of the frame '{}' in the frame '{}' are read from /tf (path {}){}",
                                source.vehicle, ancestor_frame, fmt::join(frame_path_to_root, " < "),
                                has_moving_transform_up_to(frame_tree, frame_path_to_root, ancestor_frame)
@@ -118,8 +121,8 @@ std::optional<PoseSourceCandidate> select_default_pose_source(
 TransformChain make_vehicle_pose_function(const BagIndex& bag_index, const PoseSourceCandidate& pose_source,
                                           LogClock log_clock, std::int64_t time_origin_ns) {
     if (!pose_source.topic)
-        return bag_index.frames.make_pose_function_in_ancestor(pose_source.outer, pose_source.vehicle,
-                                                               log_clock, time_origin_ns);
+        return bag_index.frames.make_transform_chain_to_ancestor(pose_source.outer, pose_source.vehicle,
+                                                                 log_clock, time_origin_ns);
     TransformChain path;
     path.append_sampled_child_transform(pose_source.topic->samples, log_clock, time_origin_ns);
     return path;

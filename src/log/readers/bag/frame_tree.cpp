@@ -111,9 +111,9 @@ std::optional<Pose> FrameTree::find_constant_transform(const std::string& target
     return inverse(*of_to) * *of_from;
 }
 
-TransformChain FrameTree::make_pose_function_in_ancestor(const std::string& ancestor_frame,
-                                                         const std::string& child_frame, LogClock clock,
-                                                         std::int64_t time_origin_ns) const {
+TransformChain FrameTree::make_transform_chain_to_ancestor(const std::string& ancestor_frame,
+                                                           const std::string& child_frame, LogClock clock,
+                                                           std::int64_t time_origin_ns) const {
     const std::vector<std::string> frame_chain = list_frames_to_root(child_frame);
     TransformChain path;
     for (std::size_t k = std::size_t(std::ranges::find(frame_chain, ancestor_frame) - frame_chain.begin());
@@ -133,8 +133,8 @@ std::optional<RelativeFramePose> FrameTree::find_pose_function_between_frames(
                                    source_chain = list_frames_to_root(source_frame);
     const auto common = std::ranges::find_first_of(source_chain, target_chain);
     if (common == source_chain.end()) return std::nullopt;
-    return RelativeFramePose{make_pose_function_in_ancestor(*common, target_frame, clock, time_origin_ns),
-                             make_pose_function_in_ancestor(*common, source_frame, clock, time_origin_ns)};
+    return RelativeFramePose{make_transform_chain_to_ancestor(*common, target_frame, clock, time_origin_ns),
+                             make_transform_chain_to_ancestor(*common, source_frame, clock, time_origin_ns)};
 }
 
 std::vector<std::string> FrameTree::list_frames_with_several_parents() const {

@@ -80,9 +80,9 @@ public:
                                                 const std::string& source_frame) const;
     /// Returns the pose of a frame in its ancestor frame `ancestor_frame` as a function
     /// of time.
-    TransformChain make_pose_function_in_ancestor(const std::string& ancestor_frame,
-                                                  const std::string& child_frame, LogClock clock,
-                                                  std::int64_t time_origin_ns) const;
+    TransformChain make_transform_chain_to_ancestor(const std::string& ancestor_frame,
+                                                    const std::string& child_frame, LogClock clock,
+                                                    std::int64_t time_origin_ns) const;
     /// Returns the pose of frame `source_frame` in frame `target_frame` as a function of
     /// time. Returns nothing if no transforms connect the two frames.
     std::optional<RelativeFramePose> find_pose_function_between_frames(const std::string& target_frame,

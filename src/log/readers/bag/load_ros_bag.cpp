@@ -49,7 +49,7 @@ public:
     LidarSequence load_recording() {
         has_poses_ = options_.poses_file.empty() && poses_.path;
         is_deskewed_ = bag_.get_points_frame_name() == "sensor at the stamp";
-        add_notes_on_topics_and_selection();
+        add_notes_on_topics_and_selected_data();
         group_clouds_into_frames();
         add_lidars_to_sequence();
         add_frames_to_sequence();
@@ -114,7 +114,7 @@ private:
         if (!text.empty()) sequence_.notes.push_back(text);
     }
 
-    void add_notes_on_topics_and_selection() {
+    void add_notes_on_topics_and_selected_data() {
         std::vector<bool> used(bag_.topics().size(), false);
         for (const std::size_t c : clouds_.lidars) used[survey_.clouds[c].topic] = true;
         for (std::size_t t = 0; t < used.size(); ++t)
@@ -136,7 +136,7 @@ private:
                             "transforms is used",
                             frame));
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
-            for (const std::string& text : {describe_clouds_with_other_frame(get_cloud_topic(l)),
+            for (const std::string& text : {describe_clouds_with_differing_frame_id(get_cloud_topic(l)),
                                             describe_time_jumps(get_cloud_topic(l))})
                 if (!text.empty()) add_note_if_not_empty(get_topic_name(get_cloud_topic(l)) + ": " + text);
     }
@@ -163,17 +163,17 @@ private:
         add_note_if_not_empty(describe_missing_sweeps(times_s, step_s));
         std::vector<FrameCloudMessage> all = sweeps;
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
-            if (l != clouds_.main) append_nearest_clouds_of_lidar(all, sweeps, l, kBeside * step_s);
+            if (l != clouds_.main) append_clouds_nearest_to_main_sweeps(all, sweeps, l, kBeside * step_s);
         std::ranges::stable_sort(all, [](const FrameCloudMessage& first, const FrameCloudMessage& second) {
             return first.number != second.number ? first.number < second.number : first.lidar < second.lidar;
         });
         select_requested_clouds_with_pose(all);
-        estimate_point_units(step_s);
+        estimate_point_units_of_each_lidar(step_s);
     }
 
-    void append_nearest_clouds_of_lidar(std::vector<FrameCloudMessage>& all_clouds,
-                                        const std::vector<FrameCloudMessage>& main_sweeps,
-                                        std::size_t lidar_index, double max_time_difference_s) {
+    void append_clouds_nearest_to_main_sweeps(std::vector<FrameCloudMessage>& all_clouds,
+                                              const std::vector<FrameCloudMessage>& main_sweeps,
+                                              std::size_t lidar_index, double max_time_difference_s) {
         const std::vector<CloudIndexEntry>& clouds = get_cloud_topic(lidar_index).clouds;
         std::vector<double> main_s, other_s;
         for (const FrameCloudMessage& sweep : main_sweeps) main_s.push_back(sweep.time_s);
@@ -218,7 +218,7 @@ private:
                 fmt::format("{} clouds are skipped, because there are no poses at their times", n_unplaced));
     }
 
-    void estimate_point_units(double sweep_period_s) {
+    void estimate_point_units_of_each_lidar(double sweep_period_s) {
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
             const CloudTopic& clouds = get_cloud_topic(l);
             const std::size_t n_parts =

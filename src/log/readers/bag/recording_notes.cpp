@@ -105,7 +105,7 @@ std::string describe_missing_sweeps(const std::vector<double>& sweep_times_s, do
                         n, missing, longest_s, at_s);
 }
 
-std::string describe_clouds_with_other_frame(const CloudTopic& cloud_topic) {
+std::string describe_clouds_with_differing_frame_id(const CloudTopic& cloud_topic) {
     if (cloud_topic.n_other_frame == 0) return "";
     return fmt::format(
         "{} clouds have another frame than the first cloud, for example '{}'; relidar assumes that all "

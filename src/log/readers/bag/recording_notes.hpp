@@ -21,7 +21,7 @@ std::vector<std::string> format_line_per_topic(const BagRecording& bag, const Ba
 std::string describe_missing_sweeps(const std::vector<double>& sweep_times_s, double sweep_period_s);
 /// Describes clouds that have another frame than the first cloud of the topic. Returns an
 /// empty string if all have the same frame.
-std::string describe_clouds_with_other_frame(const CloudTopic& cloud_topic);
+std::string describe_clouds_with_differing_frame_id(const CloudTopic& cloud_topic);
 /// Describes time stamps that decrease, or that jump relative to the recording times.
 /// Returns an empty string if there are none.
 std::string describe_time_jumps(const CloudTopic& cloud_topic);

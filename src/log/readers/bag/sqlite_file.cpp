@@ -65,7 +65,7 @@ public:
                       int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
         sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
         sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
-        for (const char* table : {"topics", "messages"}) require_real_table(table);
+        for (const char* table : {"topics", "messages"}) require_ordinary_table(table);
     }
 
     void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
@@ -166,7 +166,7 @@ private:
 
     /// Checks that a name belongs to a real table. An untrusted file could instead define
     /// a view with this name, whose query never ends.
-    void require_real_table(const char* table_name) const {
+    void require_ordinary_table(const char* table_name) const {
         const Statement row = prepare_statement(fmt::format(
             "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = '{}' AND sql NOT LIKE '%generated%' "
             "AND sql NOT LIKE '% as%(%)%' AND sql NOT LIKE 'create virtual%'",

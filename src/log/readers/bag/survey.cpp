@@ -44,7 +44,7 @@ public:
 
     /// Returns true if some packets were recorded before the metadata that are needed to
     /// decode them. These packets are then decoded in a second pass.
-    bool needs_second_pass() const { return !late_.empty(); }
+    bool has_packets_for_second_pass() const { return !late_.empty(); }
     bool is_topic_for_second_pass(std::size_t topic_index) const { return late_.contains(topic_index); }
     void index_packets_in_second_pass(const BagMessage& message) {
         TopicStatistics& facts = survey_.facts[message.topic];
@@ -238,7 +238,7 @@ BagIndex index_bag_messages(BagRecording& bag, const ProgressReporter& progress)
         [](const BagTopic& topic) { return get_message_purpose_of_topic(topic) != MessagePurpose::nothing; },
         [&](const BagMessage& message) { surveyor.add_message_to_index(message); }, progress);
     survey.facts.resize(bag.topics().size());
-    if (surveyor.needs_second_pass()) {
+    if (surveyor.has_packets_for_second_pass()) {
         surveyor.read_ouster_metadata_files();
         std::vector<bool> is_late;
         for (std::size_t t = 0; t < bag.topics().size(); ++t)

@@ -167,7 +167,7 @@ std::vector<PoseInterpretation> append_inverse_interpretations(
 
 /// Returns all possible meanings of the numbers in a pose file, for example another order
 /// of the quaternion. The documented meaning is first.
-std::vector<PoseInterpretation> list_pose_interpretations(const PoseRows& pose_rows) {
+std::vector<PoseInterpretation> list_possible_pose_conventions(const PoseRows& pose_rows) {
     using Row = std::vector<double>;
     const auto angles = [](const Row& row, double unit) {
         return make_rotation(unit * row[6], unit * row[5], unit * row[4]);
@@ -247,7 +247,7 @@ BoxLabel read_box_label(const JsonField& label, const std::vector<SequenceHeader
 
 std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
                                                   const std::vector<SequenceHeaderFrame>& frames,
-                                                  const OverlapScanPairReader& read_scan_pairs_or_null,
+                                                  const OverlapScanPairReader& read_scan_pairs_for_pose_check,
                                                   std::vector<std::string>& notes) {
     if (!does_path_exist(pose_file)) return std::nullopt;
     const std::vector<std::string> lines = split_lines(read_text_file(pose_file));
@@ -261,13 +261,13 @@ std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
         if (rows.rows.empty())
             throw DataError(fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers",
                                         pose_file.string()));
-        const std::vector<PoseInterpretation> readings = list_pose_interpretations(rows);
+        const std::vector<PoseInterpretation> readings = list_possible_pose_conventions(rows);
         // Only relidar writes these column names. The meaning of the numbers is therefore
         // certain.
         if (rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos)
             return interpolate_poses_at_frames(readings[0].world_from_vehicle, frames, pose_file.string());
         const std::size_t k =
-            choose_pose_interpretation(readings, read_scan_pairs_or_null, pose_file.string(), notes);
+            choose_pose_interpretation(readings, read_scan_pairs_for_pose_check, pose_file.string(), notes);
         return interpolate_poses_at_frames(readings[k].world_from_vehicle, frames, pose_file.string());
     }
     std::vector<int> numbers;
@@ -281,7 +281,7 @@ std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
     }
     const std::vector<PoseInterpretation> readings =
         append_inverse_interpretations({{"matrices", std::move(track)}});
-    if (choose_pose_interpretation(readings, read_scan_pairs_or_null, pose_file.string(), notes) > 0)
+    if (choose_pose_interpretation(readings, read_scan_pairs_for_pose_check, pose_file.string(), notes) > 0)
         for (Pose& pose : poses) pose = inverse(pose);
     return poses;
 }

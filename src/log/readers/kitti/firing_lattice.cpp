@@ -34,7 +34,7 @@ struct BeamPolarPoints {
     std::vector<double> azimuth_rad, inverse_rho;
 };
 
-std::array<BeamPolarPoints, kRings> collect_far_points_as_polar_by_ring(
+std::array<BeamPolarPoints, kRings> convert_far_points_to_polar_by_ring(
     const std::vector<const ScanWithRings*>& scans) {
     std::array<BeamPolarPoints, kRings> polar;
     for (const ScanWithRings* scan : scans) {
@@ -51,13 +51,18 @@ std::array<BeamPolarPoints, kRings> collect_far_points_as_polar_by_ring(
     return polar;
 }
 
-std::complex<double> compute_mean_tick_phasor(const BeamPolarPoints& polar, double encoder_tick_rad,
-                                              double left_offset_m, std::size_t stride) {
+/// Returns the mean of exp(2 pi i (azimuth - lateral_offset_m / distance) / tick) over
+/// every `point_stride`-th point of a beam. Its argument is the phase of the azimuths
+/// relative to the encoder ticks. Its absolute value is 1 if all points fit the ticks.
+std::complex<double> compute_mean_encoder_tick_phase(const BeamPolarPoints& beam_points,
+                                                     double encoder_tick_rad, double lateral_offset_m,
+                                                     std::size_t point_stride) {
     std::complex<double> sum = 0.0;
     std::size_t n = 0;
-    for (std::size_t i = 0; i < polar.azimuth_rad.size(); i += stride, ++n) {
-        sum += std::polar(1.0, 2.0 * kPi * (polar.azimuth_rad[i] - left_offset_m * polar.inverse_rho[i]) /
-                                   encoder_tick_rad);
+    for (std::size_t i = 0; i < beam_points.azimuth_rad.size(); i += point_stride, ++n) {
+        sum += std::polar(
+            1.0, 2.0 * kPi * (beam_points.azimuth_rad[i] - lateral_offset_m * beam_points.inverse_rho[i]) /
+                     encoder_tick_rad);
     }
     return n > 0 ? sum / static_cast<double>(n) : sum;
 }
@@ -100,14 +105,14 @@ TickGridPhase fit_azimuth_phase_of_beam(const BeamPolarPoints& polar, double enc
     const std::size_t stride = std::max<std::size_t>(polar.azimuth_rad.size() / 500, 1);
     for (int mm = -60; mm <= 60; mm += 2) {
         const std::complex<double> mean =
-            compute_mean_tick_phasor(polar, encoder_tick_rad, mm * 1e-3, stride);
+            compute_mean_encoder_tick_phase(polar, encoder_tick_rad, mm * 1e-3, stride);
         const double gain = std::abs(mean) - best.concentration;
         // Keeps the lateral beam offset (-60 to 60 mm) that fits the encoder ticks best.
         if (mm == -60 || gain > 0.0)
             best = {mm * 1e-3, std::arg(mean) * encoder_tick_rad / (2.0 * kPi), std::abs(mean)};
     }
     // Prefers offset 0 if it fits nearly as well.
-    const std::complex<double> none = compute_mean_tick_phasor(polar, encoder_tick_rad, 0.0, stride);
+    const std::complex<double> none = compute_mean_encoder_tick_phase(polar, encoder_tick_rad, 0.0, stride);
     if (std::abs(none) > best.concentration - 0.02)
         best = {0.0, std::arg(none) * encoder_tick_rad / (2.0 * kPi), std::abs(none)};
     if (best.left_m != 0.0) refine_phase_by_least_squares(best, polar, encoder_tick_rad);
@@ -119,8 +124,8 @@ struct TickGridPhasesByRing {
     double concentration = 0.0;  ///< mean over the points
 };
 
-TickGridPhasesByRing fit_phases_of_all_rings(const std::array<BeamPolarPoints, kRings>& polar_rings,
-                                             double encoder_tick_rad) {
+TickGridPhasesByRing fit_encoder_tick_phase_of_each_ring(
+    const std::array<BeamPolarPoints, kRings>& polar_rings, double encoder_tick_rad) {
     TickGridPhasesByRing phases;
     parallel_for(kRings, [&](int k) {
         const std::size_t at = static_cast<std::size_t>(k);
@@ -183,7 +188,7 @@ EncoderTicksByBeam compute_encoder_ticks_per_beam(const ScanWithRings& scan,
 /// return at the tick (azimuth step of the LiDAR's rotary encoder).
 /// @param tick_shift_of_each_beam  [beams] azimuth offset of each beam in ticks. It is
 /// subtracted from the tick of each return of the beam.
-std::vector<std::vector<char>> flag_ticks_with_returns_of_min_beams(
+std::vector<std::vector<char>> flag_ticks_with_returns_of_enough_beams(
     const std::vector<EncoderTicksByBeam>& ticks_of_scans, const std::vector<int>& tick_shift_of_each_beam,
     int n_ticks, int min_beams) {
     std::vector<std::vector<char>> pattern;
@@ -210,8 +215,9 @@ int wrap_encoder_tick(int tick, int n_ticks) {
 /// the tick of each return of this beam. The best offset moves the most returns to ticks
 /// at which other beams have returns. Returns 0 if no offset is clearly better than 0.
 /// @param is_tick_fired  [scans][ticks] true if other beams have returns at the tick
-int find_best_tick_shift(const std::vector<EncoderTicksByBeam>& ticks_of_scans, std::size_t ring,
-                         const std::vector<std::vector<char>>& is_tick_fired, int n_ticks, int max_shift) {
+int find_encoder_tick_offset_of_ring(const std::vector<EncoderTicksByBeam>& ticks_of_scans, std::size_t ring,
+                                     const std::vector<std::vector<char>>& is_tick_fired, int n_ticks,
+                                     int max_shift) {
     std::size_t n = 0;
     for (const EncoderTicksByBeam& scan : ticks_of_scans) n += scan[ring].size();
     std::size_t most = 0, at_zero = 0;
@@ -248,16 +254,16 @@ std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBe
         }
     }
     std::vector<int> shift(kRings, 0);
-    auto pattern = flag_ticks_with_returns_of_min_beams(reference, shift, n_ticks, 1);
+    auto pattern = flag_ticks_with_returns_of_enough_beams(reference, shift, n_ticks, 1);
     // Each pass shifts each beam in azimuth, so that its returns are at the ticks that
     // `pattern` marks. Pass 1: ticks with returns of the beam that has the most points.
     // Pass 2: ticks at which at least kMinLasers beams have returns after pass 1.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
-            shift[static_cast<std::size_t>(k)] =
-                find_best_tick_shift(ticks_of_scans, static_cast<std::size_t>(k), pattern, n_ticks, reach);
+            shift[static_cast<std::size_t>(k)] = find_encoder_tick_offset_of_ring(
+                ticks_of_scans, static_cast<std::size_t>(k), pattern, n_ticks, reach);
         });
-        pattern = flag_ticks_with_returns_of_min_beams(ticks_of_scans, shift, n_ticks, kMinLasers);
+        pattern = flag_ticks_with_returns_of_enough_beams(ticks_of_scans, shift, n_ticks, kMinLasers);
     }
     return shift;
 }
@@ -278,14 +284,14 @@ BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& sca
     // (ticks) of the head's encoder. It is 1 if all azimuths are exactly on ticks, and 0
     // if they are unrelated to the ticks.
     constexpr double kMinConcentration = 0.8;
-    const std::array<BeamPolarPoints, kRings> polar = collect_far_points_as_polar_by_ring(scans);
+    const std::array<BeamPolarPoints, kRings> polar = convert_far_points_to_polar_by_ring(scans);
     BeamFiringGrid lattice;
     lattice.head.n_ticks = kEncoderTicks;
-    TickGridPhasesByRing phases = fit_phases_of_all_rings(polar, 2.0 * kPi / kEncoderTicks);
+    TickGridPhasesByRing phases = fit_encoder_tick_phase_of_each_ring(polar, 2.0 * kPi / kEncoderTicks);
     if (phases.concentration < kMinConcentration) {
         lattice.head.n_ticks = estimate_firings_per_revolution(scans);
         lattice.every_tick = true;
-        phases = fit_phases_of_all_rings(polar, 2.0 * kPi / lattice.head.n_ticks);
+        phases = fit_encoder_tick_phase_of_each_ring(polar, 2.0 * kPi / lattice.head.n_ticks);
     }
     if (phases.concentration < kMinConcentration) return lattice;
 
@@ -311,7 +317,7 @@ BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& sca
 }
 
 std::vector<int> find_fired_encoder_ticks(const ScanWithRings& scan, const BeamFiringGrid& firing_grid) {
-    const auto pattern = flag_ticks_with_returns_of_min_beams(
+    const auto pattern = flag_ticks_with_returns_of_enough_beams(
         {compute_encoder_ticks_per_beam(scan, firing_grid)}, std::vector<int>(kRings, 0),
         firing_grid.head.n_ticks, kMinLasers);
     std::vector<int> firings;

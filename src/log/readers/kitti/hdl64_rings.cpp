@@ -73,8 +73,10 @@ struct LaserHeightFit {
     }
 };
 
-LaserHeightFit fit_height_to_slope_of_laser_block(const BeamCones& cones,
-                                                  const std::vector<std::size_t>& fitted_rings) {
+/// Fits a line to the heights of the beams in `fitted_rings`, which belong to one laser
+/// block. The height is a linear function of tan(elevation).
+LaserHeightFit fit_beam_height_to_tan_elevation(const BeamCones& cones,
+                                                const std::vector<std::size_t>& fitted_rings) {
     LaserHeightFit line;
     double tt = 0.0, tz = 0.0;
     for (const std::size_t k : fitted_rings) {
@@ -91,15 +93,15 @@ LaserHeightFit fit_height_to_slope_of_laser_block(const BeamCones& cones,
 }
 
 /// Returns the median of tan(elevation) over the points of one beam. Used if all points
-/// have similar distances, so that no line can be fitted to them. `height_of_block` gives
-/// the beam's height; it was fitted to other beams of the same block of 32 lasers.
+/// have similar distances, so that no line can be fitted to them. `block_height_fit`
+/// gives the beam's height; it was fitted to other beams of the same block of 32 lasers.
 double estimate_tan_elevation_at_known_height(const std::vector<RhoHeightSample>& samples,
-                                              const LaserHeightFit& height_of_block,
+                                              const LaserHeightFit& block_height_fit,
                                               double initial_tan_elevation) {
     std::vector<double> slope(samples.size());
     for (int pass = 0; pass < 3; ++pass) {
         for (std::size_t i = 0; i < samples.size(); ++i)
-            slope[i] = (samples[i].z_m - height_of_block.compute_height_m(initial_tan_elevation)) /
+            slope[i] = (samples[i].z_m - block_height_fit.compute_height_m(initial_tan_elevation)) /
                        std::max(samples[i].rho_m, 0.1);
         initial_tan_elevation = compute_median(slope);
     }
@@ -108,9 +110,9 @@ double estimate_tan_elevation_at_known_height(const std::vector<RhoHeightSample>
 
 /// Estimates height and elevation of each beam that could not be fitted. Uses the fitted
 /// beams in the same half of the 64 beams.
-void estimate_cones_from_other_beams(BeamCones& cones,
-                                     const std::array<std::vector<RhoHeightSample>, kRings>& samples_of_rings,
-                                     const std::string& error_location) {
+void estimate_missing_beam_cones(BeamCones& cones,
+                                 const std::array<std::vector<RhoHeightSample>, kRings>& samples_of_rings,
+                                 const std::string& error_location) {
     for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
         std::vector<std::size_t> good;
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
@@ -121,7 +123,7 @@ void estimate_cones_from_other_beams(BeamCones& cones,
                             ": fewer than two beams of a block of 32 beams have enough returns, expected a "
                             "log of an HDL-64E");
         }
-        const LaserHeightFit line = fit_height_to_slope_of_laser_block(cones, good);
+        const LaserHeightFit line = fit_beam_height_to_tan_elevation(cones, good);
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
             if (cones[k].n > 0) continue;
             const auto next = std::lower_bound(good.begin() + 1, good.end() - 1, k);
@@ -198,7 +200,7 @@ BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
     }
     BeamCones cones;
     for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_beam_cone_robustly(samples[k]);
-    estimate_cones_from_other_beams(cones, samples, error_location);
+    estimate_missing_beam_cones(cones, samples, error_location);
     return cones;
 }
 

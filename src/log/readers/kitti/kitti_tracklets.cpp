@@ -35,8 +35,8 @@ double read_number_field(const pugi::xml_node& node, const char* field_name,
 }
 
 /// Returns the pose of a box in the sensor frame.
-Pose read_sensor_from_box_pose(const pugi::xml_node& pose_item, double box_height_m,
-                               const std::string& error_location) {
+Pose read_box_pose_in_sensor_frame(const pugi::xml_node& pose_item, double box_height_m,
+                                   const std::string& error_location) {
     const auto get = [&](const char* field) { return read_number_field(pose_item, field, error_location); };
     const glm::dquat rotation = make_rotation(get("rz"), get("ry"), get("rx"));
     return {rotation,
@@ -60,8 +60,8 @@ BoxTrack read_world_box_track_of_tracklet(const pugi::xml_node& tracklet_item,
     int frame = static_cast<int>(read_number_field(tracklet_item, "first_frame", error_location));
     for (const pugi::xml_node& pose : tracklet_item.child("poses").children("item")) {
         const auto matching_frame = std::lower_bound(frame_numbers.begin(), frame_numbers.end(), frame);
-        const Pose in_sensor = read_sensor_from_box_pose(pose, track.size_m.z,
-                                                         fmt::format("{} frame {}", error_location, frame));
+        const Pose in_sensor = read_box_pose_in_sensor_frame(
+            pose, track.size_m.z, fmt::format("{} frame {}", error_location, frame));
         ++frame;
         if (matching_frame == frame_numbers.end() || *matching_frame != frame - 1) continue;
         const std::size_t at = static_cast<std::size_t>(matching_frame - frame_numbers.begin());

@@ -95,8 +95,8 @@ OnceFile read_once_sequence_json(const fs::path& json_file, const fs::path& scan
 }
 
 /// Returns the LiDAR poses over time in ONCE's axes (x left, y back).
-PoseTrack make_once_track_in_once_axes(const std::vector<OncePose>& poses, const stamped::StampedLog& log,
-                                       bool is_quaternion_w_first) {
+PoseTrack make_lidar_track_in_dataset_axes(const std::vector<OncePose>& poses, const stamped::StampedLog& log,
+                                           bool is_quaternion_w_first) {
     PoseTrack track;
     for (const OncePose& pose : poses) {
         const auto& n = pose.numbers;
@@ -109,10 +109,10 @@ PoseTrack make_once_track_in_once_axes(const std::vector<OncePose>& poses, const
 }
 
 /// Returns the LiDAR poses over time in relidar's axes (x forward, y left).
-PoseTrack make_once_track_with_x_forward(const OnceFile& dataset_content, const stamped::StampedLog& log,
-                                         std::vector<std::string>& notes) {
-    const PoseTrack w_last = make_once_track_in_once_axes(dataset_content.poses, log, false),
-                    w_first = make_once_track_in_once_axes(dataset_content.poses, log, true);
+PoseTrack make_lidar_track_with_x_forward(const OnceFile& dataset_content, const stamped::StampedLog& log,
+                                          std::vector<std::string>& notes) {
+    const PoseTrack w_last = make_lidar_track_in_dataset_axes(dataset_content.poses, log, false),
+                    w_first = make_lidar_track_in_dataset_axes(dataset_content.poses, log, true);
     const double last = -stamped::estimate_driving_direction(w_last).mean.y,
                  first = -stamped::estimate_driving_direction(w_first).mean.y;
     const bool is_w_first = first > last;
@@ -151,7 +151,7 @@ LidarSequence load_once_dataset(const fs::path& log_folder, const DatasetOptions
         sequence.notes.push_back(fmt::format("{} frames have no scan and are skipped", content.n_missing));
     stamped::StampedLog log{kMillisecond, content.scans, {}, json, 0.0};
     if (options.poses_file.empty())
-        log.world_from_vehicle = make_once_track_with_x_forward(content, log, sequence.notes);
+        log.world_from_vehicle = make_lidar_track_with_x_forward(content, log, sequence.notes);
     sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensor, sequence.name);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     const std::vector<fs::path> files = stamped::add_frames_and_get_scan_files(sequence, log, options);

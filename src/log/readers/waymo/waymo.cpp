@@ -142,7 +142,8 @@ const CompressedLidarImages& find_range_images_of_laser(const WaymoFrameRecord& 
 /// Waymo stores a vehicle pose for each pixel of the roof LiDAR (TOP). Returns the pose
 /// of the pixel nearest to the middle column, where the LiDAR faces forward. Skips pixels
 /// without a return.
-Pose find_pose_facing_forward(const WaymoFrameRecord& frame_record, const std::string& error_location) {
+Pose find_vehicle_pose_when_lidar_faces_forward(const WaymoFrameRecord& frame_record,
+                                                const std::string& error_location) {
     if (frame_record.images.empty() || frame_record.images.front().laser != kTop)
         return frame_record.world_from_vehicle;
     const std::string in_top = error_location + ": TOP";
@@ -175,7 +176,8 @@ WaymoFrameHeader read_frame_pose_and_labels(const TfRecordReader& records, int r
     WaymoFrameRecord frame = parse_frame_record(data, where);
     for (BoxLabel& label : frame.labels)
         label.world_from_box = frame.world_from_vehicle * label.world_from_box;
-    return {frame.timestamp_us, find_pose_facing_forward(frame, where), std::move(frame.labels)};
+    return {frame.timestamp_us, find_vehicle_pose_when_lidar_faces_forward(frame, where),
+            std::move(frame.labels)};
 }
 
 double compute_frame_period_s(const std::vector<WaymoFrameHeader>& frame_headers,
@@ -241,28 +243,29 @@ public:
 
     Scan scan;
 
-    void read_scan_of_laser(const CompressedLidarImages& laser_images, const Pose& world_from_vehicle) {
-        const DecompressedImage image = inflate_image_of_scan_size(laser_images.first);
-        const std::optional<DecompressedImage> poses = read_pose_image(laser_images, image, where_);
+    void convert_range_images_to_scan(const CompressedLidarImages& lidar_images,
+                                      const Pose& world_from_vehicle) {
+        const DecompressedImage image = inflate_image_of_scan_size(lidar_images.first);
+        const std::optional<DecompressedImage> poses = read_pose_image(lidar_images, image, where_);
         copy_returns_from_image(image, scan.range_m, scan.intensity);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
             if (!poses) correct_ray_for_given_vehicle_pose(ray, world_from_vehicle);
             else if (scan.range_m[ray] > 0.0f)
                 correct_ray_for_given_vehicle_pose(ray, read_vehicle_pose_of_pixel(*poses, ray, where_));
-        if (!laser_images.labels.empty()) {
+        if (!lidar_images.labels.empty()) {
             // A pixel of the label image has two values: object instance and class.
             const DecompressedImage labels =
-                inflate_image_of_scan_size(laser_images.labels, 2, PixelType::integer);
+                inflate_image_of_scan_size(lidar_images.labels, 2, PixelType::integer);
             scan.classes.assign(scan.rays.size(), SurfaceClass::unknown);
             for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
                 if (scan.range_m[ray] > 0.0f)
                     scan.classes[ray] =
                         convert_waymo_class(int(std::clamp(labels.get_pixel_values(ray)[1], 0.0f, 255.0f)));
         }
-        if (laser_images.second.empty()) return;
+        if (lidar_images.second.empty()) return;
         AdditionalReturns& second = scan.second_returns.emplace_back(
             AdditionalReturns{to_vector(scan.range_m), to_vector(scan.intensity)});
-        copy_returns_from_image(inflate_image_of_scan_size(laser_images.second), second.range_m,
+        copy_returns_from_image(inflate_image_of_scan_size(lidar_images.second), second.range_m,
                                 second.intensity);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
             if (scan.range_m[ray] == 0.0f) second.range_m[ray] = second.intensity[ray] = 0.0f;
@@ -379,8 +382,8 @@ void read_scans_of_records(LidarSequence& sequence, const TfRecordReader& record
                     RangeImageReader reader(sequence, frame, models[lidar],
                                             fmt::format("{}: {}", where, name),
                                             options.waymo.clamp_intensity);
-                    reader.read_scan_of_laser(find_range_images_of_laser(parsed, laser, where),
-                                              parsed.world_from_vehicle);
+                    reader.convert_range_images_to_scan(find_range_images_of_laser(parsed, laser, where),
+                                                        parsed.world_from_vehicle);
                     frame.scan = std::move(reader.scan);
                 });
             }

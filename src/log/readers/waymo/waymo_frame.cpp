@@ -27,7 +27,7 @@ constexpr std::uint32_t make_varint_tag(std::uint32_t field_number) {
 constexpr std::uint32_t make_message_tag(std::uint32_t field_number) {
     return protozero::tag_and_type(field_number, pbf_wire_type::length_delimited);
 }
-constexpr std::uint32_t make_double_tag(std::uint32_t field_number) {
+constexpr std::uint32_t make_protobuf_tag_of_double_field(std::uint32_t field_number) {
     return protozero::tag_and_type(field_number, pbf_wire_type::fixed64);
 }
 constexpr std::uint32_t make_float_tag(std::uint32_t field_number) {
@@ -61,7 +61,7 @@ Pose parse_transform(pbf_reader reader, const std::string& error_location) {
     std::vector<double> m;
     while (reader.next()) {
         switch (reader.tag_and_type()) {
-            case make_double_tag(1):
+            case make_protobuf_tag_of_double_field(1):
                 m.push_back(reader.get_double());
                 break;
             case make_message_tag(1):
@@ -87,16 +87,16 @@ WaymoLidarCalibration parse_laser_calibration(pbf_reader reader, const std::stri
             case make_varint_tag(1):
                 calibration.laser = reader.get_enum();
                 break;
-            case make_double_tag(2):
+            case make_protobuf_tag_of_double_field(2):
                 calibration.inclination_rad.push_back(reader.get_double());
                 break;
             case make_message_tag(2):
                 append_packed_doubles(reader, calibration.inclination_rad);
                 break;
-            case make_double_tag(3):
+            case make_protobuf_tag_of_double_field(3):
                 calibration.min_inclination_rad = reader.get_double();
                 break;
-            case make_double_tag(4):
+            case make_protobuf_tag_of_double_field(4):
                 calibration.max_inclination_rad = reader.get_double();
                 break;
             case make_message_tag(5):

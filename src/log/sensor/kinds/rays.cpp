@@ -79,7 +79,7 @@ struct RayTableFunctions {
 }  // namespace
 
 PatternKind make_ray_table_pattern_kind() {
-    return make_pattern_kind<RayTableFunctions>(
+    return make_scan_pattern_kind<RayTableFunctions>(
         "rays", "directions: [[x, y, z], ...], origin: [[x, y, z], ...], time: [...], ring: [...]");
 }
 

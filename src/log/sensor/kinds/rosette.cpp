@@ -11,7 +11,7 @@ namespace relidar {
 
 RayTable make_rays(const RosetteSensor& rosette, double time_s) {
     pattern_detail::require_allowed_ray_count(rosette.name, rosette.n_rays);
-    pattern_detail::require_finite_values_and_valid_period(
+    pattern_detail::require_finite_sum_and_valid_period(
         rosette.name,
         rosette.deflection_rad + rosette.first_hz + rosette.second_hz + rosette.divergence_rad + time_s,
         rosette.period_s);
@@ -70,7 +70,7 @@ struct RosetteFunctions {
 }  // namespace
 
 PatternKind make_rosette_pattern_kind() {
-    return make_pattern_kind<RosetteFunctions>("rosette", "rays, deflection_deg, first_hz, second_hz");
+    return make_scan_pattern_kind<RosetteFunctions>("rosette", "rays, deflection_deg, first_hz, second_hz");
 }
 
 }  // namespace relidar

@@ -108,8 +108,8 @@ struct SpinningFunctions {
 }  // namespace
 
 PatternKind make_spinning_pattern_kind() {
-    return make_pattern_kind<SpinningFunctions>("spinning",
-                                                "columns, beams: [{elevation_deg, azimuth_offset_deg, ...}]");
+    return make_scan_pattern_kind<SpinningFunctions>(
+        "spinning", "columns, beams: [{elevation_deg, azimuth_offset_deg, ...}]");
 }
 
 }  // namespace relidar

@@ -13,7 +13,7 @@ namespace relidar {
 
 RayTable make_rays(const WindowScanSensor& window) {
     pattern_detail::require_allowed_ray_count(window.name, double(window.rows) * double(window.columns));
-    pattern_detail::require_finite_values_and_valid_period(
+    pattern_detail::require_finite_sum_and_valid_period(
         window.name,
         window.left_rad + window.right_rad + window.top_rad + window.bottom_rad + window.divergence_rad,
         window.period_s);
@@ -80,9 +80,9 @@ struct WindowScanFunctions {
 
 }  // namespace
 
-PatternKind make_window_pattern_kind() {
-    return make_pattern_kind<WindowScanFunctions>("window",
-                                                  "rows, columns, left_deg, right_deg, top_deg, bottom_deg");
+PatternKind make_scanning_window_pattern_kind() {
+    return make_scan_pattern_kind<WindowScanFunctions>(
+        "window", "rows, columns, left_deg, right_deg, top_deg, bottom_deg");
 }
 
 }  // namespace relidar

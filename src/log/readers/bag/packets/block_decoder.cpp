@@ -66,7 +66,7 @@ class BlockDecoder : public PacketDecoder {
 public:
     BlockDecoder(const PacketLayout& layout, const std::vector<AngleCorrection>& corrections)
         : layout_(layout) {
-        if (layout.has_correction_file) use_only_matching_angle_correction(corrections);
+        if (layout.has_correction_file) set_laser_angles_if_one_file_matches(corrections);
         timing_.cycle_us = layout.cycle_us;
         timing_.wrap_us = layout.wrap_us;
         timing_.interpolates = layout.firings > 1;  // as in the VLP-16's manual
@@ -154,7 +154,7 @@ private:
 
     /// Selects the angle correction file with the right number of lasers. Uses no file if
     /// several match, because nothing shows which file belongs to the sensor.
-    void use_only_matching_angle_correction(const std::vector<AngleCorrection>& corrections) {
+    void set_laser_angles_if_one_file_matches(const std::vector<AngleCorrection>& corrections) {
         const std::size_t n = layout_.count_lasers_per_firing();
         std::string files;
         for (const AngleCorrection& correction : corrections) {

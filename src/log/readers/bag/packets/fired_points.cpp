@@ -14,9 +14,9 @@ constexpr std::size_t kMostUnmeasured = 8;
 
 /// Finds long runs of columns without measurements and sets `column_has_fired` to true.
 /// Their rays then become rays without a return. Skips columns whose packets were lost.
-void mark_long_unmeasured_runs_as_fired(std::vector<bool>& column_has_fired,
-                                        const std::vector<bool>& column_is_enabled,
-                                        const std::vector<bool>& column_is_lost) {
+void mark_long_gaps_without_returns_as_fired(std::vector<bool>& column_has_fired,
+                                             const std::vector<bool>& column_is_enabled,
+                                             const std::vector<bool>& column_is_lost) {
     std::size_t run = 0;
     for (std::size_t c = 0; c <= column_is_enabled.size(); ++c) {
         if (c < column_is_enabled.size() && column_is_enabled[c] && !column_has_fired[c] &&
@@ -64,7 +64,7 @@ Scan make_scan_of_fixed_azimuth_sensor(RevolutionPoints& revolution_points,
                                        const std::vector<bool>& column_is_lost, SpinningSensor sensor) {
     std::vector<bool> has_fired(column_is_enabled.size(), false);
     for (const auto& [column, head_rad] : revolution_points.head_rad) has_fired[std::size_t(column)] = true;
-    mark_long_unmeasured_runs_as_fired(has_fired, column_is_enabled, column_is_lost);
+    mark_long_gaps_without_returns_as_fired(has_fired, column_is_enabled, column_is_lost);
     SweepFirings sweep{{int(has_fired.size()), kPi}, {}};
     std::vector<std::uint32_t> firing_index_of_column(has_fired.size());
     for (std::size_t c = 0; c < has_fired.size(); ++c) {

@@ -34,7 +34,7 @@ constexpr double kCutOff = 0.02;
 
 // Returns true if the sensor fires at a column. A column beyond one end of the range
 // image continues at the other end.
-bool is_firing_at_wrapped_column(const std::vector<bool>& column_is_enabled, std::int64_t column) {
+bool is_column_enabled_with_wraparound(const std::vector<bool>& column_is_enabled, std::int64_t column) {
     const auto n = std::int64_t(column_is_enabled.size());
     return column_is_enabled[std::size_t((column % n + n) % n)];
 }
@@ -52,13 +52,13 @@ void PacketIndex::add_packets_of_message(const std::vector<ReceivedPacket>& pack
         throw DataError(
             fmt::format("a message has {} packets, expected at most {}", packets.size(), kMostInMessage));
     for (std::size_t i = 0; i < packets.size(); ++i) {
-        require_same_product_or_set_it(packets[i], of_first);
+        set_or_check_lidar_model(packets[i], of_first);
         decode_and_index_packet(packets[i], std::uint16_t(i));
     }
 }
 
-void PacketIndex::require_same_product_or_set_it(const ReceivedPacket& packet,
-                                                 const DecoderCalibration& calibration) {
+void PacketIndex::set_or_check_lidar_model(const ReceivedPacket& packet,
+                                           const DecoderCalibration& calibration) {
     if (product_ && product_ == find_product_of_packet(packet.bytes, calibration_)) return;
     const LidarProduct* product = find_product_of_packet(packet.bytes, calibration);
     if (product_)
@@ -196,7 +196,7 @@ std::size_t PacketIndex::count_lost_packets_before_packet(std::size_t packet_ind
         column += n_slots_;
         bool any = false;
         for (int slot = 0; slot < n_slots_; ++slot)
-            any = any || is_firing_at_wrapped_column(fires, column + slot);
+            any = any || is_column_enabled_with_wraparound(fires, column + slot);
         missing += any;
     }
     return std::min(missing, n_lost);
@@ -244,8 +244,9 @@ std::pair<double, double> PacketIndex::find_recorded_azimuth_range_deg() const {
     std::int64_t end =
         std::llround((last.azimuth_deg + double(last.turned_deg) - kBehind_deg) / compute_column_step_deg()) +
         1;
-    for (std::size_t k = 0; k < fires.size() && !is_firing_at_wrapped_column(fires, begin - 1); ++k) --begin;
-    for (std::size_t k = 0; k < fires.size() && !is_firing_at_wrapped_column(fires, end); ++k) ++end;
+    for (std::size_t k = 0; k < fires.size() && !is_column_enabled_with_wraparound(fires, begin - 1); ++k)
+        --begin;
+    for (std::size_t k = 0; k < fires.size() && !is_column_enabled_with_wraparound(fires, end); ++k) ++end;
     return {kBehind_deg + compute_column_step_deg() * double(begin),
             kBehind_deg + compute_column_step_deg() * double(end)};
 }

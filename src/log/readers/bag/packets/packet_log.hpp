@@ -101,7 +101,7 @@ private:
     /// only for sensors whose intensities can exceed 1, otherwise empty.
     std::vector<std::uint32_t> n_bright_;
 
-    void require_same_product_or_set_it(const ReceivedPacket& packet, const DecoderCalibration& calibration);
+    void set_or_check_lidar_model(const ReceivedPacket& packet, const DecoderCalibration& calibration);
     void decode_and_index_packet(const ReceivedPacket& packet_view, std::uint16_t index_in_message);
     void unwrap_sensor_clock(Entry& entry) const;
     void add_to_intensity_histogram(const DecodedPacket& packet);

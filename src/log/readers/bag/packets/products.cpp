@@ -56,7 +56,7 @@ constexpr auto is_rs16 = is_packet_of_robosense_model<1>;
 /// Returns true if a packet is from a RoboSense Ruby, Helios or Airy. The first two
 /// blocks of their packets begin with the byte `flag`.
 template <int flag, std::size_t first_block_at, std::size_t second_block_at>
-bool is_robosense_packet_with_flags(string_view packet) {
+bool is_robosense_packet_with_block_flag(string_view packet) {
     return packet.starts_with("\x55\xaa\x05\x5a") && has_byte_at(packet, first_block_at, flag) &&
            has_byte_at(packet, second_block_at, flag);
 }
@@ -103,11 +103,11 @@ constexpr LidarProduct kProducts[] = {
     {"RS-LiDAR-16", is_rs16, make_block_packet_decoder},
     {"RS-LiDAR-32", is_packet_of_robosense_model<2>, nullptr, "rslidar_sdk"},
     {"RS-BPearl", is_packet_of_robosense_model<3>, nullptr, "rslidar_sdk or nebula"},
-    {"RS-Ruby-128", is_robosense_packet_with_flags<0xFE, 80, 468>, nullptr, "rslidar_sdk"},
-    {"RS-Ruby-80", is_robosense_packet_with_flags<0xFE, 80, 324>, nullptr, "rslidar_sdk"},
-    {"RS-Ruby-48", is_robosense_packet_with_flags<0xFE, 80, 228>, nullptr, "rslidar_sdk"},
-    {"RS-Helios", is_robosense_packet_with_flags<0xFF, 42, 142>, nullptr, "rslidar_sdk or nebula"},
-    {"RS-Airy", is_robosense_packet_with_flags<0xFF, 42, 190>, nullptr, "rslidar_sdk"},
+    {"RS-Ruby-128", is_robosense_packet_with_block_flag<0xFE, 80, 468>, nullptr, "rslidar_sdk"},
+    {"RS-Ruby-80", is_robosense_packet_with_block_flag<0xFE, 80, 324>, nullptr, "rslidar_sdk"},
+    {"RS-Ruby-48", is_robosense_packet_with_block_flag<0xFE, 80, 228>, nullptr, "rslidar_sdk"},
+    {"RS-Helios", is_robosense_packet_with_block_flag<0xFF, 42, 142>, nullptr, "rslidar_sdk or nebula"},
+    {"RS-Airy", is_robosense_packet_with_block_flag<0xFF, 42, 190>, nullptr, "rslidar_sdk"},
     {"RS-LiDAR-M1", is_solid_state_robosense_packet<1210>, nullptr, "rslidar_sdk"},
     {"RS-LiDAR-M2", is_solid_state_robosense_packet<1342>, nullptr, "rslidar_sdk"},
     {"RS-LiDAR-E1", is_solid_state_robosense_packet<1200>, nullptr, "rslidar_sdk"},
