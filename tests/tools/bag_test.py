@@ -339,6 +339,11 @@ def test_poses():
             m[3]["header"] = {"stamp": m[3]["header"]["stamp"] - 3600 * 10**9, "frame_id": "lidar"}
     bags.write_mcap(WORK / "clocks.mcap", shifted)
     expect("clocks" in run("info", WORK / "clocks.mcap"), "clocks that do not go together")
+    renamed = log(hesai)
+    for m in [m for m in renamed if m[0] == "/points"][3:]:
+        m[3]["header"] = dict(m[3]["header"], frame_id="rear")
+    bags.write_mcap(WORK / "frames.mcap", renamed)
+    expect(names(run("info", WORK / "frames.mcap"), f"{N - 3} clouds have another frame ... 'rear' ... 'lidar'"), "clouds of two frames")
 
 
 def test_livox():

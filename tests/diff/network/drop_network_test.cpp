@@ -245,7 +245,7 @@ TEST_F(DropNetworkTest, RefusesWeightsOfAnotherConfiguration) {
     RayDropNetwork network = train_ray_drop_network(device(), make_some_images(options, 2), options, 1, {});
     network.widths[0] += 1;
     EXPECT_THAT([&] { RayDropRefiner(device(), network); },
-                testing::ThrowsMessage<DataError>(Names("parameters, expected")));
+                testing::ThrowsMessage<DataError>(Names("parameters ... requires")));
     network.widths[0] -= 1;
     RayDropRefiner refiner(device(), network);
     EXPECT_THAT(

@@ -220,7 +220,7 @@ TEST(RegisterScans, SaysWhatIsMissing) {
         register_scans(street, split_frames_into_train_and_test(street, 0), {});
         FAIL() << "expected DataError";
     } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), test::Names("surface ... 4 training"));
+        EXPECT_THAT(error.what(), test::Names("4 training scans ... surface"));
     }
 }
 

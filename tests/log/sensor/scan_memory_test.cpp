@@ -153,7 +153,7 @@ TEST(ScanMemory, AFolderThatCannotTakeThemIsNamed) {
     run_in_child_process([] {
         store_scans_above_limit_in_file(1, "/proc/nowhere");
         EXPECT_THAT(error_message<DataError>([] { ScanArray<float>(1 << 20); }),
-                    test::Names("into memory in '/proc/nowhere': No such file"));
+                    test::Names("into memory ... in the folder '/proc/nowhere': No such file"));
     });
     run_in_child_process([] {
         const rlimit small{8 << 20, 8 << 20};

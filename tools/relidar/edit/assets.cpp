@@ -2,7 +2,6 @@
 // The command `relidar assets` saves the actors of a run as a folder of assets. A user
 // can insert assets into other runs. A client of the render service can add assets to its
 // scene.
-#include <algorithm>
 #include <filesystem>
 #include <memory>
 #include <set>
@@ -105,8 +104,8 @@ void run_assets_command(const AssetOptions& options) {
     std::vector<std::vector<std::string>> rows{{"asset", "class", "score", "front", "rear", "left", "right",
                                                 "top", "mirrored", "nearest_m", "surfels"}};
     std::set<std::string> used_names;
-    std::string skipped;
-    double highest_score = 0.0;
+    std::string skipped, best_skipped;
+    double highest_score = -1.0;
     for (const std::string& track : tracks) {
         const auto match = sightings.find(track);
         const ActorObservations actor_sightings =
@@ -115,8 +114,13 @@ void run_assets_command(const AssetOptions& options) {
         if (const std::string reason =
                 explain_why_asset_is_not_saved(asset.facts, actor_sightings, options.least);
             !reason.empty()) {
-            highest_score = std::max(highest_score, asset.facts.get_observed_or_mirrored_surface_fraction());
-            skipped += fmt::format("skipped {} ({}): {}\n", track, asset.facts.category, reason);
+            const std::string text = fmt::format("skipped {} ({}): {}", track, asset.facts.category, reason);
+            skipped += text + "\n";
+            if (const double score = asset.facts.get_observed_or_mirrored_surface_fraction();
+                score > highest_score) {
+                highest_score = score;
+                best_skipped = text;
+            }
             continue;
         }
         make_asset_name_unique(asset, used_names);
@@ -128,10 +132,10 @@ void run_assets_command(const AssetOptions& options) {
     }
     end_progress_line();
     if (rows.size() == 1)
-        throw DataError(
-            fmt::format("no asset is saved: the highest score of the {} actors of run {} is {:.2f}, expected "
-                        "at least {:.2f} (--least)",
-                        tracks.size(), options.run, highest_score, options.least));
+        throw DataError(fmt::format(
+            "no asset is saved, because none of the {} actors of run {} has a sufficient score; the "
+            "best one: {}",
+            tracks.size(), options.run, replace_control_characters(best_skipped)));
     folder.move_folder_and_replace_existing();
     if (options.quiet) return;
     print(format_table(rows) + skipped +

@@ -21,15 +21,15 @@ namespace {
 constexpr double kLeastRate = 0.5, kMostRate = 2.0;
 // Maximum numbers of topics and of reasons in an error message.
 constexpr std::size_t kMostTopics = 10, kMostReasons = 3;
-// Maximum number of characters of a list of topics or reasons, if it has several entries.
-constexpr std::size_t kMostCharacters = 400;
+// Maximum number of characters of these lists, if they have several entries.
+constexpr std::size_t kMostTopicCharacters = 400, kMostReasonCharacters = 600;
 
 /// Limits the length of a list of texts. The last text then says how many are missing.
-void shorten_list(std::vector<std::string>& texts, std::size_t max_count) {
+void shorten_list(std::vector<std::string>& texts, std::size_t max_count, std::size_t max_characters) {
     std::size_t n_texts = 0;
     for (std::size_t length = 0; n_texts < std::min(texts.size(), max_count); ++n_texts) {
         length += texts[n_texts].size();
-        if (n_texts > 0 && length > kMostCharacters) break;
+        if (n_texts > 0 && length > max_characters) break;
     }
     if (n_texts == texts.size()) return;
     const std::size_t n_more = texts.size() - n_texts;
@@ -42,7 +42,7 @@ std::string format_topics(const BagRecording& bag) {
     for (const BagTopic& topic : bag.topics())
         texts.push_back(fmt::format("{} ({})", shorten_for_error_message(topic.name),
                                     shorten_for_error_message(topic.type)));
-    shorten_list(texts, kMostTopics);
+    shorten_list(texts, kMostTopics, kMostTopicCharacters);
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
@@ -79,7 +79,7 @@ std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagI
             reasons.push_back(fmt::format("topic {} contains {} packets of a {}: {}", name,
                                           clouds->packets.size(), clouds->packets.describe_lidar_product(),
                                           clouds->packets.describe_problems()));
-        else if (is_empty)
+        else if (is_empty && clouds->n_empty > 0)
             reasons.push_back(
                 fmt::format("topic {} contains {} clouds without points", name, clouds->n_empty));
         if (bag_index.facts[t].n == 0 && get_message_purpose_of_topic(topic) == MessagePurpose::cloud)
@@ -92,7 +92,7 @@ std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagI
                             bag_index.facts[t].n));
     }
     if (bag.topics().empty()) reasons.push_back("the recording has no messages");
-    shorten_list(reasons, kMostReasons);
+    shorten_list(reasons, kMostReasons, kMostReasonCharacters);
     std::string text;
     for (const std::string& reason : reasons) text += fmt::format(" ({})", reason);
     return text;

@@ -147,7 +147,7 @@ TEST_F(FolderDamage, OfListedFrames) {
     expect("sequence.json", frames(R"({"number": -1, "time_s": 0, "scan": "scans/a.pcd"})"),
            "frames[0].number: found -1");
     expect("sequence.json", frames(a + R"(, {"number": 1, "time_s": 0, "scan": "scans/a.pcd"})"),
-           "0 s ... 0 s ... frame 0");
+           "frame 1 ... 0 s ... frame 0 has the time 0 s");
     expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.pcd", "lidar": "x"})"),
            "\"x\" ... name");
     expect("sequence.json", frames(R"({"number": 0, "time_s": 0, "scan": "scans/a.txt"})"),

@@ -10,6 +10,7 @@
 #include <regex>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <gtest/gtest.h>
 
 #include <relidar/base/arrays.hpp>
@@ -350,6 +351,49 @@ TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
         "lowest_given", "bin", mirror_vertically,
         R"(, "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{"ring_0": "lowest", "sensor": "../lowest/beams.csv:360x10"}])");
     expect_street(log, 1e-4);
+}
+
+/// Head of a log with points of the LiDAR of the street.
+std::string make_head(double rate_hz, const std::string& columns, const std::string& more = "") {
+    return fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": {}, "columns": [{}]{}}})",
+                       rate_hz, columns, more);
+}
+
+TEST(PlainFolder, ALogWithSomeOfTheScansKeepsTheSweepTime) {
+    const PointLog log("thinned", "bin", test::bin, "");
+    // The LiDAR makes 10 revolutions per second. Every fifth scan was kept.
+    test::write_text(log.folder / "sequence.json", make_head(2.0, R"("x", "y", "z", "intensity", "ring")"));
+    EXPECT_NEAR(load_sequence(log.folder.string(), {}).lidars[0].sensor.period_s, 0.1, 1e-9);
+    test::write_text(log.folder / "sequence.json", make_head(5.0, R"("x", "y", "z", "intensity", "ring")"));
+    EXPECT_NEAR(load_sequence(log.folder.string(), {}).lidars[0].sensor.period_s, 0.2, 1e-9);
+}
+
+TEST(PlainFolder, AScanWithoutValidPointsHasOnlyDroppedRays) {
+    const PointLog log("empty_scan", "bin", test::bin,
+                       R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
+    test::FilePoints points = PointLog::points(log.street.frames[2]);
+    for (test::FilePoint& p : points) p.point_m = glm::vec3(NAN);
+    test::write_text(log.folder / "scans/02.bin", test::bin(points));
+    const LidarSequence sequence = load_sequence(log.folder.string(), {});
+    ASSERT_EQ(sequence.frames.size(), 4u);
+    EXPECT_EQ(sequence.frames[2].scan.count_returns(), 0u);
+    EXPECT_EQ(sequence.frames[2].scan.range_m.size(), sequence.frames[1].scan.range_m.size());
+    EXPECT_THAT(sequence.notes.back(), test::Names("1 of 4 scans ... frame 2"));
+}
+
+TEST(PlainFolder, NotesASensorThatDoesNotFitThePoints) {
+    const PointLog log("other_sensor", "bin", test::bin, "");
+    const std::string columns = R"("x", "y", "z", "intensity", "unused")";
+    std::string beams;
+    for (const Beam& beam : log.street.lidars[0].sensor.beams)
+        beams += fmt::format("{}{{\"elevation_deg\": {}}}", beams.empty() ? "" : ", ",
+                             0.1 * beam.elevation_rad * 180.0 / kPi);
+    test::write_text(
+        log.folder / "sequence.json",
+        make_head(10.0, columns,
+                  fmt::format(R"(, "lidars": [{{"sensor": {{"beams": [{}], "columns": 360}}}}])", beams)));
+    EXPECT_THAT(fmt::format("{}", fmt::join(load_sequence(log.folder.string(), {}).notes, "\n")),
+                test::Names("are skipped ... check whether the log's sensor"));
 }
 
 TEST(PlainFolder, KeepsPointsWithoutOrderOfALidarThatDoesNotSpin) {

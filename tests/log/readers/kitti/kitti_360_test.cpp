@@ -261,7 +261,7 @@ TEST(Kitti360, SaysWhichFileIsWrong) {
     expect_error(kitti, kitti.calibration("calib_cam_to_velo.txt"), "1 0 0 0\n",
                  "calib_cam_to_velo.txt line 1: found 4 numbers, expected 12");
     expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n",
-                 "timestamps.txt ... consecutive ... times");
+                 "timestamps.txt ... consecutive ... one line with a time for each sweep");
     expect_error(kitti, kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n2013-05-28 08:47:02.9\n",
                  "sweep ... 60 s");
     expect_error(kitti, kitti.scan(2351), "", "0000002351.bin ... empty");
@@ -298,7 +298,7 @@ TEST(Kitti360, SaysWhichBoxIsWrong) {
             test::make_object_xml(0, test::make_object_fields("bus", 34, 1, 2351, 0, 0), matrix));
     };
     expect_error(kitti, kitti.boxes(), one(sheared), "object0: transform ... rotation");
-    expect_error(kitti, kitti.boxes(), one(glm::dmat4(0.0)), "object0: transform ... 0 x 0 x 0 m");
+    expect_error(kitti, kitti.boxes(), one(glm::dmat4(0.0)), "object0: ... transform ... 0 x 0 x 0 m");
 }
 
 }  // namespace
