@@ -46,7 +46,7 @@ void add_note_if_vehicle_is_too_fast(LidarSequence& sequence) {
     if (n_too_fast == 0) return;
     sequence.notes.push_back(fmt::format(
         "the poses or their times are probably wrong: the vehicle moves faster than {} m/s in {} of {} steps "
-        "between frames, and at {:.3g} m/s from frame {} to frame {}; expected positions in metres and times "
+        "between frames, and at {:.0f} m/s from frame {} to frame {}; expected positions in metres and times "
         "in seconds",
         kFastest_mps, n_too_fast, track.pose.size() - 1, fastest_mps,
         find_frame_number_at(sequence, track.time_s[fastest_step - 1]),
