@@ -233,6 +233,10 @@ struct FrameGap {
 
 void add_notes_about_time_gaps(LidarSequence& sequence) {
     constexpr double kGap_s = 1.0, kJump_s = 60.0, kUsualSteps = 10.0;
+    // A converted log contains the note of the original log.
+    std::erase_if(sequence.notes, [](const std::string& note) {
+        return note.starts_with("the sequence of frame times has ");
+    });
     std::vector<FrameGap> steps;
     for (std::size_t i = 1; i < sequence.frames.size(); ++i)
         if (const FrameGap step{&sequence.frames[i - 1], &sequence.frames[i]}; step.get_duration_s() > 0.0)

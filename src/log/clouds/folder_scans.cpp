@@ -170,20 +170,28 @@ public:
     }
 
     void add_notes_on_skipped_points() {
-        const auto sum = [](const std::vector<std::size_t>& counts) {
-            return std::reduce(counts.begin(), counts.end());
-        };
-        if (const std::size_t n = sum(left_out_); n > 0)
+        if (const std::size_t n = std::reduce(left_out_.begin(), left_out_.end()); n > 0)
             add_note_once(fmt::format(
                 "{} points are skipped, because the fitted sensor has no beam for their rings", n));
-        if (const std::size_t n = sum(behind_), all = sum(n_first_); n > 0)
-            add_note_once(
-                fmt::format("{} of {} points ({:.2g} %) are skipped, because their ray has a nearer point "
-                            "and no neighbouring ray is free{}",
-                            n, all, 100.0 * double(n) / double(all),
-                            double(n) > kMostSkipped * double(all)
-                                ? "; check whether the log's sensor is the one that measured these points"
-                                : ""));
+        for (std::size_t l = 0; l < plans_.size(); ++l) {
+            std::size_t n = 0, all = 0;
+            for (std::size_t i = 0; i < behind_.size(); ++i) {
+                if (sequence_.frames[i].lidar != int(l)) continue;
+                n += behind_[i];
+                all += n_first_[i];
+            }
+            const SequenceHeaderLidar& lidar = head_.lidars[l];
+            const char* cause = lidar.has_beams && !lidar.is_guessed
+                                    ? "; the usual cause is a sensor in sequence.json that did not measure "
+                                      "these points"
+                                    : "; the usual cause is several returns of each ray without numbers";
+            if (n > 0)
+                add_note_once(
+                    l, fmt::format("{} of {} points ({:.2g} %) are skipped, because their ray has a nearer "
+                                   "point and no neighbouring ray is free{}",
+                                   n, all, 100.0 * double(n) / double(all),
+                                   double(n) > kMostSkipped * double(all) ? cause : ""));
+        }
     }
 
 private:
@@ -268,7 +276,9 @@ private:
         std::vector<std::size_t> of_sample;  // frame of each sample
         const auto add_sample = [&](std::size_t index) {
             broken_.call_and_record_scan_errors(index, [&] {
-                samples.push_back(read_points(index, head_.motion_compensated && has_poses_));
+                LidarPoints points = read_points(index, head_.motion_compensated && has_poses_);
+                if (points.size() == 0) return;
+                samples.push_back(std::move(points));
                 of_sample.push_back(index);
             });
         };
@@ -277,6 +287,9 @@ private:
         for (std::size_t k = 0; samples.empty() && k < frame_indices.size(); ++k)
             add_sample(frame_indices[k]);
         if (samples.empty()) broken_.note_broken_scans_or_throw_if_all_broken(sequence_, broken_.size());
+        if (samples.empty())
+            throw DataError(fmt::format("{}: no scan of LiDAR '{}' has a point with finite coordinates",
+                                        sequence_.source, sequence_.lidars[lidar_index].name));
         plan.has_rings = !samples[0].ring.empty();
         plan.has_times = !samples[0].time_offset_s.empty();
         plan.undo = head_.motion_compensated && has_poses_ && plan.has_times;

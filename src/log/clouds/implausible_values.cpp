@@ -2,8 +2,9 @@
 #include "log/clouds/implausible_values.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
-#include <utility>
+#include <string>
 #include <vector>
 
 #include <fmt/format.h>
@@ -16,14 +17,23 @@ namespace {
 
 // A vehicle that moves faster, and farther in one step, has wrong poses or times.
 constexpr double kFastest_mps = 100.0, kShortestJump_m = 2.0;
-// A scan with a smaller share of the usual number of returns is probably incomplete.
+// A scan is probably incomplete if it has a smaller share of the median number of returns
+// of its neighbours. This number of scans before and after it are neighbours.
 constexpr double kLeastReturns = 0.5;
+constexpr std::ptrdiff_t kNeighbours = 5;
 // If the largest intensity of a log is smaller, the scale of the intensities is probably
 // wrong. The limit is above 1/255, the result of dividing values of 0 to 1 by 255.
 constexpr float kDarkest = 0.005f;
 // If a larger share of the returns has the maximum intensity, the scale is probably
 // wrong.
 constexpr double kMostSaturated = 0.25;
+
+// First words of the notes. A converted log contains the notes of the original log, which
+// are replaced.
+constexpr const char* kSpeedNote = "the poses or their times are probably wrong: ";
+constexpr const char* kReturnsNote = "some scans are probably incomplete: ";
+constexpr const char* kScaleNote = "the scale of the intensities is probably wrong: ";
+constexpr const char* kEqualNote = "all intensities of the log are ";
 
 int find_frame_number_at(const LidarSequence& sequence, double time_s) {
     const auto frame = std::ranges::lower_bound(sequence.frames, time_s, {}, &LidarFrame::time_s);
@@ -44,44 +54,34 @@ void add_note_if_vehicle_is_too_fast(LidarSequence& sequence) {
         fastest_step = k;
     }
     if (n_too_fast == 0) return;
-    sequence.notes.push_back(fmt::format(
-        "the poses or their times are probably wrong: the vehicle moves faster than {} m/s in {} of {} steps "
-        "between frames, and at {:.0f} m/s from frame {} to frame {}; expected positions in metres and times "
-        "in seconds",
-        kFastest_mps, n_too_fast, track.pose.size() - 1, fastest_mps,
-        find_frame_number_at(sequence, track.time_s[fastest_step - 1]),
-        find_frame_number_at(sequence, track.time_s[fastest_step])));
+    sequence.notes.push_back(kSpeedNote +
+                             fmt::format("the vehicle moves faster than {} m/s in {} of {} steps between "
+                                         "frames, and at {:.0f} m/s from frame {} to frame {}; expected "
+                                         "positions in metres and times in seconds",
+                                         kFastest_mps, n_too_fast, track.pose.size() - 1, fastest_mps,
+                                         find_frame_number_at(sequence, track.time_s[fastest_step - 1]),
+                                         find_frame_number_at(sequence, track.time_s[fastest_step])));
 }
 
-void add_note_about_scans_with_few_returns(LidarSequence& sequence, std::size_t lidar_index) {
-    std::vector<std::pair<std::size_t, int>> scans;  // number of returns, number of the frame
-    for (const LidarFrame& frame : sequence.frames)
-        if (frame.lidar == int(lidar_index)) scans.emplace_back(frame.scan.count_returns(), frame.index);
-    if (scans.empty()) return;
-    const std::size_t usual = compute_median(scans).first;
-    const auto [fewest, frame_number] = *std::ranges::min_element(scans);
-    const auto n_small = std::ranges::count_if(
-        scans, [&](const auto& scan) { return double(scan.first) < kLeastReturns * double(usual); });
-    if (n_small == 0) return;
-    const std::string& name = sequence.lidars[lidar_index].name;
-    sequence.notes.push_back(fmt::format(
-        "{}{} of {} scans have fewer than half of the usual {} returns; frame {} has only {}; check whether "
-        "these scans are complete",
-        name.empty() ? "" : fmt::format("LiDAR '{}': ", name), n_small, scans.size(), usual, frame_number,
-        fewest));
-}
-
-/// Intensities of the returns in one scan, or in all scans.
-struct IntensityStatistics {
+/// Returns in one scan, or in several scans, and their intensities.
+struct ReturnStatistics {
     std::size_t n_returns = 0, n_at_maximum = 0;
     float lowest = INFINITY, highest = -INFINITY;
+
+    void add(const ReturnStatistics& other) {
+        n_returns += other.n_returns;
+        n_at_maximum += other.n_at_maximum;
+        lowest = std::min(lowest, other.lowest);
+        highest = std::max(highest, other.highest);
+    }
 };
 
-IntensityStatistics compute_intensity_statistics(const LidarSequence& sequence) {
-    std::vector<IntensityStatistics> by_frame(sequence.frames.size());
+/// Returns the statistics of the first returns of each frame.
+std::vector<ReturnStatistics> compute_statistics_of_frames(const LidarSequence& sequence) {
+    std::vector<ReturnStatistics> by_frame(sequence.frames.size());
     parallel_for(static_cast<int>(by_frame.size()), [&](int index) {
         const Scan& scan = sequence.frames[std::size_t(index)].scan;
-        IntensityStatistics& statistics = by_frame[std::size_t(index)];
+        ReturnStatistics& statistics = by_frame[std::size_t(index)];
         for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
             if (!(scan.range_m[ray] > 0.0f)) continue;
             ++statistics.n_returns;
@@ -90,49 +90,88 @@ IntensityStatistics compute_intensity_statistics(const LidarSequence& sequence) 
             statistics.highest = std::max(statistics.highest, scan.intensity[ray]);
         }
     });
-    IntensityStatistics total;
-    for (const IntensityStatistics& statistics : by_frame) {
-        total.n_returns += statistics.n_returns;
-        total.n_at_maximum += statistics.n_at_maximum;
-        total.lowest = std::min(total.lowest, statistics.lowest);
-        total.highest = std::max(total.highest, statistics.highest);
-    }
-    return total;
+    return by_frame;
 }
 
-void add_note_if_intensities_are_implausible(LidarSequence& sequence) {
-    const IntensityStatistics statistics = compute_intensity_statistics(sequence);
-    if (statistics.n_returns == 0) return;
-    std::string note;
-    if (statistics.lowest == statistics.highest) {
-        const bool is_zero = statistics.highest == 0.0f;
-        note = fmt::format("all intensities of the log are {}, so rendered intensities have no meaning{}",
-                           is_zero ? "0" : fmt::format("{:.4g} of the maximum", statistics.highest),
-                           is_zero ? " and are not scored" : "");
-    } else if (statistics.highest < kDarkest) {
-        note = fmt::format(
-            "the scale of the intensities is probably wrong: the largest intensity of the log is {:.2g} of "
-            "the maximum",
-            statistics.highest);
-    } else if (const double share = double(statistics.n_at_maximum) / double(statistics.n_returns);
-               share > kMostSaturated) {
-        note = fmt::format(
-            "the scale of the intensities is probably wrong: {:.0f} % of the returns have the maximum "
-            "intensity",
-            100.0 * share);
+void add_note_about_scans_with_few_returns(LidarSequence& sequence,
+                                           const std::vector<ReturnStatistics>& by_frame,
+                                           std::size_t lidar_index) {
+    std::vector<std::size_t> n_returns;
+    std::vector<int> frame_numbers;
+    for (std::size_t i = 0; i < by_frame.size(); ++i) {
+        const LidarFrame& frame = sequence.frames[i];
+        // The scans of some frames are not read, if only a few scans are needed.
+        if (frame.lidar != int(lidar_index) || frame.scan.range_m.empty()) continue;
+        n_returns.push_back(by_frame[i].n_returns);
+        frame_numbers.push_back(frame.index);
     }
-    // A converted log may already have the note.
-    if (!note.empty() && std::ranges::find(sequence.notes, note) == sequence.notes.end())
-        sequence.notes.push_back(note);
+    std::size_t n_small = 0, worst = 0, usual_of_worst = 0;
+    for (std::size_t k = 0; k < n_returns.size(); ++k) {
+        const auto at = n_returns.begin() + std::ptrdiff_t(k);
+        const std::size_t usual =
+            compute_median(std::vector(at - std::min(kNeighbours, at - n_returns.begin()),
+                                       at + 1 + std::min(kNeighbours, n_returns.end() - at - 1)));
+        if (double(*at) >= kLeastReturns * double(usual)) continue;
+        if (n_small++ > 0 && *at >= n_returns[worst]) continue;
+        worst = k;
+        usual_of_worst = usual;
+    }
+    if (n_small == 0) return;
+    const std::string& name = sequence.lidars[lidar_index].name;
+    sequence.notes.push_back(
+        kReturnsNote + fmt::format("{} of {} scans{} have fewer than half of the returns of neighbouring "
+                                   "scans; frame {} has only {} instead of about {}",
+                                   n_small, n_returns.size(), name.empty() ? "" : " of LiDAR '" + name + "'",
+                                   frame_numbers[worst], n_returns[worst], usual_of_worst));
+}
+
+/// Returns a note if the intensities probably have a wrong scale. Otherwise returns an
+/// empty text.
+std::string describe_implausible_scale(const ReturnStatistics& statistics, const std::string& lidar_name) {
+    if (statistics.n_returns == 0) return "";
+    const std::string of_lidar = lidar_name.empty() ? "" : " of LiDAR '" + lidar_name + "'";
+    if (statistics.highest < kDarkest)
+        return kScaleNote +
+               fmt::format("the largest intensity{} is {:.2g} of the maximum", of_lidar, statistics.highest);
+    const double share = double(statistics.n_at_maximum) / double(statistics.n_returns);
+    if (share <= kMostSaturated) return "";
+    return kScaleNote +
+           fmt::format("{:.0f} % of the returns{} have the maximum intensity", 100.0 * share, of_lidar);
+}
+
+void add_notes_about_intensities(LidarSequence& sequence, const std::vector<ReturnStatistics>& by_frame) {
+    ReturnStatistics of_log;
+    std::vector<ReturnStatistics> by_lidar(sequence.lidars.size());
+    for (std::size_t i = 0; i < by_frame.size(); ++i) {
+        of_log.add(by_frame[i]);
+        by_lidar[std::size_t(sequence.frames[i].lidar)].add(by_frame[i]);
+    }
+    if (of_log.n_returns > 0 && of_log.lowest == of_log.highest) {
+        const bool is_zero = of_log.highest == 0.0f;
+        sequence.notes.push_back(
+            kEqualNote + fmt::format("{}, so rendered intensities have no meaning{}",
+                                     is_zero ? "0" : fmt::format("{:.4g} of the maximum", of_log.highest),
+                                     is_zero ? " and are not scored" : ""));
+        return;
+    }
+    for (std::size_t l = 0; l < by_lidar.size(); ++l)
+        if (const std::string note = describe_implausible_scale(by_lidar[l], sequence.lidars[l].name);
+            !note.empty())
+            sequence.notes.push_back(note);
 }
 
 }  // namespace
 
 void add_notes_about_implausible_values(LidarSequence& sequence) {
+    std::erase_if(sequence.notes, [](const std::string& note) {
+        return std::ranges::any_of(std::array{kSpeedNote, kReturnsNote, kScaleNote, kEqualNote},
+                                   [&](const char* words) { return note.starts_with(words); });
+    });
     if (sequence.has_poses) add_note_if_vehicle_is_too_fast(sequence);
+    const std::vector<ReturnStatistics> by_frame = compute_statistics_of_frames(sequence);
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
-        add_note_about_scans_with_few_returns(sequence, l);
-    add_note_if_intensities_are_implausible(sequence);
+        add_note_about_scans_with_few_returns(sequence, by_frame, l);
+    add_notes_about_intensities(sequence, by_frame);
 }
 
 }  // namespace relidar::folder

@@ -8,8 +8,10 @@ namespace relidar::folder {
 
 /// Adds a note for the user about each of these findings:
 /// - The vehicle moves faster than any car, so the poses or times are probably wrong.
-/// - Some scans of a LiDAR have far fewer returns than its other scans.
-/// - All intensities are equal, tiny, or mostly at the maximum.
+/// - Some scans of a LiDAR have far fewer returns than the scans before and after them.
+/// - All intensities of the log are equal, or those of a LiDAR are tiny or mostly at the
+///   maximum.
+/// Replaces such notes, which a converted log contains.
 void add_notes_about_implausible_values(LidarSequence& sequence);
 
 }  // namespace relidar::folder

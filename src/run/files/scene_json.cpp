@@ -164,7 +164,8 @@ IntensityResponse read_intensity_response(const JsonField& field) {
     if (!std::is_sorted(r.range_m.begin(), r.range_m.end()))
         field.at("range_m").throw_field_error("found decreasing ranges", "expected increasing ranges");
     if (!std::all_of(r.factor.begin(), r.factor.end(), [](double f) { return f > 0.0 && f < kHuge; }))
-        field.at("factor").throw_field_error("found a factor of 0 or less", "expected factors above 0");
+        field.at("factor").throw_field_error("found a factor that is 0 or less, or too large",
+                                             fmt::format("expected factors above 0 and below {:g}", kHuge));
     return r;
 }
 

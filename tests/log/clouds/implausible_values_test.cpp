@@ -61,11 +61,40 @@ TEST(ImplausibleValues, ScansWithFewReturnsAreReported) {
                 ElementsAre(AllOf(HasSubstr("1 of 5 scans"), HasSubstr("frame 3 has only"))));
 }
 
+TEST(ImplausibleValues, ScansThatWereNotReadAreNoIncompleteScans) {
+    EXPECT_THAT(get_notes_after([](LidarSequence& log) { log.frames[1].scan = log.frames[3].scan = {}; }),
+                IsEmpty());
+}
+
+TEST(ImplausibleValues, ASlowChangeOfTheNumberOfReturnsIsNoFault) {
+    // A vehicle that leaves a tunnel: the LiDAR gets fewer returns from scan to scan.
+    LidarSequence log = make_synthetic_street({.n_frames = 12, .rows = 8, .columns = 128});
+    for (std::size_t i = 0; i < log.frames.size(); ++i)
+        for (std::size_t ray = 0; ray < log.frames[i].scan.range_m.size(); ++ray)
+            if (ray % 16 < i) log.frames[i].scan.range_m[ray] = log.frames[i].scan.intensity[ray] = 0.0f;
+    log.notes.clear();
+    folder::add_notes_about_implausible_values(log);
+    EXPECT_THAT(log.notes, IsEmpty());
+}
+
+TEST(ImplausibleValues, NotesOfAConvertedLogAreReplaced) {
+    const auto move_one_pose = [](LidarSequence& log) {
+        log.world_from_vehicle.pose[2].translation.y += 30.0;
+        folder::add_notes_about_implausible_values(log);
+    };
+    EXPECT_EQ(get_notes_after(move_one_pose).size(), 1u);
+    EXPECT_THAT(get_notes_after([&](LidarSequence& log) {
+                    move_one_pose(log);
+                    log.world_from_vehicle.pose[2].translation.y -= 30.0;
+                }),
+                IsEmpty());
+}
+
 TEST(ImplausibleValues, WrongScalesOfIntensitiesAreReported) {
     EXPECT_THAT(get_notes_after([](LidarSequence& log) {
                     change_intensities(log, [](float value) { return value / 255.0f; });
                 }),
-                ElementsAre(HasSubstr("the largest intensity of the log is")));
+                ElementsAre(HasSubstr("the largest intensity is")));
     EXPECT_THAT(get_notes_after([](LidarSequence& log) {
                     change_intensities(log, [](float value) { return value > 0.2f ? 1.0f : value; });
                 }),

@@ -114,8 +114,8 @@ void run_assets_command(const AssetOptions& options) {
         if (const std::string reason =
                 explain_why_asset_is_not_saved(asset.facts, actor_sightings, options.least);
             !reason.empty()) {
-            const std::string text = fmt::format("skipped {} ({}): {}", track, asset.facts.category, reason);
-            skipped += text + "\n";
+            const std::string text = fmt::format("{} ({}): {}", track, asset.facts.category, reason);
+            skipped += "skipped " + text + "\n";
             if (const double score = asset.facts.get_observed_or_mirrored_surface_fraction();
                 score > highest_score) {
                 highest_score = score;

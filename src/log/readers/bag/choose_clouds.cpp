@@ -61,17 +61,23 @@ constexpr PacketDriver kDrivers[] = {
 
 /// Returns the end of the error message for a bag without clouds. The text explains why
 /// topics that may contain clouds could not be read.
-std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagIndex& bag_index) {
+/// @param requested_topic name of the topic to explain; empty: all topics
+std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagIndex& bag_index,
+                                             const std::string& requested_topic = "") {
     std::vector<std::string> reasons = bag.get_file_problems();
+    const auto is_requested = [&](const BagTopic& topic) {
+        return requested_topic.empty() || topic.name == requested_topic;
+    };
     for (const BagTopic& topic : bag.topics())
         for (const PacketDriver& packet_driver : kDrivers)
-            if (topic.type.starts_with(packet_driver.package))
+            if (is_requested(topic) && topic.type.starts_with(packet_driver.package))
                 reasons.push_back(fmt::format(
                     "{}: relidar cannot decode these packets; play the recording with the driver {}, and "
                     "record its point clouds",
                     shorten_for_error_message(topic.name), packet_driver.driver));
     for (std::size_t t = 0; t < bag_index.facts.size(); ++t) {
         const BagTopic& topic = bag.topics()[t];
+        if (!is_requested(topic)) continue;
         const std::string name = shorten_for_error_message(topic.name);
         const auto clouds = std::ranges::find(bag_index.clouds, t, &CloudTopic::topic);
         const bool is_empty = clouds != bag_index.clouds.end() && clouds->clouds.empty();
@@ -159,7 +165,7 @@ std::vector<std::size_t> find_cloud_topic_indices(const BagRecording& bag, const
         if (matching_cloud_topic == bag_index.clouds.end() || matching_cloud_topic->clouds.empty())
             throw UsageError(fmt::format(
                 "dataset.lidars: found '{}', expected a topic with point clouds{}; the recording contains {}",
-                shorten_for_error_message(name), explain_why_no_clouds_were_found(bag, bag_index),
+                shorten_for_error_message(name), explain_why_no_clouds_were_found(bag, bag_index, name),
                 format_topics(bag)));
         lidars.push_back(std::size_t(matching_cloud_topic - bag_index.clouds.begin()));
     }

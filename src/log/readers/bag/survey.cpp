@@ -80,16 +80,17 @@ private:
     void index_cloud_message(const BagTopic& topic, const BagMessage& message) {
         const CloudMessage cloud = read_cloud_of_message(topic, message.bytes);
         CloudTopic& clouds = find_or_add_topic_entry(survey_.clouds, message.topic);
-        if (clouds.fields.empty()) {
+        // An empty cloud often has no frame.
+        if (clouds.clouds.empty()) {
             clouds.fields = cloud.fields;
             clouds.frame = cloud.header.frame;
         }
-        if (cloud.header.frame != clouds.frame && clouds.n_other_frame++ == 0)
-            clouds.other_frame = cloud.header.frame;
         if (cloud.size() == 0) {
             ++clouds.n_empty;
             return;
         }
+        if (cloud.header.frame != clouds.frame && clouds.n_other_frame++ == 0)
+            clouds.other_frame = cloud.header.frame;
         const auto n = std::uint32_t(std::min<std::size_t>(cloud.size(), UINT32_MAX));
         clouds.clouds.push_back({cloud.header.stamp_ns, message.log_ns, n, message.message_position});
         if (const std::optional<AzimuthArc> arc = compute_azimuth_range(cloud))

@@ -369,16 +369,18 @@ TEST(PlainFolder, ALogWithSomeOfTheScansKeepsTheSweepTime) {
 }
 
 TEST(PlainFolder, AScanWithoutValidPointsHasOnlyDroppedRays) {
-    const PointLog log("empty_scan", "bin", test::bin,
-                       R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
-    test::FilePoints points = PointLog::points(log.street.frames[2]);
-    for (test::FilePoint& p : points) p.point_m = glm::vec3(NAN);
-    test::write_text(log.folder / "scans/02.bin", test::bin(points));
-    const LidarSequence sequence = load_sequence(log.folder.string(), {});
-    ASSERT_EQ(sequence.frames.size(), 4u);
-    EXPECT_EQ(sequence.frames[2].scan.count_returns(), 0u);
-    EXPECT_EQ(sequence.frames[2].scan.range_m.size(), sequence.frames[1].scan.range_m.size());
-    EXPECT_THAT(sequence.notes.back(), test::Names("1 of 4 scans ... frame 2"));
+    for (const std::size_t empty : {0, 2}) {
+        const PointLog log("empty_scan", "bin", test::bin,
+                           R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
+        test::FilePoints points = PointLog::points(log.street.frames[empty]);
+        for (test::FilePoint& p : points) p.point_m = glm::vec3(NAN);
+        test::write_text(log.folder / fmt::format("scans/{:02}.bin", empty), test::bin(points));
+        const LidarSequence sequence = load_sequence(log.folder.string(), {});
+        ASSERT_EQ(sequence.frames.size(), 4u);
+        EXPECT_EQ(sequence.frames[empty].scan.count_returns(), 0u);
+        EXPECT_EQ(sequence.frames[empty].scan.range_m.size(), sequence.frames[1].scan.range_m.size());
+        EXPECT_THAT(sequence.notes.back(), test::Names(fmt::format("1 of 4 scans ... frame {}", empty)));
+    }
 }
 
 TEST(PlainFolder, NotesASensorThatDoesNotFitThePoints) {
@@ -393,7 +395,7 @@ TEST(PlainFolder, NotesASensorThatDoesNotFitThePoints) {
         make_head(10.0, columns,
                   fmt::format(R"(, "lidars": [{{"sensor": {{"beams": [{}], "columns": 360}}}}])", beams)));
     EXPECT_THAT(fmt::format("{}", fmt::join(load_sequence(log.folder.string(), {}).notes, "\n")),
-                test::Names("are skipped ... check whether the log's sensor"));
+                test::Names("are skipped ... a sensor in sequence.json that did not measure"));
 }
 
 TEST(PlainFolder, KeepsPointsWithoutOrderOfALidarThatDoesNotSpin) {
