@@ -398,6 +398,19 @@ def test_alternating_again():
         check_blocks(f"{product.name}, again", [data for _, data in packets], read_capture(again), 2, 4 if product.name == "QT128" else 3)
 
 
+def check_nothing_is_lost(capture):
+    """A log must not replace itself, another kind of file, or a file of the same name without --force."""
+    before = capture.read_bytes()
+    run("convert", capture, "--out", capture, "--force", "--set", "dataset.max_range_m=200", code=2)
+    expect(capture.read_bytes() == before, f"{capture.name} was replaced by itself")
+    thesis, notes = WORK / "thesis.pcap", WORK / "noted.json"
+    thesis.write_text("no capture")
+    notes.write_text("{}")
+    run("convert", capture, "--out", thesis, "--force", "--set", "dataset.max_range_m=200", code=2)
+    run("convert", capture, "--out", notes.with_suffix(".pcap"), "--set", "dataset.max_range_m=200", code=2)
+    expect(thesis.read_text() == "no capture" and notes.read_text() == "{}", "a file that is no capture was replaced")
+
+
 def test_written_again():
     """`convert --out FILE.pcap` must write the firings of a capture again, byte by byte."""
     for product in lidars.PRODUCTS:
@@ -409,6 +422,8 @@ def test_written_again():
         captures.write(capture, [(T0 + ns, f) for ns, data in packets for f in captures.frames(data)])
         run("convert", capture, "--out", again, "--set", "dataset.max_range_m=200")
         expect(again.with_suffix(".csv").exists() == product.hesai, f"{product.name}: the angles of the lasers")
+        if product.name == "VLP-16":
+            check_nothing_is_lost(capture)
         found = read_capture(again)
         expect({len(p) for p in found} == {len(packets[0][1])}, f"{product.name}: bytes a packet")
         old, new = (firings_of(product, p, dual) for p in ([d for _, d in packets], found))

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <map>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -73,6 +74,11 @@ glm::dquat read_quaternion(const JsonField& field) {
 Pose read_vehicle_from_sensor(const JsonField& field, const std::string& error_location) {
     if (field.is_array()) {
         const auto m = field.get_numbers<16>();
+        if (m[12] != 0.0 || m[13] != 0.0 || m[14] != 0.0 || m[15] != 1.0)
+            throw DataError(
+                fmt::format("{}: found a matrix with the last row {} {} {} {}, expected 0 0 0 1; "
+                            "the matrix may be transposed",
+                            error_location, m[12], m[13], m[14], m[15]));
         return check_rotation_and_make_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
                                             {m[3], m[7], m[11]}, error_location);
     }
@@ -88,9 +94,16 @@ void read_sensor_by_name_into_lidar(const JsonField& field, const fs::path& log_
     // maximum range, used if the sensor file does not contain one
     const double max_range_m = lidar.sensor.max_range_m;
     const auto is_file = [&](const char* ending) { return name.find(ending) != std::string::npos; };
-    const SensorModel model = find_sensor(
-        is_file(".csv") || is_file(".json") || is_file(".npz") ? (log_folder / name).string() : name, {},
-        max_range_m);
+    const auto find_model = [&] {
+        try {
+            return find_sensor(
+                is_file(".csv") || is_file(".json") || is_file(".npz") ? (log_folder / name).string() : name,
+                {}, max_range_m);
+        } catch (const UsageError& error) {  // The name is in a file, not on the command line.
+            throw DataError(fmt::format("{}: {}", (log_folder / kHeadFile).string(), error.what()));
+        }
+    };
+    const SensorModel model = find_model();
     if (!std::holds_alternative<SpinningSensor>(model.pattern) && must_spin)
         field.throw_field_error(
             fmt::format("found the sensor {}, which does not spin", shorten_for_error_message(name)),
@@ -198,6 +211,7 @@ std::vector<SequenceHeaderFrame> list_frames_in_scan_folders(double rate_hz,
     std::vector<SequenceHeaderFrame> frames;
     for (std::size_t l = 0; l < lidars.size(); ++l) {
         int number = 0;
+        std::map<std::string, fs::path> scan_of_stem;
         const std::vector<fs::path> files =
             list_folder_entries((log_folder / lidars[l].scans).lexically_normal());
         // Text files are scans only if the folder has no scans in other formats.
@@ -211,6 +225,13 @@ std::vector<SequenceHeaderFrame> list_frames_in_scan_folders(double rate_hz,
             const bool can_be_beam_table = file.extension() == ".csv" && file.parent_path() == log_folder;
             if ((is_point_file(file) && !can_be_beam_table && !(has_scans && is_text_point_file(file))) ||
                 is_image_file(file)) {
+                if (file.filename().string().starts_with('.')) continue;  // hidden file
+                if (const auto [other, is_new] = scan_of_stem.try_emplace(file.stem().string(), file);
+                    !is_new)
+                    throw DataError(
+                        fmt::format("{}: the scan {} has the same name, expected one file for "
+                                    "each scan",
+                                    file.string(), other->second.filename().string()));
                 frames.push_back({number, number / rate_hz, int(l), file});
                 ++number;
             }
@@ -224,6 +245,39 @@ std::vector<SequenceHeaderFrame> list_frames_in_scan_folders(double rate_hz,
                 (log_folder / lidars[l].scans).string(), other.empty() ? "" : ": ", other));
     }
     return frames;
+}
+
+/// Returns notes about scans that are probably missing in the folders of the LiDARs. Scans
+/// with regular gaps, such as every fifth scan, are accepted.
+std::vector<std::string> describe_missing_scans(const std::vector<SequenceHeaderFrame>& frames,
+                                                const std::vector<SequenceHeaderLidar>& lidars) {
+    const char* consequence =
+        "with \"rate_hz\", the position of a scan in its folder determines its time and its pose; use the "
+        "key "
+        "\"frames\" in sequence.json if scans are missing";
+    std::vector<std::string> notes;
+    std::vector<std::vector<std::string>> stems(lidars.size());
+    for (const SequenceHeaderFrame& frame : frames)
+        stems[std::size_t(frame.lidar)].push_back(frame.scan.stem().string());
+    for (std::size_t l = 0; l < lidars.size(); ++l) {
+        std::optional<int> step;
+        for (std::size_t i = 1; i < stems[l].size(); ++i) {
+            const std::optional<int> before = parse_file_stem_as_number(stems[l][i - 1]),
+                                     number = parse_file_stem_as_number(stems[l][i]);
+            if (!before || !number) break;
+            if (step && *number - *before > *step) {
+                notes.push_back(fmt::format("no scan was found between {} and {}; {}", stems[l][i - 1],
+                                            stems[l][i], consequence));
+                break;
+            }
+            step = *number - *before;
+        }
+        if (stems[l].size() != stems[0].size())
+            notes.push_back(fmt::format("LiDAR '{}' has {} scans, but LiDAR '{}' has {}; {}",
+                                        lidars[l].lidar.name, stems[l].size(), lidars[0].lidar.name,
+                                        stems[0].size(), consequence));
+    }
+    return notes;
 }
 
 PointFileUnits read_point_units(const JsonField& root) {
@@ -269,6 +323,8 @@ SequenceHeader read_log_description(const fs::path& log_folder, double default_m
                       ? read_listed_frames(root.at("frames"), head.lidars, log_folder)
                       : list_frames_in_scan_folders(root.at("rate_hz").get_number_in_range(1e-3, 1e3),
                                                     head.lidars, log_folder);
+    if (root.has_member("rate_hz"))
+        std::ranges::copy(describe_missing_scans(head.frames, head.lidars), std::back_inserter(head.notes));
     std::stable_sort(head.frames.begin(), head.frames.end(),
                      [](const SequenceHeaderFrame& first, const SequenceHeaderFrame& second) {
                          return std::pair(first.time_s, first.lidar) < std::pair(second.time_s, second.lidar);

@@ -10,7 +10,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 
 #include "base/median.hpp"
@@ -21,7 +20,7 @@
 #include "log/clouds/folder_head.hpp"
 #include "log/clouds/folder_points.hpp"
 #include "log/clouds/head_spins.hpp"
-#include "log/clouds/point_meaning.hpp"
+#include "log/clouds/missing_units.hpp"
 #include "log/clouds/scan_npz.hpp"
 #include "log/clouds/thinned_cloud.hpp"
 
@@ -30,7 +29,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kSamples = 6;  // number of scans per LiDAR that are used to estimate its beams
 // sweep period in seconds that is assumed if the log has only one frame
 constexpr double kUsualPeriod_s = 0.1;
 // The slowest spinning LiDARs of vehicles make five revolutions per second. If scans are
@@ -254,10 +252,12 @@ private:
                                              const std::vector<LidarPoints>& samples) {
         const std::optional<double> frame_step_s = find_median_frame_step_s(lidar_index);
         std::vector<double> spans_s;
+        double farthest_s = 0.0;  // largest difference from the time of the frame
         for (const LidarPoints& points : samples) {
             if (points.time_offset_s.empty()) continue;
             const auto [first_s, last_s] = std::ranges::minmax(points.time_offset_s);
             spans_s.push_back(double(last_s) - double(first_s));
+            farthest_s = std::max({farthest_s, std::abs(double(first_s)), std::abs(double(last_s))});
         }
         if (!frame_step_s || spans_s.empty()) return;
         const double span_s = compute_median(std::move(spans_s));
@@ -267,6 +267,12 @@ private:
                                       "{:.3g} s, but a new scan begins every {:.3g} s; check the unit of the "
                                       "times, and whether 32-bit numbers store absolute times",
                                       span_s, *frame_step_s));
+        else if (farthest_s > kLongestSpan * *frame_step_s)
+            add_note_once(lidar_index,
+                          fmt::format("the times of the points are probably wrong: they differ by up to "
+                                      "{:.3g} s from the time of their scan, but a new scan begins every "
+                                      "{:.3g} s; check whether the times are relative to the scan",
+                                      farthest_s, *frame_step_s));
     }
 
     void choose_scan_conversion_plan_of_lidar(std::size_t lidar_index,
@@ -282,7 +288,7 @@ private:
                 of_sample.push_back(index);
             });
         };
-        const std::size_t n = std::min(kSamples, frame_indices.size());
+        const std::size_t n = std::min(kSampleScans, frame_indices.size());
         for (std::size_t k = 0; k < n; ++k) add_sample(frame_indices[k * frame_indices.size() / n]);
         for (std::size_t k = 0; samples.empty() && k < frame_indices.size(); ++k)
             add_sample(frame_indices[k]);
@@ -452,63 +458,6 @@ private:
         return renumbered_points;
     }
 };
-
-/// Reads the points of a few files, evenly spread over the log. Skips unreadable files.
-/// Their errors are reported when all scans are read.
-std::vector<PointTable> read_sample_tables(const std::vector<fs::path>& scan_files,
-                                           const std::vector<std::string>& column_names) {
-    std::vector<fs::path> with_points;
-    std::ranges::copy_if(scan_files, std::back_inserter(with_points), is_point_file);
-    std::vector<PointTable> samples;
-    const std::size_t n = std::min(kSamples, with_points.size());
-    for (std::size_t k = 0; k < n; ++k) {
-        try {
-            samples.push_back(read_point_file(with_points[k * with_points.size() / n], column_names));
-        } catch (const DataError&) {
-            continue;
-        }
-    }
-    return samples;
-}
-
-/// Estimates the intensity scale of a log from a few of its .npz files.
-IntensityScale estimate_image_intensity_scale(const std::vector<fs::path>& scan_files) {
-    std::vector<fs::path> images;
-    std::ranges::copy_if(scan_files, std::back_inserter(images),
-                         [](const fs::path& file) { return file.extension() == ".npz"; });
-    std::vector<double> intensities;
-    const std::size_t n = std::min(kSamples, images.size());
-    for (std::size_t k = 0; k < n; ++k) {
-        try {
-            const std::vector<NamedArray> arrays = read_npz(images[k * images.size() / n]);
-            if (const NamedArray* array = find_array(arrays, "intensity"))
-                std::ranges::copy(array->convert_to_doubles(), std::back_inserter(intensities));
-        } catch (const DataError&) {
-            continue;  // the error is reported when the scan is read
-        }
-    }
-    return estimate_intensity_scale(intensities);
-}
-
-/// Estimates the units that are missing in sequence.json, from the points of some scans.
-/// If several intensity scales are possible, sets none. Intensities above 1 are then an
-/// error.
-void estimate_missing_point_units(SequenceHeader& sequence_header, const std::vector<fs::path>& scan_files,
-                                  std::vector<std::string>& notes) {
-    const std::vector<PointTable> samples = read_sample_tables(scan_files, sequence_header.units.columns);
-    PointFieldSemantics meaning = interpret_point_fields(samples);
-    if (samples.empty() && !sequence_header.units.intensity_max)
-        meaning.scale = estimate_image_intensity_scale(scan_files);
-    sequence_header.units.intensity_field = meaning.intensity_field;
-    sequence_header.units.no_return = meaning.no_return;
-    std::erase(meaning.notes, meaning.scale.about);
-    if (!sequence_header.units.intensity_max && meaning.scale.is_sure && meaning.scale.max > 1.0) {
-        sequence_header.units.intensity_max = meaning.scale.max;
-        notes.push_back(meaning.scale.about +
-                        "; set the key \"intensity_max\" in sequence.json to use another scale");
-    }
-    notes.insert(notes.end(), meaning.notes.begin(), meaning.notes.end());
-}
 
 /// Returns the indices of the frames whose scans will be read.
 /// @param max_scans  maximum number of scans per LiDAR

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The command `relidar convert` writes any log as a folder of plain files, or as a
 // capture of the sensor's network packets.
+#include <fstream>
 #include <memory>
 #include <optional>
 
@@ -30,15 +31,42 @@ struct ConvertOptions {
     bool quiet = false;
 };
 
+/// Returns true if a file begins like a network capture (pcap or pcapng).
+bool is_network_capture(const std::filesystem::path& file) {
+    std::string first_bytes(4, '\0');
+    std::ifstream(file, std::ios::binary).read(first_bytes.data(), 4);
+    return first_bytes == "\xd4\xc3\xb2\xa1" || first_bytes == "\xa1\xb2\xc3\xd4" ||
+           first_bytes == "\x4d\x3c\xb2\xa1" || first_bytes == "\xa1\xb2\x3c\x4d" ||
+           first_bytes == "\x0a\x0d\x0d\x0a";
+}
+
+/// Checks that the capture and its calibration file (.csv or .json) replace no file that
+/// the user needs.
+void require_replaceable_capture(const std::filesystem::path& capture, const std::string& log_path,
+                                 bool overwrite) {
+    std::error_code failed;
+    if (std::filesystem::equivalent(capture, log_path, failed))
+        throw UsageError(
+            fmt::format("--out {}: this file is the log; expected another name", capture.string()));
+    for (const char* ending : {".pcap", ".csv", ".json"}) {
+        const std::filesystem::path file = std::filesystem::path(capture).replace_extension(ending);
+        if (!overwrite && std::filesystem::exists(file))
+            throw UsageError(fmt::format(
+                "--out {}: the file {} exists; expected a new name, or --force to replace the file",
+                capture.string(), file.string()));
+    }
+    if (std::filesystem::exists(capture) && !is_network_capture(capture))
+        throw UsageError(
+            fmt::format("--out {}: the existing file is not a network capture, so --force does "
+                        "not replace it; expected another name",
+                        capture.string()));
+}
+
 /// Writes a log as a capture file with the network packets that the sensor would send.
 /// Also sends the packets if the user has set an address.
 void write_and_send_log_as_packets(const LidarSequence& sequence, const ConvertOptions& options) {
     const std::filesystem::path out = options.out;
-    if (!options.overwrite && std::filesystem::exists(out))
-        throw UsageError(
-            fmt::format("--out {}: a file with this name exists; expected a new name, or --force to "
-                        "replace the file",
-                        options.out));
+    require_replaceable_capture(out, sequence.source, options.overwrite);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     TerminalProgress progress(options.quiet);
     const relidar::ProgressReporter shown = make_terminal_progress_callback(progress);

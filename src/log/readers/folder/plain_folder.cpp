@@ -79,8 +79,8 @@ folder::OverlapScanPairs read_consecutive_scan_pairs(const folder::SequenceHeade
     return pairs;
 }
 
-/// Reads the vehicle poses in poses.txt. If the file is missing and the user selected
-/// another source of poses, returns identity poses.
+/// Reads the vehicle poses in poses.txt. If the file is missing or damaged and the user
+/// selected another source of poses, returns identity poses.
 std::vector<Pose> read_vehicle_poses_or_identities(const fs::path& folder,
                                                    const folder::SequenceHeader& sequence_header,
                                                    const std::vector<SequenceHeaderFrame>& frames,
@@ -88,7 +88,15 @@ std::vector<Pose> read_vehicle_poses_or_identities(const fs::path& folder,
                                                    std::vector<std::string>& notes) {
     const fs::path file = folder / folder::kPosesFile;
     const auto pairs = [&] { return read_consecutive_scan_pairs(sequence_header, frames); };
-    if (const auto poses = folder::read_frame_poses(file, frames, pairs, notes)) return *poses;
+    try {
+        if (const auto poses = folder::read_frame_poses(file, frames, pairs, notes)) return *poses;
+    } catch (const DataError& error) {
+        if (options.poses_file.empty()) throw;
+        notes.push_back(
+            fmt::format("{}; the poses of this file are not used, so boxes in world coordinates "
+                        "may be at wrong places",
+                        error.what()));
+    }
     if (!options.poses_file.empty()) return std::vector<Pose>(frames.size());
     throw DataError(
         fmt::format("{}: no such file; expected poses of the vehicle; use dataset.poses=FILE to name "

@@ -127,6 +127,9 @@ TEST_F(FolderDamage, OfTheHead) {
     expect("sequence.json",
            with("\"lidars\": [{\"vehicle_from_sensor\": [2,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,0,1]}]"),
            "vehicle_from_sensor ... rotation");
+    expect("sequence.json",
+           with("\"lidars\": [{\"vehicle_from_sensor\": [1,0,0,0, 0,1,0,0, 0,0,1,0, 0,0,1,1]}]"),
+           "vehicle_from_sensor ... last row 0 0 1 1 ... transposed");
     expect(
         "sequence.json",
         with(
@@ -251,6 +254,43 @@ TEST_F(FolderDamage, TimesInWrongUnitAreNoted) {
     EXPECT_THAT(load_notes(1.0), testing::Not(test::Names("times of the points are probably wrong")));
     EXPECT_THAT(load_notes(1000.0), test::Names("times of the points are probably wrong ... 0.1 s"));
     EXPECT_THAT(load_notes(1e60), test::Names("span 0 s")) << "all times are equal";
+    // The times have the right unit, but a different zero than the scans.
+    load_notes(1.0);
+    for (test::FilePoint& point : points) point.time_s += 5.0;
+    put("scans/a.pcd", test::make_pcd_binary(points));
+    put("scans/b.pcd", test::make_pcd_binary(points));
+    EXPECT_THAT(fmt::format("{}", fmt::join(load_sequence("folder:" + folder.string(), {}).notes, "; ")),
+                test::Names("times of the points are probably wrong ... differ by up to 5"));
+}
+
+TEST_F(FolderDamage, DamagedPosesThatAreNotUsedAreNoError) {
+    put("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
+    const LidarSequence log = load_sequence("folder:" + folder.string(), make_options_without_poses());
+    EXPECT_EQ(log.frames.size(), 2u);
+    EXPECT_THAT(fmt::format("{}", fmt::join(log.notes, "; ")),
+                test::Names("poses.txt: found 1 lines ... not used"));
+}
+
+TEST_F(FolderDamage, FilesBesideTheScans) {
+    put("scans/._a.pcd", "a file of another operating system");
+    EXPECT_EQ(load_sequence("folder:" + folder.string(), {}).frames.size(), 2u);
+    expect("scans/a.ply", test::make_ply_binary(points), "a.ply: the scan a.pcd has the same name");
+}
+
+TEST_F(FolderDamage, MissingScansAreNoted) {
+    const auto load_notes = [&](const std::vector<int>& numbers) {
+        fs::remove_all(folder / "scans");
+        fs::create_directories(folder / "scans");
+        std::string poses;
+        for (const int number : numbers) {
+            put(fmt::format("scans/{:06}.pcd", number), test::make_pcd_binary(points));
+            poses += "1 0 0 0 0 1 0 0 0 0 1 0\n";
+        }
+        put("poses.txt", poses);
+        return fmt::format("{}", fmt::join(load_sequence("folder:" + folder.string(), {}).notes, "; "));
+    };
+    EXPECT_THAT(load_notes({0, 1, 3}), test::Names("no scan was found between 000001 and 000003"));
+    EXPECT_THAT(load_notes({0, 5, 10}), testing::Not(test::Names("no scan was found")));
 }
 
 TEST_F(FolderDamage, OfValues) {

@@ -1,0 +1,23 @@
+// SPDX-License-Identifier: Apache-2.0
+// Declares the estimation of units that sequence.json does not contain.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "log/clouds/folder_head.hpp"
+
+namespace relidar::folder {
+
+/// number of scans per LiDAR that are used to estimate units and beams
+inline constexpr std::size_t kSampleScans = 6;
+
+/// Estimates the units that are missing in sequence.json, from the points of some scans.
+/// If several intensity scales are possible, sets none. Intensities above 1 are then an
+/// error.
+void estimate_missing_point_units(SequenceHeader& sequence_header,
+                                  const std::vector<std::filesystem::path>& scan_files,
+                                  std::vector<std::string>& notes);
+
+}  // namespace relidar::folder
