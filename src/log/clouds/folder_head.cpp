@@ -247,8 +247,8 @@ std::vector<SequenceHeaderFrame> list_frames_in_scan_folders(double rate_hz,
     return frames;
 }
 
-/// Returns notes about scans that are probably missing in the folders of the LiDARs. Scans
-/// with regular gaps, such as every fifth scan, are accepted.
+/// Returns notes about scans that are probably missing in the folders of the LiDARs.
+/// Scans with regular gaps, such as every fifth scan, are accepted.
 std::vector<std::string> describe_missing_scans(const std::vector<SequenceHeaderFrame>& frames,
                                                 const std::vector<SequenceHeaderLidar>& lidars) {
     const char* consequence =

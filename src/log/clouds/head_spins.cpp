@@ -86,8 +86,9 @@ std::string explain_why_not_spinning(const std::vector<LidarPoints>& scans,
     if (fullest->time_offset_s.empty()) return "";
     if (std::abs(fitted_sensor.period_s - frame_interval_s) < kOtherPeriod * frame_interval_s) return "";
     return fmt::format(
-        "{}, and the times of the points show a revolution of {:.3f} s, but a revolution should take {:.3f} s", window,
-        fitted_sensor.period_s, frame_interval_s);
+        "{}, and the times of the points show a revolution of {:.3f} s, but a revolution should take {:.3f} "
+        "s",
+        window, fitted_sensor.period_s, frame_interval_s);
 }
 
 }  // namespace relidar

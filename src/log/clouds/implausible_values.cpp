@@ -27,6 +27,8 @@ constexpr float kDarkest = 0.005f;
 // If a larger share of the returns has the maximum intensity, the scale is probably
 // wrong.
 constexpr double kMostSaturated = 0.25;
+// A longer box, or a box that is farther in time from the log, probably has a wrong unit.
+constexpr double kLongestBox_m = 200.0, kFarTime_s = 3600.0;
 
 // First words of the notes. A converted log contains the notes of the original log, which
 // are replaced.
@@ -34,6 +36,7 @@ constexpr const char* kSpeedNote = "the poses or their times are probably wrong:
 constexpr const char* kReturnsNote = "some scans are probably incomplete: ";
 constexpr const char* kScaleNote = "the scale of the intensities is probably wrong: ";
 constexpr const char* kEqualNote = "all intensities of the log are ";
+constexpr const char* kBoxNote = "the boxes are probably wrong: ";
 
 int find_frame_number_at(const LidarSequence& sequence, double time_s) {
     const auto frame = std::ranges::lower_bound(sequence.frames, time_s, {}, &LidarFrame::time_s);
@@ -160,11 +163,35 @@ void add_notes_about_intensities(LidarSequence& sequence, const std::vector<Retu
             sequence.notes.push_back(note);
 }
 
+void add_notes_about_boxes(LidarSequence& sequence) {
+    const PoseTrack& vehicle = sequence.world_from_vehicle;
+    std::size_t n_far_in_time = 0;
+    const BoxTrack* largest = nullptr;
+    const auto get_length_m = [](const BoxTrack& box) {
+        return std::max({box.size_m.x, box.size_m.y, box.size_m.z});
+    };
+    for (const BoxTrack& box : sequence.boxes) {
+        n_far_in_time += box.world_from_box.time_s.front() > vehicle.time_s.back() + kFarTime_s ||
+                         box.world_from_box.time_s.back() < vehicle.time_s.front() - kFarTime_s;
+        if (get_length_m(box) > kLongestBox_m && (!largest || get_length_m(box) > get_length_m(*largest)))
+            largest = &box;
+    }
+    if (n_far_in_time > 0)
+        sequence.notes.push_back(
+            kBoxNote +
+            fmt::format("the times of {} of {} boxes are more than an hour before or after the log; "
+                        "expected seconds on the clock of the scans",
+                        n_far_in_time, sequence.boxes.size()));
+    if (largest)
+        sequence.notes.push_back(kBoxNote + fmt::format("the box '{}' is {:.0f} m long; expected metres",
+                                                        largest->id, get_length_m(*largest)));
+}
+
 }  // namespace
 
 void add_notes_about_implausible_values(LidarSequence& sequence) {
     std::erase_if(sequence.notes, [](const std::string& note) {
-        return std::ranges::any_of(std::array{kSpeedNote, kReturnsNote, kScaleNote, kEqualNote},
+        return std::ranges::any_of(std::array{kSpeedNote, kReturnsNote, kScaleNote, kEqualNote, kBoxNote},
                                    [&](const char* words) { return note.starts_with(words); });
     });
     if (sequence.has_poses) add_note_if_vehicle_is_too_fast(sequence);
@@ -172,6 +199,7 @@ void add_notes_about_implausible_values(LidarSequence& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
         add_note_about_scans_with_few_returns(sequence, by_frame, l);
     add_notes_about_intensities(sequence, by_frame);
+    add_notes_about_boxes(sequence);
 }
 
 }  // namespace relidar::folder

@@ -11,6 +11,7 @@ namespace relidar::folder {
 /// - Some scans of a LiDAR have far fewer returns than the scans before and after them.
 /// - All intensities of the log are equal, or those of a LiDAR are tiny or mostly at the
 ///   maximum.
+/// - Boxes are longer than any vehicle, or their times are far from the log.
 /// Replaces such notes, which a converted log contains.
 void add_notes_about_implausible_values(LidarSequence& sequence);
 

@@ -77,6 +77,15 @@ TEST(ImplausibleValues, ASlowChangeOfTheNumberOfReturnsIsNoFault) {
     EXPECT_THAT(log.notes, IsEmpty());
 }
 
+TEST(ImplausibleValues, WrongUnitsOfBoxesAreReported) {
+    EXPECT_THAT(get_notes_after([](LidarSequence& log) { log.boxes[0].size_m *= 1000.0; }),
+                ElementsAre(HasSubstr("m long; expected metres")));
+    EXPECT_THAT(get_notes_after([](LidarSequence& log) {
+                    for (double& time_s : log.boxes[0].world_from_box.time_s) time_s += 1.7e9;
+                }),
+                ElementsAre(HasSubstr("the times of 1 of ")));
+}
+
 TEST(ImplausibleValues, NotesOfAConvertedLogAreReplaced) {
     const auto move_one_pose = [](LidarSequence& log) {
         log.world_from_vehicle.pose[2].translation.y += 30.0;

@@ -14,6 +14,7 @@
 #include "base/json_field.hpp"
 #include "log/clouds/folder_head.hpp"
 #include "log/clouds/log_files.hpp"
+#include "log/clouds/match_sweeps.hpp"
 #include "log/clouds/pose_conventions.hpp"
 
 namespace relidar::folder {
@@ -21,6 +22,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
+// If more scans than this number are between two poses, the unit of the times is probably
+// wrong.
+constexpr double kMostScansPerPose = 20.0;
 // Frames outside the time of the poses are accepted if they are at most this much earlier
 // or later. The limit is about one sweep.
 constexpr double kMostBeyond_s = 0.1;
@@ -208,6 +212,24 @@ std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,
     return poses;
 }
 
+/// Adds a note if the poses are much farther apart in time than the scans. The usual
+/// cause is a wrong unit of the times.
+void add_note_if_poses_are_sparse(const PoseTrack& track, const std::vector<SequenceHeaderFrame>& frames,
+                                  const std::string& file_name, std::vector<std::string>& notes) {
+    std::vector<double> frame_times_s;
+    for (const SequenceHeaderFrame& frame : frames)
+        if (frame_times_s.empty() || frame.time_s > frame_times_s.back())
+            frame_times_s.push_back(frame.time_s);
+    if (track.time_s.size() < 2 || frame_times_s.size() < 2) return;
+    const double pose_step_s = compute_median_interval_s(track.time_s),
+                 frame_step_s = compute_median_interval_s(frame_times_s);
+    if (pose_step_s > kMostScansPerPose * frame_step_s)
+        notes.push_back(fmt::format(
+            "{}: poses are {:.3g} s apart, but scans are {:.3g} s apart, and poses in between are "
+            "interpolated; check the unit of the times",
+            file_name, pose_step_s, frame_step_s));
+}
+
 double find_label_time_s(const JsonField& label, const std::vector<SequenceHeaderFrame>& all_frames) {
     if (label.has_member("time_s"))
         return label.at("time_s").get_number_in_range(-kLargestOfTrack, kLargestOfTrack);
@@ -268,6 +290,7 @@ std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
             return interpolate_poses_at_frames(readings[0].world_from_vehicle, frames, pose_file.string());
         const std::size_t k =
             choose_pose_interpretation(readings, read_scan_pairs_for_pose_check, pose_file.string(), notes);
+        add_note_if_poses_are_sparse(readings[k].world_from_vehicle, frames, pose_file.string(), notes);
         return interpolate_poses_at_frames(readings[k].world_from_vehicle, frames, pose_file.string());
     }
     std::vector<int> numbers;

@@ -263,6 +263,16 @@ TEST_F(FolderDamage, TimesInWrongUnitAreNoted) {
                 test::Names("times of the points are probably wrong ... differ by up to 5"));
 }
 
+TEST_F(FolderDamage, PoseTimesInWrongUnitAreNoted) {
+    const auto load_notes = [&](double step_s) {
+        put("poses.txt",
+            fmt::format("0 0 0 0 1 0 0 0\n{} 1 0 0 1 0 0 0\n{} 2 0 0 1 0 0 0\n", step_s, 2.0 * step_s));
+        return fmt::format("{}", fmt::join(load_sequence("folder:" + folder.string(), {}).notes, "; "));
+    };
+    EXPECT_THAT(load_notes(0.1), testing::Not(test::Names("poses are ... apart")));
+    EXPECT_THAT(load_notes(100.0), test::Names("poses are 100 s apart, but scans are 0.1 s apart"));
+}
+
 TEST_F(FolderDamage, DamagedPosesThatAreNotUsedAreNoError) {
     put("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
     const LidarSequence log = load_sequence("folder:" + folder.string(), make_options_without_poses());
