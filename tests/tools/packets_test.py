@@ -411,6 +411,16 @@ def check_nothing_is_lost(capture):
     expect(thesis.read_text() == "no capture" and notes.read_text() == "{}", "a file that is no capture was replaced")
 
 
+def check_unused_angle_files(capture):
+    """A file of angles that cannot be used must be named with the reason."""
+    folder = WORK / "angles"
+    folder.mkdir()
+    shutil.copy(capture, folder / "turn.pcap")
+    for lines, reason in (("1,15,0\n2,abc,0\n", "XT.csv: found the line '2,abc,0'"), ("1,15,0\n2,14,0\n", "XT.csv has angles of 2 lasers, expected 32")):
+        (folder / "XT.csv").write_text("Laser id,Elevation,Azimuth\n" + lines)
+        expect(names(run("info", folder / "turn.pcap"), "data sheet, because " + reason), reason)
+
+
 def test_written_again():
     """`convert --out FILE.pcap` must write the firings of a capture again, byte by byte."""
     for product in lidars.PRODUCTS:
@@ -424,6 +434,8 @@ def test_written_again():
         expect(again.with_suffix(".csv").exists() == product.hesai, f"{product.name}: the angles of the lasers")
         if product.name == "VLP-16":
             check_nothing_is_lost(capture)
+        if product.name == "XT32":
+            check_unused_angle_files(capture)
         found = read_capture(again)
         expect({len(p) for p in found} == {len(packets[0][1])}, f"{product.name}: bytes a packet")
         old, new = (firings_of(product, p, dual) for p in ([d for _, d in packets], found))

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <limits>
 #include <map>
 
 #include <fmt/format.h>
@@ -30,6 +31,8 @@ constexpr double kLargestOfHead = 1e12;   // maximum value of all lengths and ti
 constexpr double kFarthestWorld_m = 1e9;  // limit of the world's origin
 constexpr std::int64_t kMaxFrame = 99999999;
 constexpr std::size_t kMostFieldsOfPoint = 64;  // maximum number of fields of a point
+// A scan is missing if two scan numbers differ by this multiple of the smallest difference.
+constexpr double kMissingScan = 1.5;
 
 std::string read_text_or(const JsonField& field, const std::string& key, const std::string& default_value,
                          std::size_t max_length = kLongestName) {
@@ -74,7 +77,7 @@ glm::dquat read_quaternion(const JsonField& field) {
 Pose read_vehicle_from_sensor(const JsonField& field, const std::string& error_location) {
     if (field.is_array()) {
         const auto m = field.get_numbers<16>();
-        if (m[12] != 0.0 || m[13] != 0.0 || m[14] != 0.0 || m[15] != 1.0)
+        if (std::max({std::abs(m[12]), std::abs(m[13]), std::abs(m[14]), std::abs(m[15] - 1.0)}) > 1e-6)
             throw DataError(
                 fmt::format("{}: found a matrix with the last row {} {} {} {}, expected 0 0 0 1; "
                             "the matrix may be transposed",
@@ -203,6 +206,9 @@ bool is_text_point_file(const fs::path& file) {
     return file.extension() == ".csv" || file.extension() == ".xyz";
 }
 
+/// Returns true for files that other programs and systems make for their own use.
+bool is_hidden_file(const fs::path& file) { return file.filename().string().starts_with('.'); }
+
 /// Lists the scan files of each LiDAR, sorted by name. Frame times are computed from the
 /// constant frame rate `rate_hz`.
 std::vector<SequenceHeaderFrame> list_frames_in_scan_folders(double rate_hz,
@@ -217,7 +223,7 @@ std::vector<SequenceHeaderFrame> list_frames_in_scan_folders(double rate_hz,
         // Text files are scans only if the folder has no scans in other formats.
         // Otherwise they may contain time stamps.
         const bool has_scans = std::ranges::any_of(files, [](const fs::path& f) {
-            return !is_text_point_file(f) && (is_point_file(f) || is_image_file(f));
+            return !is_text_point_file(f) && (is_point_file(f) || is_image_file(f)) && !is_hidden_file(f);
         });
         for (const fs::path& file : files) {
             // A CSV file directly in the folder of the log may be a table of beams and
@@ -225,7 +231,7 @@ std::vector<SequenceHeaderFrame> list_frames_in_scan_folders(double rate_hz,
             const bool can_be_beam_table = file.extension() == ".csv" && file.parent_path() == log_folder;
             if ((is_point_file(file) && !can_be_beam_table && !(has_scans && is_text_point_file(file))) ||
                 is_image_file(file)) {
-                if (file.filename().string().starts_with('.')) continue;  // hidden file
+                if (is_hidden_file(file)) continue;
                 if (const auto [other, is_new] = scan_of_stem.try_emplace(file.stem().string(), file);
                     !is_new)
                     throw DataError(
@@ -260,17 +266,24 @@ std::vector<std::string> describe_missing_scans(const std::vector<SequenceHeader
     for (const SequenceHeaderFrame& frame : frames)
         stems[std::size_t(frame.lidar)].push_back(frame.scan.stem().string());
     for (std::size_t l = 0; l < lidars.size(); ++l) {
-        std::optional<int> step;
-        for (std::size_t i = 1; i < stems[l].size(); ++i) {
-            const std::optional<int> before = parse_file_stem_as_number(stems[l][i - 1]),
-                                     number = parse_file_stem_as_number(stems[l][i]);
-            if (!before || !number) break;
-            if (step && *number - *before > *step) {
-                notes.push_back(fmt::format("no scan was found between {} and {}; {}", stems[l][i - 1],
-                                            stems[l][i], consequence));
-                break;
-            }
-            step = *number - *before;
+        std::vector<int> numbers;
+        for (const std::string& stem : stems[l])
+            if (const std::optional<int> number = parse_file_stem_as_number(stem)) numbers.push_back(*number);
+        if (numbers.size() != stems[l].size()) numbers.clear();  // some names are no numbers
+        int smallest_step = std::numeric_limits<int>::max();
+        for (std::size_t i = 1; i < numbers.size(); ++i)
+            smallest_step = std::min(smallest_step, numbers[i] - numbers[i - 1]);
+        const bool is_sorted = smallest_step > 0;
+        for (std::size_t i = 1; i < numbers.size(); ++i) {
+            const int step = numbers[i] - numbers[i - 1];
+            if (is_sorted ? double(step) < kMissingScan * double(smallest_step) : step > 0) continue;
+            const std::string &before = stems[l][i - 1], &after = stems[l][i];
+            notes.push_back(
+                is_sorted ? fmt::format("no scan was found between {} and {}; {}", before, after, consequence)
+                          : fmt::format("the scans are sorted by name, so {} is before {}, because the "
+                                        "numbers have no leading zeros; {}",
+                                        before, after, consequence));
+            break;
         }
         if (stems[l].size() != stems[0].size())
             notes.push_back(fmt::format("LiDAR '{}' has {} scans, but LiDAR '{}' has {}; {}",

@@ -251,28 +251,28 @@ private:
     void add_note_if_point_times_implausible(std::size_t lidar_index,
                                              const std::vector<LidarPoints>& samples) {
         const std::optional<double> frame_step_s = find_median_frame_step_s(lidar_index);
-        std::vector<double> spans_s;
-        double farthest_s = 0.0;  // largest difference from the time of the frame
+        std::vector<double> spans_s, largest_offsets_s;
         for (const LidarPoints& points : samples) {
             if (points.time_offset_s.empty()) continue;
             const auto [first_s, last_s] = std::ranges::minmax(points.time_offset_s);
             spans_s.push_back(double(last_s) - double(first_s));
-            farthest_s = std::max({farthest_s, std::abs(double(first_s)), std::abs(double(last_s))});
+            largest_offsets_s.push_back(std::max(std::abs(double(first_s)), std::abs(double(last_s))));
         }
         if (!frame_step_s || spans_s.empty()) return;
-        const double span_s = compute_median(std::move(spans_s));
+        const double span_s = compute_median(std::move(spans_s)),
+                     offset_s = compute_median(std::move(largest_offsets_s));
         if (span_s < kShortestSpan * *frame_step_s || span_s > kLongestSpan * *frame_step_s)
             add_note_once(lidar_index,
                           fmt::format("the times of the points are probably wrong: those of one scan span "
                                       "{:.3g} s, but a new scan begins every {:.3g} s; check the unit of the "
                                       "times, and whether 32-bit numbers store absolute times",
                                       span_s, *frame_step_s));
-        else if (farthest_s > kLongestSpan * *frame_step_s)
+        else if (offset_s > kLongestSpan * *frame_step_s)
             add_note_once(lidar_index,
                           fmt::format("the times of the points are probably wrong: they differ by up to "
                                       "{:.3g} s from the time of their scan, but a new scan begins every "
                                       "{:.3g} s; check whether the times are relative to the scan",
-                                      farthest_s, *frame_step_s));
+                                      offset_s, *frame_step_s));
     }
 
     void choose_scan_conversion_plan_of_lidar(std::size_t lidar_index,
@@ -293,9 +293,11 @@ private:
         for (std::size_t k = 0; samples.empty() && k < frame_indices.size(); ++k)
             add_sample(frame_indices[k]);
         if (samples.empty()) broken_.note_broken_scans_or_throw_if_all_broken(sequence_, broken_.size());
-        if (samples.empty())
-            throw DataError(fmt::format("{}: no scan of LiDAR '{}' has a point with finite coordinates",
-                                        sequence_.source, sequence_.lidars[lidar_index].name));
+        if (samples.empty()) {
+            add_note_once(lidar_index, "no scan has a point with finite coordinates");
+            if (head_.lidars[lidar_index].has_beams) use_known_beams_of_lidar(lidar_index);
+            return;
+        }
         plan.has_rings = !samples[0].ring.empty();
         plan.has_times = !samples[0].time_offset_s.empty();
         plan.undo = head_.motion_compensated && has_poses_ && plan.has_times;

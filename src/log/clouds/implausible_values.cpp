@@ -21,8 +21,9 @@ constexpr double kFastest_mps = 100.0, kShortestJump_m = 2.0;
 // of its neighbours. This number of scans before and after it are neighbours.
 constexpr double kLeastReturns = 0.5;
 constexpr std::ptrdiff_t kNeighbours = 5;
-// If the largest intensity of a log is smaller, the scale of the intensities is probably
-// wrong. The limit is above 1/255, the result of dividing values of 0 to 1 by 255.
+// If the largest intensity of a LiDAR is smaller, the scale of the intensities is
+// probably wrong. The limit is above 1/255, the result of dividing values of 0 to 1 by
+// 255.
 constexpr float kDarkest = 0.005f;
 // If a larger share of the returns has the maximum intensity, the scale is probably
 // wrong.
@@ -103,8 +104,9 @@ void add_note_about_scans_with_few_returns(LidarSequence& sequence,
     std::vector<int> frame_numbers;
     for (std::size_t i = 0; i < by_frame.size(); ++i) {
         const LidarFrame& frame = sequence.frames[i];
-        // The scans of some frames are not read, if only a few scans are needed.
-        if (frame.lidar != int(lidar_index) || frame.scan.range_m.empty()) continue;
+        if (frame.lidar != int(lidar_index)) continue;
+        // If only a few scans of the log are read, they are no neighbours.
+        if (frame.scan.rays.rows == 0) return;
         n_returns.push_back(by_frame[i].n_returns);
         frame_numbers.push_back(frame.index);
     }
@@ -133,6 +135,7 @@ void add_note_about_scans_with_few_returns(LidarSequence& sequence,
 std::string describe_implausible_scale(const ReturnStatistics& statistics, const std::string& lidar_name) {
     if (statistics.n_returns == 0) return "";
     const std::string of_lidar = lidar_name.empty() ? "" : " of LiDAR '" + lidar_name + "'";
+    if (statistics.highest == 0.0f) return kScaleNote + fmt::format("all intensities{} are 0", of_lidar);
     if (statistics.highest < kDarkest)
         return kScaleNote +
                fmt::format("the largest intensity{} is {:.2g} of the maximum", of_lidar, statistics.highest);

@@ -44,22 +44,31 @@ bool is_network_capture(const std::filesystem::path& file) {
 /// the user needs.
 void require_replaceable_capture(const std::filesystem::path& capture, const std::string& log_path,
                                  bool overwrite) {
+    namespace fs = std::filesystem;
     std::error_code failed;
-    if (std::filesystem::equivalent(capture, log_path, failed))
+    const bool exists = fs::exists(capture, failed);
+    const fs::path folder = capture.has_parent_path() ? capture.parent_path() : fs::path(".");
+    if (exists && (fs::equivalent(capture, log_path, failed) || fs::equivalent(folder, log_path, failed)))
+        throw UsageError(fmt::format("--out {}: this file is the log or a part of it; expected another name",
+                                     capture.string()));
+    if (exists && !overwrite)
         throw UsageError(
-            fmt::format("--out {}: this file is the log; expected another name", capture.string()));
-    for (const char* ending : {".pcap", ".csv", ".json"}) {
-        const std::filesystem::path file = std::filesystem::path(capture).replace_extension(ending);
-        if (!overwrite && std::filesystem::exists(file))
-            throw UsageError(fmt::format(
-                "--out {}: the file {} exists; expected a new name, or --force to replace the file",
-                capture.string(), file.string()));
-    }
-    if (std::filesystem::exists(capture) && !is_network_capture(capture))
+            fmt::format("--out {}: a file with this name exists; expected a new name, or --force "
+                        "to replace the file",
+                        capture.string()));
+    if (exists && !is_network_capture(capture))
         throw UsageError(
             fmt::format("--out {}: the existing file is not a network capture, so --force does "
                         "not replace it; expected another name",
                         capture.string()));
+    for (const char* ending : {".csv", ".json"}) {
+        const fs::path file = fs::path(capture).replace_extension(ending);
+        if (!exists && fs::exists(file, failed))
+            throw UsageError(
+                fmt::format("--out {}: the file {} exists, and relidar may need this name for the "
+                            "calibration of the sensor; expected another name",
+                            capture.string(), file.string()));
+    }
 }
 
 /// Writes a log as a capture file with the network packets that the sensor would send.

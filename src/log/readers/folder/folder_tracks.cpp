@@ -218,8 +218,7 @@ void add_note_if_poses_are_sparse(const PoseTrack& track, const std::vector<Sequ
                                   const std::string& file_name, std::vector<std::string>& notes) {
     std::vector<double> frame_times_s;
     for (const SequenceHeaderFrame& frame : frames)
-        if (frame_times_s.empty() || frame.time_s > frame_times_s.back())
-            frame_times_s.push_back(frame.time_s);
+        if (frame.lidar == frames.front().lidar) frame_times_s.push_back(frame.time_s);
     if (track.time_s.size() < 2 || frame_times_s.size() < 2) return;
     const double pose_step_s = compute_median_interval_s(track.time_s),
                  frame_step_s = compute_median_interval_s(frame_times_s);

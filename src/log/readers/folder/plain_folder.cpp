@@ -88,14 +88,17 @@ std::vector<Pose> read_vehicle_poses_or_identities(const fs::path& folder,
                                                    std::vector<std::string>& notes) {
     const fs::path file = folder / folder::kPosesFile;
     const auto pairs = [&] { return read_consecutive_scan_pairs(sequence_header, frames); };
+    std::vector<std::string> unused_notes;
     try {
-        if (const auto poses = folder::read_frame_poses(file, frames, pairs, notes)) return *poses;
+        if (const auto poses = folder::read_frame_poses(file, frames, pairs,
+                                                        options.poses_file.empty() ? notes : unused_notes))
+            return *poses;
     } catch (const DataError& error) {
         if (options.poses_file.empty()) throw;
-        notes.push_back(
-            fmt::format("{}; the poses of this file are not used, so boxes in world coordinates "
-                        "may be at wrong places",
-                        error.what()));
+        // The poses are replaced later, but boxes in world coordinates need them.
+        if (does_path_exist(folder / folder::kBoxesFile))
+            notes.push_back(
+                fmt::format("{}; boxes in world coordinates may be at wrong places", error.what()));
     }
     if (!options.poses_file.empty()) return std::vector<Pose>(frames.size());
     throw DataError(

@@ -156,12 +156,19 @@ private:
     /// several match, because nothing shows which file belongs to the sensor.
     void set_laser_angles_if_one_file_matches(const std::vector<AngleCorrection>& corrections) {
         const std::size_t n = layout_.count_lasers_per_firing();
-        std::string files;
+        std::string files, reasons;  // reasons: why other files are not used
         for (const AngleCorrection& correction : corrections) {
             if (correction.lasers.size() != n && correction.is_named)
                 throw DataError(fmt::format("{}: found the angles of {} lasers, expected {} for a {}",
                                             correction.where, correction.lasers.size(), n, layout_.name));
-            if (correction.lasers.size() != n) continue;
+            if (correction.lasers.size() != n) {
+                reasons += reasons.empty() ? ", because " : "; ";
+                reasons += correction.problem.empty()
+                               ? fmt::format("{} has angles of {} lasers, expected {}", correction.where,
+                                             correction.lasers.size(), n)
+                               : correction.problem;
+                continue;
+            }
             if (!files.empty()) {
                 angles_.clear();
                 angles_about_ = fmt::format(
@@ -174,6 +181,7 @@ private:
             angles_ = correction.lasers;
             angles_about_ = "beam angles from " + files;
         }
+        if (files.empty()) angles_about_ += reasons;
     }
 
     /// Some sensors alternate between two sets of lasers. Returns the index of the set

@@ -43,7 +43,7 @@ bool is_angle_correction_file(const fs::path& file) {
            is_equal_ignoring_case(header[2], "azimuth");
 }
 
-/// Reads all angle correction files in a folder. Ignores unreadable files.
+/// Reads all angle correction files in a folder.
 void add_angle_corrections_in_folder(const fs::path& folder, std::vector<AngleCorrection>& corrections) {
     std::vector<fs::path> files;
     std::error_code failed;
@@ -54,8 +54,8 @@ void add_angle_corrections_in_folder(const fs::path& folder, std::vector<AngleCo
         try {
             if (corrections.size() < kMostCorrections && is_angle_correction_file(file))
                 corrections.push_back(parse_angle_correction(read_text_file(file), file.filename().string()));
-        } catch (const DataError&) {
-            continue;
+        } catch (const DataError& error) {
+            corrections.push_back({file.filename().string(), false, {}, error.what()});
         }
     }
 }
