@@ -31,7 +31,8 @@ constexpr double kLargestOfHead = 1e12;   // maximum value of all lengths and ti
 constexpr double kFarthestWorld_m = 1e9;  // limit of the world's origin
 constexpr std::int64_t kMaxFrame = 99999999;
 constexpr std::size_t kMostFieldsOfPoint = 64;  // maximum number of fields of a point
-// A scan is missing if two scan numbers differ by this multiple of the smallest difference.
+// A scan is missing if two scan numbers differ by this multiple of the smallest
+// difference.
 constexpr double kMissingScan = 1.5;
 
 std::string read_text_or(const JsonField& field, const std::string& key, const std::string& default_value,

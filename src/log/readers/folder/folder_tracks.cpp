@@ -244,6 +244,8 @@ double find_label_time_s(const JsonField& label, const std::vector<SequenceHeade
 Pose read_label_pose(const JsonField& label) {
     const auto p = label.at("position").get_numbers<3>();
     const glm::dvec3 position(p[0], p[1], p[2]);
+    if (label.has_member("yaw_deg") && label.has_member("quaternion"))
+        label.throw_field_error("found both \"yaw_deg\" and \"quaternion\"", "expected one of the two keys");
     if (label.has_member("yaw_deg"))
         return {glm::angleAxis(label.at("yaw_deg").get_number_in_range(-1e6, 1e6) * kPi / 180.0,
                                glm::dvec3(0, 0, 1)),
@@ -271,7 +273,8 @@ std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
                                                   const OverlapScanPairReader& read_scan_pairs_for_pose_check,
                                                   std::vector<std::string>& notes) {
     if (!does_path_exist(pose_file)) return std::nullopt;
-    const std::vector<std::string> lines = split_lines(read_text_file(pose_file));
+    std::vector<std::string> lines = split_lines(read_text_file(pose_file));
+    for (std::string& line : lines) std::ranges::replace(line, ',', ' ');
     const auto first = std::find_if(lines.begin(), lines.end(),
                                     [](const std::string& line) { return !strip_comment(line).empty(); });
     if (first == lines.end())

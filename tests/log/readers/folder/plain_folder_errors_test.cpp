@@ -180,6 +180,8 @@ TEST_F(FolderDamage, OfPosesAndBoxes) {
     expect("boxes.json", good.substr(0, 30), "boxes.json ... JSON");
     expect("boxes.json", replace_text(good, "\"yaw_deg\": 0", "\"yaw\": 0"),
            "boxes[0] ... 'yaw' ... track, category, time_s");
+    expect("boxes.json", replace_text(good, "\"yaw_deg\": 0", "\"yaw_deg\": 0, \"quaternion\": [1, 0, 0, 0]"),
+           "boxes[0] ... both \"yaw_deg\" and \"quaternion\"");
     expect("boxes.json", replace_text(good, "[4, 2, 1]", "[4, 2, 0]"), "box 'a' ... size 4 x 2 x 0 m");
     expect("boxes.json", replace_text(good, "\"time_s\": 0", "\"frame\": 9"), "frame ... 9 ... frame");
 }
@@ -261,6 +263,23 @@ TEST_F(FolderDamage, TimesInWrongUnitAreNoted) {
     put("scans/b.pcd", test::make_pcd_binary(points));
     EXPECT_THAT(fmt::format("{}", fmt::join(load_sequence("folder:" + folder.string(), {}).notes, "; ")),
                 test::Names("times of the points are probably wrong ... differ by up to 5"));
+}
+
+TEST_F(FolderDamage, PosesMayBeSeparatedByCommas) {
+    const auto load_poses = [&](const std::string& text) {
+        put("poses.txt", text);
+        return load_sequence("folder:" + folder.string(), {}).world_from_vehicle.pose;
+    };
+    const std::string values = "0 1 2 3 1 0 0 0\n0.1 2 2 3 1 0 0 0\n";
+    const std::vector<Pose> expected = load_poses(values);
+    for (const std::string header : {"", "timestamp,tx,ty,tz,qw,qx,qy,qz\n"}) {
+        std::string text = values;
+        std::ranges::replace(text, ' ', ',');
+        const std::vector<Pose> poses = load_poses(header + text);
+        ASSERT_EQ(poses.size(), expected.size());
+        for (std::size_t i = 0; i < poses.size(); ++i)
+            EXPECT_EQ(poses[i].translation, expected[i].translation) << header;
+    }
 }
 
 TEST_F(FolderDamage, PoseTimesInWrongUnitAreNoted) {

@@ -223,11 +223,15 @@ TEST(BlockPackets, AngleFilesNextToABag) {
     write("drive/metadata.yaml", "");
     write("poses.csv", "time,x,y\n1,2,3\n");
     write("damaged.csv", "Laser id,Elevation,Azimuth\n1,2,north\n");
-    EXPECT_TRUE(packets::find_angle_corrections({recording}).empty());
+    const auto damaged = packets::find_angle_corrections({recording});
+    ASSERT_EQ(damaged.size(), 1u) << "poses.csv has no angles";
+    EXPECT_TRUE(damaged[0].lasers.empty());
+    EXPECT_NE(damaged[0].problem.find("damaged.csv: found the line '1,2,north'"), std::string::npos);
     write("PandarXT.csv", "Channel,Elevation,Azimuth\n1,2,0\n2,1,0\n");
     const auto any = packets::find_angle_corrections({recording});
-    ASSERT_EQ(any.size(), 1u);
+    ASSERT_EQ(any.size(), 2u);
     EXPECT_EQ(any[0].where, "PandarXT.csv");
+    EXPECT_EQ(any[0].problem, "");
     EXPECT_FALSE(any[0].is_named);
     write("drive.csv", "Laser id,Elevation,Azimuth\n1,3,0\n");
     const auto named = packets::find_angle_corrections({recording});
