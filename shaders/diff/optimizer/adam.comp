@@ -42,10 +42,9 @@ void update_value_with_adam(uint row, uint block_begin, uint index_in_block, boo
     params.values.at[i] = value;
 }
 
-/// Updates the values of one row with an Adam step. With ONE_THREAD_PER_FLOAT, updates
-/// only one value of the row.
-/// @param row_or_value index of the row, or with ONE_THREAD_PER_FLOAT, index of a single
-/// value
+/// Updates all values of a row with an Adam step. With ONE_THREAD_PER_FLOAT, updates a
+/// single value.
+/// @param row_or_value index of the row; with ONE_THREAD_PER_FLOAT, index of the value
 void update_row_with_adam(uint row_or_value) {
     uint n_updated = params.n_blocks * params.n_active,
          row = ONE_THREAD_PER_FLOAT ? row_or_value / n_updated : row_or_value;

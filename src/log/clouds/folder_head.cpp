@@ -260,8 +260,7 @@ std::vector<std::string> describe_missing_scans(const std::vector<SequenceHeader
                                                 const std::vector<SequenceHeaderLidar>& lidars) {
     const char* consequence =
         "with \"rate_hz\", the position of a scan in its folder determines its time and its pose; use the "
-        "key "
-        "\"frames\" in sequence.json if scans are missing";
+        "key \"frames\" in sequence.json if scans are missing";
     std::vector<std::string> notes;
     std::vector<std::vector<std::string>> stems(lidars.size());
     for (const SequenceHeaderFrame& frame : frames)

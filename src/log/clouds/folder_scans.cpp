@@ -292,20 +292,19 @@ private:
         for (std::size_t k = 0; k < n; ++k) add_sample(frame_indices[k * frame_indices.size() / n]);
         for (std::size_t k = 0; samples.empty() && k < frame_indices.size(); ++k)
             add_sample(frame_indices[k]);
-        if (samples.empty()) broken_.note_broken_scans_or_throw_if_all_broken(sequence_, broken_.size());
         if (samples.empty()) {
+            broken_.note_broken_scans_or_throw_if_all_broken(sequence_, broken_.size());
             add_note_once(lidar_index, "no scan has a point with finite coordinates");
-            if (head_.lidars[lidar_index].has_beams) use_known_beams_of_lidar(lidar_index);
-            return;
         }
-        plan.has_rings = !samples[0].ring.empty();
-        plan.has_times = !samples[0].time_offset_s.empty();
+        plan.has_rings = samples.empty() || !samples[0].ring.empty();
+        plan.has_times = samples.empty() || !samples[0].time_offset_s.empty();
         plan.undo = head_.motion_compensated && has_poses_ && plan.has_times;
         SpinningSensor& sensor = sequence_.lidars[lidar_index].sensor;
         if (sensor.period_s == 0.0 || !head_.lidars[lidar_index].has_beams)
             sensor.period_s = get_or_estimate_sweep_duration_s(lidar_index);
         if (head_.lidars[lidar_index].has_beams) use_known_beams_of_lidar(lidar_index);
-        else if (head_.lidars[lidar_index].spins) fit_spinning_sensor_or_note_why_not(lidar_index, samples);
+        else if (head_.lidars[lidar_index].spins && !samples.empty())
+            fit_spinning_sensor_or_note_why_not(lidar_index, samples);
         if (!plan.ordered) sensor.period_s = 0.0;
         if (plan.ordered && !plan.has_times && !head_.motion_compensated)
             add_note_once(lidar_index,

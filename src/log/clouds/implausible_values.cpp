@@ -39,6 +39,11 @@ constexpr const char* kScaleNote = "the scale of the intensities is probably wro
 constexpr const char* kEqualNote = "all intensities of the log are ";
 constexpr const char* kBoxNote = "the boxes are probably wrong: ";
 
+/// Returns " of LiDAR 'NAME'", or an empty text if the LiDAR has no name.
+std::string format_of_lidar(const Lidar& lidar) {
+    return lidar.name.empty() ? "" : " of LiDAR '" + lidar.name + "'";
+}
+
 int find_frame_number_at(const LidarSequence& sequence, double time_s) {
     const auto frame = std::ranges::lower_bound(sequence.frames, time_s, {}, &LidarFrame::time_s);
     return frame == sequence.frames.end() ? sequence.frames.back().index : frame->index;
@@ -122,19 +127,18 @@ void add_note_about_scans_with_few_returns(LidarSequence& sequence,
         usual_of_worst = usual;
     }
     if (n_small == 0) return;
-    const std::string& name = sequence.lidars[lidar_index].name;
     sequence.notes.push_back(
         kReturnsNote + fmt::format("{} of {} scans{} have fewer than half of the returns of neighbouring "
                                    "scans; frame {} has only {} instead of about {}",
-                                   n_small, n_returns.size(), name.empty() ? "" : " of LiDAR '" + name + "'",
+                                   n_small, n_returns.size(), format_of_lidar(sequence.lidars[lidar_index]),
                                    frame_numbers[worst], n_returns[worst], usual_of_worst));
 }
 
 /// Returns a note if the intensities probably have a wrong scale. Otherwise returns an
 /// empty text.
-std::string describe_implausible_scale(const ReturnStatistics& statistics, const std::string& lidar_name) {
+std::string describe_implausible_scale(const ReturnStatistics& statistics, const Lidar& lidar) {
     if (statistics.n_returns == 0) return "";
-    const std::string of_lidar = lidar_name.empty() ? "" : " of LiDAR '" + lidar_name + "'";
+    const std::string of_lidar = format_of_lidar(lidar);
     if (statistics.highest == 0.0f) return kScaleNote + fmt::format("all intensities{} are 0", of_lidar);
     if (statistics.highest < kDarkest)
         return kScaleNote +
@@ -161,7 +165,7 @@ void add_notes_about_intensities(LidarSequence& sequence, const std::vector<Retu
         return;
     }
     for (std::size_t l = 0; l < by_lidar.size(); ++l)
-        if (const std::string note = describe_implausible_scale(by_lidar[l], sequence.lidars[l].name);
+        if (const std::string note = describe_implausible_scale(by_lidar[l], sequence.lidars[l]);
             !note.empty())
             sequence.notes.push_back(note);
 }

@@ -383,6 +383,26 @@ TEST(PlainFolder, AScanWithoutValidPointsHasOnlyDroppedRays) {
     }
 }
 
+TEST(PlainFolder, ALogWithoutValidPointsIsRead) {
+    const PointLog log("no_points", "bin", test::bin, "");
+    for (std::size_t i = 0; i < log.street.frames.size(); ++i) {
+        test::FilePoints points = PointLog::points(log.street.frames[i]);
+        for (test::FilePoint& p : points) p.point_m = glm::vec3(NAN);
+        test::write_text(log.folder / fmt::format("scans/{:02}.bin", i), test::bin(points));
+    }
+    for (const bool has_sensor : {false, true}) {
+        test::write_text(log.folder / "sequence.json",
+                         make_head(10.0, R"("x", "y", "z", "intensity", "ring")",
+                                   has_sensor ? R"(, "lidars": [{"sensor": "VLP-16:900x10"}])" : ""));
+        const LidarSequence sequence = load_sequence(log.folder.string(), {});
+        ASSERT_EQ(sequence.frames.size(), 4u);
+        EXPECT_EQ(sequence.frames[1].scan.count_returns(), 0u);
+        EXPECT_EQ(sequence.frames[1].scan.range_m.size(), has_sensor ? 16u * 900u : 0u);
+        EXPECT_THAT(fmt::format("{}", fmt::join(sequence.notes, "\n")),
+                    test::Names("no scan has a point with finite coordinates"));
+    }
+}
+
 TEST(PlainFolder, NotesASensorThatDoesNotFitThePoints) {
     const PointLog log("other_sensor", "bin", test::bin, "");
     const std::string columns = R"("x", "y", "z", "intensity", "unused")";
