@@ -65,7 +65,7 @@ constexpr DatasetKind kKinds[] = {
     {"once", "lidar_roof", "a ONCE sequence", load_once_dataset},
     {"folder", "sequence.json", "a plain folder", load_plain_folder},
     {"synthetic", "street.toml", "a synthetic street", load_synthetic_dataset},
-    {"rosbag", ".mcap .db3 .bag metadata.yaml", "a ROS bag", load_ros_bag},
+    {"rosbag", ".mcap .db3 .bag .mcap.zstd .db3.zstd metadata.yaml", "a ROS bag", load_ros_bag},
     {"pcap", ".pcap .pcapng .pcap.gz .pcapng.gz", "a capture of LiDAR packets", load_ros_bag},
 };
 

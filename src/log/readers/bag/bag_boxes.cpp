@@ -141,11 +141,11 @@ LoadedBoxTracks read_box_tracks_from_bag(const BagRecording& bag, const BoxTopic
                                          const std::vector<double>& frame_times_s) {
     const double step_s = compute_median_interval_s(frame_times_s);
     BoxMessageReader reader(transform_context, frame_times_s.front() - step_s, frame_times_s.back() + step_s);
+    const BagTopic& topic = bag.topics()[box_topic.topic];
     for (const BoxIndexEntry& entry : box_topic.lists)
         if (reader.is_in_time_range(reader.choose_stamp_as_log_time_s(entry.stamp_ns, entry.log_ns)))
             reader.add_labels_in_world_frame(
-                read_boxes_of_message(bag.topics()[box_topic.topic],
-                                      bag.read_message_bytes(entry.message_position).bytes),
+                read_boxes_of_message(topic, bag.read_message_bytes(topic, entry.message_position).bytes),
                 entry.log_ns);
     return reader.make_tracks_of_collected_labels();
 }

@@ -3,11 +3,15 @@
 
 #include <algorithm>
 #include <array>
+#include <map>
+#include <optional>
+#include <utility>
 
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
 
+#include "base/codecs/unpack.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/unpacked_file.hpp"
 
@@ -25,16 +29,10 @@ bool is_pcap_file(const fs::path& file) {
     return ending == ".pcap" || ending == ".pcapng";
 }
 
-/// The parts of rosbag2's metadata.yaml that describe the files. The parser reads line by
-/// line and accepts only the layout that rosbag2 writes.
-struct RosbagMetadata {
+/// Returns the files that rosbag2's metadata.yaml lists. The parser reads line by line
+/// and accepts only the layout that rosbag2 writes.
+std::vector<std::string> read_files_of_metadata(const fs::path& file) {
     std::vector<std::string> files;
-    /// compression ("zstd"), and what is compressed ("file" or "message"), in lower case
-    std::string compression, mode;
-};
-
-RosbagMetadata read_rosbag2_metadata(const fs::path& file) {
-    RosbagMetadata metadata;
     bool in_files = false;
     for (const std::string& line : split_lines(read_text_file(file))) {
         const std::string_view text = trim_blanks_at_both_ends(line);
@@ -47,14 +45,36 @@ RosbagMetadata read_rosbag2_metadata(const fs::path& file) {
             return std::string(value);
         };
         if (text.starts_with("relative_file_paths:")) in_files = true;
-        else if (in_files && text.starts_with("- ")) metadata.files.push_back(value_of("- "));
+        else if (in_files && text.starts_with("- ")) files.push_back(value_of("- "));
         else in_files = false;
-        if (text.starts_with("compression_format:")) metadata.compression = value_of("compression_format:");
-        if (text.starts_with("compression_mode:")) metadata.mode = value_of("compression_mode:");
     }
-    std::ranges::transform(metadata.mode, metadata.mode.begin(),
-                           [](unsigned char character) { return char(std::tolower(character)); });
-    return metadata;
+    return files;
+}
+
+/// Returns a file of the recording. If it does not exist, returns its compressed or
+/// unpacked copy, because metadata.yaml may name either.
+fs::path find_file_or_packed_copy(const fs::path& file) {
+    for (const fs::path& other : {fs::path(file.string() + ".zstd"), remove_zstd_extension(file)})
+        if (!does_path_exist(file) && does_path_exist(other)) return other;
+    return file;
+}
+
+/// Unpacks a message that rosbag2 compressed with zstd. A serialized message cannot begin
+/// like zstd data. Returns nothing if the message is not compressed.
+std::optional<std::string> unpack_message(const BagTopic& topic, std::string_view bytes) {
+    if (topic.encoding != "cdr" || !bytes.starts_with(kZstdMagic)) return std::nullopt;
+    // maximum size of an unpacked message in bytes; messages that unpack to at most
+    // kMostGrowth times their size may be larger
+    constexpr std::size_t kMostMessageBytes = std::size_t(64) << 20, kMostGrowth = 100;
+    std::string unpacked;
+    const bool is_complete = stream_zstd(
+        [&] { return std::exchange(bytes, {}); },
+        [&, most = std::max(kMostMessageBytes, kMostGrowth * bytes.size())](std::string_view block) {
+            if (unpacked.append(block).size() > most)
+                throw DataError(fmt::format("found more than {} unpacked bytes", most));
+        });
+    if (!is_complete) throw DataError("the zstd data of the message are truncated");
+    return unpacked;
 }
 
 }  // namespace
@@ -70,16 +90,12 @@ std::size_t TopicTable::find_or_add_topic_index(BagTopic topic) {
 }
 
 BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
-    RosbagMetadata metadata;
     if (!fs::is_directory(path)) {
         paths_ = {path};
-        if (does_path_exist(path.parent_path() / kMetadata))
-            metadata = read_rosbag2_metadata(path.parent_path() / kMetadata);
     } else if (does_path_exist(path / kMetadata)) {
-        metadata = read_rosbag2_metadata(path / kMetadata);
-        for (const std::string& name : metadata.files) {
+        for (const std::string& name : read_files_of_metadata(path / kMetadata)) {
             // Uses only the file name, because the folder may have been renamed.
-            const fs::path file = path / fs::path(name).filename();
+            const fs::path file = find_file_or_packed_copy(path / fs::path(name).filename());
             if (does_path_exist(file)) paths_.push_back(file);
             else
                 add_note_once(fmt::format("{}: this file of the recording is listed in {} but missing",
@@ -91,7 +107,8 @@ BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
     if (paths_.empty()) {
         for (const fs::path& file : list_folder_entries(path))
             if (is_pcap_file(file) ||
-                std::ranges::find(kEndings, file.extension().string()) != kEndings.end())
+                (std::ranges::find(kEndings, remove_zstd_extension(file).extension()) != kEndings.end() &&
+                 (remove_zstd_extension(file) == file || !does_path_exist(remove_zstd_extension(file)))))
                 paths_.push_back(file);
         std::ranges::stable_sort(paths_, {},
                                  [](const fs::path& file) { return file.filename().string().size(); });
@@ -100,18 +117,18 @@ BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
         throw DataError(fmt::format(
             "{}: found no file of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string()));
     for (const fs::path& file : paths_) {
-        const std::string ending = file.extension().string();
-        if (ending == ".zstd")
-            throw DataError(
-                fmt::format("{}: rosbag2 has compressed this file; unpack it with `zstd -d {}` and remove "
-                            ".zstd from its name in {}",
-                            file.string(), file.filename().string(), kMetadata));
-        if (is_pcap_file(file)) files_.push_back(open_pcap_file(file));
-        else if (ending == ".bag") files_.push_back(open_ros1_bag(file, skip_broken));
-        else if (ending == ".db3")
-            files_.push_back(
-                open_rosbag2_sqlite(file, metadata.mode == "message" && metadata.compression == "zstd"));
-        else files_.push_back(open_mcap_file(file, skip_broken));
+        const std::string ending = remove_zstd_extension(file).extension().string();
+        if (is_pcap_file(file)) {
+            files_.push_back(open_pcap_file(file));
+            continue;
+        }
+        const UnpackedZstdFile unpacked(file);
+        if (unpacked.is_truncated())
+            add_note_once(
+                fmt::format("{}: the zstd data are truncated; later messages are missing", file.string()));
+        if (ending == ".bag") files_.push_back(open_ros1_bag(unpacked.path(), skip_broken));
+        else if (ending == ".db3") files_.push_back(open_rosbag2_sqlite(unpacked.path()));
+        else files_.push_back(open_mcap_file(unpacked.path(), skip_broken));
     }
 }
 
@@ -127,6 +144,7 @@ void BagRecording::add_note_once(const std::string& text) {
 
 void BagRecording::for_each_message(const TopicFilter& filter, const MessageCallback& callback,
                                     const ProgressReporter& progress) {
+    std::map<std::size_t, bool> noted_topics;  ///< topics with a note about recording times
     for (std::size_t f = 0; f < files_.size(); ++f) {
         double last_reported_fraction = -1.0;
         const auto done = [&](double share) {
@@ -134,11 +152,23 @@ void BagRecording::for_each_message(const TopicFilter& filter, const MessageCall
             last_reported_fraction = share;
             progress("reading the recording", (double(f) + share) / double(files_.size()));
         };
+        std::int64_t last_ns = 0;
         const MessageCallback of_file = [&](BagMessage message) {
-            if (message.log_ns < 0 || message.log_ns > kLatest_ns)
-                throw DataError(
-                    fmt::format("found a message with the recording time {} ns, expected 0 to {} ns",
-                                message.log_ns, kLatest_ns));
+            const BagTopic& topic = topics_.topics()[message.topic];
+            const std::int64_t log_ns = message.log_ns;
+            const bool is_possible = log_ns >= 0 && log_ns <= kLatest_ns;
+            if (!is_possible) message.log_ns = last_ns;
+            last_ns = message.log_ns;
+            std::optional<std::string> unpacked;
+            if (filter(topic)) {
+                if (!is_possible && std::exchange(noted_topics[message.topic], true) == false)
+                    add_note_once(fmt::format(
+                        "topic {}: a message has the recording time {} ns, expected 0 to {} ns; the time of "
+                        "the previous message is used",
+                        shorten_for_error_message(topic.name), log_ns, kLatest_ns));
+                unpacked = unpack_message(topic, message.bytes);
+                if (unpacked) message.bytes = *unpacked;
+            }
             message.message_position.file = std::uint32_t(f);
             callback(message);
         };
@@ -147,9 +177,12 @@ void BagRecording::for_each_message(const TopicFilter& filter, const MessageCall
     }
 }
 
-SharedBytes BagRecording::read_message_bytes(const MessagePosition& message_position) const {
+SharedBytes BagRecording::read_message_bytes(const BagTopic& topic,
+                                             const MessagePosition& message_position) const {
     try {
-        return files_.at(message_position.file)->read_message_bytes(message_position);
+        SharedBytes bytes = files_.at(message_position.file)->read_message_bytes(message_position);
+        std::optional<std::string> unpacked = unpack_message(topic, bytes.bytes);
+        return unpacked ? make_shared_bytes(std::move(*unpacked)) : bytes;
     } catch (const DataError& error) {
         throw DataError(fmt::format("{}: {}", paths_.at(message_position.file).string(), error.what()));
     }

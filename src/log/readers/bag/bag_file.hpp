@@ -92,9 +92,7 @@ std::unique_ptr<BagFile> open_mcap_file(const std::filesystem::path& file, bool 
 std::unique_ptr<BagFile> open_pcap_file(const std::filesystem::path& file);
 std::unique_ptr<BagFile> open_ros1_bag(const std::filesystem::path& file, bool skip_damaged_chunks);
 /// Opens a rosbag2 file in SQLite format.
-/// @param are_messages_zstd_compressed  true if each message is compressed with zstd
-std::unique_ptr<BagFile> open_rosbag2_sqlite(const std::filesystem::path& file,
-                                             bool are_messages_zstd_compressed);
+std::unique_ptr<BagFile> open_rosbag2_sqlite(const std::filesystem::path& file);
 
 /// A recording that consists of one or several files.
 class BagRecording {
@@ -115,8 +113,8 @@ public:
     /// Reads the messages of all files in order and passes each one to `callback`.
     void for_each_message(const TopicFilter& filter, const MessageCallback& callback,
                           const ProgressReporter& progress = {});
-    /// Reads the bytes of one message. Thread-safe.
-    SharedBytes read_message_bytes(const MessagePosition& message_position) const;
+    /// Reads the bytes of one message of a topic. Thread-safe.
+    SharedBytes read_message_bytes(const BagTopic& topic, const MessagePosition& message_position) const;
 
 private:
     std::vector<std::filesystem::path> paths_;

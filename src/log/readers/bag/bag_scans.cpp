@@ -28,8 +28,9 @@ double find_earliest_point_time(const folder::PointTable& table) {
 
 folder::PointTable read_cloud_as_point_table(const BagRecording& bag, const CloudTopic& cloud_topic,
                                              const MessagePosition& location) {
-    const SharedBytes message = bag.read_message_bytes(location);
-    return make_point_table(read_cloud_of_message(bag.topics()[cloud_topic.topic], message.bytes), message);
+    const BagTopic& topic = bag.topics()[cloud_topic.topic];
+    const SharedBytes message = bag.read_message_bytes(topic, location);
+    return make_point_table(read_cloud_of_message(topic, message.bytes), message);
 }
 
 }  // namespace
@@ -120,12 +121,14 @@ Scan BagScanProvider::read_rays_of_frame(std::size_t frame_index) const {
     const std::vector<packets::PacketIndex::PacketMessageSource> sources =
         clouds.packets.find_messages_of_revolution(revolution);
     std::vector<SharedBytes> messages;
-    for (const auto& source : sources) messages.push_back(bag_.read_message_bytes(source.message_position));
+    const BagTopic& topic = bag_.topics()[clouds.topic];
+    for (const auto& source : sources)
+        messages.push_back(bag_.read_message_bytes(topic, source.message_position));
     std::vector<std::vector<packets::ReceivedPacket>> packets;
     MessageHeader header;
     for (std::size_t m = 0; m < messages.size(); ++m)
-        packets.push_back(relidar::packets::read_packets_of_message(
-            bag_.topics()[clouds.topic], messages[m].bytes, sources[m].log_ns, header));
+        packets.push_back(
+            relidar::packets::read_packets_of_message(topic, messages[m].bytes, sources[m].log_ns, header));
     const auto shift_ns = std::int64_t(std::llround(1e9 * (at.time_s - at.cloud_s)));
     return clouds.packets.decode_revolution(revolution, packets, lidars_[at.lidar].sensor,
                                             revolution.forward_ns + shift_ns);

@@ -2,6 +2,7 @@
 // Reads point clouds, transforms and boxes in Foxglove's protobuf schemas. `relidar
 // render --format mcap` writes these schemas.
 #include <cmath>
+#include <utility>
 
 #include <fmt/format.h>
 #include <protozero/pbf_reader.hpp>
@@ -46,15 +47,9 @@ std::int64_t read_timestamp_ns(pbf_reader reader) {
     return seconds * 1000000000 + nanoseconds;
 }
 
-Pose make_pose_or_throw_if_invalid(const glm::dvec4& position_m, const glm::dvec4& quaternion_xyzw) {
-    const glm::dquat q(quaternion_xyzw.w, quaternion_xyzw.x, quaternion_xyzw.y, quaternion_xyzw.z);
-    const glm::dvec3 t(position_m);
-    if (!(std::abs(glm::length(q) - 1.0) <= 1e-2) || !std::isfinite(t.x + t.y + t.z))
-        throw DataError(
-            fmt::format("found a pose at ({}, {}, {}) with a quaternion of length {}, expected finite "
-                        "coordinates in metres and length 1",
-                        t.x, t.y, t.z, glm::length(q)));
-    return {glm::normalize(q), t};
+PoseComponents make_pose_components(const glm::dvec4& position, const glm::dvec4& quaternion_xyzw) {
+    const glm::dvec4& q = quaternion_xyzw;
+    return {position.x, position.y, position.z, q.x, q.y, q.z, q.w};
 }
 
 CloudMessage::CloudField read_foxglove_point_field(pbf_reader reader) {
@@ -136,7 +131,7 @@ CloudMessage parse_foxglove_cloud_message(std::string_view message_bytes) {
     return cloud;
 }
 
-TransformMessage read_frame_transform(pbf_reader reader) {
+void add_frame_transform(TransformListMessage& list, pbf_reader reader) {
     TransformMessage transform;
     glm::dvec4 translation(0.0), rotation(0.0, 0.0, 0.0, 1.0);
     while (reader.next()) {
@@ -160,8 +155,7 @@ TransformMessage read_frame_transform(pbf_reader reader) {
                 reader.skip();
         }
     }
-    transform.parent_from_child = make_pose_or_throw_if_invalid(translation, rotation);
-    return transform;
+    list.add_if_valid(std::move(transform), make_pose_components(translation, rotation));
 }
 
 /// Pose and size of a foxglove.CubePrimitive.
@@ -236,11 +230,14 @@ void add_box_from_scene_entity(BoxListMessage& box_list, pbf_reader reader) {
     const glm::dvec3& size = cubes.front().size_m;
     const bool is_box = cubes.size() == 1 && std::isfinite(size.x + size.y + size.z) && size.x > 0.0 &&
                         size.y > 0.0 && size.z > 0.0;
-    box_list.n_left_out += !is_box;
-    if (!is_box) return;
     box.size_m = size;
-    box.frame_from_box = make_pose_or_throw_if_invalid(cubes.front().position, cubes.front().rotation);
-    box_list.boxes.push_back(std::move(box));
+    try {
+        box.frame_from_box = make_pose(make_pose_components(cubes.front().position, cubes.front().rotation));
+        if (is_box) box_list.boxes.push_back(std::move(box));
+        else ++box_list.n_left_out;
+    } catch (const DataError&) {
+        ++box_list.n_left_out;
+    }
 }
 
 }  // namespace
@@ -267,13 +264,13 @@ CloudMessage read_foxglove_cloud(std::string_view message_bytes) {
     }
 }
 
-std::vector<TransformMessage> read_foxglove_transforms(std::string_view message_bytes) {
+TransformListMessage read_foxglove_transforms(std::string_view message_bytes) {
     try {
-        std::vector<TransformMessage> transforms;
+        TransformListMessage list;
         pbf_reader reader(message_bytes.data(), message_bytes.size());
         while (reader.next(1, protozero::pbf_wire_type::length_delimited))
-            transforms.push_back(read_frame_transform(reader.get_message()));
-        return transforms;
+            add_frame_transform(list, reader.get_message());
+        return list;
     } catch (const protozero::exception& error) {
         throw DataError(fmt::format(
             "the message is not a valid foxglove.FrameTransforms in protobuf format: {}", error.what()));

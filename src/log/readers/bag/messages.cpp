@@ -122,11 +122,14 @@ CloudMessage read_livox_cloud(MessageReader& reader) {
 
 /// Reads a geometry_msgs/TransformStamped. Also reads the pose at the start of a
 /// nav_msgs/Odometry, because it has the same fields.
-TransformMessage read_transform(MessageReader& reader) {
+struct UncheckedTransform {
+    TransformMessage transform;  ///< header and child frame
+    PoseComponents pose{};
+};
+UncheckedTransform read_transform(MessageReader& reader) {
     TransformMessage transform{read_header(reader), std::string(reader.read_string()), {}};
     if (transform.child.starts_with('/')) transform.child.erase(0, 1);
-    transform.parent_from_child = make_pose(read_position_and_quaternion(reader));
-    return transform;
+    return {std::move(transform), read_position_and_quaternion(reader)};
 }
 
 }  // namespace
@@ -203,21 +206,34 @@ CloudMessage read_cloud_of_message(const BagTopic& topic, std::string_view messa
     return topic.type == "sensor_msgs/PointCloud2" ? read_point_cloud(reader) : read_livox_cloud(reader);
 }
 
-std::vector<TransformMessage> read_transforms_of_message(const BagTopic& topic,
-                                                         std::string_view message_bytes) {
+void TransformListMessage::add_if_valid(TransformMessage transform, const PoseComponents& pose) {
+    try {
+        transform.parent_from_child = make_pose(pose);
+        transforms.push_back(std::move(transform));
+    } catch (const DataError& error) {
+        if (n_left_out++ == 0)
+            problem = fmt::format("from '{}' to '{}': {}", shorten_for_error_message(transform.header.frame),
+                                  shorten_for_error_message(transform.child), error.what());
+    }
+}
+
+TransformListMessage read_transforms_of_message(const BagTopic& topic, std::string_view message_bytes) {
     if (topic.encoding == "protobuf") return read_foxglove_transforms(message_bytes);
     MessageReader reader = make_message_reader(topic, message_bytes);
-    std::vector<TransformMessage> transforms;
-    if (get_message_purpose_of_topic(topic) == MessagePurpose::transforms) {
-        const std::size_t n = reader.read_list_length(72);
-        for (std::size_t i = 0; i < n; ++i) transforms.push_back(read_transform(reader));
-    } else if (topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped") {
-        transforms.push_back(read_transform(reader));
+    TransformListMessage list;
+    if (get_message_purpose_of_topic(topic) == MessagePurpose::transforms ||
+        topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped") {
+        const bool is_list = get_message_purpose_of_topic(topic) == MessagePurpose::transforms;
+        const std::size_t n = is_list ? reader.read_list_length(72) : 1;
+        for (std::size_t i = 0; i < n; ++i) {
+            UncheckedTransform unchecked = read_transform(reader);
+            list.add_if_valid(std::move(unchecked.transform), unchecked.pose);
+        }
     } else {
         const MessageHeader header = read_header(reader);
-        transforms.push_back({header, "", make_pose(read_position_and_quaternion(reader))});
+        list.add_if_valid({header, "", {}}, read_position_and_quaternion(reader));
     }
-    return transforms;
+    return list;
 }
 
 }  // namespace relidar::bag

@@ -47,6 +47,15 @@ struct TransformMessage {
     Pose parent_from_child;
 };
 
+struct TransformListMessage {
+    std::vector<TransformMessage> transforms;
+    std::size_t n_left_out = 0;  ///< number of transforms whose pose is invalid
+    std::string problem;         ///< text about the first of them
+
+    /// Adds a transform with a pose. Counts it as left out if the pose is invalid.
+    void add_if_valid(TransformMessage transform, const std::array<double, 7>& pose);
+};
+
 /// A box in a message that contains a list of boxes.
 struct BoxMessage {
     MessageHeader header;
@@ -89,13 +98,12 @@ folder::PointTable make_point_table(const CloudMessage& cloud, const SharedBytes
 
 /// Reads the transforms of a tf2_msgs/TFMessage or tf/tfMessage. Messages with a pose,
 /// such as nav_msgs/Odometry and geometry_msgs/PoseStamped, give one transform.
-/// @throws DataError if a quaternion is zero
-std::vector<TransformMessage> read_transforms_of_message(const BagTopic& topic,
-                                                         std::string_view message_bytes);
+/// @throws DataError if the message is invalid
+TransformListMessage read_transforms_of_message(const BagTopic& topic, std::string_view message_bytes);
 
 /// Reads a Foxglove PointCloud message. Does not check the offsets of its fields.
 CloudMessage read_foxglove_cloud(std::string_view message_bytes);
-std::vector<TransformMessage> read_foxglove_transforms(std::string_view message_bytes);
+TransformListMessage read_foxglove_transforms(std::string_view message_bytes);
 
 /// Reads the boxes of vision_msgs/Detection3DArray, Autoware's TrackedObjects or
 /// foxglove.SceneUpdate.

@@ -78,6 +78,8 @@ std::vector<std::string> format_line_per_topic(const BagRecording& bag, const Ba
         if (facts.n_broken > 0)
             line += fmt::format(", {} messages cannot be read (the first error: {})", facts.n_broken,
                                 facts.broken);
+        if (facts.n_left_out > 0)
+            line += fmt::format(", {} poses are left out (the first {})", facts.n_left_out, facts.left_out);
         lines.push_back(line + (is_topic_used[t] ? ": used" : ""));
     }
     if (bag.topics().size() > kMostLines)

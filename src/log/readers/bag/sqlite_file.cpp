@@ -8,7 +8,6 @@
 #include <sqlite3.h>
 
 #include <fmt/format.h>
-#include <zstd.h>
 
 #include <relidar/base/error.hpp>
 
@@ -40,8 +39,8 @@ std::string_view get_bytes_column(sqlite3_stmt* statement, int column) {
 
 class SqliteFile : public BagFile {
 public:
-    SqliteFile(const std::filesystem::path& path, bool packed)
-        : name_(path.string()), packed_(packed), bytes_(RandomAccessFile(path).size()) {
+    explicit SqliteFile(const std::filesystem::path& path)
+        : name_(path.string()), bytes_(RandomAccessFile(path).size()) {
         std::error_code failed;
         // The last messages can be in a second file, the write-ahead log "...-wal".
         // SQLite ignores this log in immutable mode. So immutable mode is used only if
@@ -90,15 +89,9 @@ public:
                                 name_, row));
             callbacks.done(last > 0 ? double(row) / double(last) : 0.0);
             BagMessage message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
-            SharedBytes unpacked;
             // Reads bytes only for topics that the caller requested.
-            if (callbacks.topic_filter(topics.topics()[topic->second])) {
+            if (callbacks.topic_filter(topics.topics()[topic->second]))
                 message.bytes = get_bytes_column(rows.get(), 3);
-                if (packed_) {
-                    unpacked = unpack_zstd_message(message.bytes, row);
-                    message.bytes = unpacked.bytes;
-                }
-            }
             callbacks.message_callback(message);
         }
     }
@@ -113,14 +106,11 @@ public:
                 "{}: row {} of the table 'messages' has disappeared since the file was opened; do "
                 "not change the recording while relidar uses it",
                 name_, place.at));
-        const std::string_view bytes = get_bytes_column(one_.get(), 0);
-        return packed_ ? unpack_zstd_message(bytes, std::int64_t(place.at))
-                       : make_shared_bytes(std::string(bytes));
+        return make_shared_bytes(std::string(get_bytes_column(one_.get(), 0)));
     }
 
 private:
     const std::string name_;
-    const bool packed_;
     const std::uint64_t bytes_;
     std::unique_ptr<sqlite3, CloseDatabase> database_;
     mutable std::mutex lock_;  ///< only one thread may use the database at a time
@@ -175,29 +165,12 @@ private:
             throw DataError(fmt::format("{}: the table '{}' is missing, expected a database of rosbag2",
                                         name_, table_name));
     }
-
-    SharedBytes unpack_zstd_message(std::string_view compressed_bytes, std::int64_t row_id) const {
-        const unsigned long long n =
-            ZSTD_getFrameContentSize(compressed_bytes.data(), compressed_bytes.size());
-        if (n == ZSTD_CONTENTSIZE_UNKNOWN || n == ZSTD_CONTENTSIZE_ERROR)
-            throw DataError(
-                fmt::format("{}: the message in row {} of the table 'messages' is not compressed with zstd, "
-                            "although metadata.yaml says that it is",
-                            name_, row_id));
-        try {
-            return unpack_chunk("zstd", {nullptr, compressed_bytes}, n);
-        } catch (const DataError& error) {
-            throw DataError(
-                fmt::format("{}: cannot read the message in row {}: {}", name_, row_id, error.what()));
-        }
-    }
 };
 
 }  // namespace
 
-std::unique_ptr<BagFile> open_rosbag2_sqlite(const std::filesystem::path& file,
-                                             bool are_messages_zstd_compressed) {
-    return std::make_unique<SqliteFile>(file, are_messages_zstd_compressed);
+std::unique_ptr<BagFile> open_rosbag2_sqlite(const std::filesystem::path& file) {
+    return std::make_unique<SqliteFile>(file);
 }
 
 }  // namespace relidar::bag

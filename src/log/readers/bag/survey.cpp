@@ -136,20 +136,30 @@ private:
             ousters_.push_back(packets::parse_ouster_metadata(text, topic.name));
     }
 
+    /// Reads the transforms of a message. Counts transforms with an invalid pose.
+    std::vector<TransformMessage> read_valid_transforms(const BagTopic& topic, const BagMessage& message) {
+        TransformListMessage list = read_transforms_of_message(topic, message.bytes);
+        TopicStatistics& facts = survey_.facts[message.topic];
+        if (facts.n_left_out == 0) facts.left_out = list.problem;
+        facts.n_left_out += list.n_left_out;
+        return std::move(list.transforms);
+    }
+
     void index_transform_message(const BagTopic& topic, const BagMessage& message) {
         const bool is_static = topic.name.ends_with("tf_static");
-        for (const TransformMessage& transform : read_transforms_of_message(topic, message.bytes))
+        for (const TransformMessage& transform : read_valid_transforms(topic, message))
             survey_.frames.add_transform(transform, message.log_ns, is_static);
     }
 
     void index_pose_message(const BagTopic& topic, const BagMessage& message) {
-        const TransformMessage transform = read_transforms_of_message(topic, message.bytes).front();
-        PoseTopic& poses = find_or_add_topic_entry(survey_.poses, message.topic);
-        if (poses.samples.empty()) {
-            poses.parent = transform.header.frame;
-            poses.child = transform.child;
+        for (const TransformMessage& transform : read_valid_transforms(topic, message)) {
+            PoseTopic& poses = find_or_add_topic_entry(survey_.poses, message.topic);
+            if (poses.samples.empty()) {
+                poses.parent = transform.header.frame;
+                poses.child = transform.child;
+            }
+            poses.samples.push_back({transform.header.stamp_ns, message.log_ns, transform.parent_from_child});
         }
-        poses.samples.push_back({transform.header.stamp_ns, message.log_ns, transform.parent_from_child});
     }
 
     void index_box_list_message(const BagTopic& topic, const BagMessage& message) {

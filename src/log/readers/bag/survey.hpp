@@ -23,6 +23,8 @@ struct TopicStatistics {
     std::int64_t first_ns = 0, last_ns = 0;  ///< recording times of the first and the last message
     std::size_t n_broken = 0;                ///< number of messages of the topic that could not be read
     std::string broken;                      ///< error message of the first message that could not be read
+    std::size_t n_left_out = 0;              ///< number of transforms with an invalid pose
+    std::string left_out;                    ///< text about the first of them
 
     double compute_message_rate_hz() const {
         return n > 1 && last_ns > first_ns ? 1e9 * double(n - 1) / double(last_ns - first_ns) : 0.0;

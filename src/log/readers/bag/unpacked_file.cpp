@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <memory>
+#include <string_view>
 #include <system_error>
 #include <vector>
 
@@ -15,6 +16,8 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+
+#include "base/codecs/unpack.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -35,7 +38,76 @@ File open_temporary_file() {
     return file;
 }
 
+/// Writes bytes of an unpacked file. Flushes the file if there are no bytes.
+void write_block_or_flush(const File& unpacked, std::string_view bytes, const std::filesystem::path& packed) {
+    if (std::fwrite(bytes.data(), 1, bytes.size(), unpacked.get()) != bytes.size() ||
+        (bytes.empty() && std::fflush(unpacked.get()) != 0))
+        throw DataError(fmt::format("cannot unpack {}: no space is left in {}", packed.string(),
+                                    std::filesystem::temp_directory_path().string()));
+}
+
+/// Limits the size of an unpacked file. A file is damaged if it unpacks to more than
+/// kMostGrowth times its size. Files of at most kSmall bytes are always accepted.
+class GrowthLimit {
+public:
+    explicit GrowthLimit(const std::filesystem::path& packed)
+        : packed_(packed), most_(std::max(kSmall, kMostGrowth * std::filesystem::file_size(packed))) {}
+    void add_bytes(std::uint64_t n_bytes) {
+        n_unpacked_ += n_bytes;
+        if (n_unpacked_ > most_)
+            throw DataError(
+                fmt::format("cannot unpack {}: found more than {} bytes, expected at most {} "
+                            "times the size of the file",
+                            packed_.string(), most_, kMostGrowth));
+    }
+
+private:
+    static constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
+    const std::filesystem::path& packed_;
+    std::uint64_t most_, n_unpacked_ = 0;
+};
+
 }  // namespace
+
+std::filesystem::path remove_zstd_extension(const std::filesystem::path& file) {
+    return file.extension() == ".zstd" || file.extension() == ".zst"
+               ? std::filesystem::path(file).replace_extension()
+               : file;
+}
+
+UnpackedZstdFile::UnpackedZstdFile(const std::filesystem::path& file) : path_(file) {
+    const File packed(std::fopen(file.c_str(), "rb"));
+    std::vector<char> block(1 << 20);
+    const auto read_block = [&] {
+        return std::string_view(block.data(), std::fread(block.data(), 1, block.size(), packed.get()));
+    };
+    // The callers report a file that cannot be read.
+    if (!packed || !read_block().starts_with(kZstdMagic)) return;
+    std::rewind(packed.get());
+    std::string folder = (std::filesystem::temp_directory_path() / "relidar-XXXXXX").string();
+    if (!mkdtemp(folder.data())) throw DataError("cannot create a temporary folder to unpack a recording");
+    temporary_folder_ = folder;
+    path_ = temporary_folder_ / remove_zstd_extension(file).filename();
+    try {
+        const File unpacked(std::fopen(path_.c_str(), "wb"));
+        if (!unpacked) throw DataError(fmt::format("cannot write {}", path_.string()));
+        GrowthLimit limit(file);
+        is_truncated_ = !stream_zstd(read_block, [&](std::string_view bytes) {
+            limit.add_bytes(bytes.size());
+            write_block_or_flush(unpacked, bytes, file);
+        });
+        write_block_or_flush(unpacked, {}, file);
+    } catch (const DataError& error) {
+        std::error_code ignored;
+        std::filesystem::remove_all(temporary_folder_, ignored);
+        throw DataError(fmt::format("{}: {}", file.string(), error.what()));
+    }
+}
+
+UnpackedZstdFile::~UnpackedZstdFile() {
+    std::error_code ignored;
+    if (!temporary_folder_.empty()) std::filesystem::remove_all(temporary_folder_, ignored);
+}
 
 std::filesystem::path remove_gz_extension(const std::filesystem::path& file) {
     return file.extension() == ".gz" ? std::filesystem::path(file).replace_extension() : file;
@@ -51,25 +123,13 @@ DecompressedFile open_file_and_unpack_gzip(const std::filesystem::path& path) {
     if (!reader) throw DataError(fmt::format("cannot read {}", path.string()));
     File unpacked = open_temporary_file();
     const auto write = [&](const char* bytes, std::size_t n_bytes) {
-        if (std::fwrite(bytes, 1, n_bytes, unpacked.get()) != n_bytes ||
-            (n_bytes == 0 && std::fflush(unpacked.get()) != 0))
-            throw DataError(fmt::format("cannot unpack {}: no space is left in {}", path.string(),
-                                        std::filesystem::temp_directory_path().string()));
+        write_block_or_flush(unpacked, {bytes, n_bytes}, path);
     };
-    // A file is damaged if it unpacks to more than kMostGrowth times its size. Files that
-    // unpack to at most kSmall bytes are always accepted.
-    constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
-    const std::uint64_t most = std::max(kSmall, kMostGrowth * std::filesystem::file_size(path));
-    std::uint64_t n_unpacked = 0;
+    GrowthLimit limit(path);
     std::vector<char> block(1 << 20);
     int n = 0;
     while ((n = gzread(reader.get(), block.data(), unsigned(block.size()))) > 0) {
-        n_unpacked += std::uint64_t(n);
-        if (n_unpacked > most)
-            throw DataError(
-                fmt::format("cannot unpack {}: found more than {} bytes, expected at most {} "
-                            "times the size of the file",
-                            path.string(), most, kMostGrowth));
+        limit.add_bytes(std::uint64_t(n));
         write(block.data(), std::size_t(n));
     }
     write(nullptr, 0);
