@@ -247,8 +247,15 @@ void apply_range_limits_to_lidars_and_scans(LidarSequence& sequence, const Range
 /// that are then unused.
 void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<std::string>& lidar_names) {
     std::vector<int> new_index_of_lidar(sequence.lidars.size(), -1);
-    for (const std::string& name : lidar_names)
-        new_index_of_lidar[std::size_t(find_lidar_index_by_name(sequence, name))] = 0;
+    for (const std::string& name : lidar_names) {
+        bool is_topic = false;  // a topic with several LiDARs, which are named TOPIC:NUMBER
+        for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
+            if (sequence.lidars[l].name.starts_with(name + ":")) {
+                new_index_of_lidar[l] = 0;
+                is_topic = true;
+            }
+        if (!is_topic) new_index_of_lidar[std::size_t(find_lidar_index_by_name(sequence, name))] = 0;
+    }
     std::vector<Lidar> remaining_lidars;
     std::vector<std::string> left_out;
     for (std::size_t l = 0; l < new_index_of_lidar.size(); ++l) {

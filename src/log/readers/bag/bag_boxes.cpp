@@ -32,12 +32,12 @@ public:
         if (transform_context_.is_world_of_poses && frame_id == transform_context_.poses.world) return Pose{};
         auto cached_entry = apart_.find(frame_id);
         if (cached_entry == apart_.end())
-            cached_entry =
-                apart_
-                    .emplace(frame_id, transform_context_.frames.find_pose_function_between_frames(
-                                           transform_context_.vehicle, frame_id,
-                                           transform_context_.poses.clock, transform_context_.poses.zero_ns))
-                    .first;
+            cached_entry = apart_
+                               .emplace(frame_id, transform_context_.frames.find_pose_function_between_frames(
+                                                      transform_context_.vehicle, frame_id,
+                                                      transform_context_.poses.clock,
+                                                      transform_context_.poses.poses_zero_ns))
+                               .first;
         if (!cached_entry->second || !cached_entry->second->covers_time(t_s)) return std::nullopt;
         if (transform_context_.is_world_of_poses && !transform_context_.poses.path->covers_time(t_s))
             return std::nullopt;
@@ -82,7 +82,7 @@ public:
     double choose_stamp_as_log_time_s(std::int64_t header_stamp_ns, std::int64_t recording_time_ns) const {
         const bool is_recorded = transform_context_.poses.clock == LogClock::recorder || header_stamp_ns == 0;
         return 1e-9 *
-               double((is_recorded ? recording_time_ns : header_stamp_ns) - transform_context_.poses.zero_ns);
+               double((is_recorded ? recording_time_ns : header_stamp_ns) - transform_context_.box_zero_ns);
     }
 
     void add_labels_in_world_frame(const BoxListMessage& box_list, std::int64_t recording_time_ns) {

@@ -22,6 +22,7 @@ struct BoxTransformContext {
     const SelectedPoseSource& poses;
     std::string vehicle;  ///< frame whose poses are known
     std::function<Pose(double)> world_from_vehicle;
+    std::int64_t box_zero_ns = 0;  ///< time on the clock of the boxes that is 0 s in the log
     /// True if the vehicle poses were read from the bag. The frame `poses.world` is then
     /// the world frame of the log, so boxes in it need no transform.
     bool is_world_of_poses = false;

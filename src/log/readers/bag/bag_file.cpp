@@ -123,9 +123,9 @@ BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
             continue;
         }
         const UnpackedZstdFile unpacked(file);
-        if (unpacked.is_truncated())
-            add_note_once(
-                fmt::format("{}: the zstd data are truncated; later messages are missing", file.string()));
+        const std::string problem = fmt::format("{}: the zstd data are truncated", file.string());
+        if (unpacked.is_truncated() && ending == ".db3") throw DataError(problem);
+        if (unpacked.is_truncated()) add_note_once(problem + "; later messages are missing");
         if (ending == ".bag") files_.push_back(open_ros1_bag(unpacked.path(), skip_broken));
         else if (ending == ".db3") files_.push_back(open_rosbag2_sqlite(unpacked.path()));
         else files_.push_back(open_mcap_file(unpacked.path(), skip_broken));
@@ -166,7 +166,11 @@ void BagRecording::for_each_message(const TopicFilter& filter, const MessageCall
                         "topic {}: a message has the recording time {} ns, expected 0 to {} ns; the time of "
                         "the previous message is used",
                         shorten_for_error_message(topic.name), log_ns, kLatest_ns));
-                unpacked = unpack_message(topic, message.bytes);
+                try {
+                    unpacked = unpack_message(topic, message.bytes);
+                } catch (const DataError&) {
+                    // The reader of the message reports the damaged bytes.
+                }
                 if (unpacked) message.bytes = *unpacked;
             }
             message.message_position.file = std::uint32_t(f);

@@ -30,12 +30,16 @@ SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex&
 struct SelectedPoseSource {
     LogClock clock = LogClock::stamps;
     std::int64_t zero_ns = 0;  ///< time of the first cloud; it becomes 0 s in the log
+    /// Time on the clock of the poses that is 0 s in the log. It differs from `zero_ns` if
+    /// the clocks of clouds and poses differ.
+    std::int64_t poses_zero_ns = 0;
     /// Pose of the vehicle in the world frame as a function of time. Empty if the bag has
     /// no poses.
     std::optional<TransformChain> path;
-    std::string world;    ///< frame in which `path` is expressed
-    std::string vehicle;  ///< frame of the vehicle, on which the LiDARs are mounted
-    std::string about;    ///< description of the selection
+    std::string world;       ///< frame in which `path` is expressed
+    std::string vehicle;     ///< frame of the vehicle, on which the LiDARs are mounted
+    std::string about;       ///< description of the selection
+    std::string clock_note;  ///< text about a clock offset between clouds and poses; may be empty
     std::vector<std::string> notes;
 };
 /// Selects the vehicle poses of the log.

@@ -160,14 +160,17 @@ std::vector<std::size_t> find_cloud_topic_indices(const BagRecording& bag, const
                                                   const std::vector<std::string>& topic_names) {
     std::vector<std::size_t> lidars;
     for (const std::string& name : topic_names) {
-        const auto matching_cloud_topic = std::ranges::find_if(
-            bag_index.clouds, [&](const CloudTopic& c) { return bag.topics()[c.topic].name == name; });
-        if (matching_cloud_topic == bag_index.clouds.end() || matching_cloud_topic->clouds.empty())
+        const std::size_t n_before = lidars.size();
+        for (std::size_t c = 0; c < bag_index.clouds.size(); ++c)
+            if (const CloudTopic& clouds = bag_index.clouds[c];
+                !clouds.clouds.empty() &&
+                (bag.topics()[clouds.topic].name == name || clouds.make_name(bag) == name))
+                lidars.push_back(c);
+        if (lidars.size() == n_before)
             throw UsageError(fmt::format(
                 "dataset.lidars: found '{}', expected a topic with point clouds{}; the recording contains {}",
                 shorten_for_error_message(name), explain_why_no_clouds_were_found(bag, bag_index, name),
                 format_topics(bag)));
-        lidars.push_back(std::size_t(matching_cloud_topic - bag_index.clouds.begin()));
     }
     std::ranges::sort(lidars);
     lidars.erase(std::unique(lidars.begin(), lidars.end()), lidars.end());
@@ -185,24 +188,42 @@ const std::string& get_lidar_frame_id(const BagIndex& bag_index, const CloudTopi
     return cloud_topic.frame;
 }
 
-/// If a LiDAR has several topics, selects the topic with the least processed data. For
-/// example, packets are better than clouds.
-std::vector<std::size_t> select_best_cloud_topic_per_lidar(const BagIndex& bag_index) {
+/// If several topics have the same frame, selects the topic with the least processed
+/// data, because the others are usually copies. For example, packets are better than
+/// clouds. Adds a note about the other topics.
+std::vector<std::size_t> select_topics_with_raw_data(const BagRecording& bag, const BagIndex& bag_index,
+                                                     std::vector<std::string>& notes) {
     const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
     const bool any_of_sensor = std::ranges::any_of(bag_index.clouds, [&](const CloudTopic& c) {
         return has_clouds(c) && are_clouds_in_single_sensor_frame(c);
     });
-    std::map<std::string, std::size_t> best;
+    std::map<std::string, std::vector<std::size_t>> of_frame;
     for (std::size_t c = 0; c < bag_index.clouds.size(); ++c) {
         const CloudTopic& clouds = bag_index.clouds[c];
         if (!has_clouds(clouds) || (any_of_sensor && !are_clouds_in_single_sensor_frame(clouds))) continue;
-        const auto [at, is_new] = best.try_emplace(get_lidar_frame_id(bag_index, clouds), c);
-        if (!is_new && score_topic_by_raw_measurements(clouds) >
-                           score_topic_by_raw_measurements(bag_index.clouds[at->second]))
-            at->second = c;
+        of_frame[get_lidar_frame_id(bag_index, clouds)].push_back(c);
     }
     std::vector<std::size_t> lidars;
-    for (const auto& [frame, c] : best) lidars.push_back(c);
+    for (const auto& [frame, candidates] : of_frame) {
+        const CloudTopic& best =
+            bag_index.clouds[*std::ranges::max_element(candidates, {}, [&](std::size_t c) {
+                return score_topic_by_raw_measurements(bag_index.clouds[c]);
+            })];
+        std::vector<std::string> others;
+        for (const std::size_t c : candidates) {
+            const CloudTopic& clouds = bag_index.clouds[c];
+            if (clouds.topic == best.topic) lidars.push_back(c);
+            else if (best.packets.empty()) others.push_back(clouds.make_name(bag));
+        }
+        if (others.empty()) continue;
+        const std::string names = fmt::format("{}", fmt::join(others, ", ")),
+                          used = bag.topics()[best.topic].name;
+        notes.push_back(fmt::format(
+            "{} not read, because the clouds have the frame '{}' like {}, so they count as copies; to read "
+            "another LiDAR there, use dataset.lidars={},{}",
+            others.size() == 1 ? "topic " + names + " is" : "topics " + names + " are",
+            shorten_for_error_message(frame), used, used, fmt::join(others, ",")));
+    }
     std::ranges::sort(lidars);
     return lidars;
 }
@@ -217,12 +238,29 @@ std::size_t choose_main_lidar_index(const BagIndex& bag_index,
     return std::size_t(most - cloud_topic_indices.begin());
 }
 
+/// Adds a note about LiDARs that share a topic and a frame, because the mountings of such
+/// LiDARs are not in the recording.
+void add_notes_on_shared_topics(const BagRecording& bag, const BagIndex& bag_index,
+                                SelectedCloudTopics& selected) {
+    std::map<std::size_t, std::vector<std::string>> names_of_topic;
+    for (const std::size_t c : selected.lidars)
+        if (const CloudTopic& clouds = bag_index.clouds[c];
+            clouds.lidar != "" && clouds.lidar != clouds.frame)
+            names_of_topic[clouds.topic].push_back(clouds.make_name(bag));
+    for (const auto& [topic, names] : names_of_topic)
+        selected.notes.push_back(
+            fmt::format("topic {} has clouds of {} LiDARs, which are read as {}; the clouds have one frame, "
+                        "so all points "
+                        "must already be in this frame",
+                        bag.topics()[topic].name, names.size(), fmt::join(names, ", ")));
+}
+
 }  // namespace
 
 SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex& bag_index,
                                         const std::vector<std::string>& requested_topics) {
     SelectedCloudTopics choice;
-    choice.lidars = requested_topics.empty() ? select_best_cloud_topic_per_lidar(bag_index)
+    choice.lidars = requested_topics.empty() ? select_topics_with_raw_data(bag, bag_index, choice.notes)
                                              : find_cloud_topic_indices(bag, bag_index, requested_topics);
     if (choice.lidars.empty())
         throw DataError(
@@ -235,7 +273,7 @@ SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex&
     std::vector<std::size_t> accepted_lidars;
     for (const std::size_t c : choice.lidars) {
         const CloudTopic& clouds = bag_index.clouds[c];
-        const std::string& name = bag.topics()[clouds.topic].name;
+        const std::string name = clouds.make_name(bag);
         const double rate = estimate_sweep_rate_hz(bag_index, clouds) /
                             std::max(estimate_sweep_rate_hz(bag_index, main), 1e-9);
         std::string why;
@@ -261,6 +299,7 @@ SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex&
     choice.main =
         std::size_t(std::ranges::find(accepted_lidars, choice.lidars[choice.main]) - accepted_lidars.begin());
     choice.lidars = std::move(accepted_lidars);
+    add_notes_on_shared_topics(bag, bag_index, choice);
     return choice;
 }
 

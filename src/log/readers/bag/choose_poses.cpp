@@ -8,6 +8,7 @@
 
 #include "base/files.hpp"
 #include "log/readers/bag/choose.hpp"
+#include "log/readers/bag/clock_offset.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -135,6 +136,45 @@ std::size_t count_clouds_with_pose(const CloudTopic& clouds, const TransformChai
     }));
 }
 
+/// Compares the clock of the clouds with the clock of the poses.
+ClockOffset compare_clocks(const BagIndex& bag_index, const CloudTopic& clouds,
+                           const PoseSourceCandidate& source) {
+    const std::vector<StampedPose>* poses =
+        source.topic ? &source.topic->samples
+                     : bag_index.frames.find_fastest_samples(source.outer, source.vehicle);
+    if (!poses) return {};
+    return estimate_clock_offset(list_message_times(clouds.clouds), list_message_times(*poses));
+}
+
+/// Sets the poses as a function of time. Corrects a clock offset between clouds and poses
+/// if it is certain, and if more clouds then have a pose.
+void set_poses_and_correct_clock(SelectedPoseSource& choice, const BagIndex& bag_index,
+                                 const CloudTopic& clouds, const PoseSourceCandidate& source) {
+    choice.poses_zero_ns = choice.zero_ns;
+    choice.path = make_vehicle_pose_function(bag_index, source, choice.clock, choice.zero_ns);
+    if (choice.clock == LogClock::recorder) return;
+    const ClockOffset offset = compare_clocks(bag_index, clouds, source);
+    if (offset.offset_ns == 0) return;
+    const std::int64_t zero_ns = choice.zero_ns - offset.offset_ns;
+    TransformChain corrected = make_vehicle_pose_function(bag_index, source, choice.clock, zero_ns);
+    const std::size_t n = count_clouds_with_pose(clouds, *choice.path, choice.clock, choice.zero_ns),
+                      n_corrected = count_clouds_with_pose(clouds, corrected, choice.clock, choice.zero_ns);
+    // If poses are only late, the correction cannot give a pose to more clouds.
+    constexpr std::size_t kMargin = 2;
+    const bool is_better = n_corrected > n + kMargin || n_corrected == clouds.clouds.size();
+    const std::string text = "compared with the recording times, the time stamps of the clouds are " +
+                             offset.describe("the time stamps of the poses");
+    if (offset.is_clear && is_better) {
+        choice.clock_note = text + ", so their clocks differ; the poses are shifted by this time";
+        choice.path = std::move(corrected);
+        choice.poses_zero_ns = zero_ns;
+    } else {
+        choice.clock_note = text +
+                            "; either the clocks differ or messages are late; nothing is corrected, so "
+                            "check the poses";
+    }
+}
+
 std::int64_t find_first_cloud_time_ns(const CloudTopic& clouds, LogClock clock) {
     std::int64_t first = clouds.clouds.front().get_time_ns(clock);
     for (const CloudIndexEntry& cloud : clouds.clouds) first = std::min(first, cloud.get_time_ns(clock));
@@ -159,10 +199,10 @@ SelectedPoseSource choose_vehicle_pose_source(const BagRecording& bag, const Bag
         choice.notes.push_back(
             "the clouds have no time stamps, so the times at which they were recorded are used");
     }
-    choice.zero_ns = find_first_cloud_time_ns(main_lidar_clouds, choice.clock);
+    choice.zero_ns = choice.poses_zero_ns = find_first_cloud_time_ns(main_lidar_clouds, choice.clock);
     choice.vehicle = main_lidar_clouds.frame;
     if (!source) return choice;
-    choice.path = make_vehicle_pose_function(bag_index, *source, choice.clock, choice.zero_ns);
+    set_poses_and_correct_clock(choice, bag_index, main_lidar_clouds, *source);
     choice.world = source->outer;
     choice.vehicle = source->vehicle;
     choice.about = source->about;
@@ -179,7 +219,7 @@ SelectedPoseSource choose_vehicle_pose_source(const BagRecording& bag, const Bag
                     "a pose at their stamp), so the recording times of messages are used",
                     n, main_lidar_clouds.clouds.size()));
     choice.clock = LogClock::recorder;
-    choice.zero_ns = zero_ns;
+    choice.zero_ns = choice.poses_zero_ns = zero_ns;
     choice.path = std::move(recorded);
     return choice;
 }

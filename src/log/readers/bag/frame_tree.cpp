@@ -126,6 +126,18 @@ TransformChain FrameTree::make_transform_chain_to_ancestor(const std::string& an
     return path;
 }
 
+const std::vector<StampedPose>* FrameTree::find_fastest_samples(const std::string& ancestor_frame,
+                                                                const std::string& child_frame) const {
+    const std::vector<StampedPose>* fastest = nullptr;
+    for (const std::string& frame : list_frames_to_root(child_frame)) {
+        if (frame == ancestor_frame) break;
+        if (!is_frame_moving(frame)) continue;
+        const std::vector<StampedPose>& samples = find_parent_with_most_transforms(frame)->second.samples;
+        if (!fastest || samples.size() > fastest->size()) fastest = &samples;
+    }
+    return fastest;
+}
+
 std::optional<RelativeFramePose> FrameTree::find_pose_function_between_frames(
     const std::string& target_frame, const std::string& source_frame, LogClock clock,
     std::int64_t time_origin_ns) const {

@@ -89,6 +89,10 @@ public:
                                                                        const std::string& source_frame,
                                                                        LogClock clock,
                                                                        std::int64_t time_origin_ns) const;
+    /// Returns the samples of the moving transform with the most samples between a frame
+    /// and its ancestor frame. Returns null if no transform moves.
+    const std::vector<StampedPose>* find_fastest_samples(const std::string& ancestor_frame,
+                                                         const std::string& child_frame) const;
     /// Returns the coordinate frames that have several parent frames in the bag. This
     /// class uses the parent with the most transforms.
     std::vector<std::string> list_frames_with_several_parents() const;

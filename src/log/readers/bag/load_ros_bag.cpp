@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include <fmt/format.h>
 
@@ -18,6 +19,7 @@
 #include "log/readers/bag/bag_boxes.hpp"
 #include "log/readers/bag/bag_scans.hpp"
 #include "log/readers/bag/choose.hpp"
+#include "log/readers/bag/clock_offset.hpp"
 #include "log/readers/bag/recording_notes.hpp"
 
 namespace relidar {
@@ -30,6 +32,12 @@ constexpr double kLeastStep_s = 2e-3;  // minimum time between sweeps
 // Clouds of several LiDARs form one sweep if their times differ by at most this value.
 // The unit is the sweep period of the main LiDAR.
 constexpr double kBeside = 0.6;
+
+bool are_poses_equal(const std::vector<Pose>& first, const std::vector<Pose>& second) {
+    return std::ranges::equal(first, second, [](const Pose& a, const Pose& b) {
+        return a.translation == b.translation && a.rotation == b.rotation;
+    });
+}
 
 class BagLogLoader {
 public:
@@ -106,6 +114,7 @@ private:
     const std::string& get_topic_name(const AnyTopic& topic_entry) const {
         return bag_.topics()[topic_entry.topic].name;
     }
+    std::string get_topic_name(const CloudTopic& cloud_topic) const { return cloud_topic.make_name(bag_); }
     double compute_cloud_time_s(const CloudIndexEntry& entry) const {
         return 1e-9 * double(entry.get_time_ns(poses_.clock) - poses_.zero_ns);
     }
@@ -128,6 +137,7 @@ private:
         for (const std::string& text : clouds_.notes) add_note_if_not_empty(text);
         for (const std::string& text : poses_.notes) add_note_if_not_empty(text);
         for (const std::string& text : boxes_.notes) add_note_if_not_empty(text);
+        if (has_poses_) add_note_if_not_empty(poses_.clock_note);
         if (has_poses_)
             add_note_if_not_empty(poses_.about + "; use dataset.poses_from to select another frame or topic");
         for (const std::string& frame : survey_.frames.list_frames_with_several_parents())
@@ -177,7 +187,19 @@ private:
         const std::vector<CloudIndexEntry>& clouds = get_cloud_topic(lidar_index).clouds;
         std::vector<double> main_s, other_s;
         for (const FrameCloudMessage& sweep : main_sweeps) main_s.push_back(sweep.time_s);
-        for (const CloudIndexEntry& entry : clouds) other_s.push_back(compute_cloud_time_s(entry));
+        ClockOffset offset;
+        if (poses_.clock == LogClock::stamps)
+            offset = estimate_clock_offset(list_message_times(clouds),
+                                           list_message_times(get_main_cloud_topic().clouds));
+        if (offset.offset_ns != 0)
+            add_note_if_not_empty(fmt::format(
+                "{}: compared with the recording times, the time stamps are {}{}",
+                get_topic_name(get_cloud_topic(lidar_index)),
+                offset.describe("the time stamps of " + get_topic_name(get_main_cloud_topic())),
+                offset.is_clear ? ", so their clocks differ; this time is subtracted"
+                                : "; either the clocks differ or messages are late; nothing is corrected"));
+        for (const CloudIndexEntry& entry : clouds)
+            other_s.push_back(compute_cloud_time_s(entry) - 1e-9 * double(offset.correction_ns()));
         const auto beside = find_nearest_other_sweep_per_sweep(main_s, other_s, max_time_difference_s);
         std::size_t n_left = clouds.size();
         for (std::size_t k = 0; k < main_sweeps.size(); ++k) {
@@ -263,24 +285,78 @@ private:
                *survey_.frames.find_constant_transform(poses_.vehicle, get_main_cloud_topic().frame);
     }
 
+    /// Compares the clock of the log with another clock: with the sensor's clock if the
+    /// recording contains packets that have it, otherwise with the recorder's clock.
+    ClockOffset compare_with_other_clock() const {
+        if (poses_.clock == LogClock::recorder) return {};
+        const CloudTopic& main = get_main_cloud_topic();
+        std::vector<MessageTimes> times = list_message_times(main.clouds);
+        for (std::size_t i = 0; i < main.revolutions.size() && i < times.size(); ++i)
+            if (const std::int64_t ahead_ns = main.revolutions[i].stamp_less_clock_ns; ahead_ns != 0)
+                times[i].log_ns = times[i].stamp_ns - ahead_ns;
+        std::vector<MessageTimes> other = times;
+        for (MessageTimes& t : other) t.stamp_ns = t.log_ns;
+        return estimate_clock_offset(times, other);
+    }
+
     /// Reads vehicle poses from a file of the user. The file lists them by frame number
     /// or by time.
-    std::vector<Pose> read_user_poses_at_frame_times() {
+    /// @param clock_offset_ns  clock of the log minus clock of the file
+    std::vector<Pose> read_user_poses(std::int64_t clock_offset_ns, std::vector<std::string>& notes) const {
         std::vector<folder::SequenceHeaderFrame> frames;
         for (const FrameCloudMessage& frame : frames_)
-            frames.push_back({frame.number, frame.time_s + 1e-9 * double(poses_.zero_ns), 0, {}});
-        const auto poses = folder::read_frame_poses(options_.poses_file, frames, nullptr, sequence_.notes);
+            frames.push_back(
+                {frame.number, frame.time_s + 1e-9 * double(poses_.zero_ns - clock_offset_ns), 0, {}});
+        const auto poses = folder::read_frame_poses(options_.poses_file, frames, nullptr, notes);
         if (!poses)
             throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)",
                                         options_.poses_file.string()));
         return *poses;
     }
 
+    /// Reads vehicle poses from a file of the user at the times of the frames. If the file
+    /// covers these times only on another clock, uses the other clock.
+    std::vector<Pose> read_user_poses_at_frame_times() {
+        const ClockOffset offset = compare_with_other_clock();
+        if (offset.offset_ns == 0) return read_user_poses(0, sequence_.notes);
+        std::vector<std::string> notes, other_notes;
+        std::optional<std::vector<Pose>> poses, other;
+        std::string problem;
+        try {
+            poses = read_user_poses(0, notes);
+        } catch (const DataError& error) {
+            problem = error.what();
+        }
+        try {
+            other = read_user_poses(offset.offset_ns, other_notes);
+        } catch (const DataError&) {
+            if (!poses) throw DataError(problem);
+        }
+        const std::string text =
+            fmt::format("the clock of the scans is {}",
+                        offset.describe(get_main_cloud_topic().revolutions.empty() ? "the recording times"
+                                                                                   : "the sensor"));
+        if (!poses)
+            add_note_if_not_empty(text +
+                                  "; the poses cover the scans only on the latter clock, so it is used");
+        else if (other && !are_poses_equal(*poses, *other))
+            add_note_if_not_empty(text +
+                                  "; the poses are read on the clock of the scans, but the file covers "
+                                  "the scans on both clocks, so check its clock");
+        for (const std::string& note : poses ? notes : other_notes) add_note_if_not_empty(note);
+        return poses ? *poses : *other;
+    }
+
     /// Adds the boxes of the bag to the log. If the vehicle poses are from a file of the
     /// user, the boxes move with the vehicle.
     void add_boxes_to_sequence() {
         if (!boxes_.topic) return;
-        BoxTransformContext transform_context{survey_.frames, poses_, {}, {}, has_poses_};
+        BoxTransformContext transform_context{survey_.frames, poses_, {}, {}, poses_.zero_ns, has_poses_};
+        if (poses_.clock == LogClock::stamps)
+            transform_context.box_zero_ns -=
+                estimate_clock_offset(list_message_times(get_main_cloud_topic().clouds),
+                                      list_message_times(boxes_.topic->lists))
+                    .correction_ns();
         transform_context.vehicle =
             has_poses_ || clouds_.lidars.size() > 1 ? poses_.vehicle : get_main_cloud_topic().frame;
         transform_context.world_from_vehicle = [&](double t_s) {

@@ -32,9 +32,11 @@ public:
         // 7). Odd numbers mean little-endian.
         const auto kind = static_cast<unsigned char>(bytes[1]);
         if (bytes[0] != 0 || (kind != 0 && kind != 1 && kind != 6 && kind != 7))
-            throw DataError(fmt::format(
-                "the message begins with {:02x} {:02x}, expected a CDR header: 00 00, 00 01, 00 06 or 00 07",
-                static_cast<unsigned char>(bytes[0]), kind));
+            throw DataError(
+                fmt::format("the message begins with {:02x} {:02x}, expected a CDR header: 00 00, 00 01, 00 "
+                            "06 or 00 07{}",
+                            static_cast<unsigned char>(bytes[0]), kind,
+                            bytes.starts_with("\x28\xb5\x2f\xfd") ? " (damaged zstd data)" : ""));
         swapped_ = kind % 2 == 0;
         widest_ = kind >= 6 ? 4 : 8;
         bytes_ = bytes.substr(kHead);

@@ -107,7 +107,8 @@ CloudMessage read_livox_cloud(MessageReader& reader) {
     cloud.header = read_header(reader);
     reader.read_number<std::uint64_t>();  // skips the timebase, because it equals the time stamp
     reader.read_number<std::uint32_t>();  // skips the number of points
-    reader.read_bytes(4);                 // skips the LiDAR's number and reserved bytes
+    cloud.lidar = fmt::format("{}", reader.read_number<std::uint8_t>());
+    reader.read_bytes(3);  // skips reserved bytes
     const std::size_t n = reader.read_list_length(kPoint);
     cloud.height = 1;
     cloud.width = std::uint32_t(n);
@@ -197,13 +198,17 @@ MessagePurpose get_message_purpose_of_topic(const BagTopic& topic) {
 }
 
 CloudMessage read_cloud_of_message(const BagTopic& topic, std::string_view message_bytes) {
+    CloudMessage cloud;
     if (topic.encoding == "protobuf") {
-        CloudMessage cloud = read_foxglove_cloud(message_bytes);
+        cloud = read_foxglove_cloud(message_bytes);
         require_valid_cloud_layout(cloud);
-        return cloud;
+    } else {
+        MessageReader reader = make_message_reader(topic, message_bytes);
+        if (topic.type != "sensor_msgs/PointCloud2") return read_livox_cloud(reader);
+        cloud = read_point_cloud(reader);
     }
-    MessageReader reader = make_message_reader(topic, message_bytes);
-    return topic.type == "sensor_msgs/PointCloud2" ? read_point_cloud(reader) : read_livox_cloud(reader);
+    cloud.lidar = cloud.header.frame;
+    return cloud;
 }
 
 void TransformListMessage::add_if_valid(TransformMessage transform, const PoseComponents& pose) {

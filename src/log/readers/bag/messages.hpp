@@ -25,6 +25,9 @@ struct MessageHeader {
 /// A point cloud from sensor_msgs/PointCloud2 or a similar message.
 struct CloudMessage {
     MessageHeader header;
+    /// What distinguishes the LiDARs of a topic: the field lidar_id of a Livox message,
+    /// otherwise the frame.
+    std::string lidar;
     std::uint32_t height = 0, width = 0;
     struct CloudField {
         std::string name;

@@ -2,6 +2,7 @@
 #include "log/readers/bag/survey.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <optional>
 #include <set>
 #include <utility>
@@ -17,6 +18,8 @@
 
 namespace relidar::bag {
 namespace {
+
+constexpr std::ptrdiff_t kMostLidarsOnTopic = 32;
 
 class BagIndexer {
 public:
@@ -79,11 +82,21 @@ private:
 
     void index_cloud_message(const BagTopic& topic, const BagMessage& message) {
         const CloudMessage cloud = read_cloud_of_message(topic, message.bytes);
-        CloudTopic& clouds = find_or_add_topic_entry(survey_.clouds, message.topic);
         // An empty cloud often has no frame.
+        auto entry = std::ranges::find_if(survey_.clouds, [&](const CloudTopic& c) {
+            return c.topic == message.topic &&
+                   (cloud.size() == 0 || c.clouds.empty() || c.lidar == cloud.lidar);
+        });
+        if (entry == survey_.clouds.end()) {
+            const auto n = std::ranges::count(survey_.clouds, message.topic, &CloudTopic::topic);
+            if (n <= kMostLidarsOnTopic) survey_.clouds.emplace_back().topic = message.topic;
+            entry = survey_.clouds.end() - 1;
+        }
+        CloudTopic& clouds = *entry;
         if (clouds.clouds.empty()) {
             clouds.fields = cloud.fields;
             clouds.frame = cloud.header.frame;
+            clouds.lidar = cloud.lidar;
         }
         if (cloud.size() == 0) {
             ++clouds.n_empty;
@@ -207,6 +220,43 @@ void add_missing_ouster_transforms(const BagRecording& bag, BagIndex& bag_index)
     }
 }
 
+/// Joins the entries of a topic, unless they belong to several LiDARs, which take turns.
+/// Clouds whose frame only changes once, and a few clouds with another frame, come from
+/// one LiDAR.
+void join_entries_of_one_lidar(std::vector<CloudTopic>& all, std::size_t topic) {
+    constexpr double kLeastShare = 0.25;  // of the clouds of the LiDAR with the most clouds
+    std::vector<CloudTopic*> entries;
+    for (CloudTopic& clouds : all)
+        if (clouds.topic == topic) entries.push_back(&clouds);
+    const CloudTopic& most =
+        **std::ranges::max_element(entries, {}, [](const CloudTopic* c) { return c->clouds.size(); });
+    const auto is_lidar = [&](const CloudTopic* c) {
+        if (c == &most || c->clouds.empty()) return c == &most;
+        return c->clouds.front().message_position < most.clouds.back().message_position &&
+               most.clouds.front().message_position < c->clouds.back().message_position &&
+               double(c->clouds.size()) >= kLeastShare * double(most.clouds.size());
+    };
+    const auto n_lidars = std::ranges::count_if(entries, is_lidar);
+    const bool is_one = n_lidars == 1 || std::ssize(entries) > kMostLidarsOnTopic;
+    CloudTopic& first = is_one ? *entries[0] : **std::ranges::find_if(entries, is_lidar);
+    if (is_one) first.lidar.clear();
+    for (CloudTopic* c : entries) {
+        if (c == &first || (!is_one && is_lidar(c))) continue;
+        if (c->frame != first.frame) {
+            if (first.n_other_frame == 0) first.other_frame = c->frame;
+            first.n_other_frame += c->clouds.size();
+        }
+        std::ranges::move(std::exchange(c->clouds, {}), std::back_inserter(first.clouds));
+        std::ranges::move(std::exchange(c->arcs, {}), std::back_inserter(first.arcs));
+        first.n_empty += std::exchange(c->n_empty, 0);
+    }
+    std::ranges::sort(first.clouds, {}, &CloudIndexEntry::message_position);
+    std::ranges::sort(first.arcs, {}, &RevolutionPart::message_position);
+    std::erase_if(all, [&](const CloudTopic& c) {
+        return c.topic == topic && c.clouds.empty() && c.n_empty == 0 && c.packets.empty();
+    });
+}
+
 /// Joins clouds that are parts of a revolution. A revolution begins at the rear, so the
 /// head faces forward in its middle part. The revolution gets the time of this part.
 void join_partial_clouds_of_topic(CloudTopic& cloud_topic) {
@@ -233,6 +283,10 @@ bool CloudTopic::has_field_with_attribute(folder::PointAttribute attribute) cons
     return std::ranges::any_of(fields, [&](const CloudMessage::CloudField& field) {
         return folder::find_attribute_of_field_name(field.name) == attribute;
     });
+}
+
+std::string CloudTopic::make_name(const BagRecording& bag) const {
+    return bag.topics()[topic].name + (lidar.empty() ? "" : ":" + lidar);
 }
 
 std::size_t CloudTopic::compute_median_point_count() const {
@@ -262,6 +316,9 @@ BagIndex index_bag_messages(BagRecording& bag, const ProgressReporter& progress)
             },
             progress);
     }
+    for (std::size_t t = 0; t < bag.topics().size(); ++t)
+        if (std::ranges::count(survey.clouds, t, &CloudTopic::topic) > 0)
+            join_entries_of_one_lidar(survey.clouds, t);
     for (CloudTopic& clouds : survey.clouds) {
         clouds.packets.sort_packets_and_find_revolutions();
         clouds.revolutions = clouds.packets.get_revolutions();

@@ -43,8 +43,12 @@ struct CloudIndexEntry {
     std::int64_t get_time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }
 };
 
+/// The clouds of a LiDAR on a topic.
 struct CloudTopic {
     std::size_t topic = 0;
+    /// What distinguishes this LiDAR from others on the same topic (CloudMessage::lidar).
+    /// Empty if the topic has one LiDAR.
+    std::string lidar;
     std::string frame;              ///< frame of the first cloud
     std::size_t n_other_frame = 0;  ///< number of clouds that have another frame than the first cloud
     std::string other_frame;        ///< frame of the first of these clouds
@@ -65,6 +69,8 @@ struct CloudTopic {
 
     bool has_field_with_attribute(folder::PointAttribute attribute) const;
     std::size_t compute_median_point_count() const;  ///< Returns the median number of points of a cloud.
+    /// Returns the name of the LiDAR: the name of the topic, and `lidar` if it is not empty.
+    std::string make_name(const BagRecording& bag) const;
 };
 
 struct PoseTopic {

@@ -197,6 +197,23 @@ std::vector<PoseInterpretation> list_possible_pose_conventions(const PoseRows& p
     return append_inverse_interpretations(std::move(readings));
 }
 
+/// Returns a hint if all frames would have a pose after a shift by a known difference
+/// between clocks. Otherwise returns an empty text.
+std::string describe_clock_hint(const PoseTrack& track, const std::vector<SequenceHeaderFrame>& frames) {
+    for (const auto& [offset_s, cause] :
+         {std::pair(37.0, "TAI minus UTC"), {18.0, "GPS time minus UTC"}, {19.0, "TAI minus GPS time"}})
+        for (const double shift_s : {offset_s, -offset_s}) {
+            const double first_s = track.time_s.front() - shift_s - kMostBeyond_s,
+                         last_s = track.time_s.back() - shift_s + kMostBeyond_s;
+            if (std::ranges::all_of(frames, [&](const SequenceHeaderFrame& frame) {
+                    return frame.time_s >= first_s && frame.time_s <= last_s;
+                }))
+                return fmt::format("; with times {} s {}, they would cover all frames ({} is {} s)", offset_s,
+                                   shift_s > 0.0 ? "earlier" : "later", cause, offset_s);
+        }
+    return "";
+}
+
 std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,
                                               const std::vector<SequenceHeaderFrame>& frames,
                                               const std::string& file_name) {
@@ -205,8 +222,9 @@ std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,
         if (frame.time_s < track.time_s.front() - kMostBeyond_s ||
             frame.time_s > track.time_s.back() + kMostBeyond_s)
             throw DataError(fmt::format(
-                "{}: found poses from {} to {} s, but frame {} is at {} s, expected poses for all frames",
-                file_name, track.time_s.front(), track.time_s.back(), frame.number, frame.time_s));
+                "{}: found poses from {} to {} s, but frame {} is at {} s, expected poses for all frames{}",
+                file_name, track.time_s.front(), track.time_s.back(), frame.number, frame.time_s,
+                describe_clock_hint(track, frames)));
         poses.push_back(track.interpolate_pose(frame.time_s));
     }
     return poses;

@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tests recordings like those of public bug reports: clocks that differ, invalid transforms and
+times, several LiDARs on one topic or in one frame, and unusual compression. A LiDAR drives along x at
+10 m/s in a room that moves with it. Scans and poses must be as written.
+
+   bag_reports_test.py RELIDAR WORK        77: numpy, lz4 or zstd are missing
+"""
+import json
+import math
+import pathlib
+import shutil
+import struct
+import subprocess
+import sys
+
+try:
+    import numpy as np
+except ImportError as error:
+    print(f"skipped: {error}")
+    sys.exit(77)
+if not (shutil.which("lz4") and shutil.which("zstd")):
+    print("skipped: lz4 or zstd are missing")
+    sys.exit(77)
+
+import bag_writer as bags
+from names import names
+
+RELIDAR, WORK = sys.argv[1], pathlib.Path(sys.argv[2])
+T0, STEP, N, COLUMNS, ROWS, SPEED = 1_700_000_000_000_000_000, 100_000_000, 12, 90, 8, 10.0
+SECOND = 1_000_000_000
+TF, CLOUD, LIVOX = "tf2_msgs/TFMessage", "sensor_msgs/PointCloud2", "livox_ros_driver2/CustomMsg"
+PLAIN = bags.packed
+
+
+def expect(condition, text):
+    if not condition:
+        sys.exit(f"FAILED: {text}")
+
+
+def points(y=0.0, columns=range(COLUMNS)):
+    """Returns [points, 3] of a sweep, column by column. The LiDAR moves with walls at x = -30 and 30 m,
+    and is y beside the middle of the walls at y = -8 and 8 m."""
+    out = []
+    for c in columns:
+        for r in range(ROWS):
+            el, az = math.radians(4 * r - 15), math.pi - 2 * math.pi * (c + .5) / COLUMNS
+            d = np.array([math.cos(el) * math.cos(az), math.cos(el) * math.sin(az), math.sin(el)])
+            out.append(d * min((8 - math.copysign(y, d[1])) / abs(d[1]), 30 / abs(d[0])))
+    return np.array(out, "f4")
+
+
+def cloud(stamp, frame="lidar", y=0.0):
+    p = points(y)
+    row = np.zeros(len(p), [("x", "f4"), ("y", "f4"), ("z", "f4"), ("ring", "u2"), ("time", "f4")])
+    row["x"], row["y"], row["z"] = p.T
+    row["ring"], row["time"] = np.arange(len(p)) % ROWS, np.arange(len(p)) // ROWS * (0.1 / COLUMNS)
+    fields = [{"name": n, "offset": row.dtype.fields[n][1], "datatype": 4 if n == "ring" else 7, "count": 1} for n in row.dtype.names]
+    return {"header": {"stamp": stamp, "frame_id": frame}, "height": 1, "width": len(p), "fields": fields, "is_bigendian": 0,
+            "point_step": row.itemsize, "row_step": row.nbytes, "data": row.tobytes(), "is_dense": 1}
+
+
+def transform(stamp, parent, child, place, q=(0, 0, 0, 1)):
+    return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child,
+            "transform": {"position": dict(zip("xyz", place)), "orientation": dict(zip("xyzw", q))}}
+
+
+def log(n=N, ahead_ns=0, cloud_delay_ns=0, pose_delay_ns=0, start_s=-0.5, end_s=0.5, tf_extra=(), lidars=(("/points", "lidar", 0.0),)):
+    """Returns the messages of a drive.
+    @param ahead_ns the clock of the LiDAR minus the clock of poses and recorder
+    @param start_s, end_s the poses begin and end this much after the scans"""
+    out = [("/tf_static", TF, T0, {"transforms": [transform(T0, "base", "lidar", (0, 0, 1.8)), transform(T0, "base", "rear", (-2, 0, 1.8))]})]
+    for t in range(round(start_s * 20), 2 * n + round(end_s * 20)):
+        stamp = T0 + t * STEP // 2
+        out.append(("/tf", TF, stamp + pose_delay_ns, {"transforms": [*tf_extra, transform(stamp, "map", "base", (SPEED * t * 0.05, 0, 0))]}))
+    for k in range(n):
+        for topic, frame, y in lidars:
+            out.append((topic, CLOUD, T0 + k * STEP + cloud_delay_ns, cloud(T0 + k * STEP + ahead_ns, frame, y)))
+    return sorted(out, key=lambda m: m[2])
+
+
+def run(*arguments, code=0):
+    done = subprocess.run([RELIDAR, *map(str, arguments)], capture_output=True, text=True)
+    expect(done.returncode == code, f"relidar {' '.join(map(str, arguments))}: exit {done.returncode}\n{done.stdout}{done.stderr}")
+    return done.stdout + done.stderr
+
+
+def convert(bag, *settings):
+    folder = WORK / (bag.name + ".log")
+    shutil.rmtree(folder, ignore_errors=True)
+    run("convert", bag, "--out", folder, "--set", "dataset.max_range_m=200", *[v for s in settings for v in ("--set", s)])
+    head = json.loads((folder / "sequence.json").read_text())
+    return folder, head, "\n".join(head["notes"])
+
+
+def written(name, messages, **given):
+    path = WORK / (name + ".mcap")
+    bags.write_mcap(path, messages, **given)
+    return path
+
+
+def check(bag, *settings, n=N, most_m=1e-6, extra_m=0.0):
+    """Checks all frames of a log with one LiDAR: its points, and its position along x.
+    @param extra_m the position differs by this distance from the true one"""
+    folder, head, notes = convert(bag, *settings)
+    expect(len(head["frames"]) == n, f"{bag.name}: {len(head['frames'])} frames, expected {n}\n{notes}")
+    rows = np.loadtxt(folder / "poses.txt", ndmin=2)
+    for k, frame in enumerate(head["frames"]):
+        scan = np.load(folder / frame["scan"])
+        found = (scan["origin"] + scan["range"][..., None] * scan["directions"])[scan["range"] > 0]
+        apart = np.linalg.norm(found[:, None] - points()[None], axis=-1)
+        expect(apart.shape == (ROWS * COLUMNS,) * 2 and max(apart.min(0).max(), apart.min(1).max()) < 1e-4, f"{bag.name}, frame {k}: points")
+        apart = rows[k, 1] - SPEED * 0.1 * k - extra_m
+        expect(abs(apart) <= most_m, f"{bag.name}, frame {k}: {apart} m beside its place\n{notes}")
+    return notes
+
+
+def test_clocks():
+    delays = {"cloud_delay_ns": 112_000_000, "pose_delay_ns": 3_000_000}   # a cloud is recorded after its sweep
+    for ahead_s, most_m in ((37, 1e-6), (-18, 1e-6), (19, 1e-6), (3600, 1e-6), (5.3, 1.2), (-2.7, 1.2), (500, 1.2), (-1_699_999_990, 1.2)):
+        notes = check(written("clocks", log(ahead_ns=round(ahead_s * SECOND), **delays)), most_m=most_m)
+        number = f"{abs(ahead_s):.3f}" if most_m < 1 else ""
+        expect(names(notes, f"{number} ... s {'ahead of' if ahead_s > 0 else 'behind'} the time stamps of the poses"), f"{ahead_s} s: {notes}")
+    # poses of a minute, so scans of another clock have poses, too
+    for ahead_s in (37, -18):
+        check(written("long", log(ahead_ns=ahead_s * SECOND, start_s=-60, end_s=60, **delays)))
+    for delay_s in (0, 0.05, 0.4):   # these delays are normal
+        notes = check(written("delays", log(cloud_delay_ns=round(delay_s * SECOND), pose_delay_ns=2_000_000)))
+        expect("recording times" not in notes, f"a delay of {delay_s} s: {notes}")
+    # ambiguous: 1.2 s may be a delay; poses with the stamps of the clouds may be 3 s late
+    notes = check(written("unclear", log(ahead_ns=1_200_000_000, start_s=-3, end_s=3)), extra_m=12)
+    expect(names(notes, "1.200 s ahead ... nothing is corrected"), notes)
+    late = check(written("late", log(n=40, pose_delay_ns=3_040_000_000)), n=40)
+    expect(names(late, "3.0 ... nothing is corrected"), late)
+    # recording times of a conversion: 1 ms from message to message, or a second log, days later
+    plain = log(n=40)
+    for name, messages in (("fast", [(*m[:2], T0 + i * 1_000_000, m[3]) for i, m in enumerate(plain)]),
+                           ("sorted", [(*m[:2], T0 + i * 1_000_000, m[3]) for i, m in enumerate(sorted(plain, key=lambda m: m[0]))]),
+                           ("again", [(*m[:2], m[2] + 10**14, m[3]) for m in plain])):
+        notes = check(written(name, messages), n=40)
+        expect("recording times" not in notes, f"{name}: {notes}")
+
+
+def test_clocks_of_lidars():
+    """The rear LiDAR has the time of GPS, the front LiDAR has UTC. Both measure simultaneously."""
+    front, rear = log(), log(ahead_ns=18 * SECOND, lidars=(("/rear", "rear", 0.0),))
+    folder, head, notes = convert(written("two_clocks", sorted(front + [m for m in rear if m[0] == "/rear"], key=lambda m: m[2])))
+    expect([f["lidar"] for f in head["frames"]] == ["/points", "/rear"] * N, f"frames {head['frames']}\n{notes}")
+    expect(names(notes, "/rear ... 18.000 s ahead of"), notes)
+    for a, b in zip(head["frames"][::2], head["frames"][1::2]):
+        times = [np.load(folder / f["scan"])["time"].min() + f["time_s"] for f in (a, b)]
+        expect(abs(times[0] - times[1]) < 1e-6, f"frames {a} and {b}: times {times}")
+
+
+def test_pose_files():
+    """Poses as text on the clock of the recorder, scans 37 s ahead."""
+    bag = written("text", [m for m in log(ahead_ns=37 * SECOND) if m[0] != "/tf"])
+    for first_s, last_s, extra_m, text in ((-1, 3, 0, "37.000 s ahead ... only on the latter"), (-1, 60, 370, "37.000 s ahead ... both clocks")):
+        t = np.arange(first_s, last_s, 0.05)
+        rows = "".join(f"{T0 // SECOND + s:.3f} {SPEED * s:.6f} 0 0 1 0 0 0\n" for s in t)
+        (WORK / "poses.txt").write_text("# time_s x y z qw qx qy qz\n" + rows)
+        notes = check(bag, f"dataset.poses={WORK / 'poses.txt'}", most_m=1e-5, extra_m=extra_m)
+        expect(names(notes, text), notes)
+    (WORK / "poses.txt").write_text("".join(f"1 0 0 {k} 0 1 0 0 0 0 1 0\n" for k in range(N)))
+    expect("37.000" not in check(bag, f"dataset.poses={WORK / 'poses.txt'}"), "matrices have no clock")
+    # Without recording times of another clock, the error names the likely cause.
+    (WORK / "poses.txt").write_text("# time_s x y z qw qx qy qz\n" + "".join(f"{T0 // SECOND + 18 + s:.3f} {s} 0 0 1 0 0 0\n" for s in range(-1, 3)))
+    expect("GPS" in run("info", written("gps", log()), "--set", f"dataset.poses={WORK / 'poses.txt'}", code=3), "poses on the clock of GPS")
+
+
+def test_transforms():
+    for q in ((0, 0, 0, 0), (0, 0, 0, math.nan), (0, 0, 0, 2)):
+        notes = check(written("tf", log(tf_extra=[transform(T0, "earth", "enu", (0, 0, 0), q)])))
+        expect(names(notes, "44 poses are left out ... 'earth' ... 'enu'"), notes)
+    messages = log()
+    messages[0][3]["transforms"].insert(0, transform(T0, "base", "camera", (math.nan, 0, 0)))
+    expect("1 poses are left out" in check(written("static", messages)), "a bad static transform")
+    good = {"linear": dict(x=0.0, y=0.0, z=0.0), "angular": dict(x=0.0, y=0.0, z=0.0)}
+    messages = [m for m in log() if m[0] != "/tf"]
+    for t in range(-10, 40):
+        stamp = T0 + t * STEP // 2
+        pose = transform(stamp, "odom", "base", (SPEED * t * 0.05, 0, 0), (0, 0, 0, 0) if t in (-10, 3) else (0, 0, 0, 1))["transform"]
+        messages.append(("/odom", "nav_msgs/Odometry", stamp, {"header": {"stamp": stamp, "frame_id": "odom"}, "child_frame_id": "base",
+                                                                "pose": {"pose": pose, "covariance": [0.0] * 36}, "twist": {"twist": good, "covariance": [0.0] * 36}}))
+    expect("2 poses are left out" in check(written("odom", sorted(messages, key=lambda m: m[2]))), "two bad messages of odometry")
+
+
+def test_recording_times():
+    bad = log()
+    bad.insert(9, ("/note", "std_msgs/String", 2**64 - 90_000_000, {"data": "x"}))
+    expect("recording time" not in check(written("unused", bad, chunk=4)), "the time of an unused topic")
+    bad[9] = (*bad[9][:2], -90_000_000, bad[9][3])
+    bags.write_db3(WORK / "unused.db3", bad)
+    expect("recording time" not in check(WORK / "unused.db3"), "the time of an unused topic, db3")
+    bad[8] = (*bad[8][:2], -90_000_000, bad[8][3])
+    bags.write_db3(WORK / "used.db3", bad)
+    expect(names(check(WORK / "used.db3"), f"{bad[8][0]} ... recording time -90000000 ns"), "the time of a used topic")
+
+
+def test_shared_frames():
+    both = (("/points", "lidar", 0.0), ("/rear/points", "lidar", 2.0), ("/filtered", "lidar", 0.0))
+    bag = written("one_frame", log(lidars=both))
+    notes = check(bag)
+    expect(names(notes, "topics /filtered, /rear/points are not read ... 'lidar' ... dataset.lidars=/points,/filtered,/rear/points") or
+           names(notes, "topics /rear/points, /filtered are not read ... 'lidar' ... dataset.lidars=/points,/rear/points,/filtered"), notes)
+    _, head, notes = convert(bag, "dataset.lidars=/points,/rear/points")
+    expect([l["name"] for l in head["lidars"]] == ["/points", "/rear/points"] and "not read" not in notes, notes)
+
+
+def test_shared_topics():
+    livox = []
+    sectors = [range(18 * i, 18 * i + 18) for i in range(5)]
+    for k in range(N):
+        for number, columns in enumerate(sectors):
+            data = [{"offset_time": 1000 * i, "x": p[0], "y": p[1], "z": p[2], "reflectivity": i % 200, "tag": 0, "line": i % 4}
+                    for i, p in enumerate(points(columns=columns))]
+            stamp = T0 + k * STEP
+            livox.append(("/livox", LIVOX, stamp + number, {"header": {"stamp": stamp, "frame_id": "lidar"}, "timebase": stamp, "point_num": len(data),
+                                                            "lidar_id": 40 + number, "rsvd": (0, 0, 0), "points": data}))
+    poses = [m for m in log() if m[1] == TF]
+    bag = written("livox", sorted(livox + poses, key=lambda m: m[2]))
+    folder, head, notes = convert(bag)
+    expect([l["name"] for l in head["lidars"]] == [f"/livox:{40 + i}" for i in range(5)], f"{head['lidars']}\n{notes}")
+    expect(len(head["frames"]) == 5 * N and names(notes, "/livox ... 5 LiDARs"), notes)
+    for i, frame in enumerate(head["frames"]):
+        scan = np.load(folder / frame["scan"])
+        found = (scan["origin"] + scan["range"][..., None] * scan["directions"]).reshape(-1, 3)
+        expect(np.abs(found - points(columns=sectors[i % 5])).max() < 1e-4, f"points of {frame}")
+    for chosen, n in (("/livox", 5), ("/livox:42", 1)):
+        expect(len(convert(bag, f"dataset.lidars={chosen}")[1]["lidars"]) == n, f"dataset.lidars={chosen}")
+    # clouds that take turns in two frames, with their mountings in /tf_static
+    front, rear = log(), log(lidars=(("/points", "rear", 0.0),))
+    _, head, notes = convert(written("turns", sorted(front + [m for m in rear if m[1] == CLOUD], key=lambda m: m[2])))
+    mounts = {l["name"]: l["vehicle_from_sensor"]["translation"] for l in head["lidars"]}
+    expect(mounts == {"/points:lidar": [0, 0, 1.8], "/points:rear": [-2, 0, 1.8]} and len(head["frames"]) == 2 * N, f"{mounts}\n{notes}")
+    # one stray cloud is no LiDAR
+    notes = check(written("stray", [(*m[:3], dict(m[3], header={"stamp": m[3]["header"]["stamp"], "frame_id": "odd"})) if m[0] == "/points" and
+                                    m[2] == T0 + 5 * STEP else m for m in log()]))
+    expect(names(notes, "1 clouds have another frame ... 'odd'"), notes)
+
+
+def squeezed(program, data, *options):
+    return subprocess.run([program, "-c", "-q", *options], input=data, capture_output=True, check=True).stdout
+
+
+def test_zstd():
+    """rosbag2 compresses messages or files. The reader does not need metadata.yaml."""
+    messages = log()
+    for name, options in (("known", None), ("unknown", ())):
+        folder = WORK / f"messages_{name}"
+        folder.mkdir()
+        bags.write_db3(folder / "bag_0.db3", messages, compressed=True)
+        if options is not None:   # two frames of unknown size, as a stream writes them
+            import sqlite3
+            base = sqlite3.connect(folder / "bag_0.db3")
+            bags.write_db3(WORK / "plain.db3", messages)
+            for row, data in sqlite3.connect(WORK / "plain.db3").execute("SELECT id, data FROM messages"):
+                base.execute("UPDATE messages SET data = ? WHERE id = ?", (squeezed("zstd", data[:50]) + squeezed("zstd", data[50:]), row))
+            base.commit()
+            base.close()
+        check(folder)
+        bags.write_metadata(folder, ["bag_0.db3"], "MESSAGE")
+        check(folder)
+    for ending, write in (("db3", bags.write_db3), ("mcap", bags.write_mcap)):
+        folder = WORK / f"file_{ending}"
+        folder.mkdir()
+        write(folder / f"bag_0.{ending}", messages)
+        packed = folder / f"bag_0.{ending}.zstd"
+        packed.write_bytes(squeezed("zstd", (folder / f"bag_0.{ending}").read_bytes()))
+        check(folder)   # both copies are one recording
+        (folder / f"bag_0.{ending}").unlink()
+        check(folder)
+        check(packed)
+        bags.write_metadata(folder, [f"bag_0.{ending}"], "FILE")
+        check(folder)
+        packed.write_bytes(packed.read_bytes()[:-20])
+        expect("truncated" in run("info", folder, code=0 if ending == "mcap" else 3), f"a truncated {ending}.zstd")
+    keep = bags.message_bytes   # an MCAP file with compressed messages
+    bags.message_bytes = lambda *given: squeezed("zstd", keep(*given))
+    bag = written("packed_messages", messages)
+    bags.message_bytes = keep
+    check(bag)
+
+
+def test_frames_of_chunks():
+    """Compressed chunks may consist of several frames, and of frames that decoders skip."""
+    skipped = struct.pack("<II", 0x184D2A53, 5) + b"12345"
+    halves = lambda program, data: squeezed(program, data[:len(data) // 3]) + skipped + squeezed(program, data[len(data) // 3:]) + skipped
+    bags.packed = halves
+    for compression in ("lz4", "zstd"):
+        check(written(f"frames_{compression}", log(), compression=compression, chunk=6))
+    bags.write_ros1(WORK / "frames.bag", log(), "lz4")
+    check(WORK / "frames.bag")
+    bags.packed = lambda program, data: squeezed(program, data) + squeezed(program, b"more")
+    expect("damaged" in run("info", written("more", log(), compression="lz4", chunk=6), code=3), "more bytes than the chunk has")
+    bags.packed = PLAIN
+
+
+shutil.rmtree(WORK, ignore_errors=True)
+WORK.mkdir(parents=True)
+for test in (test_clocks, test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames,
+             test_shared_topics, test_zstd, test_frames_of_chunks):
+    test()
+    print(test.__name__)
+print("done")
