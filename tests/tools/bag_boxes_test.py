@@ -219,6 +219,15 @@ def test_choice():
     expect(names(notes, "/things ... ignored ... 20"), notes)
 
 
+def test_clocks():
+    """The LiDAR has TAI, 37 s ahead of the clock of poses and boxes."""
+    for frame in ("map", "camera"):
+        bag = WORK / "clocks.mcap"
+        bags.write_mcap(bag, [(*m[:3], dict(m[3], header=header(m[3]["header"]["stamp"] + 37 * 10**9, "lidar"))) if m[0] == "/points" else m
+                              for m in log(boxes_in("/things", "vision_msgs 4", frame))])
+        check(f"another clock, in {frame}", converted(bag)[0])
+
+
 def test_places():
     bag = WORK / "places.mcap"
     bags.write_mcap(bag, log(boxes_in("/things", "vision_msgs 4", "radar")))
@@ -240,6 +249,6 @@ def test_places():
 
 shutil.rmtree(WORK, ignore_errors=True)
 WORK.mkdir(parents=True)
-for test in (test_versions, test_choice, test_places):
+for test in (test_versions, test_choice, test_clocks, test_places):
     test()
 print("done")

@@ -5,6 +5,7 @@
 #include <iterator>
 #include <optional>
 #include <set>
+#include <tuple>
 #include <utility>
 
 #include <fmt/format.h>
@@ -230,10 +231,14 @@ void join_entries_of_one_lidar(std::vector<CloudTopic>& all, std::size_t topic) 
         if (clouds.topic == topic) entries.push_back(&clouds);
     const CloudTopic& most =
         **std::ranges::max_element(entries, {}, [](const CloudTopic* c) { return c->clouds.size(); });
+    const auto get_order = [](const auto& entry) {
+        const MessagePosition& at = entry.message_position;
+        return std::tuple(at.file, at.at, at.in_chunk);
+    };
     const auto is_lidar = [&](const CloudTopic* c) {
         if (c == &most || c->clouds.empty()) return c == &most;
-        return c->clouds.front().message_position < most.clouds.back().message_position &&
-               most.clouds.front().message_position < c->clouds.back().message_position &&
+        return get_order(c->clouds.front()) < get_order(most.clouds.back()) &&
+               get_order(most.clouds.front()) < get_order(c->clouds.back()) &&
                double(c->clouds.size()) >= kLeastShare * double(most.clouds.size());
     };
     const auto n_lidars = std::ranges::count_if(entries, is_lidar);
@@ -250,8 +255,9 @@ void join_entries_of_one_lidar(std::vector<CloudTopic>& all, std::size_t topic) 
         std::ranges::move(std::exchange(c->arcs, {}), std::back_inserter(first.arcs));
         first.n_empty += std::exchange(c->n_empty, 0);
     }
-    std::ranges::sort(first.clouds, {}, &CloudIndexEntry::message_position);
-    std::ranges::sort(first.arcs, {}, &RevolutionPart::message_position);
+    if (entries.size() == 1) return;
+    std::ranges::stable_sort(first.clouds, {}, get_order);
+    std::ranges::stable_sort(first.arcs, {}, get_order);
     std::erase_if(all, [&](const CloudTopic& c) {
         return c.topic == topic && c.clouds.empty() && c.n_empty == 0 && c.packets.empty();
     });

@@ -139,4 +139,39 @@ void write_pcap(const std::filesystem::path& file, const std::vector<Datagram>& 
     std::ofstream(file, std::ios::binary) << bytes;
 }
 
+void add_second_returns(OusterImages& images) {
+    images.range_2_mm.assign(images.range_mm.size(), 0);
+    images.reflectivity_2 = images.range_2_mm;
+    for (std::size_t i = 0; i < images.range_mm.size(); i += 5)
+        if (images.range_mm[i] > 0) {
+            images.range_2_mm[i] = images.range_mm[i] + 1500;
+            images.reflectivity_2[i] = std::uint32_t(3 + i % 200);
+        }
+}
+
+OusterImages make_small_images(const std::string& profile) {
+    OusterImages images;
+    images.profile = profile;
+    images.frames = 4;
+    images.rows = 16;
+    images.columns = 128;
+    images.n_mm = 15.8;
+    for (std::size_t row = 0; row < images.rows; ++row) {  // not ordered by altitude
+        images.altitude_deg.push_back(15.0 - 2.0 * double(row ^ 1));
+        images.azimuth_deg.push_back(row % 2 == 0 ? 2.8125 : -2.8125);
+    }
+    for (std::size_t frame = 0; frame < images.frames; ++frame)
+        for (std::size_t row = 0; row < images.rows; ++row)
+            for (std::size_t column = 0; column < images.columns; ++column) {
+                const std::size_t k = frame + 3 * row + 7 * column;
+                images.range_mm.push_back(k % 6 == 0 ? 0
+                                                     : std::uint32_t(4000 + 40 * row + 16 * column + frame));
+                images.reflectivity.push_back(std::uint32_t(k % 256));
+            }
+    for (std::size_t k = 0; k < images.frames * images.columns; ++k)
+        images.time_ns.push_back(5000000000 + 781250 * k + k % 2 * 900);
+    if (images.is_dual()) add_second_returns(images);
+    return images;
+}
+
 }  // namespace relidar::test

@@ -42,6 +42,12 @@ struct OusterImages {
     std::uint32_t round_mm(std::uint32_t mm) const { return is_low_rate() ? mm / 8 * 8 : mm; }
 };
 
+/// Adds second returns 1.5 m behind every fifth first return. Some of the second returns
+/// are brighter than the first return.
+void add_second_returns(OusterImages& images);
+/// Makes range images of a few beams in a room. Some pixels have no return.
+OusterImages make_small_images(const std::string& profile);
+
 /// A packet and the measurement time of its last column.
 struct OusterPacket {
     std::uint64_t time_ns;

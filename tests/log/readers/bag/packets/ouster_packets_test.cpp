@@ -47,18 +47,6 @@ void write_bytes(const fs::path& file, const std::string& bytes) {
     std::ofstream(file, std::ios::binary) << bytes;
 }
 
-/// Adds second returns 1.5 m behind every fifth first return. Some of the second returns
-/// are brighter than the first return.
-void add_second_returns(OusterImages& images) {
-    images.range_2_mm.assign(images.range_mm.size(), 0);
-    images.reflectivity_2 = images.range_2_mm;
-    for (std::size_t i = 0; i < images.range_mm.size(); i += 5)
-        if (images.range_mm[i] > 0) {
-            images.range_2_mm[i] = images.range_mm[i] + 1500;
-            images.reflectivity_2[i] = std::uint32_t(3 + i % 200);
-        }
-}
-
 /// Returns real scans, or std::nullopt if the files are not available.
 std::optional<OusterImages> load_real_images(const std::string& name, const std::string& product,
                                              const std::string& profile) {
@@ -84,33 +72,7 @@ std::optional<OusterImages> load_real_images(const std::string& name, const std:
         images.range_mm.push_back(images.is_low_rate() && mm > 262136.0 ? 0 : std::uint32_t(mm));
     for (const double v : array("refl").convert_to_doubles()) images.reflectivity.push_back(std::uint32_t(v));
     for (const double ns : array("ts").convert_to_doubles()) images.time_ns.push_back(std::uint64_t(ns));
-    if (images.is_dual()) add_second_returns(images);
-    return images;
-}
-
-/// Makes range images of a few beams in a room. Some pixels have no return.
-OusterImages make_small_images(const std::string& profile) {
-    OusterImages images;
-    images.profile = profile;
-    images.frames = 4;
-    images.rows = 16;
-    images.columns = 128;
-    images.n_mm = 15.8;
-    for (std::size_t row = 0; row < images.rows; ++row) {  // not ordered by altitude
-        images.altitude_deg.push_back(15.0 - 2.0 * double(row ^ 1));
-        images.azimuth_deg.push_back(row % 2 == 0 ? 2.8125 : -2.8125);
-    }
-    for (std::size_t frame = 0; frame < images.frames; ++frame)
-        for (std::size_t row = 0; row < images.rows; ++row)
-            for (std::size_t column = 0; column < images.columns; ++column) {
-                const std::size_t k = frame + 3 * row + 7 * column;
-                images.range_mm.push_back(k % 6 == 0 ? 0
-                                                     : std::uint32_t(4000 + 40 * row + 16 * column + frame));
-                images.reflectivity.push_back(std::uint32_t(k % 256));
-            }
-    for (std::size_t k = 0; k < images.frames * images.columns; ++k)
-        images.time_ns.push_back(5000000000 + 781250 * k + k % 2 * 900);
-    if (images.is_dual()) add_second_returns(images);
+    if (images.is_dual()) test::add_second_returns(images);
     return images;
 }
 
@@ -305,7 +267,7 @@ TEST(OusterPackets, RealScansAreThoseOfTheFolder) {
 
 TEST(OusterPackets, SmallScansAreThoseOfTheFolder) {
     for (const char* profile : kProfileNames) {
-        const OusterImages images = make_small_images(profile);
+        const OusterImages images = test::make_small_images(profile);
         const Loaded loaded(write_capture(images));
         if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
         ASSERT_EQ(loaded.error, "");
@@ -315,7 +277,7 @@ TEST(OusterPackets, SmallScansAreThoseOfTheFolder) {
 }
 
 TEST(OusterPackets, NestedMetadataSaysTheSame) {
-    const OusterImages images = make_small_images(test::kSingle);
+    const OusterImages images = test::make_small_images(test::kSingle);
     const fs::path capture = write_capture(images);
     write_bytes(fs::path(capture).replace_extension(".json"), test::make_metadata(images, 7502, true));
     const Loaded loaded(capture);
@@ -325,7 +287,7 @@ TEST(OusterPackets, NestedMetadataSaysTheSame) {
 }
 
 TEST(OusterPackets, ReflectivitiesOf16BitsCountAsThoseOfClouds) {
-    OusterImages images = make_small_images(test::kLegacy);
+    OusterImages images = test::make_small_images(test::kLegacy);
     for (std::uint32_t& bright : images.reflectivity) bright *= 8;  // up to 2040
     const Loaded loaded(write_capture(images));
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
@@ -353,7 +315,7 @@ struct Columns {
 
 TEST(OusterPackets, ColumnsThatWereNotMeasuredWereNotFired) {
     for (const char* profile : {test::kLegacy, test::kSingle}) {
-        OusterImages images = make_small_images(profile);
+        OusterImages images = test::make_small_images(profile);
         images.is_valid.assign(images.frames * images.columns, true);
         for (const std::size_t column : {0, 20, 21, 127}) images.is_valid[images.columns + column] = false;
         const Loaded loaded(write_capture(images));
@@ -368,7 +330,7 @@ TEST(OusterPackets, ColumnsThatWereNotMeasuredWereNotFired) {
 }
 
 TEST(OusterPackets, ASectorThatWasNotMeasuredHasNoReturn) {
-    OusterImages images = make_small_images(test::kSingle);
+    OusterImages images = test::make_small_images(test::kSingle);
     for (std::size_t k = 0; k < images.frames * images.columns; ++k)
         images.is_valid.push_back(k % 128 < 40 || k % 128 >= 70);
     const Loaded loaded(write_capture(images));
@@ -382,7 +344,7 @@ TEST(OusterPackets, ASectorThatWasNotMeasuredHasNoReturn) {
 }
 
 TEST(OusterPackets, TheOnlyMetadataMayNameAnotherPort) {
-    const OusterImages images = make_small_images(test::kLegacy);
+    const OusterImages images = test::make_small_images(test::kLegacy);
     const Loaded loaded(write_capture(images, test::receive(test::make_packets(images), 7512)));
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
     ASSERT_EQ(loaded.error, "");
@@ -390,7 +352,7 @@ TEST(OusterPackets, TheOnlyMetadataMayNameAnotherPort) {
 }
 
 TEST(OusterPackets, RepeatedAndLatePacketsAreSorted) {
-    const OusterImages images = make_small_images(test::kSingle);
+    const OusterImages images = test::make_small_images(test::kSingle);
     auto datagrams = test::receive(test::make_packets(images));
     std::swap(datagrams[12].bytes, datagrams[13].bytes);
     datagrams.insert(datagrams.begin() + 20, datagrams[17]);
@@ -401,7 +363,7 @@ TEST(OusterPackets, RepeatedAndLatePacketsAreSorted) {
 }
 
 TEST(OusterPackets, RaysOfMissingPacketsAreUnknown) {
-    const OusterImages images = make_small_images(test::kSingle);
+    const OusterImages images = test::make_small_images(test::kSingle);
     auto datagrams = test::receive(test::make_packets(images));
     datagrams[10].bytes.resize(500);          // columns 32 to 47 of frame 1
     datagrams.erase(datagrams.begin() + 15);  // columns 112 to 127, the end of the turn
@@ -418,7 +380,7 @@ TEST(OusterPackets, RaysOfMissingPacketsAreUnknown) {
 }
 
 TEST(OusterPackets, ATurnWithoutMostOfItsPacketsIsLeftOut) {
-    const OusterImages images = make_small_images(test::kDual);
+    const OusterImages images = test::make_small_images(test::kDual);
     auto datagrams = test::receive(test::make_packets(images));
     datagrams.erase(datagrams.begin() + 9, datagrams.begin() + 15);  // packets of frame 1
     const Loaded loaded(write_capture(images, datagrams));
@@ -432,7 +394,7 @@ TEST(OusterPackets, AWindowOfColumnsIsTheWholeTurn) {
     for (const auto& [first, last] :
          std::vector<std::pair<int, int>>{{32, 95}, {5, 40}, {0, 63}, {100, 127}}) {
         SCOPED_TRACE(fmt::format("{} to {}", first, last));
-        OusterImages images = make_small_images(test::kLowRate);
+        OusterImages images = test::make_small_images(test::kLowRate);
         images.first = std::size_t(first);
         images.last = std::size_t(last);
         const Loaded loaded(write_capture(images));
@@ -450,7 +412,7 @@ TEST(OusterPackets, AWindowOfColumnsIsTheWholeTurn) {
 }
 
 TEST(OusterPackets, AClockSinceBootAndOneOfPtpAreTheSame) {
-    OusterImages images = make_small_images(test::kSingle);
+    OusterImages images = test::make_small_images(test::kSingle);
     const Loaded boot(write_capture(images));
     for (std::uint64_t& ns : images.time_ns) ns += 1700000000000000000;
     const Loaded ptp(write_capture(images, test::receive(test::make_packets(images), 7502, 0)));
@@ -463,9 +425,34 @@ TEST(OusterPackets, AClockSinceBootAndOneOfPtpAreTheSame) {
     }
 }
 
+// A sensor on PTP has TAI, which is 37 s ahead of UTC, the clock of the capture.
+TEST(OusterPackets, PosesMayHaveTheClockOfTheSensor) {
+    constexpr std::int64_t kSecond_ns = 1000000000;
+    OusterImages images = test::make_small_images(test::kSingle);
+    for (std::uint64_t& ns : images.time_ns) ns += 1700000032 * kSecond_ns;  // from 1700000037 s
+    const fs::path capture =
+        write_capture(images, test::receive(test::make_packets(images), 7502, -37 * kSecond_ns));
+    std::string poses;
+    for (int k = -20; k < 30; ++k)
+        poses += fmt::format("{:.2f} {:.2f} 0 0 1 0 0 0\n", 1700000037 + 0.05 * k, 0.5 * k);
+    DatasetOptions options;
+    options.poses_file = capture.parent_path() / "poses.txt";
+    write_bytes(options.poses_file, poses);
+    const Loaded loaded(capture, options);
+    if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
+    ASSERT_EQ(loaded.error, "");
+    EXPECT_THAT(loaded.notes(), Names("37.000 s behind the sensor"));
+    for (std::size_t f = 0; f < images.frames; ++f) {
+        const double measured_s =
+            1e-9 * double(images.time_ns[f * images.columns + images.columns / 2] - 1700000037 * kSecond_ns);
+        EXPECT_NEAR(loaded.log.world_from_vehicle.pose[f].translation.x + loaded.log.world_offset_m.x,
+                    10.0 * measured_s, 0.02);  // the packets arrive 0.2 ms to 1 ms late
+    }
+}
+
 TEST(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
-    const OusterImages one = make_small_images(test::kSingle);
-    OusterImages other = make_small_images(test::kSingle);
+    const OusterImages one = test::make_small_images(test::kSingle);
+    OusterImages other = test::make_small_images(test::kSingle);
     other.product = "OS-0-16";
     other.n_mm = 27.0;
     for (std::uint32_t& mm : other.range_mm) mm += mm > 0 ? 1000 : 0;
@@ -503,7 +490,7 @@ TEST(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
 }
 
 TEST(OusterPackets, WhatIsWrongIsSaidInOneLine) {
-    const OusterImages images = make_small_images(test::kSingle);
+    const OusterImages images = test::make_small_images(test::kSingle);
     const auto error_with = [&](const std::string& metadata) {
         const fs::path capture = write_capture(images);
         write_bytes(fs::path(capture).replace_extension(".json"), metadata);
