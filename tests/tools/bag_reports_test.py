@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tests recordings like those of public bug reports: clocks that differ, invalid transforms and
-times, several LiDARs on one topic or in one frame, and unusual compression. A LiDAR drives along x at
-10 m/s in a room that moves with it. Scans and poses must be as written.
+"""Tests bags like those of public bug reports. A LiDAR drives along x at 10 m/s in a room that moves
+with it. Scans and poses must be as written.
 
    bag_reports_test.py RELIDAR WORK        77: numpy, lz4 or zstd are missing
 """
@@ -29,7 +28,6 @@ RELIDAR, WORK = sys.argv[1], pathlib.Path(sys.argv[2])
 T0, STEP, N, COLUMNS, ROWS, SPEED = 1_700_000_000_000_000_000, 100_000_000, 12, 90, 8, 10.0
 SECOND = 1_000_000_000
 TF, CLOUD, LIVOX = "tf2_msgs/TFMessage", "sensor_msgs/PointCloud2", "livox_ros_driver2/CustomMsg"
-PLAIN = bags.packed
 
 
 def expect(condition, text):
@@ -37,20 +35,15 @@ def expect(condition, text):
         sys.exit(f"FAILED: {text}")
 
 
-def points(y=0.0, columns=range(COLUMNS)):
-    """Returns [points, 3] of a sweep, column by column. The LiDAR moves with walls at x = -30 and 30 m,
-    and is y beside the middle of the walls at y = -8 and 8 m."""
-    out = []
-    for c in columns:
-        for r in range(ROWS):
-            el, az = math.radians(4 * r - 15), math.pi - 2 * math.pi * (c + .5) / COLUMNS
-            d = np.array([math.cos(el) * math.cos(az), math.cos(el) * math.sin(az), math.sin(el)])
-            out.append(d * min((8 - math.copysign(y, d[1])) / abs(d[1]), 30 / abs(d[0])))
-    return np.array(out, "f4")
+def points(columns=np.arange(COLUMNS)):
+    """Returns [points, 3] of a sweep, column by column."""
+    el, az = np.radians(4 * np.arange(ROWS) - 15), math.pi - 2 * math.pi * (columns[:, None] + .5) / COLUMNS
+    d = np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el) + 0 * az], -1)
+    return (d * np.minimum(8 / abs(d[..., 1:2]), 30 / abs(d[..., :1]))).reshape(-1, 3).astype("f4")
 
 
-def cloud(stamp, frame="lidar", y=0.0):
-    p = points(y)
+def cloud(stamp, frame="lidar"):
+    p = points()
     row = np.zeros(len(p), [("x", "f4"), ("y", "f4"), ("z", "f4"), ("ring", "u2"), ("time", "f4")])
     row["x"], row["y"], row["z"] = p.T
     row["ring"], row["time"] = np.arange(len(p)) % ROWS, np.arange(len(p)) // ROWS * (0.1 / COLUMNS)
@@ -64,7 +57,7 @@ def transform(stamp, parent, child, place, q=(0, 0, 0, 1)):
             "transform": {"position": dict(zip("xyz", place)), "orientation": dict(zip("xyzw", q))}}
 
 
-def log(n=N, ahead_ns=0, cloud_delay_ns=0, pose_delay_ns=0, start_s=-0.5, end_s=0.5, tf_extra=(), lidars=(("/points", "lidar", 0.0),)):
+def log(n=N, ahead_ns=0, cloud_delay_ns=0, pose_delay_ns=0, start_s=-0.5, end_s=0.5, tf_extra=(), lidars=(("/points", "lidar"),)):
     """Returns the messages of a drive.
     @param ahead_ns the clock of the LiDAR minus the clock of poses and recorder
     @param start_s, end_s the poses begin and end this much after the scans"""
@@ -73,8 +66,8 @@ def log(n=N, ahead_ns=0, cloud_delay_ns=0, pose_delay_ns=0, start_s=-0.5, end_s=
         stamp = T0 + t * STEP // 2
         out.append(("/tf", TF, stamp + pose_delay_ns, {"transforms": [*tf_extra, transform(stamp, "map", "base", (SPEED * t * 0.05, 0, 0))]}))
     for k in range(n):
-        for topic, frame, y in lidars:
-            out.append((topic, CLOUD, T0 + k * STEP + cloud_delay_ns, cloud(T0 + k * STEP + ahead_ns, frame, y)))
+        for topic, frame in lidars:
+            out.append((topic, CLOUD, T0 + k * STEP + cloud_delay_ns, cloud(T0 + k * STEP + ahead_ns, frame)))
     return sorted(out, key=lambda m: m[2])
 
 
@@ -142,7 +135,7 @@ def test_clocks():
 
 def test_clocks_of_lidars():
     """The rear LiDAR has the time of GPS, the front LiDAR has UTC. Both measure simultaneously."""
-    front, rear = log(), log(ahead_ns=18 * SECOND, lidars=(("/rear", "rear", 0.0),))
+    front, rear = log(), log(ahead_ns=18 * SECOND, lidars=(("/rear", "rear"),))
     folder, head, notes = convert(written("two_clocks", sorted(front + [m for m in rear if m[0] == "/rear"], key=lambda m: m[2])))
     expect([f["lidar"] for f in head["frames"]] == ["/points", "/rear"] * N, f"frames {head['frames']}\n{notes}")
     expect(names(notes, "/rear ... 18.000 s ahead of"), notes)
@@ -174,14 +167,10 @@ def test_transforms():
     messages = log()
     messages[0][3]["transforms"].insert(0, transform(T0, "base", "camera", (math.nan, 0, 0)))
     expect("1 poses are left out" in check(written("static", messages)), "a bad static transform")
-    good = {"linear": dict(x=0.0, y=0.0, z=0.0), "angular": dict(x=0.0, y=0.0, z=0.0)}
-    messages = [m for m in log() if m[0] != "/tf"]
-    for t in range(-10, 40):
-        stamp = T0 + t * STEP // 2
-        pose = transform(stamp, "odom", "base", (SPEED * t * 0.05, 0, 0), (0, 0, 0, 0) if t in (-10, 3) else (0, 0, 0, 1))["transform"]
-        messages.append(("/odom", "nav_msgs/Odometry", stamp, {"header": {"stamp": stamp, "frame_id": "odom"}, "child_frame_id": "base",
-                                                                "pose": {"pose": pose, "covariance": [0.0] * 36}, "twist": {"twist": good, "covariance": [0.0] * 36}}))
-    expect("2 poses are left out" in check(written("odom", sorted(messages, key=lambda m: m[2]))), "two bad messages of odometry")
+    odometry = [("/pose", "geometry_msgs/PoseStamped", m[2], {"header": m[3]["transforms"][0]["header"], "pose": m[3]["transforms"][0]["transform"]})
+                if m[0] == "/tf" else m for m in log()]
+    odometry[0][3]["pose"] = dict(odometry[0][3]["pose"], orientation=dict(x=0, y=0, z=0, w=0))
+    expect("1 poses are left out" in check(written("poses", odometry), extra_m=0), "a bad pose message")
 
 
 def test_recording_times():
@@ -197,38 +186,35 @@ def test_recording_times():
 
 
 def test_shared_frames():
-    both = (("/points", "lidar", 0.0), ("/rear/points", "lidar", 2.0), ("/filtered", "lidar", 0.0))
-    bag = written("one_frame", log(lidars=both))
+    bag = written("one_frame", log(lidars=[("/points", "lidar"), ("/rear/points", "lidar"), ("/third", "lidar")]))
     notes = check(bag)
-    expect(names(notes, "topics /filtered, /rear/points are not read ... 'lidar' ... dataset.lidars=/points,/filtered,/rear/points") or
-           names(notes, "topics /rear/points, /filtered are not read ... 'lidar' ... dataset.lidars=/points,/rear/points,/filtered"), notes)
+    expect(names(notes, "/rear/points, /third are not read ... 'lidar' ... dataset.lidars=/points,/rear/points,/third"), notes)
     _, head, notes = convert(bag, "dataset.lidars=/points,/rear/points")
     expect([l["name"] for l in head["lidars"]] == ["/points", "/rear/points"] and "not read" not in notes, notes)
 
 
 def test_shared_topics():
     livox = []
-    sectors = [range(18 * i, 18 * i + 18) for i in range(5)]
+    sectors = np.arange(COLUMNS).reshape(5, 18)
     for k in range(N):
         for number, columns in enumerate(sectors):
-            data = [{"offset_time": 1000 * i, "x": p[0], "y": p[1], "z": p[2], "reflectivity": i % 200, "tag": 0, "line": i % 4}
-                    for i, p in enumerate(points(columns=columns))]
+            data = [{"offset_time": 1000 * i, **dict(zip("xyz", p)), "reflectivity": i % 200, "tag": 0, "line": i % 4}
+                    for i, p in enumerate(points(columns))]
             stamp = T0 + k * STEP
-            livox.append(("/livox", LIVOX, stamp + number, {"header": {"stamp": stamp, "frame_id": "lidar"}, "timebase": stamp, "point_num": len(data),
-                                                            "lidar_id": 40 + number, "rsvd": (0, 0, 0), "points": data}))
-    poses = [m for m in log() if m[1] == TF]
-    bag = written("livox", sorted(livox + poses, key=lambda m: m[2]))
+            livox.append(("/livox", LIVOX, stamp + number, {"header": {"stamp": stamp, "frame_id": "lidar"}, "timebase": stamp,
+                                                            "point_num": len(data), "lidar_id": 40 + number, "rsvd": (0, 0, 0), "points": data}))
+    bag = written("livox", sorted(livox + [m for m in log() if m[1] == TF], key=lambda m: m[2]))
     folder, head, notes = convert(bag)
     expect([l["name"] for l in head["lidars"]] == [f"/livox:{40 + i}" for i in range(5)], f"{head['lidars']}\n{notes}")
     expect(len(head["frames"]) == 5 * N and names(notes, "/livox ... 5 LiDARs"), notes)
     for i, frame in enumerate(head["frames"]):
         scan = np.load(folder / frame["scan"])
         found = (scan["origin"] + scan["range"][..., None] * scan["directions"]).reshape(-1, 3)
-        expect(np.abs(found - points(columns=sectors[i % 5])).max() < 1e-4, f"points of {frame}")
+        expect(np.abs(found - points(sectors[i % 5])).max() < 1e-4, f"points of {frame}")
     for chosen, n in (("/livox", 5), ("/livox:42", 1)):
         expect(len(convert(bag, f"dataset.lidars={chosen}")[1]["lidars"]) == n, f"dataset.lidars={chosen}")
     # clouds that take turns in two frames, with their mountings in /tf_static
-    front, rear = log(), log(lidars=(("/points", "rear", 0.0),))
+    front, rear = log(), log(lidars=(("/points", "rear"),))
     _, head, notes = convert(written("turns", sorted(front + [m for m in rear if m[1] == CLOUD], key=lambda m: m[2])))
     mounts = {l["name"]: l["vehicle_from_sensor"]["translation"] for l in head["lidars"]}
     expect(mounts == {"/points:lidar": [0, 0, 1.8], "/points:rear": [-2, 0, 1.8]} and len(head["frames"]) == 2 * N, f"{mounts}\n{notes}")
@@ -238,28 +224,25 @@ def test_shared_topics():
     expect(names(notes, "1 clouds have another frame ... 'odd'"), notes)
 
 
-def squeezed(program, data, *options):
-    return subprocess.run([program, "-c", "-q", *options], input=data, capture_output=True, check=True).stdout
+def squeezed(program, data):
+    return subprocess.run([program, "-c", "-q"], input=data, capture_output=True, check=True).stdout
 
 
 def test_zstd():
     """rosbag2 compresses messages or files. The reader does not need metadata.yaml."""
     messages = log()
-    for name, options in (("known", None), ("unknown", ())):
-        folder = WORK / f"messages_{name}"
-        folder.mkdir()
-        bags.write_db3(folder / "bag_0.db3", messages, compressed=True)
-        if options is not None:   # two frames of unknown size, as a stream writes them
-            import sqlite3
-            base = sqlite3.connect(folder / "bag_0.db3")
-            bags.write_db3(WORK / "plain.db3", messages)
-            for row, data in sqlite3.connect(WORK / "plain.db3").execute("SELECT id, data FROM messages"):
-                base.execute("UPDATE messages SET data = ? WHERE id = ?", (squeezed("zstd", data[:50]) + squeezed("zstd", data[50:]), row))
-            base.commit()
-            base.close()
-        check(folder)
-        bags.write_metadata(folder, ["bag_0.db3"], "MESSAGE")
-        check(folder)
+    folder = WORK / "messages"
+    folder.mkdir()
+    bags.write_db3(folder / "bag_0.db3", messages, compressed=True)
+    check(folder)
+    bags.write_metadata(folder, ["bag_0.db3"], "MESSAGE")
+    check(folder)
+    keep = bags.message_bytes   # messages of two frames of unknown size, as a stream writes them
+    bags.message_bytes = lambda *given: squeezed("zstd", keep(*given)[:50]) + squeezed("zstd", keep(*given)[50:])
+    for ending, write in (("db3", bags.write_db3), ("mcap", bags.write_mcap)):
+        write(WORK / f"stream.{ending}", messages)
+        check(WORK / f"stream.{ending}")
+    bags.message_bytes = keep
     for ending, write in (("db3", bags.write_db3), ("mcap", bags.write_mcap)):
         folder = WORK / f"file_{ending}"
         folder.mkdir()
@@ -274,25 +257,20 @@ def test_zstd():
         check(folder)
         packed.write_bytes(packed.read_bytes()[:-20])
         expect("truncated" in run("info", folder, code=0 if ending == "mcap" else 3), f"a truncated {ending}.zstd")
-    keep = bags.message_bytes   # an MCAP file with compressed messages
-    bags.message_bytes = lambda *given: squeezed("zstd", keep(*given))
-    bag = written("packed_messages", messages)
-    bags.message_bytes = keep
-    check(bag)
 
 
 def test_frames_of_chunks():
     """Compressed chunks may consist of several frames, and of frames that decoders skip."""
     skipped = struct.pack("<II", 0x184D2A53, 5) + b"12345"
     halves = lambda program, data: squeezed(program, data[:len(data) // 3]) + skipped + squeezed(program, data[len(data) // 3:]) + skipped
-    bags.packed = halves
+    packed, bags.packed = bags.packed, halves
     for compression in ("lz4", "zstd"):
         check(written(f"frames_{compression}", log(), compression=compression, chunk=6))
     bags.write_ros1(WORK / "frames.bag", log(), "lz4")
     check(WORK / "frames.bag")
     bags.packed = lambda program, data: squeezed(program, data) + squeezed(program, b"more")
     expect("damaged" in run("info", written("more", log(), compression="lz4", chunk=6), code=3), "more bytes than the chunk has")
-    bags.packed = PLAIN
+    bags.packed = packed
 
 
 shutil.rmtree(WORK, ignore_errors=True)

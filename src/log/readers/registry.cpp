@@ -248,7 +248,7 @@ void apply_range_limits_to_lidars_and_scans(LidarSequence& sequence, const Range
 void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<std::string>& lidar_names) {
     std::vector<int> new_index_of_lidar(sequence.lidars.size(), -1);
     for (const std::string& name : lidar_names) {
-        bool is_topic = false;  // a topic with several LiDARs, which are named TOPIC:NUMBER
+        bool is_topic = false;  // several LiDARs TOPIC:NUMBER share a topic
         for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
             if (sequence.lidars[l].name.starts_with(name + ":")) {
                 new_index_of_lidar[l] = 0;

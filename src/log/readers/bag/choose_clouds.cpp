@@ -238,23 +238,6 @@ std::size_t choose_main_lidar_index(const BagIndex& bag_index,
     return std::size_t(most - cloud_topic_indices.begin());
 }
 
-/// Adds a note about LiDARs that share a topic and a frame, because the mountings of such
-/// LiDARs are not in the recording.
-void add_notes_on_shared_topics(const BagRecording& bag, const BagIndex& bag_index,
-                                SelectedCloudTopics& selected) {
-    std::map<std::size_t, std::vector<std::string>> names_of_topic;
-    for (const std::size_t c : selected.lidars)
-        if (const CloudTopic& clouds = bag_index.clouds[c];
-            clouds.lidar != "" && clouds.lidar != clouds.frame)
-            names_of_topic[clouds.topic].push_back(clouds.make_name(bag));
-    for (const auto& [topic, names] : names_of_topic)
-        selected.notes.push_back(
-            fmt::format("topic {} has clouds of {} LiDARs, which are read as {}; the clouds have one frame, "
-                        "so all points "
-                        "must already be in this frame",
-                        bag.topics()[topic].name, names.size(), fmt::join(names, ", ")));
-}
-
 }  // namespace
 
 SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex& bag_index,
@@ -299,7 +282,6 @@ SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex&
     choice.main =
         std::size_t(std::ranges::find(accepted_lidars, choice.lidars[choice.main]) - accepted_lidars.begin());
     choice.lidars = std::move(accepted_lidars);
-    add_notes_on_shared_topics(bag, bag_index, choice);
     return choice;
 }
 

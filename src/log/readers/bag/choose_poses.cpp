@@ -136,14 +136,11 @@ std::size_t count_clouds_with_pose(const CloudTopic& clouds, const TransformChai
     }));
 }
 
-/// Compares the clock of the clouds with the clock of the poses.
-ClockOffset compare_clocks(const BagIndex& bag_index, const CloudTopic& clouds,
-                           const PoseSourceCandidate& source) {
-    const std::vector<StampedPose>* poses =
-        source.topic ? &source.topic->samples
-                     : bag_index.frames.find_fastest_samples(source.outer, source.vehicle);
-    if (!poses) return {};
-    return estimate_clock_offset(list_message_times(clouds.clouds), list_message_times(*poses));
+/// Returns the moving poses of a source, or null if the source does not move.
+const std::vector<StampedPose>* find_pose_samples(const BagIndex& bag_index,
+                                                  const PoseSourceCandidate& source) {
+    return source.topic ? &source.topic->samples
+                        : bag_index.frames.find_fastest_samples(source.outer, source.vehicle);
 }
 
 /// Sets the poses as a function of time. Corrects a clock offset between clouds and poses
@@ -152,8 +149,10 @@ void set_poses_and_correct_clock(SelectedPoseSource& choice, const BagIndex& bag
                                  const CloudTopic& clouds, const PoseSourceCandidate& source) {
     choice.poses_zero_ns = choice.zero_ns;
     choice.path = make_vehicle_pose_function(bag_index, source, choice.clock, choice.zero_ns);
-    if (choice.clock == LogClock::recorder) return;
-    const ClockOffset offset = compare_clocks(bag_index, clouds, source);
+    const std::vector<StampedPose>* poses = find_pose_samples(bag_index, source);
+    if (choice.clock == LogClock::recorder || !poses) return;
+    const ClockOffset offset =
+        estimate_clock_offset(list_message_times(clouds.clouds), list_message_times(*poses));
     if (offset.offset_ns == 0) return;
     const std::int64_t zero_ns = choice.zero_ns - offset.offset_ns;
     TransformChain corrected = make_vehicle_pose_function(bag_index, source, choice.clock, zero_ns);
@@ -192,12 +191,14 @@ SelectedPoseSource choose_vehicle_pose_source(const BagRecording& bag, const Bag
     std::optional<PoseSourceCandidate> source =
         find_requested_pose_source(bag, bag_index, frame_chain, requested_frame_or_topic, choice.notes);
     if (!source) source = select_default_pose_source(bag, bag_index, frame_chain, choice.notes);
-    const bool has_stamps = std::ranges::any_of(
-        main_lidar_clouds.clouds, [](const CloudIndexEntry& cloud) { return cloud.stamp_ns != 0; });
-    if (!has_stamps) {
+    const std::vector<StampedPose>* poses = source ? find_pose_samples(bag_index, *source) : nullptr;
+    const char* without = list_message_times(main_lidar_clouds.clouds).empty() ? "clouds"
+                          : poses && list_message_times(*poses).empty()        ? "poses"
+                                                                               : nullptr;
+    if (without) {
         choice.clock = LogClock::recorder;
-        choice.notes.push_back(
-            "the clouds have no time stamps, so the times at which they were recorded are used");
+        choice.notes.push_back(fmt::format(
+            "the {} have no time stamps, so the times at which they were recorded are used", without));
     }
     choice.zero_ns = choice.poses_zero_ns = find_first_cloud_time_ns(main_lidar_clouds, choice.clock);
     choice.vehicle = main_lidar_clouds.frame;

@@ -33,12 +33,6 @@ constexpr double kLeastStep_s = 2e-3;  // minimum time between sweeps
 // The unit is the sweep period of the main LiDAR.
 constexpr double kBeside = 0.6;
 
-bool are_poses_equal(const std::vector<Pose>& first, const std::vector<Pose>& second) {
-    return std::ranges::equal(first, second, [](const Pose& a, const Pose& b) {
-        return a.translation == b.translation && a.rotation == b.rotation;
-    });
-}
-
 class BagLogLoader {
 public:
     BagLogLoader(const std::filesystem::path& path, const DatasetOptions& options)
@@ -300,51 +294,44 @@ private:
     }
 
     /// Reads vehicle poses from a file of the user. The file lists them by frame number
-    /// or by time.
-    /// @param clock_offset_ns  clock of the log minus clock of the file
-    std::vector<Pose> read_user_poses(std::int64_t clock_offset_ns, std::vector<std::string>& notes) const {
-        std::vector<folder::SequenceHeaderFrame> frames;
-        for (const FrameCloudMessage& frame : frames_)
-            frames.push_back(
-                {frame.number, frame.time_s + 1e-9 * double(poses_.zero_ns - clock_offset_ns), 0, {}});
-        const auto poses = folder::read_frame_poses(options_.poses_file, frames, nullptr, notes);
-        if (!poses)
-            throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)",
-                                        options_.poses_file.string()));
-        return *poses;
-    }
-
-    /// Reads vehicle poses from a file of the user at the times of the frames. If the file
-    /// covers these times only on another clock, uses the other clock.
+    /// or by time. If it covers the times of the frames only on another clock, the other
+    /// clock is used.
     std::vector<Pose> read_user_poses_at_frame_times() {
+        const auto read_poses = [&](std::int64_t clock_offset_ns, std::vector<std::string>& notes) {
+            std::vector<folder::SequenceHeaderFrame> frames;
+            const double zero_s = 1e-9 * double(poses_.zero_ns - clock_offset_ns);
+            for (const FrameCloudMessage& frame : frames_)
+                frames.push_back({frame.number, frame.time_s + zero_s, 0, {}});
+            const auto poses = folder::read_frame_poses(options_.poses_file, frames, nullptr, notes);
+            if (!poses)
+                throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)",
+                                            options_.poses_file.string()));
+            return *poses;
+        };
         const ClockOffset offset = compare_with_other_clock();
-        if (offset.offset_ns == 0) return read_user_poses(0, sequence_.notes);
-        std::vector<std::string> notes, other_notes;
-        std::optional<std::vector<Pose>> poses, other;
-        std::string problem;
+        std::vector<Pose> poses, other;
+        std::vector<std::string> ignored_notes;
         try {
-            poses = read_user_poses(0, notes);
-        } catch (const DataError& error) {
-            problem = error.what();
-        }
-        try {
-            other = read_user_poses(offset.offset_ns, other_notes);
+            if (offset.offset_ns != 0) other = read_poses(offset.offset_ns, ignored_notes);
         } catch (const DataError&) {
-            if (!poses) throw DataError(problem);
+            // The file has no poses at the times of the other clock.
         }
-        const std::string text =
-            fmt::format("the clock of the scans is {}",
-                        offset.describe(get_main_cloud_topic().revolutions.empty() ? "the recording times"
-                                                                                   : "the sensor"));
-        if (!poses)
-            add_note_if_not_empty(text +
-                                  "; the poses cover the scans only on the latter clock, so it is used");
-        else if (other && !are_poses_equal(*poses, *other))
-            add_note_if_not_empty(text +
-                                  "; the poses are read on the clock of the scans, but the file covers "
-                                  "the scans on both clocks, so check its clock");
-        for (const std::string& note : poses ? notes : other_notes) add_note_if_not_empty(note);
-        return poses ? *poses : *other;
+        try {
+            poses = read_poses(0, sequence_.notes);
+        } catch (const DataError&) {
+            if (other.empty()) throw;
+        }
+        const bool is_equal = std::ranges::equal(poses, other, [](const Pose& a, const Pose& b) {
+            return a.translation == b.translation && a.rotation == b.rotation;
+        });
+        if (!other.empty() && !is_equal)
+            add_note_if_not_empty(fmt::format(
+                "the clock of the scans is {}; {}",
+                offset.describe(get_main_cloud_topic().revolutions.empty() ? "the recorder" : "the sensor"),
+                poses.empty() ? "the poses cover the scans only on the latter clock, so it is used"
+                              : "the poses cover the scans on both clocks; they are read on the clock of the "
+                                "scans, so check the clock of the poses"));
+        return poses.empty() ? other : poses;
     }
 
     /// Adds the boxes of the bag to the log. If the vehicle poses are from a file of the

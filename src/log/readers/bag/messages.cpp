@@ -121,18 +121,6 @@ CloudMessage read_livox_cloud(MessageReader& reader) {
     return cloud;
 }
 
-/// Reads a geometry_msgs/TransformStamped. Also reads the pose at the start of a
-/// nav_msgs/Odometry, because it has the same fields.
-struct UncheckedTransform {
-    TransformMessage transform;  ///< header and child frame
-    PoseComponents pose{};
-};
-UncheckedTransform read_transform(MessageReader& reader) {
-    TransformMessage transform{read_header(reader), std::string(reader.read_string()), {}};
-    if (transform.child.starts_with('/')) transform.child.erase(0, 1);
-    return {std::move(transform), read_position_and_quaternion(reader)};
-}
-
 }  // namespace
 
 std::int64_t read_ros_time_ns(MessageReader& reader) {
@@ -226,13 +214,14 @@ TransformListMessage read_transforms_of_message(const BagTopic& topic, std::stri
     if (topic.encoding == "protobuf") return read_foxglove_transforms(message_bytes);
     MessageReader reader = make_message_reader(topic, message_bytes);
     TransformListMessage list;
-    if (get_message_purpose_of_topic(topic) == MessagePurpose::transforms ||
-        topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped") {
-        const bool is_list = get_message_purpose_of_topic(topic) == MessagePurpose::transforms;
+    const bool is_list = get_message_purpose_of_topic(topic) == MessagePurpose::transforms;
+    // A nav_msgs/Odometry begins with the fields of a geometry_msgs/TransformStamped.
+    if (is_list || topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped") {
         const std::size_t n = is_list ? reader.read_list_length(72) : 1;
         for (std::size_t i = 0; i < n; ++i) {
-            UncheckedTransform unchecked = read_transform(reader);
-            list.add_if_valid(std::move(unchecked.transform), unchecked.pose);
+            TransformMessage transform{read_header(reader), std::string(reader.read_string()), {}};
+            if (transform.child.starts_with('/')) transform.child.erase(0, 1);
+            list.add_if_valid(std::move(transform), read_position_and_quaternion(reader));
         }
     } else {
         const MessageHeader header = read_header(reader);

@@ -62,7 +62,8 @@ std::vector<std::string> format_line_per_topic(const BagRecording& bag, const Ba
             clouds != bag_index.clouds.end()) {
             line += describe_cloud_topic_content(*clouds);
             if (const auto n = std::ranges::count(bag_index.clouds, t, &CloudTopic::topic); n > 1)
-                line += fmt::format(", clouds of {} LiDARs", n);
+                line += fmt::format(", clouds of {} LiDARs, which are read as '{}' and so on", n,
+                                    shorten_for_error_message(clouds->make_name(bag)));
             if (clouds->n_empty > 0) line += fmt::format(", {} clouds without points", clouds->n_empty);
         }
         if (const auto poses = std::ranges::find(bag_index.poses, t, &PoseTopic::topic);

@@ -84,14 +84,15 @@ private:
     void index_cloud_message(const BagTopic& topic, const BagMessage& message) {
         const CloudMessage cloud = read_cloud_of_message(topic, message.bytes);
         // An empty cloud often has no frame.
+        const bool has_too_many =
+            std::ranges::count(survey_.clouds, message.topic, &CloudTopic::topic) > kMostLidarsOnTopic;
         auto entry = std::ranges::find_if(survey_.clouds, [&](const CloudTopic& c) {
             return c.topic == message.topic &&
-                   (cloud.size() == 0 || c.clouds.empty() || c.lidar == cloud.lidar);
+                   (has_too_many || cloud.size() == 0 || c.clouds.empty() || c.lidar == cloud.lidar);
         });
         if (entry == survey_.clouds.end()) {
-            const auto n = std::ranges::count(survey_.clouds, message.topic, &CloudTopic::topic);
-            if (n <= kMostLidarsOnTopic) survey_.clouds.emplace_back().topic = message.topic;
-            entry = survey_.clouds.end() - 1;
+            entry = survey_.clouds.emplace(entry);
+            entry->topic = message.topic;
         }
         CloudTopic& clouds = *entry;
         if (clouds.clouds.empty()) {
@@ -229,6 +230,8 @@ void join_entries_of_one_lidar(std::vector<CloudTopic>& all, std::size_t topic) 
     std::vector<CloudTopic*> entries;
     for (CloudTopic& clouds : all)
         if (clouds.topic == topic) entries.push_back(&clouds);
+    if (entries.size() == 1) entries[0]->lidar.clear();
+    if (entries.size() < 2) return;
     const CloudTopic& most =
         **std::ranges::max_element(entries, {}, [](const CloudTopic* c) { return c->clouds.size(); });
     const auto get_order = [](const auto& entry) {
@@ -236,10 +239,9 @@ void join_entries_of_one_lidar(std::vector<CloudTopic>& all, std::size_t topic) 
         return std::tuple(at.file, at.at, at.in_chunk);
     };
     const auto is_lidar = [&](const CloudTopic* c) {
-        if (c == &most || c->clouds.empty()) return c == &most;
-        return get_order(c->clouds.front()) < get_order(most.clouds.back()) &&
-               get_order(most.clouds.front()) < get_order(c->clouds.back()) &&
-               double(c->clouds.size()) >= kLeastShare * double(most.clouds.size());
+        return c == &most || (get_order(c->clouds.front()) < get_order(most.clouds.back()) &&
+                              get_order(most.clouds.front()) < get_order(c->clouds.back()) &&
+                              double(c->clouds.size()) >= kLeastShare * double(most.clouds.size()));
     };
     const auto n_lidars = std::ranges::count_if(entries, is_lidar);
     const bool is_one = n_lidars == 1 || std::ssize(entries) > kMostLidarsOnTopic;
@@ -253,14 +255,10 @@ void join_entries_of_one_lidar(std::vector<CloudTopic>& all, std::size_t topic) 
         }
         std::ranges::move(std::exchange(c->clouds, {}), std::back_inserter(first.clouds));
         std::ranges::move(std::exchange(c->arcs, {}), std::back_inserter(first.arcs));
-        first.n_empty += std::exchange(c->n_empty, 0);
     }
-    if (entries.size() == 1) return;
     std::ranges::stable_sort(first.clouds, {}, get_order);
     std::ranges::stable_sort(first.arcs, {}, get_order);
-    std::erase_if(all, [&](const CloudTopic& c) {
-        return c.topic == topic && c.clouds.empty() && c.n_empty == 0 && c.packets.empty();
-    });
+    std::erase_if(all, [&](const CloudTopic& c) { return c.topic == topic && c.clouds.empty(); });
 }
 
 /// Joins clouds that are parts of a revolution. A revolution begins at the rear, so the
@@ -322,9 +320,7 @@ BagIndex index_bag_messages(BagRecording& bag, const ProgressReporter& progress)
             },
             progress);
     }
-    for (std::size_t t = 0; t < bag.topics().size(); ++t)
-        if (std::ranges::count(survey.clouds, t, &CloudTopic::topic) > 0)
-            join_entries_of_one_lidar(survey.clouds, t);
+    for (std::size_t t = 0; t < bag.topics().size(); ++t) join_entries_of_one_lidar(survey.clouds, t);
     for (CloudTopic& clouds : survey.clouds) {
         clouds.packets.sort_packets_and_find_revolutions();
         clouds.revolutions = clouds.packets.get_revolutions();

@@ -46,26 +46,15 @@ void write_block_or_flush(const File& unpacked, std::string_view bytes, const st
                                     std::filesystem::temp_directory_path().string()));
 }
 
-/// Limits the size of an unpacked file. A file is damaged if it unpacks to more than
-/// kMostGrowth times its size. Files of at most kSmall bytes are always accepted.
-class GrowthLimit {
-public:
-    explicit GrowthLimit(const std::filesystem::path& packed)
-        : packed_(packed), most_(std::max(kSmall, kMostGrowth * std::filesystem::file_size(packed))) {}
-    void add_bytes(std::uint64_t n_bytes) {
-        n_unpacked_ += n_bytes;
-        if (n_unpacked_ > most_)
-            throw DataError(
-                fmt::format("cannot unpack {}: found more than {} bytes, expected at most {} "
-                            "times the size of the file",
-                            packed_.string(), most_, kMostGrowth));
-    }
-
-private:
-    static constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
-    const std::filesystem::path& packed_;
-    std::uint64_t most_, n_unpacked_ = 0;
-};
+/// Throws if an unpacked file is much larger than the file, because the file is then
+/// damaged.
+void check_unpacked_size(const std::filesystem::path& packed, std::uint64_t n_unpacked) {
+    constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
+    if (n_unpacked > kSmall && n_unpacked / kMostGrowth > std::filesystem::file_size(packed))
+        throw DataError(fmt::format(
+            "cannot unpack {}: found more than {} bytes, expected at most {} times the size of the file",
+            packed.string(), n_unpacked, kMostGrowth));
+}
 
 }  // namespace
 
@@ -91,9 +80,9 @@ UnpackedZstdFile::UnpackedZstdFile(const std::filesystem::path& file) : path_(fi
     try {
         const File unpacked(std::fopen(path_.c_str(), "wb"));
         if (!unpacked) throw DataError(fmt::format("cannot write {}", path_.string()));
-        GrowthLimit limit(file);
+        std::uint64_t n_unpacked = 0;
         is_truncated_ = !stream_zstd(read_block, [&](std::string_view bytes) {
-            limit.add_bytes(bytes.size());
+            check_unpacked_size(file, n_unpacked += bytes.size());
             write_block_or_flush(unpacked, bytes, file);
         });
         write_block_or_flush(unpacked, {}, file);
@@ -125,11 +114,11 @@ DecompressedFile open_file_and_unpack_gzip(const std::filesystem::path& path) {
     const auto write = [&](const char* bytes, std::size_t n_bytes) {
         write_block_or_flush(unpacked, {bytes, n_bytes}, path);
     };
-    GrowthLimit limit(path);
+    std::uint64_t n_unpacked = 0;
     std::vector<char> block(1 << 20);
     int n = 0;
     while ((n = gzread(reader.get(), block.data(), unsigned(block.size()))) > 0) {
-        limit.add_bytes(std::uint64_t(n));
+        check_unpacked_size(path, n_unpacked += std::uint64_t(n));
         write(block.data(), std::size_t(n));
     }
     write(nullptr, 0);

@@ -197,20 +197,16 @@ std::vector<PoseInterpretation> list_possible_pose_conventions(const PoseRows& p
     return append_inverse_interpretations(std::move(readings));
 }
 
-/// Returns a hint if all frames would have a pose after a shift by a known difference
-/// between clocks. Otherwise returns an empty text.
-std::string describe_clock_hint(const PoseTrack& track, const std::vector<SequenceHeaderFrame>& frames) {
-    for (const auto& [offset_s, cause] :
-         {std::pair(37.0, "TAI minus UTC"), {18.0, "GPS time minus UTC"}, {19.0, "TAI minus GPS time"}})
-        for (const double shift_s : {offset_s, -offset_s}) {
-            const double first_s = track.time_s.front() - shift_s - kMostBeyond_s,
-                         last_s = track.time_s.back() - shift_s + kMostBeyond_s;
-            if (std::ranges::all_of(frames, [&](const SequenceHeaderFrame& frame) {
-                    return frame.time_s >= first_s && frame.time_s <= last_s;
-                }))
-                return fmt::format("; with times {} s {}, they would cover all frames ({} is {} s)", offset_s,
-                                   shift_s > 0.0 ? "earlier" : "later", cause, offset_s);
-        }
+/// Returns a hint if poses would cover all times after a shift by leap seconds. Otherwise
+/// returns an empty text.
+std::string describe_clock_hint(const PoseTrack& track, double first_frame_s, double last_frame_s) {
+    for (const auto& [leap_s, cause] :
+         {std::pair(37, "TAI minus UTC"), {18, "GPS time minus UTC"}, {19, "TAI minus GPS time"}})
+        for (const int shift_s : {leap_s, -leap_s})
+            if (first_frame_s >= track.time_s.front() - shift_s - kMostBeyond_s &&
+                last_frame_s <= track.time_s.back() - shift_s + kMostBeyond_s)
+                return fmt::format("; {} s {}, they would cover all frames ({} is {} s)", leap_s,
+                                   shift_s > 0 ? "earlier" : "later", cause, leap_s);
     return "";
 }
 
@@ -224,7 +220,7 @@ std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,
             throw DataError(fmt::format(
                 "{}: found poses from {} to {} s, but frame {} is at {} s, expected poses for all frames{}",
                 file_name, track.time_s.front(), track.time_s.back(), frame.number, frame.time_s,
-                describe_clock_hint(track, frames)));
+                describe_clock_hint(track, frames.front().time_s, frames.back().time_s)));
         poses.push_back(track.interpolate_pose(frame.time_s));
     }
     return poses;
