@@ -30,7 +30,7 @@ SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex&
 struct SelectedPoseSource {
     LogClock clock = LogClock::stamps;
     std::int64_t zero_ns = 0;  ///< time of the first cloud; it becomes 0 s in the log
-    /// Time on the clock of the poses that is 0 s in the log. It differs from `zero_ns` if
+    /// Time on the clock of the poses that is 0 s in the log. Equals `zero_ns`, unless
     /// the clocks of clouds and poses differ.
     std::int64_t poses_zero_ns = 0;
     /// Pose of the vehicle in the world frame as a function of time. Empty if the bag has

@@ -192,13 +192,12 @@ SelectedPoseSource choose_vehicle_pose_source(const BagRecording& bag, const Bag
         find_requested_pose_source(bag, bag_index, frame_chain, requested_frame_or_topic, choice.notes);
     if (!source) source = select_default_pose_source(bag, bag_index, frame_chain, choice.notes);
     const std::vector<StampedPose>* poses = source ? find_pose_samples(bag_index, *source) : nullptr;
-    const char* without = list_message_times(main_lidar_clouds.clouds).empty() ? "clouds"
-                          : poses && list_message_times(*poses).empty()        ? "poses"
-                                                                               : nullptr;
-    if (without) {
+    const bool has_stamps = !list_message_times(main_lidar_clouds.clouds).empty();
+    if (!has_stamps || (poses && list_message_times(*poses).empty())) {
         choice.clock = LogClock::recorder;
-        choice.notes.push_back(fmt::format(
-            "the {} have no time stamps, so the times at which they were recorded are used", without));
+        choice.notes.push_back(
+            fmt::format("the {} have no time stamps, so the times at which they were recorded are used",
+                        has_stamps ? "poses" : "clouds"));
     }
     choice.zero_ns = choice.poses_zero_ns = find_first_cloud_time_ns(main_lidar_clouds, choice.clock);
     choice.vehicle = main_lidar_clouds.frame;

@@ -19,17 +19,20 @@ constexpr std::int64_t kLeastOffset_ns = 750 * kMilli_ns, kClear_ns = 2 * kUnit_
 constexpr std::int64_t kMostOffset_ns = 2400000000 * kUnit_ns;
 // Two messages are compared if they were recorded within this time of each other.
 constexpr std::int64_t kNearby_ns = kUnit_ns;
-// An offset is steady if 80 % of its measurements are within this interval.
-constexpr double kSteady_ns = 5e8;
+// An offset is steady if 80 % of its measurements are within an interval: 10 % of the
+// offset, but at least and at most these values.
+constexpr double kLeastSpread_ns = 5e8, kMostSpread_ns = 5e9;
+// Recording times that pass much faster than the time stamps come from a conversion.
+constexpr double kLeastPace = 0.5;
 
 /// Rounds an offset to a known difference between clocks: leap seconds since 1999 and
-/// time zones. A cloud is recorded up to 0.25 s later than a pose of the same time, so
+/// time zones. A cloud is recorded up to 0.45 s later than a pose of the same time, so
 /// the measured offset is too small by this delay.
 std::int64_t round_to_known_offset(std::int64_t measured_ns) {
-    const std::int64_t seconds = std::llround(1e-9 * double(measured_ns + 100 * kMilli_ns));
+    const std::int64_t seconds = std::llround(1e-9 * double(measured_ns + 200 * kMilli_ns));
     const std::int64_t n = std::abs(seconds), delay_ns = seconds * kUnit_ns - measured_ns;
     const bool is_known = (n >= 13 && n <= 19) || (n >= 32 && n <= 37) || n % 900 == 0;
-    return is_known && delay_ns >= -50 * kMilli_ns && delay_ns <= 250 * kMilli_ns ? seconds * kUnit_ns
+    return is_known && delay_ns >= -50 * kMilli_ns && delay_ns <= 450 * kMilli_ns ? seconds * kUnit_ns
                                                                                   : measured_ns;
 }
 
@@ -57,13 +60,18 @@ ClockOffset estimate_clock_offset(const std::vector<MessageTimes>& messages,
         if (near != reference.end() && std::abs(near->log_ns - m.log_ns) <= kNearby_ns)
             offsets_ns.push_back((m.stamp_ns - m.log_ns) - (near->stamp_ns - near->log_ns));
     }
-    if (offsets_ns.size() < kLeast) return {};
+    const auto get_passed_ns = [&](std::int64_t MessageTimes::*time) {
+        return std::abs(double(messages.back().*time) - double(messages.front().*time));
+    };
+    if (offsets_ns.size() < kLeast ||
+        get_passed_ns(&MessageTimes::log_ns) < kLeastPace * get_passed_ns(&MessageTimes::stamp_ns))
+        return {};
     std::ranges::sort(offsets_ns);
     const std::size_t n = offsets_ns.size();
     const std::int64_t median_ns = offsets_ns[n / 2];
     const double spread_ns = double(offsets_ns[n - 1 - n / 10]) - double(offsets_ns[n / 10]);
-    if (spread_ns > kSteady_ns || std::abs(median_ns) < kLeastOffset_ns ||
-        std::abs(median_ns) > kMostOffset_ns)
+    if (spread_ns > std::clamp(0.1 * std::abs(double(median_ns)), kLeastSpread_ns, kMostSpread_ns) ||
+        std::abs(median_ns) < kLeastOffset_ns || std::abs(median_ns) > kMostOffset_ns)
         return {};
     ClockOffset clock{round_to_known_offset(median_ns), std::abs(median_ns) >= kClear_ns};
     // Poses that were computed from clouds have their time stamps. So equal time stamps

@@ -69,7 +69,7 @@ struct CloudTopic {
 
     bool has_field_with_attribute(folder::PointAttribute attribute) const;
     std::size_t compute_median_point_count() const;  ///< Returns the median number of points of a cloud.
-    /// Returns the name of the LiDAR: the name of the topic, and `lidar` if it is not empty.
+    /// Returns the name of the LiDAR: the topic, and `lidar` if it is not empty.
     std::string make_name(const BagRecording& bag) const;
 };
 
