@@ -314,6 +314,20 @@ def test_captures():
     expect("no " in run("train", capture, "--out", WORK / "run", code=3), "a capture without a LiDAR")
 
 
+def test_clock_of_gps():
+    """A VLP-16 with GPS sends UTC. The capture is on TAI, 37 s ahead, and poses are on UTC."""
+    hour_us = T0 // 1000 % 3_600_000_000
+    packets, _ = lidars.packets(lidars.PRODUCTS[0], 800, zero_us=hour_us - 37_000_000)
+    capture, poses = WORK / "gps.pcap", WORK / "gps_poses.txt"
+    captures.write(capture, [(T0 + ns, captures.frame(data)) for ns, data in packets])
+    poses.write_text("".join(f"{T0 / 1e9 - 37 + s:.3f} {10 * s:.3f} 0 0 1 0 0 0\n" for s in np.arange(-0.2, 1.6, 0.05)))
+    folder, head = converted(capture, "--set", f"dataset.poses={poses}")
+    expect(names("\n".join(head["notes"]), "37.000 s ahead of the sensor"), f"{head['notes']}")
+    _, _, zero_s = returns_of(folder, head, False)
+    apart = np.loadtxt(folder / "poses.txt")[:, 1] - 10 * (np.array([f["time_s"] for f in head["frames"]]) + zero_s)
+    expect(len(apart) > 5 and np.abs(apart).max() < 1e-3, f"poses {apart} m apart")
+
+
 def firings_of(product, packets, dual):
     """Returns (first azimuth of the packet, bytes of the lasers) of each firing."""
     blocks = {"Pandar40P": 10, "Pandar64": 6, "XT32": 8}.get(product.name, 12)
@@ -701,6 +715,7 @@ test_ousters()
 test_sectors()
 if PCAP:
     test_captures()
+    test_clock_of_gps()
     test_written_again()
     test_alternating_again()
     test_network()

@@ -290,7 +290,11 @@ private:
                 times[i].log_ns = times[i].stamp_ns - ahead_ns;
         std::vector<MessageTimes> other = times;
         for (MessageTimes& t : other) t.stamp_ns = t.log_ns;
-        return estimate_clock_offset(times, other);
+        const ClockOffset offset = estimate_clock_offset(times, other);
+        // A sensor without GPS counts its hour from any moment. Only whole seconds show
+        // that the sensor has GPS.
+        return main.packets.has_wrapping_clock() && offset.offset_ns % kSecond_ns != 0 ? ClockOffset{}
+                                                                                       : offset;
     }
 
     /// Reads vehicle poses from a file of the user. The file lists them by frame number

@@ -315,7 +315,8 @@ std::string PacketIndex::describe_problems() const {
 /// Sets `forward_ns` (when the LiDAR's head faces forward) and `log_ns` (when the packet
 /// of that moment was recorded). If the sensor fires at fixed azimuths, also sets the
 /// offset `stamp_less_clock_ns` (packet time stamp - sensor clock). `forward_ns` is then
-/// the time on the sensor's clock plus this offset.
+/// the time on the sensor's clock plus this offset. For a clock that wraps, the offset is
+/// at most half of the interval.
 void PacketIndex::set_revolution_times(PacketRevolution& revolution) const {
     const double forward = revolution.begin_deg + 180.0;
     const auto behind =
@@ -325,7 +326,11 @@ void PacketIndex::set_revolution_times(PacketRevolution& revolution) const {
     const double s = (forward - before.azimuth_deg) / std::max(after.azimuth_deg - before.azimuth_deg, 1e-6);
     revolution.forward_ns = before.stamp_ns + std::int64_t(s * double(after.clock_ns - before.clock_ns));
     revolution.log_ns = messages_[before.message].log_ns;
-    if (decoder_->get_laser_timing().fires.empty()) return;
+    const FiringTiming& timing = decoder_->get_laser_timing();
+    if (timing.fires.empty() && timing.wrap_us > 0.0)
+        revolution.stamp_less_clock_ns =
+            std::llround(std::remainder(double(before.stamp_ns - before.clock_ns), 1e3 * timing.wrap_us));
+    if (timing.fires.empty()) return;
     revolution.stamp_less_clock_ns = before.stamp_ns - before.clock_ns;
     for (std::size_t i = revolution.first; i <= revolution.last; ++i)
         revolution.stamp_less_clock_ns =

@@ -31,8 +31,8 @@ struct PacketRevolution {
     /// number of lost packets, including those at the start and the end of the revolution
     std::size_t n_missing = 0;
     bool has_gaps = false;  ///< true if packets of the revolution were lost, at least in part
-    /// Time stamp minus sensor clock, for the packet with the least network delay. Used
-    /// only if the sensor's clock defines the times.
+    /// Time stamp minus sensor clock, for the packet with the least network delay. If the
+    /// sensor's clock does not define the times, for the packet at `forward_ns`.
     std::int64_t stamp_less_clock_ns = 0;
 };
 
@@ -54,6 +54,8 @@ public:
     std::size_t size() const { return n_packets_; }
     /// Returns the complete revolutions.
     const std::vector<PacketRevolution>& get_revolutions() const { return revolutions_; }
+    /// Returns true if the sensor's clock restarts after a fixed time, such as an hour.
+    bool has_wrapping_clock() const { return decoder_ && decoder_->get_laser_timing().wrap_us > 0.0; }
     /// Describes problems for the user: late and repeated packets, and why revolutions
     /// were skipped. Returns an empty string if there are no problems.
     std::string describe_problems() const;
