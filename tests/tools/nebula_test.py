@@ -60,7 +60,8 @@ def points_of(log):
         scan = np.load(log / frame["scan"])
         for k in ("", "_2"):
             hit = scan["range" + k] > 0
-            p = scan["origin"][hit] + scan["range" + k][hit][:, None] * scan["directions"][hit]
+            # nebula leaves out the vertical offsets of the manual
+            p = scan["range" + k][hit][:, None] * scan["directions"][hit]
             rows.append(np.column_stack([p, 255 * scan["intensity" + k][hit], 15 - scan["ring"][hit],
                                          scan["time"][hit] + frame["time_s"] + zero]))
     return np.concatenate(rows)

@@ -15,6 +15,10 @@ TABLES = pathlib.Path(__file__).parents[2] / "src" / "log" / "sensor" / "tables"
 TURN_S = 0.1
 
 
+# Vertical offsets of the lasers of a VLP-16 in mm (manual 63-9243), added to the heights of points
+VLP16_MM = [11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2]
+
+
 class Blocks:
     """A product of Velodyne or Hesai whose packets consist of blocks."""
 
@@ -23,6 +27,7 @@ class Blocks:
         with open(TABLES / (name + ".csv")) as table:
             rows = list(csv.DictReader(line for line in table if not line.startswith("#")))
         self.elevation, self.azimuth, self.offset_us = np.zeros((3, lasers))
+        self.up_m = np.array(VLP16_MM) / 1000 if name == "VLP-16" else np.zeros(lasers)
         for row in rows:
             k = int(row["channel"]) - first
             self.elevation[k] = float(row["elevation_deg"])
@@ -42,9 +47,10 @@ def directions(product, laser, azimuth_deg):
     return np.stack([np.cos(e) * x, np.cos(e) * y, np.sin(e)], -1)
 
 
-def to_walls(d):
+def to_walls(d, up_m=0.0):
+    start = np.multiply.outer(up_m, [0.0, 0.0, 1.0])
     with np.errstate(divide="ignore"):
-        return (WALLS / np.abs(d)).min(-1)
+        return ((np.copysign(WALLS, d) - start) / d).min(-1)
 
 
 def firing(product, number, dual):
@@ -54,7 +60,7 @@ def firing(product, number, dual):
     nearer."""
     lasers = np.arange(product.lasers)
     t = number * product.cycle_us * 1e-6 + product.offset_us * 1e-6
-    r = to_walls(directions(product, lasers, t / TURN_S * 360)) * 1000
+    r = to_walls(directions(product, lasers, t / TURN_S * 360), product.up_m) * 1000
     mm = np.rint(r / product.unit_mm).astype(int) * product.unit_mm
     mm[(number + lasers) % 3 == 0] = 0
     bright = 90 + lasers

@@ -3,6 +3,7 @@
 // firing times of the beams of built-in sensors.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -36,5 +37,9 @@ struct BeamFiring {
 /// beam first. The values are in src/log/sensor/tables.
 /// @param sensor_name  a name of list_sensor_names() that has a table
 std::vector<BeamFiring> get_beam_firings(const std::string& sensor_name);
+
+/// Returns the maximum range in the data sheet of a built-in sensor, or of a sensor of a
+/// log that is "fitted to" this log. Empty for other sensors.
+std::optional<double> find_specified_max_range_m(const std::string& sensor_name);
 
 }  // namespace relidar

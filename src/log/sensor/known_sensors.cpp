@@ -229,6 +229,11 @@ std::vector<BeamFiring> get_beam_firings(const std::string& sensor_name) {
     return firings;
 }
 
+std::optional<double> find_specified_max_range_m(const std::string& sensor_name) {
+    const auto sensor = find_built_in_sensor(sensor_name.substr(0, sensor_name.find(" fitted to ")));
+    return sensor ? std::optional(sensor->limits.max_m) : std::nullopt;
+}
+
 std::vector<std::string> list_sensor_names() {
     std::vector<std::string> names{"kitti360", "HDL-64E"};
     for (const BeamTableSensor& row : kTabled) names.emplace_back(row.name);

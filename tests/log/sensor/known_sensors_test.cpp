@@ -2,6 +2,7 @@
 // Checks sensors that are selected by name or read from CSV tables, and the error
 // messages for wrong names and tables.
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/log/sensor_pattern.hpp>
 
 #include <filesystem>
 #include <fstream>
@@ -53,6 +54,30 @@ TEST(KnownSensors, EveryNameMakesRaysHighestBeamFirst) {
     }
     EXPECT_NEAR(spinning("VLP-16").beams[15].elevation_rad, -15 * kPi / 180, 1e-12);
     EXPECT_EQ(make_rays(find_sensor("kitti360")).direction, make_rays(make_kitti360_grid()).direction);
+}
+
+/// Manual 63-9243 adds a vertical offset to the height of each laser. All lasers
+/// therefore cross 41.9 mm before the axis.
+TEST(KnownSensors, Vlp16HasTheVerticalOffsetsOfItsManual) {
+    const std::vector<Beam> beams = spinning("VLP-16").beams;
+    const std::vector<double> offsets_mm = {-11.2, -9.7, -8.1, -6.6, -5.1, -3.7, -2.2, -0.7,
+                                            0.7,   2.2,  3.7,  5.1,  6.6,  8.1,  9.7,  11.2};
+    ASSERT_EQ(beams.size(), offsets_mm.size());
+    for (std::size_t b = 0; b < beams.size(); ++b)
+        for (const double azimuth_rad : {0.0, 1.0, 4.0}) {
+            const BeamRay ray = compute_beam_ray(beams[b], azimuth_rad);
+            // The firing time turns a beam by up to 2 mrad, which moves its origin.
+            EXPECT_NEAR(glm::length(ray.origin_m - glm::dvec3(0.0, 0.0, 1e-3 * offsets_mm[b])), 0.0, 1e-5);
+            const double lens_m = 0.0419 / std::cos(beams[b].elevation_rad);
+            EXPECT_NEAR((ray.origin_m + lens_m * ray.direction).z, 0.0, 1e-4);
+        }
+}
+
+/// Sensors of a log have the maximum range of their product.
+TEST(KnownSensors, SpecifiedRangesAreThoseOfTheProduct) {
+    EXPECT_EQ(find_specified_max_range_m("HDL-64E fitted to KITTI odometry 04"), 120.0);
+    EXPECT_EQ(find_specified_max_range_m("VLP-16"), 100.0);
+    EXPECT_FALSE(find_specified_max_range_m("/lidar_top"));
 }
 
 /// Compares field of view and resolution of the sensor with its data sheet.
