@@ -175,8 +175,10 @@ RenderedIntensityImage make_rendered_intensity_image(const RenderedScan& scan);
 /// equals `median_range_m`. Second returns keep their expected intensities. The result
 /// depends only on seed and time, not on the device.
 /// @param intensity_scatter if empty, intensities keep their expected values
+/// @param limits returns whose noise exceeds these limits are dropped
 void replace_expected_returns_by_sample(RenderedScan& scan, const RangeNoiseTable& range_noise,
-                                        const IntensityScatterModel& intensity_scatter, std::uint64_t seed);
+                                        const IntensityScatterModel& intensity_scatter, std::uint64_t seed,
+                                        const RangeLimits& limits = {});
 
 /// The points of a scan without its other arrays.
 struct RenderedPoints {

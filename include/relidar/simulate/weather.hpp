@@ -70,22 +70,24 @@ struct WeatherSensorProperties {
     /// least 1 m.
     double min_range_m = 0.0;
     double max_range_m = 80.0;
-    /// Lowest reflectivity that the sensor detects at its maximum range. It is half a
-    /// quantisation step of the intensities, because lower intensities are reported as 0.
-    double darkest = 0.5 / 255.0;
+    /// Reflectivity of a surface at the maximum range that returns as much power as the
+    /// weakest peak that the receiver detects. It limits noise and stray light.
+    double darkest = 0.005;
     /// Surfaces with a lower reflectivity are not detected, not even at short range,
-    /// where they return more power. The reason is that receivers are less sensitive to
-    /// near targets (sensitivity-time control). 0 = compute_min_detectable_power() is the
-    /// only threshold.
+    /// where they return more power. The reason is that the receiver is focused on far
+    /// targets, so that it collects less light of near targets. 0 = no such limit.
     double weakest_reflectivity = 0.0;
+    /// Power of the weakest surface in the range specification of a data sheet:
+    /// reflectivity / range^2. 0 = no such limit.
+    double min_specified_power = 0.0;
 
-    /// Returns the minimum power that is detected: the power of the darkest surface at
-    /// the maximum range.
+    /// Returns the minimum power of noise and stray light that is detected: the power of
+    /// the darkest surface at the maximum range.
     double compute_min_detectable_power() const { return darkest / (max_range_m * max_range_m); }
-    /// Returns the larger of two powers: compute_min_detectable_power(), and the power
-    /// that a surface with `weakest_reflectivity` returns from this range. Returns from
-    /// surfaces, fog, particles and noise must reach this power. Mirrored and stray light
-    /// must only reach compute_min_detectable_power().
+    /// Returns the minimum power that surfaces, fog, particles and mirrored objects must
+    /// reach. It is the largest of three powers: compute_min_detectable_power(),
+    /// `min_specified_power`, and the power that a surface with `weakest_reflectivity`
+    /// returns from this range.
     double compute_min_detected_power_at_range(double range_m) const;
 };
 
@@ -110,6 +112,10 @@ struct LidarEcho {
     /// return the same power in clear air. It can be larger than 1 for stray light.
     double reflectivity = 0.0;
     ReturnCause source = ReturnCause::nothing;
+    double fall_mps = 0.0;  ///< speed at which rain or snow falls
+    /// Only for mirrored light: speed of the object along the mirrored ray, positive away
+    /// from the water.
+    double away_mps = 0.0;
 };
 
 /// Returns the extinction coefficient alpha of the air in 1/m. Over R metres, the air

@@ -38,34 +38,16 @@ ChannelValues make_range_spread_channel(const RenderedScan& scan, const ChannelI
 
 /// Returns for each ray how fast its range changes, in m/s:
 ///   direction * (velocity of the surface - velocity of the ray's origin)
-/// The origin moves with the sensor. The rotation of the LiDAR head does not move it.
+/// In weather, add_weather_to_scan() sets the values of returns from the air.
 ChannelValues make_radial_velocity_channel(const RenderedScan& scan, const ChannelInputs& context) {
-    constexpr double kStep_s = 0.005;
     std::vector<float> velocity(scan.median_range_m.size(), 0.0f);
-    const PoseTrack& track = context.world_from_sensor;
     for (std::size_t i = 0; i < velocity.size(); ++i) {
         if (scan.instance[i] < 0 || !(scan.median_range_m[i] > 0.0f)) continue;
-        const double after_s = scan.time_offset_s[i], time_s = scan.time_s + after_s;
-        const Pose world_from_firing = track.interpolate_pose(time_s);
-        const glm::dvec3 origin_m(scan.image.origin[i]);
-        const glm::dvec3 direction = world_from_firing.rotation * glm::dvec3(scan.image.direction[i]);
-        const glm::dvec3 start_m = world_from_firing * origin_m;
-        glm::dvec3 sensor_mps{0.0}, surface_mps{0.0};
-        if (track.pose.size() > 1)
-            sensor_mps = (track.interpolate_pose(time_s + kStep_s) * origin_m -
-                          track.interpolate_pose(time_s - kStep_s) * origin_m) /
-                         (2.0 * kStep_s);
-        if (std::size_t(scan.instance[i]) < context.placed.size()) {
-            // Ignores the motion of the limbs of a walking actor.
-            const InstancePose& instance_pose = context.placed[std::size_t(scan.instance[i])];
-            const glm::dvec3 point_m = start_m + double(scan.median_range_m[i]) * direction;
-            const glm::dvec3 middle_m =
-                instance_pose.motion.compute_pose_at_sweep_time(instance_pose.world_from_model, after_s)
-                    .translation;
-            surface_mps = instance_pose.motion.velocity_mps +
-                          glm::cross(instance_pose.motion.angular_velocity_radps, point_m - middle_m);
-        }
-        velocity[i] = float(glm::dot(direction, surface_mps - sensor_mps));
+        const RayMotion ray = context.motion.compute_ray_motion(scan, i);
+        const glm::dvec3 surface_mps = context.motion.compute_object_velocity(
+            scan.instance[i], scan.time_offset_s[i],
+            ray.start_m + double(scan.median_range_m[i]) * ray.direction);
+        velocity[i] = float(glm::dot(ray.direction, surface_mps) - ray.sensor_away_mps);
     }
     return velocity;
 }

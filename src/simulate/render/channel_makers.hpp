@@ -11,6 +11,7 @@
 #include <relidar/log/sequence.hpp>
 #include <relidar/scene/scene.hpp>
 #include <relidar/simulate/render.hpp>
+#include "simulate/render/scan_motion.hpp"
 #include "simulate/render/seen.hpp"
 #include "simulate/shared/render.h"
 
@@ -21,10 +22,7 @@ struct RenderedRayValues;
 /// Data from which the channels of a scan are computed.
 struct ChannelInputs {
     LogObservedSpace log;
-    /// Poses of the scanning LiDAR in relidar's world frame
-    PoseTrack world_from_sensor;
-    /// [instances] poses and motions during the scan
-    std::vector<InstancePose> placed;
+    MotionDuringScan motion;
     /// [instances] classes from compute_instance_classes()
     std::vector<std::int32_t> classes = {};
     /// classes of the background; null if they are unknown

@@ -112,10 +112,6 @@ float compute_mean_of_slice(const std::vector<float>& values, std::size_t first_
     return sum / static_cast<float>(count);
 }
 
-/// Minimum intensity of a second return, relative to the strongest return. Real receivers
-/// can detect second echoes down to about a tenth of the main echo.
-constexpr double kSecondReturnShare = 0.1;
-
 /// Returns the group that is the second return of a beam, or null if there is no second
 /// return. A group is a set of sub-rays of the beam that hit the same surface.
 const SubRayReturn* find_second_return(const std::vector<SubRayReturn>& groups,

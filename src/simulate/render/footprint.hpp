@@ -16,6 +16,10 @@ namespace relidar {
 /// divergence
 RayTable split_rays_into_sub_rays(const RayTable& rays, int sub_rays_per_ray, double divergence_rad);
 
+/// Minimum light of a second return, relative to the strongest return. Real receivers can
+/// detect second echoes down to about a tenth of the main echo.
+inline constexpr double kSecondReturnShare = 0.1;
+
 /// Joins the returns of sub-rays to the returns of the beams. First groups sub-rays by
 /// range. Neighbours are in the same group if their ranges differ by less than
 /// config.return_separation_m. They are also in the same group if they lie on the same

@@ -14,6 +14,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/diff/accel.hpp>
+#include <relidar/log/sensor_pattern.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
 #include "gpu/context.hpp"
@@ -29,6 +30,15 @@ namespace relidar {
 namespace {
 
 constexpr int kSideBySide = 4;  // number of scans that a GPU renders in parallel
+// Reflectivity of surfaces that are visible at the maximum range, as in the data sheets
+// of the HDL-64E and of the OS1.
+constexpr double kSpecifiedReflectivity = 0.8;
+// Lowest reflectivity that is visible at short range. The value is an assumption. It
+// corresponds to receivers that collect a constant share of light within 6 to 8 m.
+constexpr double kNearReflectivity = 0.0025;
+// Power of the weakest noise and stray light that a sensor detects. It belongs to the
+// constants of blooming, which were fitted to KITTI's intensities.
+constexpr double kNoisePower = 0.005 / (80.0 * 80.0);
 
 void require_normals_for_channel(const Config& config, const ChannelInfo& channel, const char* error_prefix) {
     if (!channel.needs_normals || get_primitive_properties(config.image.primitive).has_normals) return;
@@ -72,20 +82,21 @@ void replace_drop_probabilities(RenderedScan& scan, std::span<const float> netwo
 
 /// Returns the properties of a sensor that determine how weather affects its scans.
 /// @param rays rays of the sensor, which define the beam divergence
-/// @param intensity_step quantisation step of the intensities, or 0
+/// @param limits range limits of the sensor
 WeatherSensorProperties make_sensor_properties_for_weather(const Config& config, const RayTable& rays,
-                                                           const RangeLimits& limits, double intensity_step) {
+                                                           const RangeLimits& limits,
+                                                           const std::string& sensor_name) {
     WeatherSensorProperties result;
+    const double specified_m = find_specified_max_range_m(sensor_name).value_or(limits.max_m);
+    result.min_specified_power = kSpecifiedReflectivity / (specified_m * specified_m);
+    result.weakest_reflectivity = kNearReflectivity;
     const double divergence_rad = rays.find_max_divergence_rad();
     if (config.sensor.divergence_mrad > 0.0) result.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
     else if (divergence_rad > 0.0) result.divergence_rad = divergence_rad;
-    if (intensity_step > 0.0) result.darkest = 0.5 * intensity_step;
-    // The sensor reports intensities from 0 to `darkest` (half a quantisation step) as 0.
-    // The mean of this interval is used as the limit of detection.
-    result.weakest_reflectivity = 0.5 * result.darkest;
     result.separation_m = config.sensor.return_separation_m;
     result.min_range_m = limits.min_m;
     result.max_range_m = limits.max_m;
+    result.darkest = kNoisePower * limits.max_m * limits.max_m;
     return result;
 }
 
@@ -136,7 +147,7 @@ LogObservedSpace ScanRenderer::Impl::get_space_observed_in_log(const SimulatedSe
 /// Returns the data from which the channels of a scan are computed.
 ChannelInputs ScanRenderer::Impl::make_channel_inputs(const SimulatedSweep& sweep) {
     ChannelInputs context{get_space_observed_in_log(sweep.sensor),
-                          sweeps.get_log().get_world_from_sensor(sweep.sensor.lidar), sweep.instances};
+                          {sweeps.get_log().get_world_from_sensor(sweep.sensor.lidar), sweep.instances}};
     if (!is_optional_channel_enabled("class")) return context;
     context.classes = compute_instance_classes(sweeps.get_scene_layout(), sweeps.get_log());
     if (!class_finder && !class_map.empty()) class_finder = std::make_unique<SurfaceClassLookup>(class_map);
@@ -258,10 +269,13 @@ void ScanRenderer::Impl::apply_noise_and_weather(RenderedScan& scan, const Simul
     const IntensityScatterModel& scatter = settings.scatter[std::size_t(sensor.lidar)];
     if (noise_seed)
         replace_expected_returns_by_sample(scan, log.lidars[std::size_t(sensor.lidar)].range_noise, scatter,
-                                           *noise_seed);
+                                           *noise_seed, sweeps.get_range_limits(sensor));
     if (!settings.weather.is_clear() || find_channel_values<std::int32_t>(scan.channels, "source")) {
-        const WeatherSensorProperties in_weather = make_sensor_properties_for_weather(
-            config, sweep.get_rays(), sweeps.get_range_limits(sensor), scatter.step);
+        const Lidar& lidar = log.lidars[std::size_t(sensor.lidar)];
+        const WeatherSensorProperties in_weather =
+            make_sensor_properties_for_weather(config, sweep.get_rays(), sweeps.get_range_limits(sensor),
+                                               sensor.is_log_lidar ? lidar.sensor.name : sensor.name);
+        const MotionDuringScan motion{log.get_world_from_sensor(sensor.lidar), sweep.instances};
         WeatherInput input{
             .weather = settings.weather,
             .sensor = in_weather,
@@ -269,7 +283,8 @@ void ScanRenderer::Impl::apply_noise_and_weather(RenderedScan& scan, const Simul
             .response = log.intensity_response,
             .world_offset_m = log.world_offset_m,
             .trace = [this](const WorldRays& rays) { return scene.renderer().render_rays(rays); },
-            .seed = noise_seed.value_or(0)};
+            .seed = noise_seed.value_or(0),
+            .motion = &motion};
         for (std::size_t i = 0; i < scan.ring.size(); ++i)
             input.blind.push_back(sweeps.get_permanent_drop_probability(
                                       sensor, scan.ring[i], scan.image.direction[i]) >= kDropThreshold);

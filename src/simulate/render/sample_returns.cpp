@@ -35,7 +35,8 @@ RenderedIntensityImage make_rendered_intensity_image(const RenderedScan& scan) {
 }
 
 void replace_expected_returns_by_sample(RenderedScan& scan, const RangeNoiseTable& range_noise,
-                                        const IntensityScatterModel& intensity_scatter, std::uint64_t seed) {
+                                        const IntensityScatterModel& intensity_scatter, std::uint64_t seed,
+                                        const RangeLimits& limits) {
     const std::uint64_t of_scan = hash_integer_pair(seed, std::bit_cast<std::uint64_t>(scan.time_s));
     const RenderedIntensityImage likely = make_rendered_intensity_image(scan);
     const std::vector<float>& likely_m = likely.range_m;
@@ -43,24 +44,28 @@ void replace_expected_returns_by_sample(RenderedScan& scan, const RangeNoiseTabl
     std::vector<std::uint8_t> returning(likely_m.size());
     parallel_for_in_blocks(ranges_m.size(), [&](std::size_t i) {
         Random random(hash_integer_pair(of_scan, i));
-        const bool returns =
+        bool returns =
             likely_m[i] > 0.0f && random.sample_uniform_number() >= double(scan.image.drop_prob[i]);
-        returning[i] = returns;
-        scan.image.drop_prob[i] = returns ? 0.0f : 1.0f;
         const double cosine = double(likely.cosine[i]), sigma_m = range_noise.get_range_noise_sigma_m(
                                                             double(likely_m[i]), cosine < 0.0 ? 1.0 : cosine);
-        for (AdditionalReturns& echo : scan.second_returns) {
-            if (!returns) echo.range_m[i] = echo.intensity[i] = 0.0f;
-            if (echo.range_m[i] > 0.0f)
+        for (AdditionalReturns& echo : scan.second_returns)
+            if (returns && echo.range_m[i] > 0.0f)
                 echo.range_m[i] = std::max(
                     echo.range_m[i] +
                         static_cast<float>(range_noise.get_range_noise_sigma_m(double(echo.range_m[i]), 1.0) *
                                            random.sample_standard_normal()),
                     1e-3f);
-        }
-        if (returns)
-            ranges_m[i] =
-                std::max(likely_m[i] + static_cast<float>(sigma_m * random.sample_standard_normal()), 1e-3f);
+        const float noisy_m =
+            returns
+                ? std::max(likely_m[i] + static_cast<float>(sigma_m * random.sample_standard_normal()), 1e-3f)
+                : 0.0f;
+        returns = returns && limits.contains(double(noisy_m));
+        if (returns) ranges_m[i] = noisy_m;
+        returning[i] = returns;
+        scan.image.drop_prob[i] = returns ? 0.0f : 1.0f;
+        for (AdditionalReturns& echo : scan.second_returns)
+            if (!returns || !limits.contains(double(echo.range_m[i])))
+                echo.range_m[i] = echo.intensity[i] = 0.0f;
     });
     if (!intensity_scatter.empty()) {
         const std::vector<float> drawn = sample_random_intensities(

@@ -31,6 +31,17 @@ ScanChannel& prepare_return_cause_channel(RenderedScan& scan) {
     return channel;
 }
 
+/// Returns the channel "velocity" of a scan, with a value for each second return. Returns
+/// null if the scan does not have this channel.
+ScanChannel* prepare_velocity_channel(RenderedScan& scan) {
+    for (ScanChannel& channel : scan.channels) {
+        if (channel.info.name != "velocity") continue;
+        if (!scan.second_returns.empty()) channel.second = std::vector<float>(scan.instance.size(), 0.0f);
+        return &channel;
+    }
+    return nullptr;
+}
+
 /// Removes the surface that a ray hit. Sets the instance to -1, and resets all channels
 /// that describe surfaces.
 void clear_surface_values_of_ray(RenderedScan& scan, std::size_t ray_index) {
@@ -47,7 +58,11 @@ void clear_surface_values_of_ray(RenderedScan& scan, std::size_t ray_index) {
 class ScanWeatherApplier {
 public:
     ScanWeatherApplier(RenderedScan& scan, const WeatherInput& input)
-        : scan_(scan), input_(input), air_(input), channel_(prepare_return_cause_channel(scan)) {}
+        : scan_(scan),
+          input_(input),
+          air_(input),
+          channel_(prepare_return_cause_channel(scan)),
+          velocity_(input.motion && !input.weather.is_clear() ? prepare_velocity_channel(scan) : nullptr) {}
 
     void apply_weather_to_ray(std::size_t ray_index, std::uint64_t seed) {
         const bool has_second = !scan_.second_returns.empty();
@@ -65,6 +80,10 @@ public:
             echoes = air_.compute_echoes_in_weather(ray, seed);
             write_strongest_echo(ray_index, ray.strongest, echoes.strongest);
             if (has_second) write_second_echo(scan_.second_returns[0], ray_index, echoes.second);
+            if (velocity_) {
+                write_air_velocity(velocity_->values, ray_index, echoes.strongest);
+                if (has_second) write_air_velocity(velocity_->second, ray_index, echoes.second);
+            }
         }
         std::get<ReturnCauses>(channel_.values)[ray_index] = std::int32_t(echoes.strongest.source);
         if (has_second)
@@ -76,6 +95,7 @@ private:
     const WeatherInput& input_;
     const WeatherRaySimulator air_;
     ScanChannel& channel_;
+    ScanChannel* const velocity_;  // null if the scan has no channel "velocity"
 
     LidarEcho make_surface_echo(float range_m, float intensity) const {
         if (!(range_m > 0.0f)) return {};
@@ -113,6 +133,14 @@ private:
         image.range_m[ray_index] = scan_.median_range_m[ray_index] = scan_.mean_range_m[ray_index] =
             static_cast<float>(echo_after_weather.range_m);
         clear_surface_values_of_ray(scan_, ray_index);
+    }
+    /// Sets the velocity of fog, rain, snow and mirrored objects. Sunlight and stray
+    /// light have no object, so their velocity stays 0.
+    void write_air_velocity(ChannelValues& values, std::size_t ray_index, const LidarEcho& echo) const {
+        if (echo.source < ReturnCause::fog || echo.source > ReturnCause::mirror) return;
+        const RayMotion ray = input_.motion->compute_ray_motion(scan_, ray_index);
+        std::get<std::vector<float>>(values)[ray_index] =
+            float(echo.away_mps - ray.sensor_away_mps - echo.fall_mps * ray.direction.z);
     }
     void write_second_echo(AdditionalReturns& second, std::size_t ray_index, const LidarEcho& echo) const {
         second.range_m[ray_index] = static_cast<float>(echo.range_m);

@@ -5,19 +5,35 @@
 
 #include <cmath>
 
+#include "simulate/render/footprint.hpp"
+
 namespace relidar {
 namespace {
 
+// A surface that is darker than the limit of detection has a random brightness from this
+// limit up to this multiple of it. The value is an assumption.
+constexpr double kBrightestUnknownSurface = 4.0;
+
+/// Returns true if a return has enough light for a second return. Compares surfaces by
+/// their reflectivities, as in clear air, and other returns by their powers.
+bool has_light_of_second_return(const EchoCandidate& candidate, const EchoCandidate& strongest) {
+    const auto& [range_m, reflectivity, source, fall_mps, away_mps] = candidate.echo;
+    if (source == ReturnCause::surface && strongest.echo.source == ReturnCause::surface)
+        return reflectivity >= kSecondReturnShare * strongest.echo.reflectivity;
+    return reflectivity / (range_m * range_m) >= kSecondReturnShare * strongest.power;
+}
+
 /// Returns the second return of a dual-return sensor. This is the last return, or the
 /// second strongest return if the strongest return is also the last.
-LidarEcho select_second_return(const EchoCandidates& candidates, const LidarEcho& strongest,
+LidarEcho select_second_return(const EchoCandidates& candidates, const EchoCandidate& strongest,
                                double min_separation_m) {
     LidarEcho last, next;
     double power = 0.0;
     for (const EchoCandidate& candidate : candidates) {
-        const double range_m = candidate.echo.range_m;
-        if (std::abs(range_m - strongest.range_m) < min_separation_m) continue;
-        if (range_m > std::max(strongest.range_m, last.range_m)) last = candidate.echo;
+        const double range_m = candidate.echo.range_m, strongest_m = strongest.echo.range_m;
+        if (std::abs(range_m - strongest_m) < min_separation_m) continue;
+        if (!has_light_of_second_return(candidate, strongest)) continue;
+        if (range_m > std::max(strongest_m, last.range_m)) last = candidate.echo;
         if (candidate.power > power) {
             next = candidate.echo;
             power = candidate.power;
@@ -39,7 +55,8 @@ std::vector<std::unique_ptr<RayWeatherEffect>> make_weather_effects(const Weathe
 }  // namespace
 
 double WeatherSensorProperties::compute_min_detected_power_at_range(double range_m) const {
-    return std::max(compute_min_detectable_power(), weakest_reflectivity / (range_m * range_m));
+    return std::max(
+        {compute_min_detectable_power(), min_specified_power, weakest_reflectivity / (range_m * range_m)});
 }
 
 WeatherRaySimulator::WeatherRaySimulator(const WeatherInput& input)
@@ -49,15 +66,14 @@ WeatherRaySimulator::WeatherRaySimulator(const Weather& weather, const WeatherSe
                                          std::vector<std::unique_ptr<RayWeatherEffect>> effects)
     : sensor_(sensor), alpha_(compute_extinction_coefficient(weather)), effects_(std::move(effects)) {}
 
-/// Returns the reflectivity of a surface. A reflectivity below one quantisation step of
-/// the intensity is not known exactly. In this case, returns a random value between the
-/// weakest detectable reflectivity and one step.
+/// Returns the reflectivity of a surface that the sensor detects in clear air. If the log
+/// has a lower intensity than the sensor could detect, the intensity is not exact. In
+/// this case, returns a random value above the lowest detectable reflectivity.
 double WeatherRaySimulator::sample_surface_reflectivity(const LidarEcho& surface_echo, Random& random) const {
-    const double step = 2.0 * sensor_.darkest;
-    if (surface_echo.reflectivity >= step) return surface_echo.reflectivity;
-    return std::lerp(sensor_.compute_min_detected_power_at_range(surface_echo.range_m) *
-                         surface_echo.range_m * surface_echo.range_m,
-                     step, random.sample_uniform_number());
+    const double lowest = sensor_.compute_min_detected_power_at_range(surface_echo.range_m) *
+                          surface_echo.range_m * surface_echo.range_m;
+    if (surface_echo.reflectivity >= lowest) return surface_echo.reflectivity;
+    return std::lerp(lowest, kBrightestUnknownSurface * lowest, random.sample_uniform_number());
 }
 
 void WeatherRaySimulator::append_surface_echo(EchoCandidates& candidates, LidarEcho echo,
@@ -72,13 +88,14 @@ void WeatherRaySimulator::append_surface_echo(EchoCandidates& candidates, LidarE
 }
 
 void append_echo_if_detectable(EchoCandidates& candidates, LidarEcho echo,
-                               const WeatherSensorProperties& sensor, double transmission,
-                               double min_reflectivity) {
+                               const WeatherSensorProperties& sensor, double transmission) {
     if (echo.source == ReturnCause::nothing || echo.range_m > sensor.max_range_m) return;
-    const double power =
-        std::max(echo.reflectivity, min_reflectivity) * transmission / (echo.range_m * echo.range_m);
     echo.reflectivity *= transmission;
-    if (power >= sensor.compute_min_detectable_power()) candidates.push_back({echo, power});
+    const double power = echo.reflectivity / (echo.range_m * echo.range_m);
+    const double weakest = echo.source == ReturnCause::blooming
+                               ? sensor.compute_min_detectable_power()
+                               : sensor.compute_min_detected_power_at_range(echo.range_m);
+    if (power >= weakest) candidates.push_back({echo, power});
 }
 
 EchoPair WeatherRaySimulator::compute_echoes_in_weather(RayWeatherState ray, std::uint64_t seed) const {
@@ -89,8 +106,8 @@ EchoPair WeatherRaySimulator::compute_echoes_in_weather(RayWeatherState ray, std
     append_surface_echo(candidates, ray.second, 1.0, random);
     for (const auto& effect : effects_) effect->append_effect_returns(candidates, ray, random);
     if (candidates.empty()) return {};
-    const LidarEcho strongest = std::ranges::max_element(candidates, {}, &EchoCandidate::power)->echo;
-    return {strongest, select_second_return(candidates, strongest, sensor_.separation_m)};
+    const EchoCandidate strongest = *std::ranges::max_element(candidates, {}, &EchoCandidate::power);
+    return {strongest.echo, select_second_return(candidates, strongest, sensor_.separation_m)};
 }
 
 }  // namespace relidar

@@ -15,6 +15,7 @@
 #include <relidar/simulate/weather.hpp>
 
 #include "base/random.hpp"
+#include "simulate/render/scan_motion.hpp"
 
 namespace relidar {
 
@@ -51,6 +52,9 @@ struct WeatherInput {
     /// [rays] true if an object close to the sensor blocks the ray. A blocked ray has no
     /// returns from fog, rain, snow or noise. If the list is empty, no ray is blocked.
     std::vector<std::uint8_t> blind = {};
+    /// Motion of the sensor and of the objects during the scan. If it is not set, the
+    /// channel `velocity` of returns from the air is 0.
+    const MotionDuringScan* motion = nullptr;
 };
 
 /// A ray of the scan, and the values that weather effects use and change.
@@ -100,7 +104,8 @@ public:
     /// Computes the strongest and the second return that the sensor measures along a ray.
     /// The second return is the last one. If the last return is also the strongest, the
     /// second strongest is used. Both are at least WeatherSensorProperties::separation_m
-    /// apart. Leaves out returns below the detection threshold.
+    /// apart. The second return needs a tenth of the light of the strongest. Leaves out
+    /// returns below the detection threshold.
     EchoPair compute_echoes_in_weather(RayWeatherState ray, std::uint64_t seed) const;
 
 private:
@@ -116,10 +121,8 @@ private:
 /// Adds a return to the candidates if the sensor can detect it after the air has
 /// attenuated its light.
 /// @param transmission  share of the light that the air does not absorb or scatter
-/// @param min_reflectivity  minimum reflectivity of the object
 void append_echo_if_detectable(EchoCandidates& candidates, LidarEcho echo,
-                               const WeatherSensorProperties& sensor, double transmission,
-                               double min_reflectivity = 0.0);
+                               const WeatherSensorProperties& sensor, double transmission);
 
 /// Adds weather to a scan. Surfaces become darker, or their rays are dropped. If the
 /// weather itself causes a return, the ray gets the range and intensity of this return.

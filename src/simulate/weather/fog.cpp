@@ -39,7 +39,8 @@ public:
         for (double r = compute_min_air_return_range_m(sensor_);
              shows && r <= sensor_.max_range_m + kFogStep_m; r += kFogStep_m) {
             power_.push_back(compute_mean_fog_power(r));
-            shows = r < rises_to_m || power_.back() * thickest > sensor_.compute_min_detectable_power();
+            shows =
+                r < rises_to_m || power_.back() * thickest > sensor_.compute_min_detected_power_at_range(r);
         }
     }
 

@@ -25,20 +25,29 @@ struct ParticleDistribution {
     double slope_per_mm;  // Lambda
     double widening;      // ratio of the particle's diameter to its diameter after melting
     double reflectivity;
+    /// returns the terminal speed of a particle in m/s
+    double (*fall_speed)(double melted_mm);
 };
 
 /// Returns the size distribution of raindrops (Marshall and Palmer 1948). A drop reflects
-/// as much light as a water surface at normal incidence, ((n - 1) / (n + 1))^2.
+/// as much light as a water surface at normal incidence, ((n - 1) / (n + 1))^2. Its speed
+/// is a fit to measurements (Atlas, Srivastava and Sekhon 1973).
 ParticleDistribution make_rain_drop_distribution(const Weather& weather) {
-    return {ReturnCause::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02};
+    return {ReturnCause::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02, [](double mm) {
+                return std::max(9.65 - 10.3 * std::exp(-0.6 * mm), 0.0);
+            }};
 }
 
 /// Returns the size distribution of snowflakes by the diameter of the melted flake (Gunn
 /// and Marshall 1958). A flake is wider than its melted drop, because its density is a
-/// tenth of the density of water.
+/// tenth of the density of water. All flakes fall at 1 m/s (assumption).
 ParticleDistribution make_snow_flake_distribution(const Weather& weather) {
-    return {ReturnCause::snow, 3.8e3 * std::pow(weather.snow_mm_h, -0.87),
-            2.55 * std::pow(weather.snow_mm_h, -0.48), std::cbrt(10.0), 0.25};
+    return {ReturnCause::snow,
+            3.8e3 * std::pow(weather.snow_mm_h, -0.87),
+            2.55 * std::pow(weather.snow_mm_h, -0.48),
+            std::cbrt(10.0),
+            0.25,
+            [](double) { return 1.0; }};
 }
 
 template <ParticleDistribution (*particles_of)(const Weather&)>
@@ -74,13 +83,14 @@ public:
             const double range_m = compute_min_air_return_range_m(sensor_) +
                                    (double(next - expected_.begin()) - 1.0 + part) * kParticleStep_m;
             if (range_m >= std::min(ray.free_m, sensor_.max_range_m)) return;
-            const double wide_mm = falling_.widening * (compute_min_detectable_diameter_mm(range_m) +
-                                                        waiting() / falling_.slope_per_mm);
-            const double share = std::min(1e-3 * wide_mm / compute_beam_diameter_m(sensor_, range_m), 1.0),
+            const double melted_mm =
+                             compute_min_detectable_diameter_mm(range_m) + waiting() / falling_.slope_per_mm,
+                         wide_m = 1e-3 * falling_.widening * melted_mm;
+            const double share = std::min(wide_m / compute_beam_diameter_m(sensor_, range_m), 1.0),
                          reflectivity =
                              falling_.reflectivity * share * share * std::exp(-2.0 * alpha_ * range_m);
-            candidates.push_back(
-                {{range_m, reflectivity, falling_.source}, reflectivity / (range_m * range_m)});
+            candidates.push_back({{range_m, reflectivity, falling_.source, falling_.fall_speed(melted_mm)},
+                                  reflectivity / (range_m * range_m)});
         }
     }
 

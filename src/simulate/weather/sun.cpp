@@ -84,8 +84,7 @@ public:
             const double power =
                 std::sqrt(sensor_.compute_min_detectable_power() * sensor_.compute_min_detectable_power() +
                           2.0 * sigma * sigma * waiting());
-            if (power >= sensor_.compute_min_detected_power_at_range(range_m))
-                candidates.push_back({{range_m, power * range_m * range_m, ReturnCause::noise}, power});
+            candidates.push_back({{range_m, power * range_m * range_m, ReturnCause::noise}, power});
         }
     }
 

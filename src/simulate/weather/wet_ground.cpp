@@ -239,6 +239,11 @@ std::vector<WetGroundRay> compute_wet_ground_rays(const WeatherInput& input) {
         echo.range_m += on_m;
         echo.reflectivity = std::min(double(r.intensity[k]), 1.0);
         echo.source = ReturnCause::mirror;
+        const glm::dvec3 direction(rays.direction[k]);
+        if (input.motion)
+            echo.away_mps = glm::dot(direction, input.motion->compute_object_velocity(
+                                                    r.instance[k], double(rays.time_s[k]),
+                                                    glm::dvec3(rays.origin[k]) + on_m * direction));
     }
     return wet;
 }
@@ -256,8 +261,8 @@ public:
     void append_effect_returns(EchoCandidates& candidates, const RayWeatherState& ray,
                                Random&) const override {
         const auto& [through_water, echo, mirrors] = wet_[ray.index];
-        append_echo_if_detectable(candidates, echo, sensor_, std::exp(-2.0 * alpha_ * echo.range_m) * mirrors,
-                                  sensor_.darkest);
+        append_echo_if_detectable(candidates, echo, sensor_,
+                                  std::exp(-2.0 * alpha_ * echo.range_m) * mirrors);
     }
 
 private:

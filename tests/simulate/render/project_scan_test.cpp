@@ -120,6 +120,29 @@ TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
         << "four standard deviations of as many coins";
 }
 
+/// A wall 3 cm before the limit of the sensor, with noise of 5 cm. Returns beyond the
+/// limit must be dropped. Their share is 1 - Phi(0.6).
+TEST(SampleReturns, NoiseDoesNotPassTheLimitOfTheSensor) {
+    RenderedScan scan = make_half_dropped_wall();
+    const std::size_t n = scan.image.range_m.size();
+    scan.image.range_m.assign(n, 9.97f);
+    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
+    scan.image.drop_prob.assign(n, 0.0f);
+    scan.second_returns = {{std::vector<float>(n, 9.97f), std::vector<float>(n, 0.5f)}};
+    replace_expected_returns_by_sample(scan, {{80.0}, {1.0}, {0.05}}, {}, 3, {0.5, 10.0});
+    double returned = 0.0, second = 0.0;
+    for (std::size_t i = 0; i < n; ++i) {
+        ASSERT_TRUE(scan.image.drop_prob[i] == 1.0f || scan.image.range_m[i] <= 10.0f);
+        ASSERT_LE(scan.second_returns[0].range_m[i], 10.0f);
+        ASSERT_EQ(scan.second_returns[0].range_m[i] > 0.0f, scan.second_returns[0].intensity[i] > 0.0f);
+        returned += scan.image.drop_prob[i] == 0.0f;
+        second += scan.second_returns[0].range_m[i] > 0.0f;
+    }
+    const double share = 0.5 * std::erfc(-0.6 / std::sqrt(2.0));
+    EXPECT_NEAR(returned / double(n), share, 4.0 * std::sqrt(share * (1.0 - share) / double(n)));
+    EXPECT_NEAR(second / double(n), share * share, 4.0 * std::sqrt(0.25 / double(n)));
+}
+
 TEST(SampleReturns, WhatCannotReturnDoesNotAndWhatMustDoes) {
     RenderedScan scan = make_half_dropped_wall();
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)

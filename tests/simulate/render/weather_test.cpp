@@ -153,8 +153,9 @@ TEST(WeatherOnScans, WhatIsTooWeakIsDropped) {
 }
 
 TEST(WeatherOnScans, SecondReturnsSayWhyTheyAreThere) {
-    RenderedScan scan = make_wall_at(20.0f, 0.3f, true);
-    apply_weather(scan, {.weather = {.fog_visibility_m = 60.0}});
+    // The power of the fog is mostly between the first surface and ten times the second.
+    RenderedScan scan = make_wall_at(20.0f, 0.07f, true);
+    apply_weather(scan, {.weather = {.fog_visibility_m = 200.0}});
     ASSERT_EQ(scan.channels.back().info.name, "source");
     const auto& second = std::get<std::vector<std::int32_t>>(scan.channels.back().second);
     int behind_fog = 0;
@@ -226,6 +227,65 @@ TEST_F(RenderedWeather, NeedsALogWithIntensities) {
     scatter.values.back() = 0.1f;
     renderer.set_intensity_scatter_models({scatter});
     EXPECT_NO_THROW(renderer.set_weather({.fog_visibility_m = 30.0}));
+}
+
+/// The share of rays with returns from the air must not depend on the number format of
+/// the intensities of the log. In fog of 1 km, less than 0.5 % of the rays of a VLP-16
+/// have such a return.
+TEST_F(RenderedWeather, DoesNotDependOnTheFormatOfIntensities) {
+    std::vector<double> in_fog;
+    for (const double step : {0.0, 1.0 / 255.0, 0.01}) {
+        LidarSequence rounded = log;
+        const IntensityScatterModel scatter{
+            .nodes = {{.first = 0, .count = 2}}, .values = {0.0f, 0.5f}, .step = step};
+        for (LidarFrame& frame : rounded.frames)
+            for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i)
+                frame.scan.intensity[i] = scatter.quantise_intensity(frame.scan.intensity[i]);
+        ScanRenderer renderer(device(), initialise_scene(rounded, {0, 1, 2}, {}), config, rounded);
+        renderer.set_intensity_scatter_models({scatter});
+        const auto find_share_of_fog = [&](double visibility_m) {
+            renderer.set_weather({.fog_visibility_m = visibility_m});
+            const RenderedScan scan = renderer.render(find_or_load_sensor("VLP-16:900x10", config, rounded),
+                                                      rounded.frames[1].time_s);
+            return double(std::ranges::count(get_sources(scan), kFog)) / double(scan.ring.size());
+        };
+        EXPECT_LT(find_share_of_fog(1000.0), 0.005) << step;
+        in_fog.push_back(find_share_of_fog(200.0));
+    }
+    EXPECT_GT(std::ranges::min(in_fog), 0.005);
+    EXPECT_LT(std::ranges::max(in_fog), 1.5 * std::ranges::min(in_fog));
+}
+
+/// Fog stands still, snow falls at 1 m/s, and rain falls at up to 9.65 m/s. The sensor
+/// drives towards them.
+TEST_F(RenderedWeather, HasTheVelocityOfTheAir) {
+    config.render.channels = "velocity";
+    ScanRenderer renderer(device(), scene, config, log);
+    const glm::dvec3 driven_m =
+        log.world_from_vehicle.pose[2].translation - log.world_from_vehicle.pose[0].translation;
+    const glm::dvec3 sensor_mps = driven_m / (log.frames[2].time_s - log.frames[0].time_s);
+    for (const Weather& weather :
+         {Weather{.fog_visibility_m = 60.0}, Weather{.rain_mm_h = 500.0}, Weather{.snow_mm_h = 2.0}}) {
+        renderer.set_weather(weather);
+        const RenderedScan scan =
+            renderer.render(find_or_load_sensor("native", config, log), log.frames[1].time_s);
+        const std::vector<float>& velocity = *find_channel_values<float>(scan.channels, "velocity");
+        int n = 0;
+        for (std::size_t i = 0; i < velocity.size(); ++i) {
+            const auto source = ReturnCause(get_sources(scan)[i]);
+            if (source == ReturnCause::surface || source == ReturnCause::nothing) continue;
+            ++n;
+            const glm::dvec3 d = scan.get_firing_pose(i).rotation * glm::dvec3(scan.image.direction[i]);
+            const double falls = -(double(velocity[i]) + glm::dot(d, sensor_mps));  // speed times d.z
+            if (source == ReturnCause::rain) {
+                ASSERT_GT(falls * (d.z > 0.0 ? 1.0 : -1.0), -0.01);
+                ASSERT_LT(std::abs(falls), 9.65 * std::abs(d.z) + 0.01);
+            } else {
+                ASSERT_NEAR(falls, source == ReturnCause::snow ? d.z : 0.0, 0.01);
+            }
+        }
+        EXPECT_GT(n, 50) << format_weather(weather);
+    }
 }
 
 TEST_F(RenderedWeather, IsThatOfTheNextScan) {

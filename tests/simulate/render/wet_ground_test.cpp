@@ -103,5 +103,27 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
     EXPECT_EQ(renderer.render(sensor, 0.0).image.intensity, dry.image.intensity);
 }
 
+/// The mirror image of a static wall stands still below the ground, so the range to it
+/// falls by the speed of the sensor along the ray.
+TEST_F(WetGroundOnScans, MirrorImagesHaveTheVelocityOfTheirObjects) {
+    Config config;
+    config.render.channels = "velocity";
+    LidarSequence sequence = make_sequence_looking_down();
+    sequence.world_from_vehicle = {
+        {-1.0, 1.0}, {Pose{{1, 0, 0, 0}, {-8.0, 0.0, 0.0}}, Pose{{1, 0, 0, 0}, {8.0, 0.0, 0.0}}}};
+    ScanRenderer renderer(device(), make_background_scene(make_ground_before_wall()), config, sequence);
+    renderer.set_weather({.wet_mm = 2.0});
+    const RenderedScan wet = renderer.render(make_sensor_from_config(config, sequence), 0.0);
+    const std::vector<std::int32_t>& source = *find_channel_values<std::int32_t>(wet.channels, "source");
+    int mirrored = 0;
+    for (std::size_t i = 0; i < source.size(); ++i) {
+        if (source[i] != std::int32_t(ReturnCause::mirror)) continue;
+        ++mirrored;
+        ASSERT_NEAR(find_channel_values<float>(wet.channels, "velocity")->at(i),
+                    -8.0 * double(wet.image.direction[i].x), 1e-3);
+    }
+    EXPECT_GT(mirrored, 20);
+}
+
 }  // namespace
 }  // namespace relidar

@@ -180,23 +180,23 @@ TEST(Weather, AWallIsDarkerByTheFormula) {
 
 /// A target of 10 % must be visible up to the range R at which 0.1 exp(-2 alpha R) / R^2
 /// equals the weakest power. With Lambert's W, R = W(alpha sqrt(0.1 / weakest)) / alpha.
-/// The ray has two returns, and the target is the last return.
+/// The second sensor has the data sheet of the HDL-64E: 80 % at 120 m. The air returns no
+/// light, because it would hide targets.
 TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
-    for (const double visibility_m : {30.0, 50.0, 150.0, 400.0}) {
-        const WeatherSensorProperties sensor = make_sensor_to(100.0);
-        const Weather fog{.fog_visibility_m = visibility_m};
-        const WeatherRaySimulator air = make_air_of(fog, sensor);
-        const double alpha = std::log(20.0) / visibility_m,
-                     end_m = evaluate_lambert_w(alpha * std::sqrt(0.1 / weakest(sensor))) / alpha;
-        for (std::uint64_t seed = 0; seed < 100; ++seed) {
-            EXPECT_TRUE(shows_surface(
-                air.compute_echoes_in_weather(make_ray_to(wall(0.999 * end_m, 0.1), 0.999 * end_m), seed)))
-                << visibility_m;
-            EXPECT_FALSE(shows_surface(
-                air.compute_echoes_in_weather(make_ray_to(wall(1.001 * end_m, 0.1), 1.001 * end_m), seed)))
-                << visibility_m;
+    WeatherSensorProperties hdl64e = make_sensor_to(120.0);
+    hdl64e.min_specified_power = 0.8 / (120.0 * 120.0);
+    for (const double visibility_m : {30.0, 50.0, 150.0, 400.0})
+        for (const auto& [sensor, least] :
+             {std::pair(make_sensor_to(100.0), 0.005 / (100.0 * 100.0)), {hdl64e, 0.8 / (120.0 * 120.0)}}) {
+            const WeatherRaySimulator air({.fog_visibility_m = visibility_m}, sensor, {});
+            const double alpha = std::log(20.0) / visibility_m,
+                         end_m = evaluate_lambert_w(alpha * std::sqrt(0.1 / least)) / alpha;
+            for (const double side : {0.999, 1.001})
+                EXPECT_EQ(shows_surface(air.compute_echoes_in_weather(
+                              make_ray_to(wall(side * end_m, 0.1), side * end_m), 1)),
+                          side < 1.0)
+                    << visibility_m << ' ' << least;
         }
-    }
 }
 
 /// Expected distribution of range and power of the strongest return from the air, without
@@ -458,7 +458,7 @@ TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
     const int clear = count({}).first;
     EXPECT_EQ(clear, 20'000);
     int fog_before = clear, rain_before = clear;
-    for (const double thickness : {1e-4, 1e-3, 0.01, 0.02, 0.05}) {
+    for (const double thickness : {1e-4, 1e-3, 0.01, 0.02, 0.05, 0.1}) {
         const auto [surfaces, others] = count({.fog_visibility_m = 1.0 / thickness});
         EXPECT_LE(surfaces, fog_before) << thickness;
         EXPECT_LE(surfaces + others, clear);
@@ -488,28 +488,6 @@ TEST(ThinWeather, HidesAsManyDarkSurfacesAsTheClosedForm) {
             EXPECT_NEAR(double(n_hidden) / kRays, expected, 4.0 * std::sqrt(expected / kRays))
                 << rain_mm_h << ' ' << range_m;
         }
-}
-
-TEST(Weather, TwoReturnsAreThePeakAndTheLast) {
-    const WeatherSensorProperties sensor = make_sensor_to(80.0);
-    const WeatherRaySimulator air = make_air_of({.fog_visibility_m = 60.0}, sensor);
-    int behind = 0, alone = 0;
-    for (std::uint64_t seed = 0; seed < 500; ++seed) {
-        const EchoPair far_echoes = air.compute_echoes_in_weather(make_ray_to(wall(20.0, 0.3), 20.0), seed),
-                       near_echoes = air.compute_echoes_in_weather(
-                           make_ray_to(wall(1.2, 0.9), 1.6, wall(1.6, 0.9)), seed);
-        if (far_echoes.strongest.source == ReturnCause::fog) {
-            EXPECT_EQ(far_echoes.second.source, ReturnCause::surface);
-            ++behind;
-        } else {
-            EXPECT_EQ(far_echoes.second.source, ReturnCause::fog) << "nothing is behind the wall";
-        }
-        EXPECT_GE(std::abs(far_echoes.strongest.range_m - far_echoes.second.range_m), sensor.separation_m);
-        EXPECT_LE(std::max(far_echoes.strongest.range_m, far_echoes.second.range_m), 20.0);
-        alone += near_echoes.second.source == ReturnCause::nothing;
-    }
-    EXPECT_GT(behind, 400);
-    EXPECT_EQ(alone, 500) << "what is nearer than returns can be told apart is one";
 }
 
 TEST(Weather, TheSameSeedIsTheSameWeather) {
