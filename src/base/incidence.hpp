@@ -10,13 +10,13 @@
 
 namespace relidar {
 
-/// Rays and ranges of a range image, row by row. The columns cover a full turn of the
-/// sensor.
+/// Rays and ranges of a range image, row by row.
 struct RangeImageRays {
     int rows, columns;
     /// Origins and unit directions of the rays, [rows*columns].
     std::span<const glm::vec3> origin, direction;
     std::span<const float> range_m;  ///< Measured ranges, [rows*columns]. 0 for rays without a return.
+    bool circular = true;  ///< True if the columns cover a full turn, so that the last precedes the first.
 
     glm::dvec3 compute_point_of_pixel_m(std::size_t pixel_index) const {
         return glm::dvec3(origin[pixel_index]) +
@@ -39,7 +39,8 @@ inline double compute_incidence_cosine(const RangeImageRays& image, std::size_t 
     const auto columns = std::size_t(image.columns), row = pixel_index / columns,
                column = pixel_index % columns;
     if (columns < 2 * kColumns + 1 || row == 0 || row + 1 >= std::size_t(image.rows) ||
-        !(image.range_m[pixel_index] > 0.0f))
+        !(image.range_m[pixel_index] > 0.0f) ||
+        (!image.circular && (column < kColumns || column + kColumns >= columns)))
         return -1.0;
     const std::size_t left = row * columns + (column + columns - kColumns) % columns,
                       right = row * columns + (column + kColumns) % columns;

@@ -21,8 +21,11 @@ void for_each_product(const ImageBatch& to, int n_in, int taps, Visit&& visit) {
                     for (int tap = 0; tap < taps; ++tap) {
                         const int source_y = y + tap / side - reach;
                         if (source_y < 0 || source_y >= to.rows) continue;
-                        for (int x = 0; x < to.columns; ++x)
-                            visit(image, o, i, y, x, tap, source_y, ring(x + tap % side - reach, to.columns));
+                        for (int x = 0; x < to.columns; ++x) {
+                            const int source_x = x + tap % side - reach;
+                            if (to.circular || (source_x >= 0 && source_x < to.columns))
+                                visit(image, o, i, y, x, tap, source_y, ring(source_x, to.columns));
+                        }
                     }
 }
 
@@ -55,11 +58,13 @@ std::vector<double> compute_mixing_weights(int position, int n_large, int n_smal
 /// Calls visit(large row, large column, small row, small column, weight) for each nonzero
 /// weight.
 template <class Visit>
-void for_mixed(int rows, int columns, int small_rows, int small_columns, Visit&& visit) {
+void for_mixed(const ImageBatch& large, const ImageBatch& small, Visit&& visit) {
+    const int rows = large.rows, columns = large.columns, small_rows = small.rows,
+              small_columns = small.columns;
     std::vector<std::vector<double>> of_row, of_column;
     for (int y = 0; y < rows; ++y) of_row.push_back(compute_mixing_weights(y, rows, small_rows, false));
     for (int x = 0; x < columns; ++x)
-        of_column.push_back(compute_mixing_weights(x, columns, small_columns, true));
+        of_column.push_back(compute_mixing_weights(x, columns, small_columns, large.circular));
     for (int y = 0; y < rows; ++y)
         for (int v = 0; v < small_rows; ++v) {
             if (of_row[std::size_t(y)][std::size_t(v)] == 0.0) continue;
@@ -107,7 +112,7 @@ struct Head {
 
 ImageBatch convolve(const ImageBatch& from, const std::vector<double>& weights,
                     const std::vector<double>& bias, int n_out, int taps) {
-    ImageBatch to(from.n, n_out, from.rows, from.columns);
+    ImageBatch to(from.n, n_out, from.rows, from.columns, from.circular);
     if (!bias.empty())
         for_values(to, [&](int c, std::size_t index) { to.values[index] = bias[std::size_t(c)]; });
     for_each_product(to, from.channels, taps,
@@ -121,7 +126,7 @@ ImageBatch convolve(const ImageBatch& from, const std::vector<double>& weights,
 
 ImageBatch backpropagate_convolution_input(const ImageBatch& d_to, const std::vector<double>& weights,
                                            int n_in, int taps) {
-    ImageBatch d_from(d_to.n, n_in, d_to.rows, d_to.columns);
+    ImageBatch d_from(d_to.n, n_in, d_to.rows, d_to.columns, d_to.circular);
     for_each_product(d_to, n_in, taps,
                      [&](int image, int o, int index, int y, int x, int tap, int source_y, int source_x) {
                          d_from.at(image, index, source_y, source_x) +=
@@ -199,7 +204,7 @@ NormGradient backpropagate_normalisation(const ImageBatch& from, const NormLayer
 }
 
 ImageBatch pool(const ImageBatch& from) {
-    ImageBatch to(from.n, from.channels, from.rows / 2, from.columns / 2);
+    ImageBatch to(from.n, from.channels, from.rows / 2, from.columns / 2, from.circular);
     for (int image = 0; image < to.n; ++image)
         for (int c = 0; c < to.channels; ++c)
             for (int y = 0; y < to.rows; ++y)
@@ -227,8 +232,8 @@ ImageBatch backpropagate_pool(const ImageBatch& from, const ImageBatch& d_to) {
 }
 
 ImageBatch upsample(const ImageBatch& from, int rows, int columns) {
-    ImageBatch to(from.n, from.channels, rows, columns);
-    for_mixed(rows, columns, from.rows, from.columns, [&](int y, int x, int v, int u, double weight) {
+    ImageBatch to(from.n, from.channels, rows, columns, from.circular);
+    for_mixed(to, from, [&](int y, int x, int v, int u, double weight) {
         for (int image = 0; image < to.n; ++image)
             for (int c = 0; c < to.channels; ++c) to.at(image, c, y, x) += weight * from.at(image, c, v, u);
     });
@@ -236,8 +241,8 @@ ImageBatch upsample(const ImageBatch& from, int rows, int columns) {
 }
 
 ImageBatch backpropagate_upsample(const ImageBatch& d_to, int rows, int columns) {
-    ImageBatch d_from(d_to.n, d_to.channels, rows, columns);
-    for_mixed(d_to.rows, d_to.columns, rows, columns, [&](int y, int x, int v, int u, double weight) {
+    ImageBatch d_from(d_to.n, d_to.channels, rows, columns, d_to.circular);
+    for_mixed(d_to, d_from, [&](int y, int x, int v, int u, double weight) {
         for (int image = 0; image < d_to.n; ++image)
             for (int c = 0; c < d_to.channels; ++c)
                 d_from.at(image, c, v, u) += weight * d_to.at(image, c, y, x);
@@ -247,7 +252,7 @@ ImageBatch backpropagate_upsample(const ImageBatch& d_to, int rows, int columns)
 
 ImageBatch attend(const ImageBatch& qkv, int heads) {
     const int channels = qkv.channels / 3;
-    ImageBatch to(qkv.n, channels, qkv.rows, qkv.columns);
+    ImageBatch to(qkv.n, channels, qkv.rows, qkv.columns, qkv.circular);
     for (int job = 0; job < qkv.n * heads; ++job) {
         const Head head(job % heads, channels, heads, job / heads);
         for (std::size_t taker = 0; taker < qkv.pixels(); ++taker) {

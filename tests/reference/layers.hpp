@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Implements the layers of the ray-drop network in double. Images are [n, channels, rows,
-// columns]. Columns wrap around, and rows are padded with zeros.
+// columns]. Rows are padded with zeros. Columns wrap around in circular images, otherwise
+// they are padded, too.
 #pragma once
 
 #include <cstddef>
@@ -10,14 +11,16 @@ namespace relidar::reference {
 
 struct ImageBatch {
     int n = 0, channels = 0, rows = 0, columns = 0;
+    bool circular = true;
     std::vector<double> values;  ///< [n,channels,rows,columns]
 
     ImageBatch() = default;
-    ImageBatch(int n_images, int n_channels, int n_rows, int n_columns)
+    ImageBatch(int n_images, int n_channels, int n_rows, int n_columns, bool is_circular = true)
         : n(n_images),
           channels(n_channels),
           rows(n_rows),
           columns(n_columns),
+          circular(is_circular),
           values(std::size_t(n) * channels * rows * columns, 0.0) {}
     std::size_t index(int image, int channel, int row, int column) const {
         return ((std::size_t(image) * channels + channel) * rows + row) * columns + column;
@@ -77,7 +80,7 @@ ImageBatch pool(const ImageBatch& from);
 /// order.
 ImageBatch backpropagate_pool(const ImageBatch& from, const ImageBatch& d_to);
 /// Resizes images bilinearly, with pixel centres at half steps. Rows are clamped at the
-/// border. Columns wrap around.
+/// border, and so are columns of images that are not circular.
 ImageBatch upsample(const ImageBatch& from, int rows, int columns);
 ImageBatch backpropagate_upsample(const ImageBatch& d_to, int rows, int columns);
 

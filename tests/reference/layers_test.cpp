@@ -63,6 +63,10 @@ TEST(LayersReference, ConvolutionTurnsAroundAndEndsInZeros) {
     // Rows outside the image are zero.
     const std::vector<double> expected{5.5, 4.5, 0.5, 6.5, 2.5, 1.5, 0.5, 3.5, 0.5, 0.5, 0.5, 0.5};
     EXPECT_EQ(to.values, expected);
+    // Less than a full turn: nothing passes from the first to the last column.
+    from.circular = false;
+    const std::vector<double> ended{5.5, 4.5, 0.5, 0.5, 2.5, 1.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5};
+    EXPECT_EQ(convolve(from, weights, {0.5}, 1, 9).values, ended);
 }
 
 TEST(LayersReference, UpsamplingByHand) {
@@ -73,6 +77,9 @@ TEST(LayersReference, UpsamplingByHand) {
     const ImageBatch to = upsample(from, 2, 4);
     const std::vector<double> expected{1.0, 1.0, 3.0, 3.0, 1.0, 1.0, 3.0, 3.0};
     for (std::size_t i = 0; i < 8; ++i) EXPECT_DOUBLE_EQ(to.values[i], expected[i]) << i;
+    from.circular = false;
+    const std::vector<double> clamped{0.0, 1.0, 3.0, 4.0, 0.0, 1.0, 3.0, 4.0};
+    EXPECT_EQ(upsample(from, 2, 4).values, clamped);
 }
 
 TEST(LayersReference, EvenAttentionIsTheMean) {
@@ -82,11 +89,12 @@ TEST(LayersReference, EvenAttentionIsTheMean) {
 }
 
 TEST(LayersReference, ConvolutionDerivatives) {
-    for (const int taps : {1, 9}) {
+    for (const auto& [taps, circular] : {std::pair(1, true), {9, true}, {9, false}}) {
         ImageBatch from = make_random_images(2, 3, 2, 5, 1);
         std::vector<double> weights = make_random_values(std::size_t(2 * 3 * taps), 2);
-        const ImageBatch d_output = make_random_images(2, 2, 2, 5, 3);
-        const auto value = [&] { return convolve(from, weights, {}, 2, taps).values; };
+        ImageBatch d_output = make_random_images(2, 2, 2, 5, 3);
+        from.circular = d_output.circular = circular;
+        const auto value = [&, n_taps = taps] { return convolve(from, weights, {}, 2, n_taps).values; };
         expect_derivative(from.values, backpropagate_convolution_input(d_output, weights, 3, taps).values,
                           d_output.values, value);
         expect_derivative(weights, backpropagate_convolution_weights(from, d_output, taps), d_output.values,
@@ -109,11 +117,15 @@ TEST(LayersReference, NormalisationDerivatives) {
 
 TEST(LayersReference, ResamplingDerivatives) {
     ImageBatch from = make_random_images(2, 2, 3, 5, 8);
-    const ImageBatch small = make_random_images(2, 2, 1, 2, 9), large = make_random_images(2, 2, 7, 11, 10);
+    const ImageBatch small = make_random_images(2, 2, 1, 2, 9);
+    ImageBatch large = make_random_images(2, 2, 7, 11, 10);
     expect_derivative(from.values, backpropagate_pool(from, small).values, small.values,
                       [&] { return pool(from).values; });
-    expect_derivative(from.values, backpropagate_upsample(large, 3, 5).values, large.values,
-                      [&] { return upsample(from, 7, 11).values; });
+    for (const bool circular : {true, false}) {
+        from.circular = large.circular = circular;
+        expect_derivative(from.values, backpropagate_upsample(large, 3, 5).values, large.values,
+                          [&] { return upsample(from, 7, 11).values; });
+    }
 }
 
 TEST(LayersReference, AttentionDerivative) {

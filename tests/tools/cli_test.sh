@@ -410,6 +410,7 @@ ray_drop() {
     check "progress of the network lacks rate and remaining time" grep -Eq "^ray-drop network, epoch 1/1  step 3/3  [0-9.]+ steps/s  remaining 0:00  loss" err
     good info cells
     says "range images of type kitti360$"
+    says "^renders +kitti360: 66 rows x 1030 columns"
     good render cells --out of_cells --frames 5:6 --sensor VLP-16
     check "render does not say that a network does not fit" \
         grep -q "^relidar: note: .*cells .*kitti360 .*8 x 8 pixels; .*VLP-16" err

@@ -215,6 +215,16 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
     }
 }
 
+TEST_F(FramesInTurn, WindowsAreNotCircular) {
+    LidarSequence log = street(1);
+    const WindowScanSensor window{"", 4, 20, 0.25 * kPi, -0.25 * kPi, 0.1, -0.1};
+    log.frames[0].scan = {make_rays(window), ScanArray<float>(80, 5.0f), ScanArray<float>(80, 0.5f)};
+    Stream stream(device());
+    EXPECT_FALSE(TrainingFrames(device(), log, {0}, {.unknown = {}})
+                     .upload_frame_if_not_resident(stream, 0)
+                     .image.circular);
+}
+
 /// Uses the cells of a grid instead of the fired rays. Settings that need fired rays must
 /// be rejected with an error of a single line.
 TEST_F(FramesInTurn, AreCellsOfAGrid) {

@@ -28,7 +28,7 @@ namespace fs = std::filesystem;
 
 // Position of the second simulated sensor: 2 m to the left of the first and 1 m above it.
 const Pose kShift{glm::dquat(1.0, 0.0, 0.0, 0.0), glm::dvec3(0.0, 2.0, 1.0)};
-constexpr const char* kDemoMetrics[] = {"strict/depth_medae_m", "strict/depth_rmse_m", "strict/intensity_mae",
+constexpr const char* kDemoMetrics[] = {"points/depth_medae_m", "points/depth_rmse_m", "strict/intensity_mae",
                                         "strict/drop_accuracy", "strict/cd_mean_m",    "points/cd_mean_m",
                                         "points/f_22cm",        "peer/depth_psnr_db",  "peer/depth_ssim"};
 

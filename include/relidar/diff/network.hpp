@@ -54,6 +54,8 @@ struct RayDropImage {
     /// Measured drops, [rows, columns]. 1 = dropped, 0 = returned, negative = unknown.
     /// Empty if nothing was measured.
     std::vector<float> dropped;
+    /// True if the columns cover a full turn, so that the first column follows the last.
+    bool circular = true;
 };
 
 /// Returns the names of the network's input channels in order. The first six are

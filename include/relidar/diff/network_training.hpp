@@ -29,6 +29,7 @@ public:
 
     const RayDropNetwork& network() const;
     /// Records GPU commands that evaluate the network for one image.
+    /// @param circular true if the image covers a full turn (RayDropImage::circular)
     /// @param input_channels [network().inputs, rows, columns] in the layout of
     /// RayDropImage::channels
     /// @return drop probabilities, [rows, columns]. The object keeps one result array for
@@ -36,7 +37,8 @@ public:
     /// @throws DataError if the image is smaller than
     /// network().compute_min_image_rows_and_columns()
     const Array<float, shared::DropProbabilities>& record_network_evaluation(
-        Stream& stream, int rows, int columns, const Array<float, shared::DropSamples>& input_channels);
+        Stream& stream, int rows, int columns, bool circular,
+        const Array<float, shared::DropSamples>& input_channels);
 
 private:
     struct Impl;

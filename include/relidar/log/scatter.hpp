@@ -14,8 +14,7 @@
 
 namespace relidar {
 
-/// Rendered values for all rays of a scan, row by row. The first and the last column are
-/// neighbours, because the image covers a full circle. All arrays are [rows*columns].
+/// Rendered values for all rays of a scan, row by row. All arrays are [rows*columns].
 struct RenderedIntensityImage {
     int rows = 0, columns = 0;
     std::vector<float> intensity;
@@ -26,6 +25,8 @@ struct RenderedIntensityImage {
     /// Cosine of the angle between ray and surface normal. Negative if unknown.
     std::vector<float> cosine;
     std::vector<float> elevation_rad;  ///< Elevation of the ray. It identifies the beam.
+    /// True if the image covers a full turn. First and last column are then neighbours.
+    bool circular = true;
 };
 
 /// Value in an array of intensities that marks a ray without a return.

@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <limits>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <variant>
@@ -112,6 +113,10 @@ struct RayTable {
 /// @param n_sub_rays  1, 5 or 9; any other number gives a spiral whose first ray is not
 /// on the axis
 std::vector<glm::dvec2> make_footprint_offsets(int n_sub_rays);
+/// Returns true if the columns of a range image cover a full turn, up to a gap of 10
+/// degrees. The first column then follows the last column.
+/// @param directions [rows*columns] directions of the rays, sensor frame
+bool is_full_turn(int rows, int columns, std::span<const glm::vec3> directions);
 /// Returns a new table with the selected rays of a table, without image order (rows = 1).
 RayTable select_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices);
 

@@ -134,8 +134,8 @@ struct RangeImageComparison {
     std::vector<float> point_range_m = {};
 };
 /// Computes the metrics of many frames in parallel on all cores. Calls evaluate() and
-/// evaluate_regions() for each frame. Also calls evaluate_points() if a comparison has
-/// point ranges.
+/// evaluate_regions() for each frame. If a comparison has point ranges, regions are
+/// scored with these ranges, and evaluate_points() is called, too.
 /// @return [n] metrics of each comparison
 std::vector<MetricValues> evaluate_all(const std::vector<RangeImageComparison>& comparisons,
                                        const MetricOptions& options = {});

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Convolution with 1x1 or 3x3 weights, computed as an implicit matrix product. Columns
-// wrap around, and rows are padded with zeros. The transposed variant is the derivative
-// with respect to the input.
+// Convolution with 1x1 or 3x3 weights, computed as an implicit matrix product. Pixels
+// outside the image are zero, except that columns wrap around in a circular image. The
+// transposed variant is the derivative with respect to the input.
 //   to[o, y, x] = bias[o] + sum_i,ky,kx weights[o, i, ky, kx]
 //                                       * from[i, y + ky - 1, x + kx - 1]
 //
@@ -24,6 +24,7 @@ RELIDAR_CONSTANT(uint, PIXELS, 4u);
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_CONSTANT(bool, STAGED, false);
 RELIDAR_PARAMS(ConvParams);
+#include "columns.glsl"
 #include "conv.glsl"
 #include "lanes.glsl"
 
@@ -75,9 +76,9 @@ void main() {
     uint image = line / params.rows, y = line % params.rows;
 
     uint column[kLoads], row_at[kLines];
-    bool inside[kLines];
+    bool inside[kLines], is_column_inside[kLoads];
     [[unroll]] for (uint v = 0u; v < kLoads; ++v) column[v] =
-        (first_column + v * LANES + lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
+        find_source_column(first_column + v * LANES + lane, is_column_inside[v]);
     [[unroll]] for (uint k = 0u; k < kLines; ++k) {
         // In row 0, y - 1 wraps to a large unsigned number, so that `inside` is false.
         uint row = TAPS == 1u ? y : y + k - 1u;
@@ -94,7 +95,7 @@ void main() {
             float v[kLoads];
             [[unroll]] for (uint k = 0u; k < kLoads; ++k) {
                 float x = params.from.values.at[row_at[ky] + i * n_pixels + column[k]];
-                v[k] = inside[ky] ? x : 0.0;
+                v[k] = inside[ky] && is_column_inside[k] ? x : 0.0;
             }
             [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
                 uint tap = ky * kLines + kx;

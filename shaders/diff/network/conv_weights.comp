@@ -17,6 +17,7 @@
 RELIDAR_CONSTANT(uint, TAPS, 9u);
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(ConvWeightsParams);
+#include "columns.glsl"
 #include "lanes.glsl"
 
 const uint kOut = RELIDAR_CONV_OUT, kIn = TAPS == 1u ? RELIDAR_CONV_IN : 1u, kLines = TAPS == 1u ? 1u : 3u;
@@ -51,7 +52,8 @@ void main() {
     for (; line < end; ++line) {
         uint image = line / params.rows, y = line % params.rows, row_at[kIn * kLines];
         bool inside[kIn * kLines];
-        uint column = (lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
+        bool is_column_inside;
+        uint column = find_source_column(lane, is_column_inside);
         [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) {
             // A 3x3 kernel at y = 0 needs row -1, which is zero padding. `row` then wraps
             // to a large unsigned number, so that inside[k] is false.
@@ -60,14 +62,14 @@ void main() {
             row_at[k] = (image * params.from.channels + params.from.first + i) * n_pixels +
                         (inside[k] ? row : 0u) * params.columns;
             float v = params.from.values.at[row_at[k] + column];
-            next[k] = inside[k] ? v : 0.0;
+            next[k] = inside[k] && is_column_inside ? v : 0.0;
         }
         for (uint x = 0u; x < params.columns; x += LANES) {
-            column = (x + LANES + lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
+            column = find_source_column(x + LANES + lane, is_column_inside);
             [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) {
                 before[k] = next[k];
                 float v = params.from.values.at[row_at[k] + column];
-                next[k] = inside[k] ? v : 0.0;
+                next[k] = inside[k] && is_column_inside ? v : 0.0;
             }
             bool there = x + lane < params.columns;
             [[unroll]] for (uint o = 0u; o < kOut; ++o) {

@@ -30,7 +30,11 @@ void find_upsampling_neighbours(int large_pixel, uint n_large, uint n_small, out
     right_weight = float(place - left_pixel * unit) / float(unit);
 }
 
-/// Rows outside the image become the first or last row. Columns wrap around.
+/// Rows outside the image become the first or last row. So do columns, except that they
+/// wrap around in a circular image.
 uint clamp_row(int row) { return uint(clamp(row, 0, int(params.small_rows) - 1)); }
-uint wrap_column(int column) { return uint(column + int(params.small_columns)) % params.small_columns; }
+uint wrap_column(int column) {
+    return params.circular != 0u ? uint(column + int(params.small_columns)) % params.small_columns
+                                 : uint(clamp(column, 0, int(params.small_columns) - 1));
+}
 #endif

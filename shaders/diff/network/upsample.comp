@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Enlarges images by bilinear interpolation. Pixel centres are at half integers. Rows are
-// clamped at the borders, and columns wrap around. One thread per value. Input: from
-// (small). Output: to (large).
+// clamped at the borders. Columns wrap around in a circular image. One thread per value.
+// Input: from (small). Output: to (large).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

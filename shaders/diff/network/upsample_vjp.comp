@@ -47,7 +47,7 @@ void main() {
     int first_x, first_y, n_x, n_y;
     find_large_pixels_near_small_pixel(column, params.columns, params.small_columns, first_x, n_x);
     find_large_pixels_near_small_pixel(row, params.rows, params.small_rows, first_y, n_y);
-    // Moves the range of rows into the image, because only columns wrap around.
+    // Moves the range of rows into the image, because only columns can wrap around.
     first_y = clamp(first_y, 0, int(params.rows) - n_y);
     float sum = 0.0;
     for (int y = first_y; y < first_y + n_y; ++y) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Parameters of the layers of the ray-drop network: convolution, normalisation and change
 // of image size. Images are [n_images, channels, rows, columns]. Neighbouring columns are
-// adjacent in memory. Columns wrap around (azimuth), and rows end at the sensor's field
-// of view.
+// adjacent in memory. Rows end at the sensor's field of view. If `circular` is 1, columns
+// wrap around, because the image covers a full turn. Otherwise they end like rows.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_LAYERS_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_LAYERS_H
 #include "images.h"
@@ -30,6 +30,7 @@ struct ConvParams {
     // exchanged, and the 3x3 kernels are mirrored.
     uint transposed;
     uint accumulate;  // 1: adds the result to the stored values instead of overwriting them.
+    uint circular;
 };
 
 struct ConvWeightsParams {
@@ -44,6 +45,7 @@ struct ConvWeightsParams {
     uint n_in;
     uint n_out;
     uint n_parts;
+    uint circular;
 };
 
 struct SumPartsParams {
@@ -140,6 +142,7 @@ struct ResampleParams {
     uint columns;
     uint small_rows;  // size of the smaller images
     uint small_columns;
+    uint circular;
 };
 
 RELIDAR_SHARED_END

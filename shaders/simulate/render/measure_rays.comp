@@ -5,13 +5,17 @@
 //   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop)))
 // hit and drop are the two logits. sees is the probability that the sensor itself does
 // not drop the return. If the ray hit nothing within the sensor's range limits, drop_prob
-// is 1. Such a ray never returns, because later kernels keep the value 1. One thread per
-// ray. Input: rays, fired, rendered, surfaces, beams, response. Output: measured.
+// is 1. Such a ray never returns, because later kernels keep the value 1. The same holds
+// for a ray that hits an actor, unless surfaces absorb at least half of its light. So an
+// actor has the same outline, whether something is behind it or not. One thread per ray.
+// Input: rays, fired, rendered, surfaces, beams, response. Output: measured.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
 #include "../shared/render.h"
 RELIDAR_PARAMS(MeasureRaysParams);
+
+const uint kBackground = 0u;  // instance of the background
 
 /// Returns the factor of the intensity at a range, interpolated linearly in the response
 /// table. Outside the table, returns its first or last factor.
@@ -74,8 +78,10 @@ void main() {
     m.intensity = clamp(
         beam.intensity_gain * interpolate_falloff(surface_m) * r.intensity + beam.intensity_offset, 0.0, 1.0);
     float returns = params.rays.at[i].sees * (1.0 - 1.0 / (1.0 + exp(r.hit_logit - r.drop_logit)));
+    bool can_return = dominated || (is_met && r.instance == kBackground);
     m.drop_prob =
-        1.0 - (is_met && is_within_limits(m.range_m) && is_within_limits(m.median_range_m) ? returns : 0.0);
+        1.0 -
+        (can_return && is_within_limits(m.range_m) && is_within_limits(m.median_range_m) ? returns : 0.0);
     m.weight = r.weight;
     m.incidence = is_met ? compute_incidence(surface.normal, params.fired.at[i].direction) : 0.0;
     m.instance = is_met ? r.instance : RELIDAR_NO_INSTANCE;

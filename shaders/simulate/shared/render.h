@@ -59,7 +59,7 @@ struct MeasuredRay {
     float mean_range_m;
     float intensity;  // 0..1
     // Probability that the ray has no return. 1 if the ray hit nothing within the
-    // sensor's limits.
+    // sensor's limits, or an actor with less than half of its light.
     float drop_prob;
     float weight;  // W
     // Cosine of the angle between ray and blended normal. 0 if the hit has no normal.

@@ -109,7 +109,8 @@ void ConvolutionKernels::run_convolution(Stream& stream, const ChannelSlice& inp
                              .n_in = input.channels,
                              .n_out = output.channels,
                              .transposed = 0,
-                             .accumulate = accumulate ? 1u : 0u});
+                             .accumulate = accumulate ? 1u : 0u,
+                             .circular = input.grid.circular ? 1u : 0u});
 }
 
 void ConvolutionKernels::backpropagate_input(Stream& stream, const ChannelSlice& d_output, Weights weights,
@@ -125,7 +126,8 @@ void ConvolutionKernels::backpropagate_input(Stream& stream, const ChannelSlice&
                              .n_in = d_output.channels,
                              .n_out = d_input.channels,
                              .transposed = 1,
-                             .accumulate = accumulate ? 1u : 0u});
+                             .accumulate = accumulate ? 1u : 0u,
+                             .circular = d_output.grid.circular ? 1u : 0u});
 }
 
 std::size_t ConvolutionKernels::count_partial_sum_floats(const ImageBatchSize& grid,
@@ -149,7 +151,8 @@ void ConvolutionKernels::backpropagate_weights(Stream& stream, const ChannelSlic
                                            .columns = input.grid.columns,
                                            .n_in = input.channels,
                                            .n_out = d_output.channels,
-                                           .n_parts = n_parts};
+                                           .n_parts = n_parts,
+                                           .circular = input.grid.circular ? 1u : 0u};
     run(stream, conv_weights_, count_weight_gradient_threads(params), params);
     run(stream, sum_parts_, n,
         {.partial = partial_.address(),

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Convolutions of size 1x1 and 3x3. Columns wrap around, and rows outside the image are
-// zero.
+// Convolutions of size 1x1 and 3x3. Pixels outside the image are zero, except that
+// columns wrap around in a circular image.
 #pragma once
 
 #include <cstdint>

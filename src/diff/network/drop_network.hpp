@@ -25,7 +25,8 @@ int get_batch_size(const RayDropNetworkOptions& options);
 struct NetworkRegularisation {
     double dropout = 0.0;  ///< share of the values that a layer drops
     /// True: training shifts images by a random number of columns, so that the scene
-    /// rotates. Does not shift input channels that depend only on the sensor.
+    /// rotates. Does not shift input channels that depend only on the sensor, or images
+    /// that do not cover a full turn.
     bool turns = false;
 };
 /// Returns the training settings that reduce overfitting of a network.

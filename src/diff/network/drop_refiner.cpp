@@ -112,14 +112,15 @@ RayDropInference::~RayDropInference() = default;
 const RayDropNetwork& RayDropInference::network() const { return impl_->network; }
 
 const Array<float, shared::DropProbabilities>& RayDropInference::record_network_evaluation(
-    Stream& stream, int rows, int columns, const Array<float, shared::DropSamples>& input_channels) {
+    Stream& stream, int rows, int columns, bool circular,
+    const Array<float, shared::DropSamples>& input_channels) {
     Impl& r = *impl_;
     if (const int side = r.network.compute_min_image_rows_and_columns(); rows < side || columns < side)
         throw DataError(fmt::format(
             "cannot apply the ray-drop network: the image has {} x {} pixels, expected at least {} "
             "rows and columns",
             rows, columns, side));
-    const refine::ImageBatchSize grid{1, std::uint32_t(rows), std::uint32_t(columns)};
+    const refine::ImageBatchSize grid{1, std::uint32_t(rows), std::uint32_t(columns), circular};
     RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.count_pixels_per_image(), input_channels.size());
     SizedRayDropNetwork& shaped = r.get_or_make_network_for_image_size(stream, grid);
     const refine::RayDropInputs::RotatedSample unrotated_sample{};
@@ -162,7 +163,7 @@ std::vector<float> RayDropRefiner::predict_drop_probabilities(const RayDropImage
     r.channels.reserve(r.device, image.channels.size(), "input channels of the ray-drop network");
     r.channels.upload(image.channels);
     const auto& probability =
-        r.pass.record_network_evaluation(r.stream, image.rows, image.columns, r.channels);
+        r.pass.record_network_evaluation(r.stream, image.rows, image.columns, image.circular, r.channels);
     r.stream.submit_and_wait();
     return probability.download();
 }

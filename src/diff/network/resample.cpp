@@ -20,7 +20,8 @@ shared::ResampleParams make_resample_params(const ChannelSlice& input, const Cha
             .rows = large_grid.rows,
             .columns = large_grid.columns,
             .small_rows = small_grid.rows,
-            .small_columns = small_grid.columns};
+            .small_columns = small_grid.columns,
+            .circular = large_grid.circular ? 1u : 0u};
 }
 
 std::size_t count_slice_values(const ChannelSlice& slice) {
@@ -30,7 +31,7 @@ std::size_t count_slice_values(const ChannelSlice& slice) {
 }  // namespace
 
 ImageBatchSize halve_image_size(const ImageBatchSize& grid) {
-    return {grid.n, grid.rows / 2, grid.columns / 2};
+    return {grid.n, grid.rows / 2, grid.columns / 2, grid.circular};
 }
 
 ResamplingKernels::ResamplingKernels(Device& device)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Arrays of images on the device, [n, channels, rows, columns]. Neighbouring columns are
-// adjacent in memory. Columns wrap around.
+// adjacent in memory.
 #pragma once
 
 #include <cstddef>
@@ -17,6 +17,7 @@ namespace relidar::refine {
 /// Number of images, and rows and columns of each image.
 struct ImageBatchSize {
     std::uint32_t n = 0, rows = 0, columns = 0;
+    bool circular = true;  ///< true: columns wrap around, because the image covers a full turn
 
     std::size_t count_pixels_per_image() const {
         return std::size_t(rows) * columns;

@@ -98,9 +98,10 @@ RayDropNetwork train_ray_drop_network(Device& device, const std::vector<RayDropI
         const std::size_t k = std::size_t(course.report.step++) % course.n_steps;  // step index in the epoch
         if (k == 0) course.entropy = course.accuracy = 0.0;
         if (k == 0 || order.empty())
-            order = sample_epoch_order_and_rotations(images.size(), images[0].columns,
-                                                     refine::get_regularisation(options).turns, seed,
-                                                     course.get_epoch_index());
+            order = sample_epoch_order_and_rotations(
+                images.size(), images[0].columns,
+                refine::get_regularisation(options).turns && images[0].circular, seed,
+                course.get_epoch_index());
         const auto chosen = std::span(order).subspan(k * course.batch, course.batch);
         course.add_step_score(training.train_on_batch(chosen, course.report.step, course.report.n_steps), k);
         if (progress && !progress(course.report, state)) break;

@@ -86,7 +86,9 @@ public:
         // left to right. A neighbour left of column 0 wraps to the right edge, which is
         // sampled later, so it counts as unknown.
         const auto level = [&](RayOffset s) {
-            return row + s.rows < 0 || column + s.columns < 0 ? kNoIntensity : known_intensities_[at(s)];
+            const bool is_beyond_end = !scan_.circular && column + s.columns >= scan_.columns;
+            return row + s.rows < 0 || column + s.columns < 0 || is_beyond_end ? kNoIntensity
+                                                                               : known_intensities_[at(s)];
         };
         const auto residual = [&](RayOffset s) {
             const float known_intensity = level(s);
@@ -126,6 +128,7 @@ private:
         const int columns = scan_.columns;
         // Divisions are slow, so the column is wrapped only if it is outside the range
         // image.
+        if (!scan_.circular) column = std::clamp(column, 0, columns - 1);
         if (column < 0 || column >= columns) column = (column % columns + columns) % columns;
         return std::size_t(row) * std::size_t(columns) + std::size_t(column);
     }

@@ -47,6 +47,21 @@ std::vector<glm::dvec2> make_footprint_offsets(int n_sub_rays) {
     return offsets;
 }
 
+bool is_full_turn(int rows, int columns, std::span<const glm::vec3> directions) {
+    constexpr double kLeastTurn_rad = 350.0 / 180.0 * kPi;
+    if (columns < 3 || directions.size() < std::size_t(rows) * std::size_t(columns)) return false;
+    // Adds the steps of one row, because first and last column alone cannot tell a narrow
+    // image from a full turn.
+    const std::span<const glm::vec3> row =
+        directions.subspan(std::size_t(rows / 2) * std::size_t(columns), std::size_t(columns));
+    double turned_rad = 0.0;
+    for (std::size_t c = 1; c < row.size(); ++c)
+        turned_rad += std::remainder(std::atan2(double(row[c].y), double(row[c].x)) -
+                                         std::atan2(double(row[c - 1].y), double(row[c - 1].x)),
+                                     2.0 * kPi);
+    return std::abs(turned_rad) * columns / (columns - 1) >= kLeastTurn_rad;
+}
+
 RayTable select_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices) {
     RayTable some;
     some.rows = 1;

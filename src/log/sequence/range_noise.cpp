@@ -40,8 +40,10 @@ std::size_t find_bin_clamped_to_last(const auto& bin_upper_ends, double value) {
 DifferencesByBin collect_neighbour_range_differences(const LidarFrame& frame) {
     DifferencesByBin result;
     const Scan& scan = frame.scan;
-    const RangeImageRays image{scan.rays.rows, scan.rays.columns, scan.rays.origin, scan.rays.direction,
-                               scan.range_m};
+    const RangeImageRays image{
+        scan.rays.rows,   scan.rays.columns,
+        scan.rays.origin, scan.rays.direction,
+        scan.range_m,     is_full_turn(scan.rays.rows, scan.rays.columns, scan.rays.direction)};
     const auto columns = std::size_t(std::max(scan.rays.columns, 1));
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         const double cosine = compute_incidence_cosine(image, i);

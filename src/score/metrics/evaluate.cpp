@@ -229,11 +229,10 @@ std::vector<MetricValues> evaluate_all(const std::vector<RangeImageComparison>& 
         const RangeImageComparison& c = comparisons[static_cast<std::size_t>(index)];
         MetricValues& row = rows[static_cast<std::size_t>(index)];
         row = evaluate(*c.rendered, *c.real, options);
-        row.merge(evaluate_regions(*c.rendered, *c.real, c.regions, options));
-        if (c.point_range_m.empty()) return;
         RangeImage points = *c.rendered;
-        points.range_m = c.point_range_m;
-        row.merge(evaluate_points(points, *c.real, options));
+        if (!c.point_range_m.empty()) points.range_m = c.point_range_m;
+        row.merge(evaluate_regions(points, *c.real, c.regions, options));
+        if (!c.point_range_m.empty()) row.merge(evaluate_points(points, *c.real, options));
     });
     return rows;
 }

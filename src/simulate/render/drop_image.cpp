@@ -57,6 +57,7 @@ glm::dvec3 get_first_vehicle_position(const LidarSequence& sequence) {
 RayDropImage make_network_input_image(const RenderedScan& scan, const std::vector<std::string>& channel_names,
                                       const glm::dvec3& first_vehicle_position_m) {
     RayDropImage image{scan.image.rows, scan.image.columns, {}, {}};
+    image.circular = is_full_turn(image.rows, image.columns, scan.image.direction);
     const glm::vec3 origin_m(scan.world_from_sensor.translation - first_vehicle_position_m);
     const std::size_t n = scan.median_range_m.size();
     image.channels.resize(channel_names.size() * n);

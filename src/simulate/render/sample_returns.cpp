@@ -22,9 +22,12 @@ constexpr std::uint64_t kOfIntensities = 0x696E74656E736974ull;
 
 RenderedIntensityImage make_rendered_intensity_image(const RenderedScan& scan) {
     const RangeImage& image = scan.image;
-    const RangeImageRays rays{image.rows, image.columns, image.origin, image.direction, scan.median_range_m};
+    const RangeImageRays rays{image.rows,          image.columns,
+                              image.origin,        image.direction,
+                              scan.median_range_m, is_full_turn(image.rows, image.columns, image.direction)};
     RenderedIntensityImage result{
         image.rows, image.columns, image.intensity, scan.median_range_m, compute_range_spread(scan), {}, {}};
+    result.circular = rays.circular;
     result.cosine.resize(image.direction.size());
     result.elevation_rad.resize(image.direction.size());
     parallel_for_in_blocks(image.direction.size(), [&](std::size_t index) {

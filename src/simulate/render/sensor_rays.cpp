@@ -215,7 +215,9 @@ void DeviceSensorRays::record_ray_drop_inference(Stream& stream, RayDropInferenc
          .origin = relative_sensor_position_m,
          .n_channels = std::uint32_t(channels.size()),
          .n_rays = std::uint32_t(table_.size())});
-    refined_ = &network.record_network_evaluation(stream, table_.rows, table_.columns, samples_);
+    refined_ = &network.record_network_evaluation(stream, table_.rows, table_.columns,
+                                                  is_full_turn(table_.rows, table_.columns, table_.direction),
+                                                  samples_);
 }
 
 std::span<const float> DeviceSensorRays::wait_for_drop_probabilities(Stream& stream) {

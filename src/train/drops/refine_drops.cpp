@@ -44,16 +44,14 @@ SimulatedSensor choose_sensor_for_ray_drop_training(const Config& config, const 
 /// the rotated rays are as accurate as images of frames that were not used for training.
 RayTable rotate_rays_by_column_fraction(RayTable rays, float column_fraction) {
     const RayTable original = rays;
-    // Minimum cosine of the angle between a ray and its neighbour in the next column. For
-    // the last column, this is the first column. If the field of view is less than a full
-    // turn, these two are far apart, so rays of the last column are not rotated.
-    constexpr float kMinNeighbourCosine = 0.9f;
+    // Without a full turn, the last column has no next column and is not rotated.
+    const bool circular = is_full_turn(rays.rows, rays.columns, original.direction);
     for (std::size_t i = 0; i < original.size(); ++i) {
         const std::size_t row = i / std::size_t(original.columns),
                           next = (i + 1) % std::size_t(original.columns);
         const glm::vec3& towards =
             original.direction[row * std::size_t(original.columns) + next % std::size_t(original.columns)];
-        if (glm::dot(original.direction[i], towards) > kMinNeighbourCosine)
+        if (circular || next % std::size_t(original.columns) != 0)
             rays.direction[i] = glm::normalize(glm::mix(original.direction[i], towards, column_fraction));
     }
     return rays;

@@ -53,10 +53,9 @@ TrainingFrameData make_training_frame_metadata(const LidarSequence& sequence, in
     data.position = frame_index;
     data.index = frame.index;
     data.n_rays = static_cast<std::uint32_t>(frame.scan.range_m.size());
-    const bool spins = !sequence.get_lidar(frame).sensor.beams.empty();
     if (table.rows > 1)
         data.image = {static_cast<std::uint32_t>(table.rows), static_cast<std::uint32_t>(table.columns),
-                      spins};
+                      is_full_turn(table.rows, table.columns, table.direction)};
     const PoseTrack& track = sequence.world_from_vehicle;
     const auto [first, last] = std::minmax_element(table.time_offset_s.begin(), table.time_offset_s.end());
     data.first_knot =

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the convolution kernels diff/network/conv, conv_weights and sum_parts with the
 // double reference. Covers values and both derivatives, slices, batches, and images
-// smaller than a subgroup. Columns form a ring. Weights are in shared memory (as on a
-// GPU) or in registers (as on a CPU).
+// smaller than a subgroup. Columns form a ring in circular images. Weights are in shared
+// memory (as on a GPU) or in registers (as on a CPU).
 #include "diff/network/conv.hpp"
 
 #include "../../support/device.hpp"
@@ -28,13 +28,17 @@ void PrintTo(const Case& test_case, std::ostream* out) {
 
 class ConvTest : public test::DeviceTest {};
 class ConvSizes : public test::DeviceTest, public testing::WithParamInterface<Case> {};
-INSTANTIATE_TEST_SUITE_P(
-    Refine, ConvSizes,
-    testing::Values(Case{9, {1, 66, 1030}, 9, 3}, Case{1, {1, 66, 1030}, 9, 3}, Case{9, {1, 5, 13}, 1, 1},
-                    Case{9, {4, 7, 9}, 3, 17}, Case{9, {4, 1, 3}, 17, 9}, Case{9, {1, 2, 1}, 3, 8},
-                    Case{9, {1, 3, 2}, 8, 16}, Case{9, {1, 2, 65}, 9, 9}, Case{9, {4, 9, 31}, 16, 17},
-                    Case{1, {4, 5, 13}, 17, 9}, Case{1, {1, 1, 3}, 1, 17}, Case{1, {4, 7, 9}, 3, 1},
-                    Case{1, {1, 2, 70}, 9, 8}, Case{9, {1, 1, 1}, 1, 3}, Case{9, {4, 33, 32}, 3, 3}));
+INSTANTIATE_TEST_SUITE_P(Refine, ConvSizes,
+                         testing::Values(Case{9, {1, 66, 1030}, 9, 3}, Case{1, {1, 66, 1030}, 9, 3},
+                                         Case{9, {1, 5, 13}, 1, 1}, Case{9, {4, 7, 9}, 3, 17},
+                                         Case{9, {4, 1, 3}, 17, 9}, Case{9, {1, 2, 1}, 3, 8},
+                                         Case{9, {1, 3, 2}, 8, 16}, Case{9, {1, 2, 65}, 9, 9},
+                                         Case{9, {4, 9, 31}, 16, 17}, Case{1, {4, 5, 13}, 17, 9},
+                                         Case{1, {1, 1, 3}, 1, 17}, Case{1, {4, 7, 9}, 3, 1},
+                                         Case{1, {1, 2, 70}, 9, 8}, Case{9, {1, 1, 1}, 1, 3},
+                                         Case{9, {4, 33, 32}, 3, 3}, Case{9, {1, 66, 1030, false}, 9, 3},
+                                         Case{9, {4, 9, 31, false}, 16, 17}, Case{9, {2, 5, 32, false}, 3, 3},
+                                         Case{9, {1, 2, 1, false}, 3, 8}, Case{1, {4, 5, 13, false}, 17, 9}));
 
 struct Layer {
     test::ImageBatch from, d_to;
@@ -177,7 +181,8 @@ INSTANTIATE_TEST_SUITE_P(Refine, ConvVariants, testing::Values(Variant{8, 1}, Va
 TEST_P(ConvVariants, Agree) {
     const auto lanes = std::uint32_t(device().info().subgroup_size);
     const auto tiles = [](std::uint32_t count, std::uint32_t size) { return (count + size - 1) / size; };
-    for (const Case& c : {Case{9, {2, 5, 75}, 9, 17}, Case{1, {2, 3, 41}, 17, 9}}) {
+    for (const Case& c :
+         {Case{9, {2, 5, 75}, 9, 17}, Case{9, {2, 5, 75, false}, 9, 17}, Case{1, {2, 3, 41}, 17, 9}}) {
         const Layer layer = make_random_layer(c);
         const Kernel<shared::ConvParams> kernel(device(), "diff/network/conv",
                                                 {{SpecialisationConstantId::TAPS, c.taps},
@@ -204,7 +209,8 @@ TEST_P(ConvVariants, Agree) {
              .n_in = std::uint32_t(c.n_in),
              .n_out = std::uint32_t(c.n_out),
              .transposed = 0,
-             .accumulate = 0});
+             .accumulate = 0,
+             .circular = c.grid.circular ? 1u : 0u});
         stream.submit_and_wait();
         EXPECT_LT(compute_worst_error(to.read(), reference::convolve(layer.from, layer.weights, layer.bias,
                                                                      c.n_out, int(c.taps))),

@@ -87,6 +87,24 @@ TEST_F(DropNetworkTest, LearnsWhatNeighboursSay) {
             << which;
 }
 
+/// Only in a full turn is the first column a neighbour of the last column.
+TEST_F(DropNetworkTest, ColumnsAreNeighboursOnlyInAFullTurn) {
+    RayDropNetworkOptions options = make_short_training();
+    options.epochs = 5;
+    for (const bool circular : {true, false}) {
+        std::vector<RayDropImage> images = make_some_images(options, 4);
+        for (RayDropImage& image : images) image.circular = circular;
+        RayDropRefiner refiner(device(), train_ray_drop_network(device(), images, options, 1, {}));
+        const std::vector<float> before = refiner.predict_drop_probabilities(images[0]);
+        for (std::size_t row = 0; row < 16; ++row) images[0].channels[(16 + row) * 40] += 1.0f;
+        const std::vector<float> after = refiner.predict_drop_probabilities(images[0]);
+        std::size_t n_changed = 0;
+        for (std::size_t i = 0; i < before.size(); ++i) n_changed += i % 40 >= 30 && before[i] != after[i];
+        EXPECT_EQ(n_changed > 0, circular);
+        EXPECT_NE(before[0], after[0]);
+    }
+}
+
 TEST_F(DropNetworkTest, PixelsByThemselvesCannotKnow) {
     RayDropNetworkOptions options = make_short_training();
     options.network = "pixel";

@@ -31,13 +31,14 @@ inline std::vector<double> make_random_floats(std::size_t count, std::uint64_t s
 
 inline ImageBatch make_random_images(const refine::ImageBatchSize& grid, int channels, std::uint64_t seed,
                                      double scale = 1.0, double offset = 0.0) {
-    ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns));
+    ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns), grid.circular);
     images.values = make_random_floats(images.values.size(), seed, scale, offset);
     return images;
 }
 
 inline refine::ImageBatchSize get_grid(const ImageBatch& images) {
-    return {std::uint32_t(images.n), std::uint32_t(images.rows), std::uint32_t(images.columns)};
+    return {std::uint32_t(images.n), std::uint32_t(images.rows), std::uint32_t(images.columns),
+            images.circular};
 }
 
 template <class Meaning = void>
@@ -83,7 +84,7 @@ public:
     /// Makes an output tensor filled with NaN.
     static OnDevice make_unwritten(Device& device, const refine::ImageBatchSize& grid, int channels,
                                    std::uint32_t before = 1, std::uint32_t after = 2) {
-        ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns));
+        ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns), grid.circular);
         for (double& x : images.values) x = std::nan("");
         return OnDevice(device, images, before, after);
     }

@@ -45,7 +45,10 @@ INSTANTIATE_TEST_SUITE_P(
                     UpsampleCase{{1, 3, 4}, {1, 7, 9}, 17}, UpsampleCase{{4, 1, 1}, {4, 2, 3}, 1},
                     UpsampleCase{{1, 1, 2}, {1, 3, 5}, 3}, UpsampleCase{{1, 2, 3}, {1, 2, 3}, 3},
                     UpsampleCase{{4, 3, 2}, {4, 13, 9}, 3}, UpsampleCase{{1, 8, 16}, {1, 16, 32}, 3},
-                    UpsampleCase{{1, 1, 1}, {1, 1, 1}, 1}, UpsampleCase{{1, 5, 7}, {1, 6, 8}, 3}));
+                    UpsampleCase{{1, 1, 1}, {1, 1, 1}, 1}, UpsampleCase{{1, 5, 7}, {1, 6, 8}, 3},
+                    UpsampleCase{{1, 33, 515, false}, {1, 66, 1030, false}, 3},
+                    UpsampleCase{{4, 3, 2, false}, {4, 13, 9, false}, 3},
+                    UpsampleCase{{4, 1, 1, false}, {4, 2, 3, false}, 1}));
 
 TEST_P(PoolSizes, PoolAndItsDerivative) {
     const PoolCase& c = GetParam();
@@ -53,7 +56,7 @@ TEST_P(PoolSizes, PoolAndItsDerivative) {
     // makes many values equal
     for (std::size_t i = 0; i < values.values.size(); i += 2) values.values[i] = std::round(values.values[i]);
     const ImageBatchSize small = refine::halve_image_size(c.grid);
-    EXPECT_EQ(small, (ImageBatchSize{c.grid.n, c.grid.rows / 2, c.grid.columns / 2}));
+    EXPECT_EQ(small, (ImageBatchSize{c.grid.n, c.grid.rows / 2, c.grid.columns / 2, c.grid.circular}));
     const test::ImageBatch upstream = test::make_random_images(small, c.channels, 2),
                            before = test::make_random_images(c.grid, c.channels, 3);
     ResamplingKernels resample(device());

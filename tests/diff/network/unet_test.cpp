@@ -79,7 +79,7 @@ private:
     static ImageBatch joined(const ImageBatch& below, const ImageBatch& skip) {
         if (below.channels == 0) return skip;
         const ImageBatch larger = reference::upsample(below, skip.rows, skip.columns);
-        ImageBatch result(skip.n, below.channels + skip.channels, skip.rows, skip.columns);
+        ImageBatch result(skip.n, below.channels + skip.channels, skip.rows, skip.columns, skip.circular);
         for (int image = 0; image < skip.n; ++image)
             for (int c = 0; c < result.channels; ++c)
                 for (int y = 0; y < skip.rows; ++y)
@@ -126,6 +126,7 @@ protected:
 INSTANTIATE_TEST_SUITE_P(Networks, UnetTest,
                          testing::Values(Shape{"two_levels", {4, 6, 8}, 0, 9, {2, 9, 13}},
                                          Shape{"attention", {4, 8}, 2, 9, {2, 7, 10}},
+                                         Shape{"part_of_a_turn", {4, 6}, 0, 9, {2, 9, 13, false}},
                                          Shape{"pixel", {5}, 0, 1, {2, 3, 11}},
                                          Shape{"three_levels", {2, 4, 4, 6}, 3, 9, {1, 17, 26}}),
                          [](const auto& tested) { return std::string(tested.param.name); });

@@ -226,6 +226,20 @@ TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
     }
 }
 
+/// In less than a full turn, a ray of the last column does not see the first columns.
+TEST(Scatter, WindowsEnd) {
+    RenderedIntensityImage image = make_panels();
+    std::vector<float> known(kRays, 0.5f);
+    const scatter_detail::RayFeatureExtractor features(image, known);
+    for (const bool circular : {true, false}) {
+        image.circular = circular;
+        const scatter_detail::RayFeatures before = features.compute_all_features(8, kColumns - 1);
+        for (std::size_t row = 0; row < kRows; ++row)
+            image.intensity[row * kColumns] = known[row * kColumns] += 0.1f;
+        EXPECT_EQ(features.compute_all_features(8, kColumns - 1) == before, !circular);
+    }
+}
+
 TEST(Scatter, FewReturnsTellNothingAndSizesAreChecked) {
     PairedIntensities image = measured(1, coins);
     std::fill(image.measured.begin() + 900, image.measured.end(), kNoIntensity);

@@ -11,6 +11,8 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
+#include "base/incidence.hpp"
+
 namespace relidar {
 namespace {
 
@@ -38,6 +40,30 @@ TEST(Rays, ColumnsFallFromFirstAzimuthAndTimesFollowTheHead) {
     SpinningSensor other = make_two_beams();
     other.clockwise = false;
     EXPECT_NEAR(make_rays(other).time_offset_s[0], -rays.time_offset_s[0], 1e-9);
+}
+
+/// Columns of a window end, even if the window is narrower than the allowed gap.
+TEST(Rays, OnlyAFullTurnIsCircular) {
+    const auto is_circular = [](const RayTable& rays) {
+        return is_full_turn(rays.rows, rays.columns, rays.direction);
+    };
+    EXPECT_TRUE(is_circular(make_rays(make_two_beams())));
+    for (const auto& [left_rad, right_rad] : {std::pair(0.25 * kPi, -0.25 * kPi), {0.1, 0.0}, {4.0, 2.0}})
+        EXPECT_FALSE(is_circular(make_rays(WindowScanSensor{"", 4, 20, left_rad, right_rad, 0.1, -0.1})));
+    EXPECT_TRUE(is_circular(make_rays(WindowScanSensor{"", 4, 20, kPi, -0.9 * kPi, 0.1, -0.1})));
+}
+
+/// A wall at x = 5 in front of a window of 90 degrees. The neighbours of the outer four
+/// columns are missing on one side, although all ranges are similar.
+TEST(Rays, IncidenceEndsWithTheWindow) {
+    const RayTable rays = make_rays(WindowScanSensor{"", 3, 91, 0.25 * kPi, -0.25 * kPi, 0.02, -0.02});
+    std::vector<float> range_m;
+    for (const glm::vec3& direction : rays.direction) range_m.push_back(5.0f / direction.x);
+    const RangeImageRays image{rays.rows, rays.columns, rays.origin, rays.direction, range_m, false};
+    for (std::size_t c = 0; c < 91; ++c)
+        EXPECT_NEAR(compute_incidence_cosine(image, 91 + c),
+                    c < 4 || c > 86 ? -1.0 : double(rays.direction[91 + c].x), 1e-5)
+            << c;
 }
 
 TEST(Rays, OusterOriginsLieAlongTheHeadNotTheBeam) {

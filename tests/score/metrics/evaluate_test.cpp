@@ -94,13 +94,16 @@ TEST(Evaluate, StrictByHand) {
 TEST(Evaluate, PointsMayHaveOtherRangesThanTheImage) {
     RangeImage points = kRendered;
     points.range_m = kReal.range_m;
+    const std::vector<PixelRegion> all{{"all", std::vector<bool>(kReal.range_m.size(), true)}};
     std::vector<MetricValues> rows =
-        evaluate_all({{&kRendered, &kReal, {}, points.range_m}, {&kRendered, &kReal, {}}});
+        evaluate_all({{&kRendered, &kReal, all, points.range_m}, {&kRendered, &kReal, all}});
     EXPECT_EQ(rows[0].at("points/depth_rmse_m"), 0.0);
     EXPECT_EQ(rows[0].at("points/cd_mean_m"), evaluate_points(points, kReal).at("points/cd_mean_m"));
     EXPECT_EQ(rows[0].at("points/cd_mean_m"), evaluate(points, kReal).at("strict/cd_mean_m"));
     EXPECT_GT(rows[0].at("strict/depth_rmse_m"), 1.0) << "the image keeps its own";
     EXPECT_FALSE(rows[1].contains("points/depth_rmse_m"));
+    EXPECT_EQ(rows[0].at("all/depth_rmse_m"), 0.0) << "regions score the points, too";
+    EXPECT_GT(rows[1].at("all/depth_rmse_m"), 1.0);
 }
 
 TEST(Evaluate, ThresholdsOfTheFScore) {

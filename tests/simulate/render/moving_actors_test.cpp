@@ -9,6 +9,7 @@
 
 #include <gtest/gtest.h>
 #include <glm/gtc/quaternion.hpp>
+#include <relidar/log/dataset.hpp>
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
@@ -222,6 +223,59 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
     };
     expect_share(5.0, 0.5);
     expect_share(20.0, 1.0);
+}
+
+/// A ray that loses less than half of its light at the edge of a van passes the van,
+/// whether a wall is behind the van or nothing.
+TEST_F(MovingActors, TheOutlineDoesNotDependOnWhatIsBehind) {
+    const double edge = std::sqrt(2.0 * std::log(2.0 / (1.0 + std::exp(-6.0))));
+    Surfels rear, wall;
+    add_wall(rear, {-2.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.0f));
+    add_wall(wall, {30.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(30.0f));
+    const PoseAt sensor = [](double) { return Pose{}; };
+    const PoseAt van = [](double) { return Pose{{1, 0, 0, 0}, {12.0, 0.0, 0.0}}; };
+    const LidarSequence log = drive(7200, sensor, van, {4.0, 2.0, 2.0});
+    for (const bool has_wall : {true, false}) {
+        Scene scene = make_one_actor(rear, {4.0, 2.0, 2.0});
+        if (has_wall) {
+            scene.surfels = wall;
+            scene.surfels.append_surfels(rear);
+            scene.models[0].count = scene.models[1].first = 1;
+        }
+        const RenderedScan scan =
+            ScanRenderer(device(), scene, {}, log).render(make_sensor_from_config({}, log), 0.5);
+        int n_returns = 0, n_touched = 0;
+        for (std::size_t i = 0; i < scan.instance.size(); ++i) {
+            n_touched += scan.instance[i] == 1;
+            n_returns +=
+                scan.instance[i] == 1 && is_ray_returned(scan.image.drop_prob[i], scan.median_range_m[i]);
+        }
+        EXPECT_NEAR(n_returns, 2.0 * std::atan(edge / 10.0) / (2.0 * kPi) * 7200.0, 3.0) << has_wall;
+        EXPECT_EQ(n_touched > n_returns + 100, !has_wall);
+    }
+}
+
+/// The actors of the street, rendered alone, return as many rays as the log measured on
+/// them: the silhouette is exact up to 3 %.
+TEST_F(MovingActors, AloneTheyHaveTheSilhouetteOfTheLog) {
+    const LidarSequence log = make_synthetic_street({.n_frames = 5, .rows = 48, .columns = 1024});
+    Config config = make_preset_config("quick");
+    config.init.opacity = 0.95;  // training makes surfels nearly opaque
+    const Scene scene = initialise_scene(log, {0, 1, 2, 3, 4}, config.init);
+    ScanRenderer renderer(device(), scene, config, log);
+    renderer.set_visible_instances(mark_instances_with_names(scene, {"actors"}));
+    const LidarFrame& frame = log.frames[2];
+    const RenderedScan scan = renderer.render(make_sensor_from_config(config, log), frame.time_s);
+    double n_returns = 0.0, n_measured = 0.0;
+    for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
+        n_returns += is_ray_returned(scan.image.drop_prob[i], scan.median_range_m[i]);
+        if (!(frame.scan.range_m[i] > 0.0f)) continue;
+        const WorldReturn w = compute_world_return(log, frame, i);
+        n_measured += std::ranges::any_of(
+            log.boxes, [&](const BoxTrack& box) { return box.contains_point(w.point_m, w.time_s, 0.0); });
+    }
+    EXPECT_GT(n_measured, 300.0);
+    EXPECT_NEAR(n_returns / n_measured, 1.0, 0.03);
 }
 
 /// A van drives ahead of the sensor in a bend, next to a static wall. The radial velocity

@@ -121,7 +121,9 @@ Expected compute_expected(const shared::RenderedRay& ray, const Beam& beam, doub
                    ray.intensity, options.response.compute_intensity_factor_at_range(surface)),
                0.0};
     const double hit = std::exp(double(ray.hit_logit)), drop = std::exp(double(ray.drop_logit));
-    const bool is_met = weight >= double(options.min_weight) && e.range_m > 0.0 && e.median_m > 0.0;
+    // An actor needs half of the light, the background only the minimum weight.
+    const bool is_met = weight >= (ray.instance == 0u ? double(options.min_weight) : 0.5) &&
+                        e.range_m > 0.0 && e.median_m > 0.0;
     e.drop_prob = is_met && options.limits.contains(e.range_m) && options.limits.contains(e.median_m)
                       ? 1.0 - sees * hit / (hit + drop)
                       : 1.0;

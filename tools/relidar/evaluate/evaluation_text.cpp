@@ -30,10 +30,11 @@ constexpr const char* kStrict =
     "pixels";
 constexpr const char* kPoints =
     "like strict/depth_*, cd_* and f_*, but computed from the points that are written to files (setting "
-    "render.points, by default the dominant surface) instead of the range image (setting render.range)";
+    "render.points, by default the median range) instead of the range image (setting render.range)";
 constexpr const char* kRegions =
-    "errors of all pixels with a real return, whether the rendered ray returns or drops; returned: share of "
-    "these pixels whose rendered ray returns (drop_prob < 0.5); moving_boxes: pixels inside labelled moving "
+    "errors of the points of all pixels with a real return, whether the rendered ray returns or drops; "
+    "returned: share of these pixels whose rendered ray returns (drop_prob < 0.5); moving_boxes: pixels "
+    "inside labelled moving "
     "boxes; discovered_boxes: pixels inside moving boxes that the dataset does not label, but training found";
 constexpr const char* kActors =
     "trail point: a point above the ground at a place that a moving box occupies only at other times of the "
@@ -175,7 +176,7 @@ std::string format_score_summary(const EvaluationResult& evaluation) {
         const char* unit;
     };
     constexpr ScoreColumn kScores[] = {
-        {"points/depth_medae_m", "median range error of all points", " m"},
+        {"points/depth_medae_m", "median range error of points", " m"},
         {"points/cd_mean_m", "distance between point clouds (Chamfer)", " m"},
         {"moving_boxes/depth_medae_m", "median range error on moving objects", " m"},
         {"strict/intensity_rmse", "root mean square error of intensity", ""},

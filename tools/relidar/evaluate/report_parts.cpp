@@ -59,9 +59,9 @@ ReportBars make_error_by_range_chart(const EvaluationResult& evaluation, const s
 
 std::vector<ReportKeyMetric> get_key_metrics() {
     return {
-        {"strict/depth_medae_m", "Typical range error, m",
+        {"points/depth_medae_m", "Typical range error, m",
          "median of the absolute error over rays that return in both scans; less is better"},
-        {"strict/depth_rmse_m", "Range error with outliers, m",
+        {"points/depth_rmse_m", "Range error with outliers, m",
          "root mean square error, dominated by missed edges; less is better"},
         {"moving_boxes/depth_medae_m", "Typical range error on moving objects, m",
          "median of the absolute error inside labelled boxes of moving objects; less is better"},
@@ -84,7 +84,7 @@ std::vector<ReportKeyMetric> get_key_metrics() {
 }
 
 std::string make_sentence_about_mean_quality(const MetricValues& mean_metrics) {
-    const auto error = mean_metrics.find("strict/depth_medae_m"),
+    const auto error = mean_metrics.find("points/depth_medae_m"),
                drops = mean_metrics.find("strict/drop_accuracy");
     if (error == mean_metrics.end() || drops == mean_metrics.end()) return "";
     return fmt::format(

@@ -8,6 +8,8 @@
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
+#include <relidar/simulate/render.hpp>
+
 #include "console.hpp"
 
 namespace relidar::cli {
@@ -284,6 +286,12 @@ RunSummary summarise(const TrainedRun& run) {
         run.edits.empty()
             ? format_box_list(find_boxes_without_model(run.scene, run.sequence, run.config.init))
             : "";
+    for (std::size_t i = 0; i < run.sequence.lidars.size(); ++i) {
+        const SimulatedSensor sensor = make_sensor_from_config(run.config, run.sequence, int(i));
+        summary.rendered_sensors.push_back({sensor.name, sensor.grid ? sensor.grid->rows : sensor.rays.rows,
+                                            sensor.grid ? sensor.grid->columns : sensor.rays.columns,
+                                            sensor.limits.max_m});
+    }
     summary.preset = run.config.preset;
     summary.iterations = run.config.train.iterations;
     summary.n_surfels = count_surfels(run.scene);
@@ -342,6 +350,13 @@ std::string format_summary_as_text(const RunSummary& run) {
     text += format_name_value_line(
         "split", fmt::format("{} training frames, {} test frames ({})", run.n_train, run.test_frames.size(),
                              fmt::join(run.test_frames, ", ")));
+    for (const RenderedSensorSummary& sensor : run.rendered_sensors)
+        text += format_name_value_line(
+            "renders",
+            fmt::format(
+                "{}: {}range up to {:.4g} m", sensor.name,
+                sensor.rows == 0 ? "" : fmt::format("{} rows x {} columns, ", sensor.rows, sensor.columns),
+                sensor.max_range_m));
     std::vector<std::vector<std::string>> rows{{"file", "size"}};
     for (const auto& [name, size] : run.files) rows.push_back({name, format_byte_size(size)});
     return text + format_summary_text(run.log, true) + "\n" + format_table(rows);
@@ -362,6 +377,12 @@ std::string format_summary_as_json(const RunSummary& run) {
     for (const auto& [name, count] : run.models)
         json["models"].push_back({{"name", name}, {"surfels", count}});
     json["instances"] = run.n_instances;
+    json["renders"] = Json::array();
+    for (const RenderedSensorSummary& sensor : run.rendered_sensors)
+        json["renders"].push_back({{"name", sensor.name},
+                                   {"rows", sensor.rows},
+                                   {"columns", sensor.columns},
+                                   {"max_range_m", sensor.max_range_m}});
     if (run.n_blocks > 0) json["blocks"] = run.n_blocks;
     json["drop_network"] = run.n_drop_parameters > 0
                                ? Json{{"parameters", run.n_drop_parameters}, {"image", run.drop_image}}

@@ -69,8 +69,16 @@ struct LogSummary {
 /// @param options settings that decide which boxes move and which of them become actors
 LogSummary summarise(const LidarSequence& sequence, const SceneInitialisationOptions& options);
 
+/// Sensor that `relidar render` simulates for a LiDAR if no other sensor is selected.
+struct RenderedSensorSummary {
+    std::string name;
+    int rows = 0, columns = 0;  ///< Size of the range image. 0 if the rays differ from scan to scan.
+    double max_range_m = 0.0;
+};
+
 struct RunSummary {
     LogSummary log;
+    std::vector<RenderedSensorSummary> rendered_sensors;  ///< for each LiDAR of the log
     std::string preset;
     int iterations = 0;
     /// Number of parameters of the ray-drop network. The value is 0 if the run has no

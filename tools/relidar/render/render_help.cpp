@@ -18,11 +18,11 @@ dataset's world; the number of first returns from it; and its visible share, whi
 its rays that no other object blocks.
 npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions,
 origin [rows,columns,3]; pose [4,4], sensor to the dataset's world at time_s. Metres, seconds.
-ply, pcd, bin: the points of rays with drop_prob < 0.5, on the surface with the largest weight. With --set
-render.points=range they use the mean range, which lies between two surfaces at edges. The
-VIEWPOINT of a pcd is the pose in the dataset's world.
+ply, pcd, bin: the points of rays with drop_prob < 0.5, where half of the light is absorbed (the
+median range). With --set render.points=range they use the mean range, which lies between two
+surfaces at edges. The VIEWPOINT of a pcd is the pose in the dataset's world.
 ring: beam, 0 is the highest. time: firing time of the ray, seconds from time_s.
-instance (npz, exr, ply, pcd): surface that the ray hits first, the number in `relidar info RUN`;
+instance (npz, exr, ply, pcd): surface at the median range, the number in `relidar info RUN`;
 0 background, -1 nothing. npz also has instance_names.
 mcap: DIR/scans.mcap, one file with all scans of all sensors, for Foxglove. rosbag:
 DIR/rosbag.mcap, a ROS 2 bag. Both contain the transforms of world, base_link (the log's vehicle)
