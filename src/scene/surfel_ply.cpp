@@ -11,14 +11,20 @@
 #include <charconv>
 #include <cmath>
 #include <cstring>
+#include <limits>
 #include <numeric>
+#include <optional>
+#include <set>
 #include <sstream>
+#include <tuple>
+#include <unordered_map>
 
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/scene/device_scene.hpp>
 #include <relidar/scene/scene.hpp>
+#include "base/cell_key.hpp"
 #include "base/codecs/file_io.hpp"
 #include "base/files.hpp"
 
@@ -157,8 +163,10 @@ PlyRecordLayout parse_ply_header(const std::string& header) {
                                 shorten_for_error_message(first)));
         } else if (what == "element") {
             if (first != "vertex" || has_vertex)
-                throw DataError(fmt::format("found the PLY element {}, expected only one element, vertex",
-                                            shorten_for_error_message(first)));
+                throw DataError(
+                    fmt::format("found the PLY element {}, expected only one element, vertex "
+                                "(export as uncompressed PLY)",
+                                shorten_for_error_message(first)));
             has_vertex = true;
             const char* const end = second.data() + second.size();
             const auto [stop, error] = std::from_chars(second.data(), end, layout.count);
@@ -182,23 +190,45 @@ PlyRecordLayout parse_ply_header(const std::string& header) {
 struct PlyColumns {
     std::vector<PlyProperty> property;
     std::vector<std::size_t> offset;
+    std::vector<PlyProperty> missing;
 };
 
-PlyColumns find_required_ply_properties(const PlyRecordLayout& layout, SurfelParameterSet parameter_set) {
+/// Returns the number of harmonics above degree 0 that a file has for each colour. The
+/// properties f_rest_* of a file of degree 1 or 2 are 3 times 3 or 3 times 8.
+std::uint32_t count_rest_coefficients(const PlyRecordLayout& layout) {
+    const auto n = std::ranges::count_if(
+        layout.fields, [](const PlyRecordLayout::Field& f) { return f.name.starts_with("f_rest_"); });
+    return n == 9 || n == 24 ? std::uint32_t(n / kColours) : kRest;
+}
+
+PlyColumns find_ply_properties(const PlyRecordLayout& layout, SurfelParameterSet parameter_set) {
     PlyColumns columns;
+    const std::uint32_t n_rest = count_rest_coefficients(layout);
     for (const PlyProperty& p : list_ply_properties(parameter_set)) {
         if (!p.read) continue;
         const auto it = std::find_if(layout.fields.begin(), layout.fields.end(),
                                      [&](const PlyRecordLayout::Field& f) { return f.name == p.name; });
-        if (it == layout.fields.end())
-            throw DataError(fmt::format(
-                "property {} is missing, expected all properties that `relidar export` writes", p.name));
+        if (it == layout.fields.end() || (p.name.starts_with("f_rest_") && p.index > n_rest)) {
+            columns.missing.push_back(p);
+            continue;
+        }
         if (!it->is_float)
             throw DataError(fmt::format("property {} has another type, expected float", p.name));
         columns.property.push_back(p);
         columns.offset.push_back(it->offset);
     }
     return columns;
+}
+
+/// Throws an error if properties are missing that no other surfels can supply. A file with
+/// all properties except `model` has surfels in the world frame.
+void require_restorable_properties(const PlyColumns& columns, const Scene& run_scene,
+                                   SurfelParameterSet parameter_set) {
+    for (const PlyProperty& p : columns.missing)
+        if (p.group == &kMean || columns.missing.front().kind == PlyProperty::model ||
+            run_scene.surfels.size() == 0 || run_scene.surfels.get_parameter_set() != parameter_set)
+            throw DataError(fmt::format(
+                "property {} is missing, expected all properties that `relidar export` writes", p.name));
 }
 
 void require_valid_property_value(float value, const PlyProperty& property, std::size_t vertex_index,
@@ -212,6 +242,98 @@ void require_valid_property_value(float value, const PlyProperty& property, std:
             fmt::format("vertex {}: the property \"model\" is {}, expected a whole number of at least 0 and "
                         "below {}, the number of models in the run",
                         vertex_index, value, n_models));
+}
+
+std::vector<std::uint32_t> list_model_of_each_surfel(const Scene& scene) {
+    std::vector<std::uint32_t> model(scene.surfels.size());
+    for (std::size_t k = 0; k < scene.models.size(); ++k)
+        std::fill_n(model.begin() + scene.models[k].first, scene.models[k].count, std::uint32_t(k));
+    return model;
+}
+
+/// Finds the surfels of a run that surfels of an edited file come from.
+class SurfelMatcher {
+public:
+    explicit SurfelMatcher(const Surfels& run_surfels) : run_(run_surfels), used_(run_surfels.size()) {
+        for (std::uint32_t i = 0; i < run_.size(); ++i) cells_.emplace(get_cell_key(run_.mean[i]), i);
+    }
+
+    /// Returns the run's surfel at the position of a surfel. Of several surfels at this
+    /// position, returns the most similar one that has not been returned before.
+    std::optional<std::uint32_t> find_match(const Surfels& surfels, std::size_t i) {
+        using Difference = std::tuple<float, float, bool>;
+        std::optional<std::pair<Difference, std::uint32_t>> best;
+        std::set<std::uint64_t> keys;  // of the cells that the sphere of matching positions touches
+        for (int corner = 0; corner < 8; ++corner)
+            keys.insert(get_cell_key(surfels.mean[i] + kSamePosition_m * glm::vec3(corner & 1 ? 1 : -1,
+                                                                                   corner & 2 ? 1 : -1,
+                                                                                   corner & 4 ? 1 : -1)));
+        for (const std::uint64_t key : keys) {
+            const auto [first, last] = cells_.equal_range(key);
+            for (auto cell = first; cell != last; ++cell) {
+                const std::uint32_t k = cell->second;
+                const float distance_m = glm::distance(run_.mean[k], surfels.mean[i]);
+                if (!(distance_m <= kSamePosition_m)) continue;
+                const float other = std::abs(run_.opacity_logit[k] - surfels.opacity_logit[i]) +
+                                    glm::length(run_.log_scale[k] - surfels.log_scale[i]);
+                best = std::min(best.value_or(std::pair(Difference(kNone, kNone, true), k)),
+                                std::pair(Difference(distance_m, other, used_[k]), k));
+            }
+        }
+        if (!best) return {};
+        used_[best->second] = true;
+        return best->second;
+    }
+    std::size_t count_unused() const { return std::size_t(std::ranges::count(used_, false)); }
+
+private:
+    // Editors may round positions. Neighbouring surfels are farther apart.
+    static constexpr float kSamePosition_m = 1e-3f, kNone = std::numeric_limits<float>::infinity();
+    static std::uint64_t get_cell_key(const glm::vec3& mean_m) {
+        return compute_grid_cell_key(glm::clamp(glm::dvec3(mean_m), -1e6, 1e6), 0.05);
+    }
+    const Surfels& run_;
+    std::vector<bool> used_;
+    std::unordered_multimap<std::uint64_t, std::uint32_t> cells_;
+};
+
+[[noreturn]] void throw_moved_surfels_error(const Surfels& surfels, std::size_t i, std::size_t n_moved,
+                                            const PlyColumns& columns, const Scene& run_scene) {
+    float nearest_m = std::numeric_limits<float>::infinity();
+    for (const glm::vec3& mean : run_scene.surfels.mean)
+        nearest_m = std::min(nearest_m, glm::distance(mean, surfels.mean[i]));
+    const glm::vec3& at = surfels.mean[i];
+    throw DataError(fmt::format(
+        "the property {} is missing, and {} of {} surfels are not at the position of a surfel of the run, "
+        "which has this property (vertex {} is at {} {} {}, {:.3g} m from the nearest one); expected surfels "
+        "that were not moved, rotated, scaled or added, or all properties that `relidar export` writes",
+        columns.missing.front().name, n_moved, surfels.size(), i, at.x, at.y, at.z, nearest_m));
+}
+
+/// Copies the missing properties from the surfels of the run at the same positions.
+/// @return a note about the surfels that were matched
+std::string restore_missing_properties(Surfels& surfels, std::vector<std::uint32_t>& model,
+                                       const PlyColumns& columns, const Scene& run_scene) {
+    SurfelMatcher matcher(run_scene.surfels);
+    const std::vector<std::uint32_t> run_model = list_model_of_each_surfel(run_scene);
+    std::size_t n_moved = 0, first_moved = 0;
+    for (std::size_t i = 0; i < surfels.size(); ++i) {
+        const std::optional<std::uint32_t> match = matcher.find_match(surfels, i);
+        if (!match && n_moved++ == 0) first_moved = i;
+        for (std::size_t k = 0; match && k < columns.missing.size(); ++k) {
+            const PlyProperty& p = columns.missing[k];
+            if (p.kind == PlyProperty::model) model[i] = run_model[*match];
+            else
+                p.group->mutable_values(surfels)[i * p.group->count_floats() + p.index] =
+                    p.group->values(run_scene.surfels)[*match * p.group->count_floats() + p.index];
+        }
+    }
+    if (n_moved > 0) throw_moved_surfels_error(surfels, first_moved, n_moved, columns, run_scene);
+    return fmt::format(
+        "the file lacks {} properties, such as {}; they are those of the run's surfels at the "
+        "same positions; {} of {} surfels of the run are not in the file",
+        columns.missing.size(), columns.missing.front().name, matcher.count_unused(),
+        run_scene.surfels.size());
 }
 
 /// Sorts the surfels by model. Keeps the order of the file within each model.
@@ -248,7 +370,7 @@ std::size_t find_newline_before_end_header(const std::string& file_start) {
 }
 
 Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& scene_layout,
-                        SurfelParameterSet parameter_set) {
+                        SurfelParameterSet parameter_set, std::string& note) {
     const std::string start(reinterpret_cast<const char*>(file_bytes.data()),
                             std::min(file_bytes.size(), kMaxPlyHeader));
     const std::size_t end = find_newline_before_end_header(start);
@@ -257,7 +379,8 @@ Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& s
         throw DataError(fmt::format("end_header is missing in the first {} bytes", start.size()));
     const PlyRecordLayout layout = parse_ply_header(start.substr(0, end));
     const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = file_bytes.size() - data;
-    const PlyColumns columns = find_required_ply_properties(layout, parameter_set);
+    const PlyColumns columns = find_ply_properties(layout, parameter_set);
+    require_restorable_properties(columns, scene_layout, parameter_set);
     if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
         throw DataError(fmt::format("found {} bytes of data, expected {} vertices of {} bytes", n_bytes,
                                     layout.count, layout.stride));
@@ -276,6 +399,7 @@ Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& s
                 property.group->mutable_values(surfels)[i * property.group->count_floats() + property.index] =
                     value;
         }
+    if (!columns.missing.empty()) note = restore_missing_properties(surfels, model, columns, scene_layout);
     return group_surfels_by_model(surfels, model, scene_layout);
 }
 
@@ -350,12 +474,14 @@ void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
     });
 }
 
-Scene read_surfel_ply(const std::filesystem::path& path, const Scene& scene_layout, PrimitiveType primitive) {
+Scene read_surfel_ply(const std::filesystem::path& path, const Scene& scene_layout, PrimitiveType primitive,
+                      std::string* note) {
+    std::string ignored_note;
     const std::vector<std::byte> file = report_detail::read_file(path);
     try {
         const bool walks = std::ranges::any_of(
             scene_layout.models, [](const SurfelModel& model) { return model.stride_m > 0.0f; });
-        return parse_ply_surfels(file, scene_layout, {primitive, walks});
+        return parse_ply_surfels(file, scene_layout, {primitive, walks}, note ? *note : ignored_note);
     } catch (const DataError& error) {
         throw DataError(fmt::format("cannot read PLY '{}': {}", path.string(), error.what()));
     }

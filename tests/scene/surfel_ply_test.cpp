@@ -115,8 +115,9 @@ TEST_F(SurfelPly, GaussiansHaveTheirThirdScale) {
     for (std::size_t i = 0; i < 7; ++i) EXPECT_EQ(file.value(i, 57), scene.surfels.log_scale_w[i]);
     file.replace("property float scale_2\n", "property float thick_2\n");
     put(folder / "b.ply", file.header + file.data);
-    const std::string message = get_data_error_message(
-        [&] { (void)read_surfel_ply(folder / "b.ply", scene, PrimitiveType::gaussian); });
+    const std::string message = get_data_error_message([&] {
+        (void)read_surfel_ply(folder / "b.ply", copy_scene_without_surfels(scene), PrimitiveType::gaussian);
+    });
     EXPECT_THAT(message, test::Names("property scale_2 ... missing"));
 }
 
@@ -179,6 +180,87 @@ TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
     expected.surfels = scene.surfels.reorder({0, 2, 6, 5});
     expected.models = {{"background", 0, 2}, {"empty", 2, 0}, {"7", 2, 2}};
     expect_equal(read, expected);
+}
+
+/// Names of the properties that editors of 3D Gaussian splats keep, in the order of such
+/// an editor.
+std::vector<std::string> list_usual_properties(int n_rest) {
+    std::vector<std::string> names{"x",     "y",     "z",     "f_dc_0", "f_dc_1",  "f_dc_2",  "opacity",
+                                   "rot_0", "rot_1", "rot_2", "rot_3",  "scale_0", "scale_1", "scale_2"};
+    for (int k = 0; k < n_rest; ++k) names.push_back(fmt::format("f_rest_{}", k));
+    return names;
+}
+
+/// Returns a PLY file with some properties and rows of another file.
+std::string select_from_ply(const std::string& file, const std::vector<std::string>& names,
+                            const std::vector<std::size_t>& rows) {
+    Parts all(file);
+    std::vector<std::string> columns;
+    for (std::size_t at = 0; (at = all.header.find("property float ", at)) != std::string::npos; ++at)
+        columns.push_back(all.header.substr(at + 15, all.header.find('\n', at) - at - 15));
+    std::string text = fmt::format("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", rows.size());
+    for (const std::string& name : names) text += "property float " + name + "\n";
+    text += "end_header\n";
+    for (const std::size_t row : rows)
+        for (const std::string& name : names) {
+            const auto column = std::size_t(std::ranges::find(columns, name) - columns.begin());
+            text.append(reinterpret_cast<const char*>(&all.value(row, column)), sizeof(float));
+        }
+    return text;
+}
+
+/// An editor has deleted surfels, changed the order and kept only the usual properties.
+/// The remaining properties must be those of the run.
+TEST_F(SurfelPly, RestoresWhatEditorsDrop) {
+    Scene scene = make_some_scene();
+    scene.surfels.mean[6] = scene.surfels.mean[2];  // in two models
+    write_surfel_ply(folder / "a.ply", scene);
+    const std::string all = read_contents(folder / "a.ply");
+    for (const int n_rest : {45, 24, 9, 0}) {
+        std::string text = select_from_ply(all, list_usual_properties(n_rest), {6, 5, 2, 0});
+        if (n_rest == 24 || n_rest == 9) {
+            // The editor has dropped the higher degrees of each of the three colours.
+            const std::vector<std::string> names = list_usual_properties(n_rest);
+            auto* values = reinterpret_cast<float*>(text.data() + text.find("end_header\n") + 11);
+            const std::size_t order[] = {6, 5, 2, 0};
+            for (std::size_t row = 0; row < 4; ++row)
+                for (int k = 0; k < n_rest; ++k)
+                    values[row * names.size() + 14 + std::size_t(k)] =
+                        scene.surfels.sh[order[row] * kShFloats + std::size_t(k % (n_rest / 3)) + 1];
+        }
+        put(folder / "b.ply", text);
+        std::string note;
+        const Scene read = read_surfel_ply(folder / "b.ply", scene, PrimitiveType::surfel, &note);
+        Scene expected = copy_scene_without_surfels(scene);
+        expected.surfels = scene.surfels.reorder({2, 0, 6, 5});
+        expected.models = {{"background", 0, 2}, {"empty", 2, 0}, {"7", 2, 2}};
+        expect_equal(read, expected);
+        EXPECT_THAT(note, test::Names("the file lacks ... 3 of 7 surfels"));
+    }
+    std::string note;
+    (void)read_surfel_ply(folder / "a.ply", scene, PrimitiveType::surfel, &note);
+    EXPECT_EQ(note, "");
+}
+
+TEST_F(SurfelPly, MatchesRoundedPositionsAndKeepsEditedValues) {
+    Scene scene = make_some_scene();
+    write_surfel_ply(folder / "a.ply", scene);
+    std::string text = select_from_ply(read_contents(folder / "a.ply"), list_usual_properties(0), {3});
+    auto* values = reinterpret_cast<float*>(text.data() + text.find("end_header\n") + 11);
+    values[0] += 1e-5f;
+    values[3] = 0.75f;  // f_dc_0
+    put(folder / "b.ply", text);
+    const Surfels read = read_surfel_ply(folder / "b.ply", scene).surfels;
+    ASSERT_EQ(read.size(), 1u);
+    EXPECT_EQ(read.mean[0].x, values[0]);
+    EXPECT_EQ(read.sh[0], 0.75f);
+    for (std::size_t k = 1; k < kShFloats; ++k)
+        EXPECT_EQ(read.sh[k], scene.surfels.sh[3 * kShFloats + k]) << k;
+    values[1] += 5.0f;
+    put(folder / "c.ply", text);
+    EXPECT_THAT(
+        get_data_error_message([&] { (void)read_surfel_ply(folder / "c.ply", scene); }),
+        test::Names("c.ply ... f_rest_0 is missing ... 1 of 1 surfels ... vertex 0 ... 5 m ... not moved"));
 }
 
 TEST_F(SurfelPly, ReadsHeadersWithLineEndsOfWindows) {
