@@ -8,8 +8,12 @@
 /// pose. After the last pose, returns the second to last pose, so that the motion between
 /// the last two poses continues.
 SensorPose find_pose_before(SensorPoses poses, uint n_poses, float time_offset_s) {
-    uint k = 0u;
-    while (k + 2u < n_poses && poses.at[k + 1u].time_offset_s <= time_offset_s) ++k;
+    uint k = 0u, end = max(n_poses, 2u) - 1u;  // binary search, because a client may send many poses
+    while (end - k > 1u) {
+        uint middle = (k + end) / 2u;
+        if (poses.at[middle].time_offset_s <= time_offset_s) k = middle;
+        else end = middle;
+    }
     return poses.at[k];
 }
 #endif

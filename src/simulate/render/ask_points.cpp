@@ -62,6 +62,7 @@ PendingPoints ScanRenderer::Impl::record_point_rendering_commands(const Simulate
                        .dataset_from_points = dataset_from_points,
                        .time_s = sweep.time_s,
                        .max_range_m = get_space_observed_in_log(sweep.sensor).max_range_m,
+                       .shows_background = sweeps.shows_background(),
                        .step = settings.scatter[std::size_t(sweep.sensor.lidar)].step,
                        .renderer = &lanes->get_renderer(lane)};
     const PoseTrack points_from_sensor =
@@ -99,7 +100,7 @@ RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& pending_points,
     result.points.world_from_points = pending_points.dataset_from_points;
     result.points.time_s = pending_points.time_s;
     copy_device_points(gathered.points, steps, result.points);
-    if (settings.coverage.empty()) return result;
+    if (settings.coverage.empty() || !pending_points.shows_background) return result;
     const auto ray_at = [&](std::size_t index) {
         const std::size_t i = DevicePointComputer::get_evenly_sampled_ray_index(index, rays.size());
         return RayWithSurfaceRange{pending_points.dataset_from_sensor.interpolate_pose(

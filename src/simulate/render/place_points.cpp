@@ -54,8 +54,11 @@ std::vector<shared::SensorPose> list_sensor_poses_in_points_frame(
 /// shaders/simulate/render/sensor_way.glsl.
 const shared::SensorPose& find_pose_before(const std::vector<shared::SensorPose>& poses,
                                            float time_offset_s) {
-    std::size_t k = 0;
-    while (k + 2 < poses.size() && poses[k + 1].time_offset_s <= time_offset_s) ++k;
+    std::size_t k = 0, end = std::max<std::size_t>(poses.size(), 2) - 1;
+    while (end - k > 1) {
+        const std::size_t middle = (k + end) / 2;
+        (poses[middle].time_offset_s <= time_offset_s ? k : end) = middle;
+    }
     return poses[k];
 }
 

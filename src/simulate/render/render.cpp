@@ -308,7 +308,8 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep,
                              ? TracedScan{trace_beams_with_sub_rays(sweep, plan.beams), {}}
                              : trace_rays(sweep, sweep.get_rays(), plan.network == Network::device);
     add_beam_channels(scan, make_channel_inputs(sweep), settings.channels);
-    estimate_and_set_unobserved_fraction(scan, get_space_observed_in_log(sensor));
+    if (sweeps.shows_background())
+        estimate_and_set_unobserved_fraction(scan, get_space_observed_in_log(sensor));
     std::vector<ActorVisibility> views;
     if (settings.has_views) views = count_first_hits_per_instance(scan);
     if (plan.network == Network::cells) scan = project_points_into_grid_image(scan, *sensor.grid);

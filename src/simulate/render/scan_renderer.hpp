@@ -36,7 +36,8 @@ struct PendingPoints {
     Pose dataset_from_points = {};
     double time_s = 0.0;
     double max_range_m = 0.0;  ///< maximum range of the sensor
-    double step = 0.0;         ///< step to which intensities are rounded (IntensityScatterModel)
+    bool shows_background = true;
+    double step = 0.0;  ///< step to which intensities are rounded (IntensityScatterModel)
     std::shared_ptr<DevicePointComputer::PointReadbackSlot> points = {};
     Renderer* renderer = nullptr;
 };

@@ -50,6 +50,10 @@ public:
     /// LiDARs and boxes of the log, without scans.
     const LidarSequence& get_log() const { return log_; }
     const Scene& get_scene_layout() const { return layout_; }
+    /// Returns false if the background is hidden or was removed from the scene.
+    bool shows_background() const {
+        return shown_.front() && (layout_.models.front().count > 0 || !layout_.blocks.empty());
+    }
     /// Returns the probability that the sensor never gets a return in a direction, for
     /// example because the vehicle blocks the view.
     float get_permanent_drop_probability(const SimulatedSensor& sensor, std::uint16_t channel,

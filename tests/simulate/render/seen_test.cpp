@@ -2,8 +2,10 @@
 // Tests the share of a scan's rays that cross space which the log has not observed. Scans
 // a street from its road, from the side, from below and from far away.
 #include <algorithm>
+#include <memory>
 
 #include <relidar/log/dataset.hpp>
+#include <relidar/run/edit.hpp>
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
@@ -77,6 +79,28 @@ TEST_F(Seen, BinnedAndMergedScansKeepIt) {
     ASSERT_EQ(seen(both).size(), seen(native_scan).size() + seen(below).size());
     EXPECT_EQ(seen(both).back(), seen(below).back());
     EXPECT_NEAR(both.unseen_share.value(), (*native_scan.unseen_share + *below.unseen_share) / 2.0, 1e-12);
+}
+
+/// Most rays of a scan without background hit nothing, so their path says nothing about
+/// the scan.
+TEST_F(Seen, AScanWithoutBackgroundHasNoShare) {
+    const SimulatedSensor sensor = find_or_load_sensor("native", config, log);
+    const double time_s = log.frames[std::size_t(split.test[0])].time_s;
+    const auto make_renderer = [&](const Scene& shown) {
+        auto renderer = std::make_unique<ScanRenderer>(device(), shown, config, log);
+        renderer->set_observed_voxels(
+            compute_observed_coverage(log, log.world_from_vehicle, split.train, config.dataset.max_range_m));
+        return renderer;
+    };
+    const auto renderer = make_renderer(scene);
+    renderer->set_visible_instances(mark_instances_with_names(scene, {"actors"}));
+    EXPECT_FALSE(renderer->render(sensor, time_s).unseen_share.has_value());
+    renderer->submit_points(sensor, {time_s, log.world_from_vehicle}, time_s);
+    EXPECT_FALSE(renderer->wait_for_points().unseen_share.has_value());
+    const Scene actors = remove_background({scene, log}).scene;
+    EXPECT_FALSE(make_renderer(actors)->render(sensor, time_s).unseen_share.has_value());
+    renderer->set_visible_instances(mark_instances_with_names(scene, {"background"}));
+    EXPECT_TRUE(renderer->render(sensor, time_s).unseen_share.has_value());
 }
 
 TEST_F(Seen, WithoutACoverageNothingIsClaimed) {

@@ -29,10 +29,10 @@ RayTable make_spinning_rays(int columns) {
 
 /// Returns a track far from the origin that turns about all axes. Its poses have uneven
 /// time intervals.
-PoseTrack bend(double rad_per_s, int count) {
+PoseTrack bend(double rad_per_s, int count, double step_s = 0.03) {
     PoseTrack track;
     for (int k = 0; k < count; ++k) {
-        const double t = 0.03 * k + 0.004 * std::sin(k);
+        const double t = step_s * (k + 0.13 * std::sin(k));
         track.time_s.push_back(t);
         track.pose.push_back({make_rotation(rad_per_s * t + 2.0, 0.1 * rad_per_s * t, -0.2 * std::sin(t)),
                               {400.0 + 20.0 * t, -250.0 - 3.0 * t, 2.0}});
@@ -69,6 +69,9 @@ TEST_F(SensorRaysTest, AreFiredFromWhereTheSensorIsThen) {
         << "begins before the track";
     EXPECT_LT(measure_largest_error(device(), rays, bend(1.0, 12), 0.34), tolerance) << "ends behind it";
     EXPECT_LT(measure_largest_error(device(), rays, bend(1.0, 1), 0.3), tolerance) << "a sensor that stands";
+    for (const int count : {2, 3, 4, 3000})
+        EXPECT_LT(measure_largest_error(device(), rays, bend(1.0, count, 0.3 / count), 0.15), tolerance)
+            << count;
     EXPECT_LT(measure_largest_error(device(), select_rays(rays, {7}), bend(1.0, 12), 0.15), tolerance)
         << "one ray";
 }
