@@ -9,6 +9,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/diff/first_use.hpp>
+#include "integers.hpp"
 #include "module.hpp"
 
 namespace relidar::python {
@@ -19,12 +20,13 @@ SharedDevice& get_shared_default_device() {
     return device;
 }
 
-SharedDevice open_device(int index, const std::string& traversal_name, std::uint64_t memory_limit_bytes,
+SharedDevice open_device(IntegerArgument<int, "index"> index, const std::string& traversal_name,
+                         IntegerArgument<std::uint64_t, "memory_limit_bytes"> memory_limit_bytes,
                          bool enable_validation) {
     if (index < -1)
         throw UsageError(fmt::format(
             "cannot open a device: found the index {}, expected an index of relidar.devices(), or -1",
-            index));
+            index.value));
     DeviceOptions options;
     options.index = index;
     options.traversal = parse_ray_tracing_backend(traversal_name);
@@ -47,7 +49,7 @@ std::string format_device_repr(const LockableDevice& device) {
 
 SharedDevice get_device_or_default(SharedDevice device) {
     if (device) return device;
-    if (!get_shared_default_device()) get_shared_default_device() = open_device(-1, "auto", 0, false);
+    if (!get_shared_default_device()) get_shared_default_device() = open_device({-1}, "auto", {0}, false);
     return get_shared_default_device();
 }
 

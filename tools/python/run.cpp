@@ -14,6 +14,7 @@
 #include <relidar/simulate/actor_boxes.hpp>
 #include "arrays.hpp"
 #include "config.hpp"
+#include "integers.hpp"
 #include "module.hpp"
 #include "poses.hpp"
 #include "scene.hpp"
@@ -220,7 +221,7 @@ constexpr const char* kHelpAfterWeather =
     "deskewed, sensor, run, units; each channel of render.channels by its name, "
     "[rows,columns] or\n"
     "[rows,columns,3]; unseen, the share of rays that cross space that the log has not "
-    "observed, if the run has this information.\n"
+    "observed, if the run has this information and the scan shows the background.\n"
     "With `boxes`, also the dict boxes of the n actors that a ray would hit, each at the time "
     "at which the sensor faces it: track and category [n] str,\n"
     "size_m [n,3], time_s [n], pose of the centre [n,4,4], velocity_mps [n,3] float64, points "
@@ -256,8 +257,8 @@ void bind_run_methods(py::class_<LoadedRun>& run_class) {
             "render",
             [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time,
                std::optional<py::dict> actors, std::string lidar, std::vector<std::string> only,
-               std::optional<std::uint64_t> sample, std::string frame, bool deskew, std::string weather,
-               bool boxes) {
+               std::optional<IntegerArgument<std::uint64_t, "sample">> sample, std::string frame, bool deskew,
+               std::string weather, bool boxes) {
                 return render_scan_as_dict(
                     run, {sensor, pose, time, std::move(actors), std::move(lidar), std::move(only), sample,
                           std::move(frame), deskew, std::move(weather), boxes});

@@ -10,6 +10,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/scene/device_scene.hpp>
 #include "arrays.hpp"
+#include "integers.hpp"
 #include "module.hpp"
 
 namespace relidar::python {
@@ -57,7 +58,7 @@ py::dict make_surfel_array_views(const py::object& scene_object) {
 std::uint32_t read_uint32_entry(const py::dict& dict, const char* entry_name, const char* name_for_errors) {
     if (!dict.contains(entry_name))
         throw DataError(fmt::format("{}: the dict has no entry \"{}\"", name_for_errors, entry_name));
-    return dict[entry_name].cast<std::uint32_t>();
+    return read_integer<std::uint32_t>(dict[entry_name], fmt::format("{}: {}", name_for_errors, entry_name));
 }
 
 /// Creates a scene from surfels.

@@ -15,6 +15,7 @@
 #include <relidar/train/train.hpp>
 #include "arrays.hpp"
 #include "calls.hpp"
+#include "integers.hpp"
 #include "module.hpp"
 #include "poses.hpp"
 #include "sensors.hpp"
@@ -34,7 +35,8 @@ LoadedLog load_dataset_log(const std::string& dataset_path, const std::optional<
     return log;
 }
 
-py::dict make_scan_dict(const LoadedLog& log, int index_of_frame_in_log) {
+py::dict make_scan_dict(const LoadedLog& log, IntegerArgument<int, "position"> position) {
+    const int index_of_frame_in_log = position;
     const std::vector<LidarFrame>& frames = log.sequence.frames;
     if (index_of_frame_in_log < 0 || index_of_frame_in_log >= static_cast<int>(frames.size()))
         throw py::index_error(fmt::format("cannot read scan {}: the log has only {} frames",
@@ -54,8 +56,9 @@ py::dict make_scan_dict(const LoadedLog& log, int index_of_frame_in_log) {
     return dict;
 }
 
-void save_synthetic_street(const fs::path& folder, std::uint64_t seed, int n_frames, int rows, int columns,
-                           bool with_people, bool with_gait) {
+void save_synthetic_street(const fs::path& folder, IntegerArgument<std::uint64_t, "seed"> seed,
+                           IntegerArgument<int, "n_frames"> n_frames, IntegerArgument<int, "rows"> rows,
+                           IntegerArgument<int, "columns"> columns, bool with_people, bool with_gait) {
     SyntheticOptions options;
     options.seed = seed;
     options.n_frames = n_frames;
