@@ -76,8 +76,11 @@ public:
         v1::RenderRigRequest request;
         *request.mutable_rig() = make_standing_request();
         request.mutable_rig()->clear_wanted();
-        for (int i = 0; i < 64; ++i)
-            request.add_sensors()->mutable_sensor()->set_handle(upload_response.handle());
+        for (int i = 0; i < 64; ++i) {
+            v1::RigSensor& sensor = *request.add_sensors();
+            sensor.set_name(std::to_string(i));
+            sensor.mutable_sensor()->set_handle(upload_response.handle());
+        }
         reader_ = stub.RenderRig(&context_, request);
         v1::RigScan first;
         EXPECT_TRUE(reader_->Read(&first)) << "it is in";

@@ -4,6 +4,7 @@
 #include <functional>
 #include <limits>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 
 #include "small_service.hpp"
@@ -311,7 +312,13 @@ TEST_F(Refusals, RigsAreLookedAtBeforeAnythingIsRendered) {
     *request.mutable_sensors(1) = request.sensors(0);
     for (v1::RigSensor& sensor : *request.mutable_sensors())
         sensor.mutable_rig_from_sensor()->mutable_rotation()->set_w(1.0);
-    EXPECT_THAT(status_of(request).error_message(), Names("sensors[1].name ... \"good\""));
+    for (const char* name : {"good", ""}) {
+        for (v1::RigSensor& sensor : *request.mutable_sensors()) sensor.set_name(name);
+        const grpc::Status same_names = status_of(request);
+        EXPECT_EQ(same_names.error_code(), Code::INVALID_ARGUMENT) << name;
+        EXPECT_THAT(same_names.error_message(),
+                    Names(fmt::format("sensors[1].name ... \"{}\" a second time", name)));
+    }
 }
 
 }  // namespace

@@ -304,12 +304,12 @@ std::vector<RenderRequest> RequestReader::convert_to_request_per_rig_sensor(
         throw_invalid_field("sensors", fmt::format("a rig with {} sensors", message.sensors_size()),
                             fmt::format("1 to {} sensors", kMostSensors));
     std::vector<RenderRequest> scans;
-    // names of the sensors, to detect duplicates; a name is optional
+    // Names of the sensors, to detect duplicates. A single sensor needs no name.
     std::set<std::string_view> names;
     for (int i = 0; i < message.sensors_size(); ++i) {
         const v1::RigSensor& sensor = message.sensors(i);
         const std::string field = fmt::format("sensors[{}]", i);
-        if (!sensor.name().empty() && !names.insert(sensor.name()).second)
+        if (!names.insert(sensor.name()).second)
             throw_invalid_field(field + ".name",
                                 shorten_and_quote_client_text(sensor.name()) + " a second time",
                                 "a different name for each sensor");
