@@ -46,8 +46,23 @@ class Logs(TestCase):
     def test_bad_input(self):
         self.assert_fails(relidar.DataError, "nowhere ... folder", relidar.load_sequence, "nowhere")
         self.assert_fails(relidar.UsageError, "'kity'", relidar.load_sequence, "kity:street")
-        with self.assertRaises(IndexError):
-            log().scan(8)
+        for position in (8, -1):
+            with self.assertRaises(IndexError):
+                log().scan(position)
+
+    def test_wrong_integers(self):
+        """Names the argument and the accepted numbers, instead of printing all signatures."""
+        for sample in (-1, np.int64(-1), 2**64):
+            self.assert_fails(relidar.UsageError, f"sample: found {sample} ... whole number", run().render, sample=sample)
+        self.assert_fails(TypeError, "sample: found 1.5 ... whole number", run().render, sample=1.5)
+        self.assert_fails(relidar.UsageError, f"position: found {2**40} ... whole number", log().scan, 2**40)
+        for name in ("seed", "n_frames", "rows", "columns"):
+            self.assert_fails(relidar.UsageError, f"{name}: found {2**70} ... whole number", relidar.save_street, FOLDER / "none", **{name: 2**70})
+        self.assert_fails(relidar.UsageError, "seed: found -1", relidar.save_street, FOLDER / "none", seed=-1)
+        self.assert_fails(relidar.UsageError, "memory_limit_bytes: found -1", relidar.Device, memory_limit_bytes=-1)
+        model = {"name": "background", "first": -1, "count": 1}
+        self.assert_fails(relidar.UsageError, "models: first: found -1", relidar.Scene, run().surfels, models=[model])
+        self.assert_same(run().render(sample=np.uint64(3))["range"], run().render(sample=3)["range"])
 
 
 class Settings(TestCase):
@@ -139,6 +154,11 @@ class Edits(TestCase):
         times, poses = run().actors[track]
         moved = run().edit().move(track, relidar.pose(1, 2, 0, 90)).run()
         np.testing.assert_allclose(moved.actors[track][1], poses @ relidar.pose(1, 2, 0, 90), atol=1e-6)
+        there = relidar.pose(1, 2, 0, 90)
+        back = run().edit().move(track, there).move(track, np.linalg.inv(there)).retime(track, 0.0).run()
+        self.assert_same(back.actors[track][1], poses)
+        self.assert_same(back.surfels["mean"], run().surfels["mean"])
+        self.assert_fails(relidar.DataError, "nan ... finite", run().edit().retime, track, float("nan"))
         way = (np.array([0.0, 1.0]), np.stack([relidar.pose(0, 0, 0), relidar.pose(5, 0, 0)]))
         followed = run().edit().follow(track, way).run().actors[track]
         np.testing.assert_allclose(followed[1][-1], way[1][1], atol=1e-9)

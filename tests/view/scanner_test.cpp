@@ -226,6 +226,27 @@ TEST_F(LiveScan, SaysHowMuchTheLogHasSeen) {
     EXPECT_TRUE(below["much_unseen"].get<bool>());
 }
 
+TEST_F(LiveScan, NotesTheUnseenSidesOfPlacedActors) {
+    relidar::TrainedRun run = make_small_run();
+    const std::string first = run.scene.instances[1].track;
+    const BoxTrack& box = *find_box_track_by_id(run.sequence, first);
+    run.scene.models[run.scene.instances[1].model].surface = ObservedBoxSurface(box.size_m);  // saw nothing
+    BrowserScanRenderer scans(run, {}, device());
+    const auto notes = [&](const ActorEdits& edits) {
+        return Read(scans.render_scan_as_binary_message(tab, {.time_s = 0.2, .edits = edits}))
+            .header["actor_notes"];
+    };
+    EXPECT_EQ(notes({}), Json::array());
+    const Json moved = notes({.moves = {{first, {1.0, 0.0, 0.0, 0.0}}}});
+    ASSERT_EQ(moved.size(), 1u);
+    EXPECT_THAT(moved[0].get<std::string>(),
+                testing::HasSubstr("actor " + first + ": the log did not observe these sides"));
+    const Json copied = notes({.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 0.0, 0.0, 0.0}}}});
+    ASSERT_EQ(copied.size(), 1u);
+    EXPECT_THAT(copied[0].get<std::string>(), testing::HasSubstr("actor " + first + "-copy-1: "));
+    EXPECT_EQ(notes({.moves = {{first, {0.0, 0.0, 0.0, 0.0}}}}), Json::array());
+}
+
 TEST_F(LiveScan, RefusesWhatIsNotThere) {
     LiveScanRequest wish;
     wish.sensor = "/etc/passwd";
@@ -240,6 +261,13 @@ TEST_F(LiveScan, RefusesWhatIsNotThere) {
     EXPECT_THROW(scanner().render_scan_as_binary_message(tab, wish), UsageError);
     EXPECT_THROW(scanner().store_uploaded_sensor_and_describe_it(tab, {"x.npz", "x"}), UsageError);
     EXPECT_THROW(scanner().store_uploaded_sensor_and_describe_it(tab, {"x.csv", "x\n1\n"}), DataError);
+    try {
+        scanner().store_uploaded_sensor_and_describe_it(
+            tab, {"two.json", R"({"sensors": [{"name": "left", "sensor": "/etc/passwd"}]})"});
+        ADD_FAILURE() << "a rig is accepted";
+    } catch (const UsageError& error) {
+        EXPECT_THAT(error.what(), testing::HasSubstr("two.json: it describes a rig"));
+    }
     EXPECT_EQ(scanner().store_uploaded_sensor_and_describe_it(tab, {"x.csv", "elevation_deg\n1\n"})["rows"],
               1);
 }

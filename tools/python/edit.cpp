@@ -23,13 +23,15 @@ namespace fs = std::filesystem;
 
 /// A copy of a run to which edits are applied one after the other.
 struct RunBeingEdited {
-    TrainedRun run;
+    TrainedRun run;        ///< the run before all edits, with the history of the edits
+    SceneWithLog driving;  ///< the edited scene and tracks
     SharedDevice device;
     /// Absolute path of the run that is edited. Empty if this run was not loaded from a
     /// folder.
     std::string origin;
 
-    explicit RunBeingEdited(const LoadedRun& start) : run(start.run), device(start.device) {
+    explicit RunBeingEdited(const LoadedRun& start)
+        : run(start.run), driving(run.copy_driving_scene()), device(start.device) {
         if (!run.folder.empty()) origin = fs::absolute(run.folder).lexically_normal().string();
         run.folder.clear();
     }
@@ -40,7 +42,7 @@ struct RunBeingEdited {
         const std::string& history_entry,
         const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
         // Applies the edit to a copy, so that the run does not change if the edit fails.
-        run.replace_driving_scene(edit_scene_with_log(run.copy_driving_scene()));
+        driving = edit_scene_with_log(driving);
         run.edits.push_back({origin, history_entry});
         return *this;
     }
@@ -50,15 +52,19 @@ struct RunBeingEdited {
     RunBeingEdited& apply_edit_and_warn_about_missing_actor(
         const std::string& history_entry, const std::string& track_name,
         const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
-        const BoxTrack* box = find_box_track_by_id(run.sequence, track_name);
+        const BoxTrack* box = find_box_track_by_id(driving.sequence, track_name);
         const BoxTrack before = box ? *box : BoxTrack{};
         apply_edit_and_add_to_history(history_entry, edit_scene_with_log);
-        if (const std::string note = describe_frames_without_actor(before, run.sequence); !note.empty())
+        if (const std::string note = describe_frames_without_actor(before, driving.sequence); !note.empty())
             show_python_warning(note);
         return *this;
     }
 
-    std::unique_ptr<LoadedRun> copy_as_loaded_run() const { return std::make_unique<LoadedRun>(run, device); }
+    std::unique_ptr<LoadedRun> copy_as_loaded_run() const {
+        TrainedRun edited = run;
+        edited.replace_driving_scene(driving);
+        return std::make_unique<LoadedRun>(std::move(edited), device);
+    }
 };
 
 std::string format_vector(const glm::dvec3& vector) {

@@ -179,6 +179,14 @@ Json BrowserScanRenderer::store_uploaded_sensor_and_describe_it(TabCache& tab_ca
     if (ending != ".csv" && ending != ".json")
         throw UsageError(
             fmt::format("cannot read {}: expected a file name that ends in .csv or .json", file.name));
+    // Does not read the rig, because it can name files of the server.
+    const Json json = ending == ".json" ? Json::parse(file.text, nullptr, false) : Json();
+    if (json.is_object() && json.contains("sensors"))
+        throw UsageError(
+            fmt::format("cannot show {}: it describes a rig of several sensors, expected a single "
+                        "sensor; choose the file or the name of one of its sensors, or use "
+                        "`relidar render --sensor {}`",
+                        file.name, file.name));
     const UploadedFile upload(file.text, ending);
     SimulatedSensor sensor;
     try {
@@ -211,18 +219,30 @@ ScanRenderer& BrowserScanRenderer::get_renderer_for_edited_scene(const EditedTra
     std::vector<std::pair<std::string, std::string>> models;
     for (const ActorEdits::ActorCopy& copy : traffic.get_edits().copies)
         models.emplace_back(copy.from, copy.of);
-    for (const auto& [track, by] : traffic.get_edits().moves) models.emplace_back(track, "");
+    for (const auto& [track, by] : traffic.get_edits().moves)
+        if (by != std::array<double, 4>{}) models.emplace_back(track, "");
     if (!renderer_ || rendered_ != models) {
         renderer_.reset();  // Frees the memory of the old renderer before a new one is created.
+        actor_notes_.clear();
         if (models.empty()) {
             renderer_.emplace(device_, run_);
         } else {
             TrainedRun run = run_;
-            SceneWithLog driving = add_copied_actors_with_surfels(
-                {std::move(run.scene), std::move(run.sequence)}, others_, traffic.get_edits().copies);
-            for (const auto& [track, by] : traffic.get_edits().moves)
-                driving = move_track(std::move(driving), track, {});
+            SceneWithLog driving = add_copied_actors_with_surfels({std::move(run.scene), run.sequence},
+                                                                  others_, traffic.get_edits().copies);
+            // Completes the copied and moved actors, because `run` then has no earlier
+            // track of them.
+            std::erase_if(run.sequence.boxes, [&](const BoxTrack& box) {
+                return std::ranges::find(models, std::pair(box.id, std::string())) != models.end();
+            });
             run.replace_driving_scene(std::move(driving));
+            for (const ModelInstance& instance : run.scene.instances) {
+                const bool is_recorded = find_box_track_by_id(run_.sequence, instance.track) &&
+                                         !traffic.get_edits().moves.contains(instance.track);
+                const std::string note =
+                    is_recorded ? "" : describe_unobserved_sides(run.scene, instance.track);
+                if (!note.empty()) actor_notes_.push_back(note);
+            }
             renderer_.emplace(device_, run);
         }
         rendered_ = models;
@@ -314,6 +334,7 @@ std::string BrowserScanRenderer::render_scan_as_binary_message(TabCache& tab_cac
         }
         const RenderedScan scan = render_simulated_scan(*tab_cache.traffic, request, sensor);
         header["trace_ms"] = scan.trace_ms;
+        header["actor_notes"] = actor_notes_;
         if (scan.unseen_share) {
             header["unseen"] = *scan.unseen_share;
             header["much_unseen"] = *scan.unseen_share > kMuchUnseen;

@@ -68,6 +68,8 @@ private:
     /// listed as (name of its run, name of its track), a moved actor as (name of its
     /// track, "").
     std::vector<std::pair<std::string, std::string>> rendered_;
+    /// Notes on sides of the copied and moved actors that the log has not observed.
+    std::vector<std::string> actor_notes_;
     /// Number of recorded launch times of each kernel at the previous call of
     /// make_kernel_times_json(), by kernel name.
     std::map<std::string, std::size_t> launches_;

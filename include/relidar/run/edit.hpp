@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Functions that edit a dynamic scene. They return an edited copy of the scene and its
 // tracks. A track gives the pose of an instance over time (paper, Eq. 4-5). Edits change
-// only tracks and instances, with one exception: if a vehicle gets another track, its
-// unobserved sides are completed by mirrored surfels
-// (replace_unobserved_by_mirrored_surfels()).
+// only tracks and instances. TrainedRun::replace_driving_scene() then completes the
+// vehicles whose tracks have changed.
 #pragma once
 
 #include <filesystem>
@@ -90,6 +89,12 @@ SceneWithLog move_track(SceneWithLog scene_and_log, const std::string& track,
 /// appears earlier. The actor is absent outside the time interval of the shifted track.
 SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, double delay_s);
 
+/// Completes the unobserved sides of vehicles by mirrored surfels, if their tracks differ
+/// from those before the edits (replace_unobserved_by_mirrored_surfels()). An actor that
+/// was moved there and back keeps its surfels and gets exactly its old track.
+/// @param boxes_before boxes of the log before all edits
+SceneWithLog complete_moved_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before);
+
 /// Returns a message if an edit has made an actor absent in some frames. The message
 /// contains the number of these frames. Returns an empty string if there are no such
 /// frames, or if the edited log has no such track.
@@ -153,6 +158,12 @@ ActorModelResolution compute_actor_model_resolution(std::span<const glm::vec3> r
                                                     std::span<const glm::vec3> ray_directions,
                                                     const Pose& box_from_sensor, const glm::dvec3& size_m,
                                                     std::size_t n_surfels);
+
+/// Describes the sides of an actor that the log has not observed. Completed sides are
+/// mirror images. The remaining sides have no surfels, so rays pass through them. Returns
+/// an empty text if all sides were observed, or if it is unknown.
+/// @param track track of an actor of the scene
+std::string describe_unobserved_sides(const Scene& scene, const std::string& track);
 
 /// Reads a trajectory from a CSV file. A header line names the columns in any order:
 /// time_s, x, y, z, yaw_deg or yaw_rad, and optionally pitch and roll in either unit.

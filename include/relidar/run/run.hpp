@@ -65,10 +65,9 @@ struct TrainedRun {
     /// Returns the scene and the tracks of its actors as one object for edit functions.
     /// Example: run.replace_driving_scene(remove_track(run.copy_driving_scene(), "0")).
     SceneWithLog copy_driving_scene() const { return {scene, sequence}; }
-    void replace_driving_scene(SceneWithLog driving_scene) {
-        scene = std::move(driving_scene.scene);
-        sequence = std::move(driving_scene.sequence);
-    }
+    /// Replaces the scene and the log. Completes actors whose tracks differ from those of
+    /// this run (complete_moved_actors()).
+    void replace_driving_scene(SceneWithLog driving_scene);
 };
 
 /// Writes settings, scene, network and all other files of a run. A new folder appears

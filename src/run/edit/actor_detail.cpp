@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks whether an actor has enough surfels. Finds the time when the actor is nearest to
 // a LiDAR. Compares the number of rays that hit its box at this time with the number of
-// surfels.
+// surfels. Also describes the sides of an actor that the log has not observed.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -9,6 +9,7 @@
 #include <limits>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <relidar/base/error.hpp>
 
@@ -87,6 +88,31 @@ ActorModelResolution compute_actor_model_resolution(const SceneWithLog& scene_an
                                                  detail.surfels)
                       .rays;
     return detail;
+}
+
+std::string describe_unobserved_sides(const Scene& scene, const std::string& track_id) {
+    const auto actor = std::ranges::find(scene.instances, track_id, &ModelInstance::track);
+    if (actor == scene.instances.end() || !scene.models[actor->model].surface) return "";
+    const std::optional<ObservedBoxSurface>& surface = scene.models[actor->model].surface;
+    std::vector<std::string> parts;
+    for (std::size_t s = 0; s < kBoxSides; ++s) {
+        const double share = surface->compute_mirrorable_area_fraction(BoxSide(s));
+        if (surface->is_completed && share >= double(kUnseenSide))
+            parts.push_back(fmt::format("{:.0f} % of the {}", 100.0 * share, get_name(BoxSide(s))));
+    }
+    const std::string unseen = format_unobserved_sides(surface->compute_covered_fraction_of_each_side());
+    std::string text;
+    if (!parts.empty())
+        text = fmt::format(
+            "actor {}: the log did not observe these parts of it, so they are mirror images of the other "
+            "side: {}",
+            track_id, fmt::join(parts, ", "));
+    if (!unseen.empty())
+        text += fmt::format(
+            "{}actor {}: the log did not observe these sides of it: {}; they have no surfels, so rays pass "
+            "through them",
+            text.empty() ? "" : "; ", track_id, unseen);
+    return text;
 }
 
 }  // namespace relidar

@@ -18,6 +18,10 @@ namespace relidar {
 
 namespace {
 
+// Largest accepted time in seconds or coordinate in metres. The renderer has the same limit.
+constexpr double kLargestNumber = 1e10;
+constexpr double kMaxTrackSteps = 1e6;  // Maximum number of sweeps in a trajectory.
+
 /// Returns the index of the instance that moves along a track.
 std::size_t get_actor_instance_index(const SceneWithLog& scene_and_log, const std::string& track_id) {
     std::vector<std::string> actor_ids;
@@ -115,24 +119,36 @@ PoseTrack make_straight_constant_speed_track(const LidarSequence& sequence, cons
     return track;
 }
 
-void require_valid_trajectory(const PoseTrack& track, const std::string& track_id) {
-    const auto fail = [&](const std::string& found, const char* expected) {
-        throw DataError(fmt::format("cannot use the new trajectory of track \"{}\": found {}, expected {}",
-                                    track_id, found, expected));
-    };
-    if (track.pose.size() < 2 || track.pose.size() != track.time_s.size())
-        fail(fmt::format("{} poses and {} times", track.pose.size(), track.time_s.size()),
-             "at least two poses, and exactly one time for each pose");
+[[noreturn]] void throw_trajectory_error(const std::string& track_id, const std::string& found,
+                                         const std::string& expected) {
+    throw DataError(fmt::format("cannot use the new trajectory of track \"{}\": found {}, expected {}",
+                                track_id, found, expected));
+}
+
+void require_finite_poses(const PoseTrack& track, const std::string& track_id) {
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
-        const glm::dvec3& p = track.pose[i].translation;
-        if (!std::isfinite(track.time_s[i] + p.x + p.y + p.z + glm::length(track.pose[i].rotation)))
-            fail(fmt::format("a time, position or rotation in entry {} that is not finite", i + 1),
-                 "finite numbers");
-        if (i > 0 && !(track.time_s[i] > track.time_s[i - 1]))
-            fail(fmt::format("the time {1} s in entry {0} after {2} s in the previous entry", i + 1,
-                             track.time_s[i], track.time_s[i - 1]),
-                 "increasing times");
+        const auto& [rotation, p] = track.pose[i];
+        for (const double x : {track.time_s[i], p.x, p.y, p.z, glm::length(rotation)})
+            if (!(std::abs(x) <= kLargestNumber))
+                throw_trajectory_error(
+                    track_id, fmt::format("the number {} in entry {}", x, i + 1),
+                    fmt::format("finite times, positions and rotations of at most {:.0e}", kLargestNumber));
     }
+}
+
+void require_valid_trajectory(const PoseTrack& track, const std::string& track_id) {
+    if (track.pose.size() < 2 || track.pose.size() != track.time_s.size())
+        throw_trajectory_error(track_id,
+                               fmt::format("{} poses and {} times", track.pose.size(), track.time_s.size()),
+                               "at least two poses, and exactly one time for each pose");
+    require_finite_poses(track, track_id);
+    for (std::size_t i = 1; i < track.pose.size(); ++i)
+        if (!(track.time_s[i] > track.time_s[i - 1]))
+            throw_trajectory_error(
+                track_id,
+                fmt::format("the time {1} s in entry {0} after {2} s in the previous entry", i + 1,
+                            track.time_s[i], track.time_s[i - 1]),
+                "increasing times");
 }
 
 /// Adds interpolated poses to a track, so that consecutive poses are at most `max_step_s`
@@ -167,19 +183,18 @@ std::optional<std::uint32_t> find_mirror_completed_copy_of_model(const Scene& sc
 }
 
 /// Fills the unobserved sides of a vehicle by symmetry, because after an edit these sides
-/// can face a sensor. If other actors have the same model, they keep it, and this actor
-/// gets a completed copy. Does nothing if the surfels are not in memory, or if it is
-/// unknown which sides the log has observed.
-void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, const std::string& track_id) {
+/// can face a sensor. Does nothing if the surfels are not in memory, or if it is unknown
+/// which sides the log has observed.
+/// @param is_shared true if actors that were not moved have the same model; they keep it,
+/// and this actor gets a completed copy
+void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, ModelInstance& instance, bool is_shared) {
     Scene& scene = scene_and_log.scene;
-    ModelInstance& instance = scene.instances[get_actor_instance_index(scene_and_log, track_id)];
     const SurfelModel& shared_model = scene.models[instance.model];
     if (!shared_model.surface || shared_model.surface->is_completed ||
         shared_model.surface->compute_mirrorable_area_fraction() == 0.0 ||
-        !is_vehicle(get_actor_box_track(scene_and_log, track_id)) ||
+        !is_vehicle(get_actor_box_track(scene_and_log, instance.track)) ||
         std::size_t(shared_model.first) + shared_model.count > scene.surfels.size())
         return;
-    const bool is_shared = std::ranges::count(scene.instances, instance.model, &ModelInstance::model) > 1;
     if (is_shared) {
         if (const auto copy = find_mirror_completed_copy_of_model(scene, shared_model)) {
             instance.model = *copy;
@@ -204,6 +219,18 @@ void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, const std::s
         scene.models[m].first += model.count - before;
 }
 
+/// Returns true if two tracks differ only by the rounding errors of a move and its reverse.
+bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
+    constexpr double kSame = 1e-9;  // metres, seconds, and components of quaternions
+    const auto is_same_pose = [](const Pose& p, const Pose& q) {
+        return glm::distance(p.translation, q.translation) <= kSame &&
+               std::min(glm::length(p.rotation - q.rotation), glm::length(p.rotation + q.rotation)) <= kSame;
+    };
+    return std::ranges::equal(first.time_s, second.time_s,
+                              [](double t, double u) { return std::abs(t - u) <= kSame; }) &&
+           std::ranges::equal(first.pose, second.pose, is_same_pose);
+}
+
 /// Adds an instance of a model to the scene, with a new track.
 void add_actor_instance(SceneWithLog& scene_and_log, std::uint32_t model_index, BoxTrack box,
                         const NewActorMotion& start) {
@@ -211,10 +238,10 @@ void add_actor_instance(SceneWithLog& scene_and_log, std::uint32_t model_index, 
         start.dataset_path.pose.empty()
             ? make_straight_constant_speed_track(scene_and_log.sequence, start)
             : add_offset_to_track_positions(start.dataset_path, -scene_and_log.sequence.world_offset_m);
+    require_finite_poses(box.world_from_box, box.id);
     box.n_before = box.n_after = 0;
     scene_and_log.scene.instances.push_back({model_index, box.id});
     scene_and_log.sequence.boxes.push_back(std::move(box));
-    fill_unobserved_sides_by_symmetry(scene_and_log, scene_and_log.scene.instances.back().track);
 }
 
 }  // namespace
@@ -227,15 +254,37 @@ SceneWithLog remove_track(SceneWithLog scene_and_log, const std::string& track) 
 
 SceneWithLog move_track(SceneWithLog scene_and_log, const std::string& track,
                         const Pose& old_box_from_new_box) {
-    for (Pose& pose : get_actor_box_track(scene_and_log, track).world_from_box.pose)
-        pose = pose * old_box_from_new_box;
-    fill_unobserved_sides_by_symmetry(scene_and_log, track);
+    PoseTrack& world_from_box = get_actor_box_track(scene_and_log, track).world_from_box;
+    for (Pose& pose : world_from_box.pose) pose = pose * old_box_from_new_box;
+    require_finite_poses(world_from_box, track);
     return scene_and_log;
 }
 
 SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, double delay_s) {
-    for (double& time_s : get_actor_box_track(scene_and_log, track).world_from_box.time_s) time_s += delay_s;
-    fill_unobserved_sides_by_symmetry(scene_and_log, track);
+    PoseTrack& world_from_box = get_actor_box_track(scene_and_log, track).world_from_box;
+    for (double& time_s : world_from_box.time_s) time_s += delay_s;
+    require_finite_poses(world_from_box, track);
+    return scene_and_log;
+}
+
+SceneWithLog complete_moved_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before) {
+    std::vector<ModelInstance>& instances = scene_and_log.scene.instances;
+    std::set<std::string> moved;
+    for (const ModelInstance& instance : instances) {
+        const auto box = std::ranges::find(scene_and_log.sequence.boxes, instance.track, &BoxTrack::id);
+        if (instance.track.empty() || box == scene_and_log.sequence.boxes.end()) continue;
+        const auto before = std::ranges::find(boxes_before, instance.track, &BoxTrack::id);
+        if (before == boxes_before.end() || !is_same_track(box->world_from_box, before->world_from_box))
+            moved.insert(instance.track);
+        else *box = *before;  // removes the rounding errors of the moves
+    }
+    for (ModelInstance& instance : instances) {
+        const bool is_shared = std::ranges::any_of(instances, [&](const ModelInstance& other) {
+            return other.model == instance.model && !moved.contains(other.track);
+        });
+        if (moved.contains(instance.track))
+            fill_unobserved_sides_by_symmetry(scene_and_log, instance, is_shared);
+    }
     return scene_and_log;
 }
 
@@ -260,11 +309,14 @@ SceneWithLog replace_trajectory(SceneWithLog scene_and_log, const std::string& t
                                 const PoseTrack& dataset_from_box) {
     BoxTrack& box = get_actor_box_track(scene_and_log, track);
     require_valid_trajectory(dataset_from_box, track);
+    const double step_s = std::max(scene_and_log.sequence.lidars[0].get_sweep_period_s(), 1e-3);
+    if (const double span_s = dataset_from_box.time_s.back() - dataset_from_box.time_s.front();
+        span_s > kMaxTrackSteps * step_s)
+        throw_trajectory_error(track, fmt::format("times over {} s", span_s),
+                               fmt::format("at most {} s", kMaxTrackSteps * step_s));
     box.n_before = box.n_after = 0;
     box.world_from_box = insert_interpolated_poses(
-        add_offset_to_track_positions(dataset_from_box, -scene_and_log.sequence.world_offset_m),
-        std::max(scene_and_log.sequence.lidars[0].get_sweep_period_s(), 1e-3));
-    fill_unobserved_sides_by_symmetry(scene_and_log, track);
+        add_offset_to_track_positions(dataset_from_box, -scene_and_log.sequence.world_offset_m), step_s);
     return scene_and_log;
 }
 

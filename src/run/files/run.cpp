@@ -17,6 +17,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
+#include <relidar/run/edit.hpp>
 #include <relidar/run/stage_options.hpp>
 #include "base/files.hpp"
 #include "run/files/coverage_file.hpp"
@@ -197,6 +198,12 @@ void overwrite_run(const TrainedRun& run, const std::function<void()>& remove_ea
     const TemporaryFolder staged(run.folder);
     write_run_to_staging_folder(run, staged.path, !remove_earlier_files);
     move_staged_files(staged.path, run.folder, remove_earlier_files);
+}
+
+void TrainedRun::replace_driving_scene(SceneWithLog driving_scene) {
+    driving_scene = complete_moved_actors(std::move(driving_scene), sequence.boxes);
+    scene = std::move(driving_scene.scene);
+    sequence = std::move(driving_scene.sequence);
 }
 
 TrainedRun load_run(const fs::path& folder) {

@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
@@ -103,9 +104,8 @@ TEST(Edit, SaysHowManyFramesLoseAnActor) {
     EXPECT_EQ(describe_frames_without_actor(van, move_track(before, "van", at(0, 1)).sequence), "");
 }
 
-/// The recorded actor keeps its surfels, because the recording shows them. All copies of
-/// the actor share one model, which is that of a moved actor.
-TEST(Edit, CopyDoesNotChangeRecordedActor) {
+/// Returns the example. The log has observed only the left side of its car.
+SceneWithLog make_example_seen_from_left() {
     SceneWithLog recorded = example();
     ObservedBoxSurface left_side({4.0, 2.0, 1.5});
     for (double x = -1.95; x < 2.0; x += 0.1)
@@ -113,9 +113,52 @@ TEST(Edit, CopyDoesNotChangeRecordedActor) {
             left_side.mark_patch_of_point_as_observed({x, 1.0, z}, {0.0, -1.0, 0.0});
     recorded.scene.models[2].surface = left_side;
     for (std::size_t k = 0; k < 4; ++k) recorded.scene.surfels.mean[5 + k] = {-1.5f + float(k), 1.0f, 0.2f};
-    const SceneWithLog once = copy_track(recorded, "car", {at(1020, -60), 0.0}),
-                       twice = copy_track(once, "car", {at(1030, -60), 0.0}),
-                       moved = move_track(recorded, "car", at(0, 1));
+    return recorded;
+}
+
+/// Moves that cancel each other must not change the scene in any bit, not even by the
+/// mirrored surfels of a moved actor.
+TEST(Edit, MovingThereAndBackIsTheIdentity) {
+    const SceneWithLog recorded = make_example_seen_from_left();
+    const std::vector<BoxTrack>& boxes = recorded.sequence.boxes;
+    const Pose there = at(3.7, -1.3, 0.4);
+    for (const SceneWithLog& edited : {move_track(recorded, "car", {}),
+                                       move_track(move_track(recorded, "car", there), "car", inverse(there)),
+                                       delay_track(delay_track(recorded, "car", 0.1), "car", -0.1)}) {
+        const SceneWithLog same = complete_moved_actors(edited, boxes);
+        EXPECT_EQ(same.scene.surfels.mean, recorded.scene.surfels.mean);
+        for (std::size_t b = 0; b < boxes.size(); ++b) {
+            EXPECT_EQ(same.sequence.boxes[b].world_from_box.time_s, boxes[b].world_from_box.time_s);
+            for (std::size_t i = 0; i < boxes[b].world_from_box.pose.size(); ++i)
+                expect_near(same.sequence.boxes[b].world_from_box.pose[i], boxes[b].world_from_box.pose[i],
+                            1e-30);
+        }
+    }
+    const SceneWithLog moved = complete_moved_actors(move_track(recorded, "car", at(0, 1e-3)), boxes);
+    EXPECT_EQ(moved.scene.surfels.size(), recorded.scene.surfels.size() + 4);
+}
+
+TEST(Edit, RefusesNumbersThatAreNotFinite) {
+    const double inf = std::numeric_limits<double>::infinity(), nan = std::nan("");
+    for (const double wrong : {nan, inf, -inf, 1e30}) {
+        EXPECT_THROW((void)move_track(example(), "car", at(wrong, 0)), DataError) << wrong;
+        EXPECT_THROW((void)delay_track(example(), "car", wrong), DataError) << wrong;
+        EXPECT_THROW((void)copy_track(example(), "car", {at(0, 0), wrong}), DataError) << wrong;
+        EXPECT_THROW((void)insert_track(example(), example(), "car", {at(0, wrong), 0.0}), DataError)
+            << wrong;
+    }
+}
+
+/// The recorded actor keeps its surfels, because the recording shows them. All copies of
+/// the actor share one model, which is that of a moved actor.
+TEST(Edit, CopyDoesNotChangeRecordedActor) {
+    const SceneWithLog recorded = make_example_seen_from_left();
+    const auto complete = [&](SceneWithLog edited) {
+        return complete_moved_actors(std::move(edited), recorded.sequence.boxes);
+    };
+    const SceneWithLog once = complete(copy_track(recorded, "car", {at(1020, -60), 0.0})),
+                       twice = complete(copy_track(once, "car", {at(1030, -60), 0.0})),
+                       moved = complete(move_track(recorded, "car", at(0, 1)));
     EXPECT_EQ(model_of(moved, 2).second, 8u) << "four surfels and their mirror images";
     for (const SceneWithLog* edited : {&once, &twice}) {
         EXPECT_EQ(edited->scene.instances[2].model, 2u);
@@ -171,6 +214,7 @@ TEST(Edit, TrajectoriesAreInterpolatedAndEndWithTheirTimes) {
     track.time_s[1] = std::nan("");
     EXPECT_THROW(replace_trajectory(example(), "car", track), DataError);
     EXPECT_THROW(replace_trajectory(example(), "car", {{0.0}, {Pose{}}}), DataError);
+    EXPECT_THROW(replace_trajectory(example(), "car", {{0.0, 1e9}, {Pose{}, Pose{}}}), DataError);
 }
 
 TEST(Edit, CopiesShareTheModelAndDriveStraightOn) {

@@ -50,12 +50,14 @@ std::vector<std::string> list_added_or_moved_track_ids(const SceneWithLog& drivi
     return placed;
 }
 
-/// Returns a warning line for each added or moved actor that has too few surfels. An
-/// actor needs more surfels if it is closer to the sensor.
-std::string format_warnings_of_too_few_surfels(const SceneWithLog& driving_scene,
-                                               const LidarSequence& original_log) {
+/// Returns a note for each added or moved actor that has sides without observations, or
+/// too few surfels. An actor needs more surfels if it is closer to the sensor.
+std::string format_notes_on_placed_actors(const SceneWithLog& driving_scene,
+                                          const LidarSequence& original_log) {
     std::string text;
     for (const std::string& track : list_added_or_moved_track_ids(driving_scene, original_log)) {
+        if (const std::string sides = describe_unobserved_sides(driving_scene.scene, track); !sides.empty())
+            text += fmt::format("note: {}\n", sides);
         const ActorModelResolution detail = compute_actor_model_resolution(driving_scene, track);
         if (!detail.has_too_few_surfels()) continue;
         text += fmt::format(
@@ -77,20 +79,23 @@ void run_edit_command(const EditOptions& options) {
             "--out {}: this is the folder of the run to edit; expected a different folder", options.out));
     const RunFolderWriter edited(options.out, options.force);
     TrainedRun run = load_run(options.run);
+    std::string text, ply_note;
     if (!options.ply.empty())
         run.scene = read_surfel_ply(options.ply, copy_scene_with_all_blocks_loaded(run.scene),
-                                    run.config.image.primitive);
+                                    run.config.image.primitive, &ply_note);
+    if (!ply_note.empty()) text += fmt::format("note: {}: {}\n", options.ply, ply_note);
     const std::string origin = make_absolute_path(options.run);
     SceneWithLog driving{std::move(run.scene), std::move(run.sequence)};
     const LidarSequence before = copy_without_frames(driving.sequence);
-    std::string text;
     for (const EditArgument& edit : options.edits) {
         EditResult applied = apply_command_line_edit(std::move(driving), edit);
         driving = std::move(applied.driving);
         run.edits.push_back({origin, fmt::format("{} {}", edit.option, edit.value)});
         text += applied.said + "\n" + (applied.note.empty() ? "" : "note: " + applied.note + "\n");
     }
-    text += format_warnings_of_too_few_surfels(driving, before);
+    driving = complete_moved_actors(std::move(driving), before.boxes);
+    text += format_notes_on_placed_actors(driving, before);
+    run.sequence.boxes = driving.sequence.boxes;
     run.replace_driving_scene(std::move(driving));
     edited.save_run_to_folder(run);
     if (!options.quiet)
@@ -145,7 +150,8 @@ void add_edit_command(CLI::App& app, ParsedCommand& selected_command) {
     command
         ->add_option("--from-ply", options->ply,
                      "before all other edits, replace the surfels by those of a PLY file that `relidar "
-                     "export` wrote and that another program has changed")
+                     "export` wrote and that another program has changed; missing properties are taken "
+                     "from the surfels of RUN at the same positions")
         ->type_name("FILE.ply");
     command->add_flag("--force", options->force, "overwrite the run in DIR");
     command->add_flag("--quiet", options->quiet, "print errors only");

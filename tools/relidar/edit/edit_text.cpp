@@ -144,34 +144,6 @@ std::string format_warning_if_ground_unobserved(const NewActorMotion& start, con
         track_id, start.unseen_m);
 }
 
-/// Returns a note on the sides of an actor that the log has not observed. Completed sides
-/// are mirror images. The remaining sides have no surfels, so rays pass through them.
-std::string describe_unobserved_sides_of_actor(const SceneWithLog& driving_scene,
-                                               const std::string& track_id) {
-    const auto actor = std::ranges::find(driving_scene.scene.instances, track_id, &ModelInstance::track);
-    const std::optional<ObservedBoxSurface>& surface = driving_scene.scene.models[actor->model].surface;
-    if (!surface) return "";
-    std::vector<std::string> parts;
-    for (std::size_t s = 0; s < kBoxSides; ++s) {
-        const double share = surface->compute_mirrorable_area_fraction(BoxSide(s));
-        if (surface->is_completed && share >= double(kUnseenSide))
-            parts.push_back(fmt::format("{:.0f} % of the {}", 100.0 * share, get_name(BoxSide(s))));
-    }
-    const std::string unseen = format_unobserved_sides(surface->compute_covered_fraction_of_each_side());
-    std::string text;
-    if (!parts.empty())
-        text = fmt::format(
-            "actor {}: the log did not observe these parts of it, so they are mirror images of the other "
-            "side: {}",
-            track_id, fmt::join(parts, ", "));
-    if (!unseen.empty())
-        text += fmt::format(
-            "{}actor {}: the log did not observe these sides of it: {}; they have no surfels, so rays pass "
-            "through them",
-            text.empty() ? "" : "; ", track_id, unseen);
-    return text;
-}
-
 std::string join_nonempty_notes(const std::vector<std::string>& notes) {
     std::string text;
     for (const std::string& note : notes)
@@ -191,8 +163,7 @@ EditResult apply_move_edit(SceneWithLog driving_scene, const EditArgument& edit)
     const auto [track, offset] = split_text_at_required_separator(edit, edit.value, edit.value.rfind(':'));
     driving_scene = move_track(std::move(driving_scene), track,
                                make_pose_from_numbers(parse_comma_separated_numbers(edit, offset, 3, 4)));
-    const std::string note = describe_unobserved_sides_of_actor(driving_scene, track);
-    return {std::move(driving_scene), "moved " + track, note};
+    return {std::move(driving_scene), "moved " + track, ""};
 }
 
 /// Returns a warning if an edit removes an actor from frames of the log, for example
@@ -224,9 +195,7 @@ EditResult apply_motion_delay_edit(SceneWithLog driving_scene, const EditArgumen
     const BoxTrack before = copy_box_track_or_empty(driving_scene, track);
     driving_scene =
         delay_track(std::move(driving_scene), track, parse_comma_separated_numbers(edit, seconds, 1, 1)[0]);
-    const std::string note =
-        join_nonempty_notes({format_warning_if_actor_misses_frames(driving_scene, track, &before),
-                             describe_unobserved_sides_of_actor(driving_scene, track)});
+    const std::string note = format_warning_if_actor_misses_frames(driving_scene, track, &before);
     return {std::move(driving_scene), fmt::format("delayed the motion of {} by {} s", track, seconds), note};
 }
 
@@ -234,9 +203,7 @@ EditResult apply_new_trajectory_edit(SceneWithLog driving_scene, const EditArgum
     const auto [track, file] = split_text_at_required_separator(edit, edit.value, edit.value.find(':'));
     const BoxTrack before = copy_box_track_or_empty(driving_scene, track);
     driving_scene = replace_trajectory(std::move(driving_scene), track, read_trajectory_csv(file));
-    const std::string note =
-        join_nonempty_notes({format_warning_if_actor_misses_frames(driving_scene, track, &before),
-                             describe_unobserved_sides_of_actor(driving_scene, track)});
+    const std::string note = format_warning_if_actor_misses_frames(driving_scene, track, &before);
     return {std::move(driving_scene), fmt::format("{} follows {}", track, file), note};
 }
 
@@ -248,10 +215,7 @@ EditResult apply_copy_edit(SceneWithLog driving_scene, const EditArgument& edit)
     return {driving_scene,
             fmt::format("copied {} as {}{}", track, get_track_id_of_last_instance(driving_scene),
                         describe_computed_ground_pose(start, place)),
-            join_nonempty_notes(
-                {format_warning_if_ground_unobserved(start, get_track_id_of_last_instance(driving_scene)),
-                 describe_unobserved_sides_of_actor(driving_scene,
-                                                    get_track_id_of_last_instance(driving_scene))})};
+            format_warning_if_ground_unobserved(start, get_track_id_of_last_instance(driving_scene))};
 }
 
 /// An actor that is inserted from another run or from an asset.
@@ -298,8 +262,7 @@ EditResult apply_insert_edit(SceneWithLog driving_scene, const EditArgument& edi
     const std::string sensor = format_warning_if_sensors_differ(actor, driving_scene);
     driving_scene = insert_track(std::move(driving_scene), actor.owner, actor.track, start);
     const std::string note = join_nonempty_notes(
-        {sensor, format_warning_if_ground_unobserved(start, get_track_id_of_last_instance(driving_scene)),
-         describe_unobserved_sides_of_actor(driving_scene, get_track_id_of_last_instance(driving_scene))});
+        {sensor, format_warning_if_ground_unobserved(start, get_track_id_of_last_instance(driving_scene))});
     const std::string placed = describe_computed_ground_pose(start, place);
     return {driving_scene,
             fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder,
@@ -357,7 +320,6 @@ void find_or_insert_actor_and_move_it(const EditArgument& edit, const ScenarioEn
                                      entity.name, edit.value.substr(0, edit.value.find('@')));
     append_note_if_not_empty(applied_edit.note, format_warning_if_actor_misses_frames(
                                                     driving, track, is_in_scene ? &before : nullptr));
-    append_note_if_not_empty(applied_edit.note, describe_unobserved_sides_of_actor(driving, track));
     if (!entity.ignored.empty())
         append_note_if_not_empty(applied_edit.note,
                                  fmt::format("the element {} of entity {} is not supported and is ignored",
