@@ -4,6 +4,7 @@
 // object, which tools/view/request.hpp describes.
 import { instanceColour } from './colours.js';
 import { headingOf, transform } from './matrix.js';
+import { bindNumberField } from './number_field.js';
 
 // Label, step and limit of each field.
 const MOVES = [['forward m', 0.5, 10000], ['left m', 0.5, 10000], ['up m', 0.25, 10000], ['turn left °', 5, 360]];
@@ -89,6 +90,7 @@ export class Actors {
   saved(folder) {
     this.savedAs = this.saving;
     this.say(`saved as ${folder}`, false);
+    this.hint.scrollIntoView({ block: 'nearest' });   // The hint may be below the visible part of the panel.
     this.onChange();
   }
 
@@ -101,6 +103,7 @@ export class Actors {
   say(text, isAlarm) {
     this.hint.textContent = text;
     this.hint.classList.toggle('alarm', isAlarm);
+    if (isAlarm) this.hint.scrollIntoView({ block: 'nearest' });
   }
 
   change() {
@@ -160,24 +163,20 @@ export class Actors {
   makeMoves(track) {
     const fields = document.createElement('fieldset');
     fields.append(Object.assign(document.createElement('legend'), { textContent: 'shift relative to its heading' }));
-    const inputs = MOVES.map(([label, step], i) => {
-      const input = Object.assign(document.createElement('input'), { type: 'number', step, value: this.moves[track]?.[i] ?? 0 });
-      input.addEventListener('input', () => {
-        const far = inputs.findIndex((field, k) => Math.abs(Number(field.value)) > MOVES[k][2]);
-        if (far >= 0) {
-          this.say(`${MOVES[far][0]}: ${inputs[far].value} is out of range, expected -${MOVES[far][2]} to ${MOVES[far][2]}.`, true);
-          inputs[far].value = String(this.moves[track]?.[far] ?? 0);
-          return;
-        }
-        const by = inputs.map((field) => Number(field.value) || 0);
+    MOVES.forEach(([label, step, limit], i) => {
+      const get = () => this.moves[track]?.[i] ?? 0;
+      const input = Object.assign(document.createElement('input'), { type: 'number', step, value: get() });
+      const set = (number) => {
+        const by = [...(this.moves[track] ?? MOVES.map(() => 0))];
+        by[i] = number;
         if (by.every((v) => v === 0)) delete this.moves[track];
         else this.moves[track] = by;
         this.change();
-      });
+      };
+      bindNumberField(input, { label, limit, get, set, say: (text) => this.say(text, true) });
       const labelled = document.createElement('label');
       labelled.append(label, input);
       fields.append(labelled);
-      return input;
     });
     return fields;
   }

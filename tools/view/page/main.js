@@ -181,6 +181,7 @@ function received(next, asked) {
   actors.accept(asked.edits);
   camera.track([header.pose[12], header.pose[13], header.pose[14]], headingOf(header.pose));
   actors.update(header.actors, header.instances);
+  if (header.actor_notes) element('actor-notes').textContent = header.actor_notes.join(' ');
   if (frame.simulated) beams.fit(frame.simulated.ring);
   panel.setNumbers(frame);
   show();

@@ -2,6 +2,7 @@
 // Lets the user select the sensor, the weather, and the pose of the sensor relative to
 // the log's sensor. The six numbers of the pose can be typed, or changed with keys and
 // mouse.
+import { bindNumberField } from './number_field.js';
 
 const FIELDS = [['x', 'forward m', 0.5], ['y', 'left m', 0.5], ['z', 'up m', 0.25], ['yaw', 'turn left °', 5], ['pitch', 'pitch °', 1],
   ['roll', 'roll °', 1]];
@@ -30,18 +31,10 @@ export class SensorPanel {
 
   makeInput(i, name, label, step) {
     const input = Object.assign(document.createElement('input'), { type: 'number', step, value: 0, id: `place-${name}`, min: -LIMITS[i], max: LIMITS[i] });
-    input.addEventListener('input', () => {
-      if (input.value === '') return;   // Ignores "-" and "1e", which are incomplete numbers.
-      const typed = Number(input.value);
-      if (Math.abs(typed) > LIMITS[i]) {
-        this.say(`${label}: ${typed} is out of range, expected -${LIMITS[i]} to ${LIMITS[i]}. The value stays at ${this.place[i]}.`, true);
-        this.showPlace(i);
-        return;
-      }
-      this.place[i] = typed;
-      this.onChange();
+    bindNumberField(input, {
+      label, limit: LIMITS[i], get: () => this.place[i], say: (text) => this.say(text, true),
+      set: (number) => { this.place[i] = number; this.onChange(); },
     });
-    input.addEventListener('change', () => { if (input.value === '') this.showPlace(i); });
     const field = document.createElement('label');
     field.append(label, input);
     document.getElementById('place').append(field);
