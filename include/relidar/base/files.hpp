@@ -37,7 +37,7 @@ void write_text_file(const std::filesystem::path& path, const std::string& text)
 /// move_folder_and_replace_existing() renames the temporary folder and replaces an
 /// existing folder with the final name. If move_folder_and_replace_existing() is not
 /// called, the destructor removes the temporary folder. The constructor also removes
-/// temporary folders that a killed process has left for the same final name.
+/// temporary folders that killed processes have left next to the final folder.
 class StagedFolder {
 public:
     /// Creates the temporary folder.
@@ -61,6 +61,7 @@ public:
 
 private:
     std::filesystem::path final_path_, path_;
+    int marker_ = -1;  ///< file descriptor of a locked file in the temporary folder
 };
 
 /// Metadata of a file, as pairs of name and value.

@@ -6,9 +6,11 @@
 #include <cerrno>
 #include <charconv>
 #include <csignal>
+#include <string_view>
 
 #include <fcntl.h>
 #include <stdio.h>
+#include <sys/file.h>
 #include <unistd.h>
 
 #include <fmt/format.h>
@@ -20,21 +22,35 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Removes temporary folders of processes that no longer exist. The name of a temporary
-/// folder consists of the prefix and a process id.
-void remove_folders_of_dead_processes(const fs::path& parent_folder, const std::string& name_prefix) {
+// File in each temporary folder. Its process locks it. Other programs have no such file.
+constexpr const char* kMarker = ".relidar_staged";
+constexpr std::string_view kTemporary = ".tmp-";
+
+/// Returns true if a path is a temporary folder of a process that no longer exists. The
+/// name of a temporary folder is .NAME.tmp-PID. A process on another machine may have the
+/// same folder, so its lock counts, too.
+/// @param own_prefix  ".NAME.tmp-", for which folders without a marker are abandoned, too
+bool is_abandoned_folder(const fs::path& path, const std::string& own_prefix) {
+    const std::string name = path.filename().string();
+    const std::size_t at = name.rfind(kTemporary);
+    if (!name.starts_with('.') || at == std::string::npos) return false;
+    pid_t process = 0;
+    const char* last = name.data() + name.size();
+    const auto [end, error] = std::from_chars(name.data() + at + kTemporary.size(), last, process);
+    if (error != std::errc() || end != last || process <= 0) return false;
+    if (::kill(process, 0) == 0 || errno != ESRCH) return false;
+    const int marker = ::open((path / kMarker).c_str(), O_RDWR | O_CLOEXEC);
+    if (marker < 0) return errno == ENOENT && name.starts_with(own_prefix);
+    const bool is_unlocked = ::flock(marker, LOCK_EX | LOCK_NB) == 0;
+    ::close(marker);
+    return is_unlocked;
+}
+
+void remove_folders_of_dead_processes(const fs::path& parent_folder, const std::string& own_prefix) {
     std::error_code failed;
     std::vector<fs::path> abandoned;
-    for (const auto& entry : fs::directory_iterator(parent_folder, failed)) {
-        const std::string name = entry.path().filename().string();
-        if (!name.starts_with(name_prefix)) continue;
-        pid_t process = 0;
-        const auto [end, error] =
-            std::from_chars(name.data() + name_prefix.size(), name.data() + name.size(), process);
-        if (error == std::errc() && end == name.data() + name.size() && process > 0 &&
-            ::kill(process, 0) != 0 && errno == ESRCH)
-            abandoned.push_back(entry.path());
-    }
+    for (const auto& entry : fs::directory_iterator(parent_folder, failed))
+        if (is_abandoned_folder(entry.path(), own_prefix)) abandoned.push_back(entry.path());
     for (const fs::path& path : abandoned) fs::remove_all(path, failed);
 }
 
@@ -42,7 +58,7 @@ void remove_folders_of_dead_processes(const fs::path& parent_folder, const std::
 
 StagedFolder::StagedFolder(const fs::path& final_path)
     : final_path_((fs::absolute(final_path) / "").lexically_normal().parent_path()) {
-    const std::string prefix = fmt::format(".{}.tmp-", final_path_.filename().string());
+    const std::string prefix = fmt::format(".{}{}", final_path_.filename().string(), kTemporary);
     remove_folders_of_dead_processes(final_path_.parent_path(), prefix);
     path_ = final_path_.parent_path() / fmt::format("{}{}", prefix, ::getpid());
     std::error_code failed;
@@ -50,14 +66,18 @@ StagedFolder::StagedFolder(const fs::path& final_path)
     fs::create_directories(path_, failed);
     if (failed)
         throw DataError(fmt::format("cannot create the folder {}: {}", path_.string(), failed.message()));
+    marker_ = ::open((path_ / kMarker).c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
+    if (marker_ >= 0) (void)::flock(marker_, LOCK_EX | LOCK_NB);
 }
 
 StagedFolder::~StagedFolder() {
     std::error_code failed;
     fs::remove_all(path_, failed);
+    if (marker_ >= 0) ::close(marker_);
 }
 
 void StagedFolder::move_folder_without_replacing_existing() const {
+    ::unlink((path_ / kMarker).c_str());
     // rename() replaces an empty folder. It fails if anything else exists at the
     // destination.
     if (::rename(path_.c_str(), final_path_.c_str()) == 0) return;
@@ -71,6 +91,7 @@ void StagedFolder::move_folder_without_replacing_existing() const {
 }
 
 void StagedFolder::move_folder_and_replace_existing() const {
+    ::unlink((path_ / kMarker).c_str());
 #ifdef RENAME_EXCHANGE
     // Exchanges the new and the old folder atomically. The old folder then has the
     // temporary name, and the destructor deletes it.

@@ -7,10 +7,13 @@
 #include <relidar/score/report.hpp>
 #include <relidar/simulate/point_files.hpp>
 
+#include <fcntl.h>
+#include <sys/file.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <fmt/format.h>
+#include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
 
@@ -165,20 +168,29 @@ TEST_F(StagedFolders, LeaveNothingWhereTheyAreNotFinished) {
     EXPECT_THROW(StagedFolder(folder / "file" / "log"), DataError);
 }
 
-TEST_F(StagedFolders, OfKilledProcessesAreRemovedByTheNextOfTheName) {
+TEST_F(StagedFolders, OfKilledProcessesAreRemovedByTheNext) {
     const pid_t child = ::fork();
     if (child == 0) {
         // simulates a killed process, in which the destructor does not run
         new StagedFolder(folder / "log");
+        new StagedFolder(folder / "third");
         ::_exit(0);
     }
     ::waitpid(child, nullptr, 0);
-    EXPECT_EQ(files().size(), 1u);
-    // folder of a running process
-    fs::create_directory(folder / fmt::format(".log.tmp-{}", ::getppid()));
-    fs::create_directory(folder / fmt::format(".other.tmp-{}", child));
-    { const StagedFolder staged(folder / "log"); }
     EXPECT_EQ(files().size(), 2u);
+    const std::string of_running = fmt::format(".log.tmp-{}", ::getppid()),
+                      of_other_program = fmt::format(".other.tmp-{}", child),
+                      of_other_machine = fmt::format(".far.tmp-{}", child);
+    for (const std::string& name : {of_running, of_other_program, of_other_machine})
+        fs::create_directory(folder / name);
+    const int locked =
+        ::open((folder / of_other_machine / ".relidar_staged").c_str(), O_RDWR | O_CREAT, 0600);
+    ASSERT_EQ(::flock(locked, LOCK_EX), 0);
+    { const StagedFolder staged(folder / "log"); }
+    EXPECT_THAT(files(), testing::UnorderedElementsAre(of_running, of_other_program, of_other_machine));
+    ::close(locked);
+    { const StagedFolder staged(folder / "log"); }
+    EXPECT_THAT(files(), testing::UnorderedElementsAre(of_running, of_other_program));
 }
 
 TEST_F(AtomicFile, NoticesAFullDiskInEveryWriter) {
