@@ -224,6 +224,11 @@ foreign_readers() {
         echo "note: no numpy, npz, ply, pcd and bin are not read by another program"
     else
         good render run --out in_world --format npz,ply --frame world
+        check "a note about steps near the world's origin" test -z "$(grep "single precision" err)"
+        cp -r run mapped  # at UTM coordinates, where float32 has steps of 0.25 m
+        "$python" -c 'import json; s = json.load(open("mapped/scene.json")); s["world_offset_m"] = [5e5, 4e6, 0]; json.dump(s, open("mapped/scene.json", "w"))'
+        good render mapped --out in_map --frames 2:3 --frame world
+        check "no note about steps far from the world's origin" grep -q "steps of 0.25 m at coordinates of 4000" err
         good render run --out deskewed --format npz,ply --deskew
         "$python" "$tests/read_scans.py" scans in_world deskewed >err 2>&1
         check "read_scans.py finds faults" test $? = 0

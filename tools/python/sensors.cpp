@@ -81,7 +81,8 @@ SimulatedSensor find_or_make_sensor_for_run(const py::handle& sensor_name_or_ray
             "a sensor file, or a dict with \"directions\"");
     SimulatedSensor choice;
     choice.rays = read_ray_table_from_dict(py::reinterpret_borrow<py::dict>(sensor_name_or_ray_dict));
-    choice.limits = {run.config.dataset.min_range_m, run.config.dataset.max_range_m};
+    choice.limits =
+        intersect_range_limits({}, {run.config.dataset.min_range_m, run.config.dataset.max_range_m});
     choice.name = "rays";
     choice.lidar = lidar_index;
     return choice;

@@ -39,6 +39,8 @@ constexpr double kMostSkipped = 0.1;
 // Plausible time from the first to the last point of a scan, relative to the time between
 // scans. The lower limit is small, because a log may contain only some of the scans.
 constexpr double kShortestSpan = 0.01, kLongestSpan = 3.0;
+// If scans are farther apart, the unit of their times is probably wrong.
+constexpr double kLongestFrameStep_s = 20.0;
 
 /// Counts the points that are the first return of their ray. Ignores points at the
 /// sensor.
@@ -258,7 +260,8 @@ private:
             spans_s.push_back(double(last_s) - double(first_s));
             largest_offsets_s.push_back(std::max(std::abs(double(first_s)), std::abs(double(last_s))));
         }
-        if (!frame_step_s || spans_s.empty()) return;
+        // If scans are much farther apart, add_notes_about_implausible_values() reports it.
+        if (!frame_step_s || *frame_step_s > kLongestFrameStep_s || spans_s.empty()) return;
         const double span_s = compute_median(std::move(spans_s)),
                      offset_s = compute_median(std::move(largest_offsets_s));
         if (span_s < kShortestSpan * *frame_step_s || span_s > kLongestSpan * *frame_step_s)

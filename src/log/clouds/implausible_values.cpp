@@ -4,13 +4,17 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <set>
 #include <string>
 #include <vector>
 
 #include <fmt/format.h>
 
+#include <relidar/base/float_step.hpp>
 #include "base/median.hpp"
 #include "base/parallel.hpp"
+#include "log/clouds/box_conventions.hpp"
+#include "log/clouds/match_sweeps.hpp"
 
 namespace relidar::folder {
 namespace {
@@ -31,6 +35,16 @@ constexpr double kMostSaturated = 0.25;
 // A longer box, or a box that is farther in time from the log, probably has a wrong unit.
 constexpr double kLongestBox_m = 200.0, kFarTime_s = 3600.0;
 
+// Plausible median time between frames, relative to the duration of a sweep. With a wrong
+// unit, frames are by a multiple of 1000 farther apart. A log may have a scan every few
+// minutes, so milliseconds are assumed only if the frames would then follow each other.
+constexpr double kLeastSweeps = 0.7, kMostSweeps = 1.5, kMostSweepsOfLongSteps = 100.0;
+constexpr double kUsualSweep_s = 0.1;  // if the duration of a sweep is unknown
+// Coordinates are in single precision if all of them are multiples of its step. A step
+// below the first limit does no harm. Fewer different coordinates prove nothing.
+constexpr double kLeastStep_m = 0.01, kSameStep = 1e-4;
+constexpr std::size_t kFewestCoordinates = 5;
+
 // First words of the notes. A converted log contains the notes of the original log, which
 // are replaced.
 constexpr const char* kSpeedNote = "the poses or their times are probably wrong: ";
@@ -38,6 +52,8 @@ constexpr const char* kReturnsNote = "some scans are probably incomplete: ";
 constexpr const char* kScaleNote = "the scale of the intensities is probably wrong: ";
 constexpr const char* kEqualNote = "all intensities of the log are ";
 constexpr const char* kBoxNote = "the boxes are probably wrong: ";
+constexpr const char* kUnitNote = "the unit of the times is probably wrong: ";
+constexpr const char* kFloatNote = "the positions of the vehicle have lost their precision: ";
 
 /// Returns " of LiDAR 'NAME'", or an empty text if the LiDAR has no name.
 std::string format_of_lidar(const Lidar& lidar) {
@@ -70,6 +86,62 @@ void add_note_if_vehicle_is_too_fast(LidarSequence& sequence) {
                                          kFastest_mps, n_too_fast, track.pose.size() - 1, fastest_mps,
                                          find_frame_number_at(sequence, track.time_s[fastest_step - 1]),
                                          find_frame_number_at(sequence, track.time_s[fastest_step])));
+}
+
+/// Returns the duration of a sweep. Without a known period, returns the time between the
+/// first and the last ray of a scan.
+double find_sweep_duration_s(const LidarSequence& sequence) {
+    for (const Lidar& lidar : sequence.lidars)
+        if (lidar.get_sweep_period_s() > 0.0) return lidar.get_sweep_period_s();
+    for (const LidarFrame& frame : sequence.frames) {
+        if (frame.scan.rays.size() == 0) continue;
+        const auto [first_s, last_s] = std::ranges::minmax(frame.scan.rays.time_offset_s);
+        if (last_s > first_s) return double(last_s) - double(first_s);
+    }
+    return kUsualSweep_s;
+}
+
+void add_note_if_time_unit_is_wrong(LidarSequence& sequence) {
+    const std::vector<double>& times_s = sequence.world_from_vehicle.time_s;
+    if (times_s.size() < 2) return;
+    const double step_s = compute_median_interval_s(times_s), sweep_s = find_sweep_duration_s(sequence);
+    double per_second = 1.0;
+    for (const char* unit : {"milliseconds", "microseconds", "nanoseconds"}) {
+        per_second *= 1000.0;
+        const double n_sweeps = step_s / per_second / sweep_s;
+        if (n_sweeps < kLeastSweeps ||
+            n_sweeps > (per_second > 1000.0 ? kMostSweepsOfLongSteps : kMostSweeps))
+            continue;
+        sequence.notes.push_back(
+            kUnitNote +
+            fmt::format("frames are {:.6g} s apart, but a sweep takes {:.3g} s; the times of frames "
+                        "seem to be in {}, expected seconds",
+                        step_s, sweep_s, unit));
+        return;
+    }
+}
+
+void add_note_if_positions_are_rounded(LidarSequence& sequence) {
+    for (int axis = 0; axis < 2; ++axis) {
+        std::set<double> different_m;
+        double step_m = 0.0;
+        bool is_rounded = true;
+        for (const Pose& pose : sequence.world_from_vehicle.pose) {
+            const double value_m = pose.translation[axis] + sequence.world_offset_m[axis];
+            step_m = compute_float_step_m(value_m);
+            const double n_steps = value_m / step_m;
+            is_rounded =
+                is_rounded && step_m > kLeastStep_m && std::abs(n_steps - std::round(n_steps)) < kSameStep;
+            different_m.insert(std::round(n_steps) * step_m);
+        }
+        if (!is_rounded || different_m.size() < kFewestCoordinates) continue;
+        sequence.notes.push_back(
+            kFloatNote +
+            fmt::format("all {} coordinates are multiples of {:.3g} m, which is the precision of "
+                        "float32 at {:.0f} m; expected double precision",
+                        axis == 0 ? "x" : "y", step_m, *different_m.rbegin()));
+        return;
+    }
 }
 
 /// Returns in one scan, or in several scans, and their intensities.
@@ -192,16 +264,23 @@ void add_notes_about_boxes(LidarSequence& sequence) {
     if (largest)
         sequence.notes.push_back(kBoxNote + fmt::format("the box '{}' is {:.0f} m long; expected metres",
                                                         largest->id, get_length_m(*largest)));
+    if (const std::string fault = describe_box_fault(sequence); !fault.empty())
+        sequence.notes.push_back(kBoxNote + fault);
 }
 
 }  // namespace
 
 void add_notes_about_implausible_values(LidarSequence& sequence) {
     std::erase_if(sequence.notes, [](const std::string& note) {
-        return std::ranges::any_of(std::array{kSpeedNote, kReturnsNote, kScaleNote, kEqualNote, kBoxNote},
-                                   [&](const char* words) { return note.starts_with(words); });
+        return std::ranges::any_of(
+            std::array{kSpeedNote, kReturnsNote, kScaleNote, kEqualNote, kBoxNote, kUnitNote, kFloatNote},
+            [&](const char* words) { return note.starts_with(words); });
     });
-    if (sequence.has_poses) add_note_if_vehicle_is_too_fast(sequence);
+    add_note_if_time_unit_is_wrong(sequence);
+    if (sequence.has_poses) {
+        add_note_if_vehicle_is_too_fast(sequence);
+        add_note_if_positions_are_rounded(sequence);
+    }
     const std::vector<ReturnStatistics> by_frame = compute_statistics_of_frames(sequence);
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
         add_note_about_scans_with_few_returns(sequence, by_frame, l);

@@ -11,7 +11,10 @@ namespace relidar::folder {
 /// - Some scans of a LiDAR have far fewer returns than the scans before and after them.
 /// - All intensities of the log are equal, or those of a LiDAR are tiny or mostly at the
 ///   maximum.
-/// - Boxes are longer than any vehicle, or their times are far from the log.
+/// - The times of the frames are probably not in seconds.
+/// - The positions of the vehicle were stored in single precision.
+/// - Boxes are longer than any vehicle, their times are far from the log, or they follow
+///   another convention.
 /// Replaces such notes, which a converted log contains.
 void add_notes_about_implausible_values(LidarSequence& sequence);
 

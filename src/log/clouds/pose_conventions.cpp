@@ -2,6 +2,7 @@
 #include "log/clouds/pose_conventions.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <unordered_set>
 #include <utility>
 
@@ -30,6 +31,19 @@ constexpr float kMinComparedRange_m = 3.0f,
 bool is_point_range_used_for_scan_overlap(const glm::vec3& point_m) {
     const float range_m = glm::length(point_m);
     return range_m > kMinComparedRange_m && range_m < kMaxComparedRange_m;
+}
+
+// Maximum decrease of the mean upright component (-1 to 1) with another convention, and
+// increase that means that the vehicle was upside down.
+constexpr double kLessUpright = 0.1, kMoreUpright = 0.5;
+// Words of the note that asks for the convention of the poses.
+constexpr const char* kUndecidedNote = ": the convention of the poses is uncertain: ";
+
+/// Returns the mean vertical component of the vehicle's z axis.
+double compute_mean_upright(const PoseTrack& track) {
+    double sum = 0.0;
+    for (const Pose& pose : track.pose) sum += (pose.rotation * glm::dvec3(0, 0, 1)).z;
+    return sum / double(track.pose.size());
 }
 
 constexpr std::size_t kPairs = 5;  // number of pairs of scans that are compared
@@ -91,52 +105,88 @@ double OverlapScanPairs::compute_scan_overlap_fraction(const PoseTrack& world_fr
 std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& interpretations,
                                        const OverlapScanPairReader& read_scan_pairs_or_null,
                                        const std::string& error_location, std::vector<std::string>& notes) {
-    std::vector<double> forward;
+    std::vector<double> forward, upright;
     for (const PoseInterpretation& reading : interpretations) {
         const stamped::DrivingDirection driving =
             stamped::estimate_driving_direction(reading.world_from_vehicle);
         forward.push_back(driving.n_steps < kFewestSteps ? 0.0 : driving.mean.x);
+        upright.push_back(compute_mean_upright(reading.world_from_vehicle));
     }
-    const auto is_possible = [&](std::size_t index) {
-        return forward[index] >= kForward && forward[index] >= forward[0] + kMoreForward;
+    const auto is_forward = [&](std::size_t k) {
+        return forward[k] >= kForward && forward[k] >= forward[0] + kMoreForward;
+    };
+    // A vehicle may also drive backward. Only the scans can show this.
+    const auto is_possible = [&](std::size_t k) {
+        return is_forward(k) || (std::abs(forward[k]) >= kForward &&
+                                 (forward[0] < kForward || upright[k] > upright[0] + kMoreUpright ||
+                                  (forward[k] < 0.0 && !interpretations[k].needs_scans)));
     };
     std::size_t n_possible = 0;
     for (std::size_t k = 1; k < interpretations.size(); ++k) n_possible += is_possible(k);
     if (n_possible == 0) return 0;
     const OverlapScanPairs scans = read_scan_pairs_or_null ? read_scan_pairs_or_null() : OverlapScanPairs();
-    std::size_t best = 0;
-    double best_overlap =
-        scans.compute_scan_overlap_fraction(interpretations[0].world_from_vehicle) + kMoreOverlap;
+    const double first_overlap = scans.compute_scan_overlap_fraction(interpretations[0].world_from_vehicle);
+    std::size_t best = 0, undecided = 0;
+    double best_overlap = first_overlap + kMoreOverlap;
     for (std::size_t k = 1; k < interpretations.size(); ++k) {
+        const PoseInterpretation& reading = interpretations[k];
         if (!is_possible(k)) continue;
-        if (scans.empty() && (interpretations[k].needs_scans || best > 0)) continue;
-        const double overlap = scans.compute_scan_overlap_fraction(interpretations[k].world_from_vehicle);
-        if (!scans.empty() && overlap <= best_overlap) continue;
-        best = k;
-        best_overlap = overlap;
+        const double overlap = scans.compute_scan_overlap_fraction(reading.world_from_vehicle);
+        const bool needs_scans = reading.needs_scans || !is_forward(k);
+        if (scans.empty()) {
+            if (needs_scans || best > 0 || upright[k] < upright[0] - kLessUpright) continue;
+            // A vehicle that drives backward looks like one that drives forward with
+            // another order of the quaternion.
+            (forward[0] <= -kForward ? undecided : best) = k;
+        } else if (overlap > best_overlap) {
+            best = k;
+            best_overlap = overlap;
+        } else if (!needs_scans && overlap >= first_overlap - kMoreOverlap) {
+            undecided = k;
+        }
     }
     if (best > 0)
+        notes.push_back(fmt::format(
+            "{}: poses are read as {}, because the vehicle then moves {:.2f} m forward per metre "
+            "of its path, but {:.2f} m if poses are read as {}{}",
+            error_location, interpretations[best].about, forward[best], forward[0], interpretations[0].about,
+            scans.empty() ? "" : "; consecutive scans then overlap better"));
+    else if (undecided > 0)
         notes.push_back(
-            fmt::format("{}: poses are read as {}, because the vehicle then moves {:.2f} m forward per metre "
-                        "of its path, but only {:.2f} m if poses are read as {}",
-                        error_location, interpretations[best].about, forward[best], forward[0],
-                        interpretations[0].about));
+            fmt::format("{}{}the vehicle moves {:.2f} m forward per metre of its path with poses "
+                        "that are read as {}, but {:.2f} m with {}; if these poses are wrong, add "
+                        "a first line with the names of the columns",
+                        error_location, kUndecidedNote, forward[0], interpretations[0].about,
+                        forward[undecided], interpretations[undecided].about));
     return best;
 }
 
 void correct_poses_if_stored_inverted(LidarSequence& sequence) {
     if (!sequence.has_poses) return;
-    PoseTrack invert_track = sequence.world_from_vehicle;
-    for (Pose& pose : invert_track.pose) {
-        pose.translation += sequence.world_offset_m;
-        pose = inverse(pose);
+    PoseTrack world_track = sequence.world_from_vehicle;
+    for (Pose& pose : world_track.pose) pose.translation += sequence.world_offset_m;
+    PoseTrack inverted_track = world_track, other_order = world_track;
+    for (Pose& pose : inverted_track.pose) pose = inverse(pose);
+    for (Pose& pose : other_order.pose) {
+        const glm::dquat q = pose.rotation;
+        pose.rotation = glm::dquat(q.z, q.w, q.x, q.y);
     }
-    const std::vector<PoseInterpretation> readings = {
-        {"world-from-sensor poses", sequence.world_from_vehicle},
-        {"sensor-from-world poses", std::move(invert_track), true}};
+    std::vector<PoseInterpretation> readings = {{"world-from-sensor poses", sequence.world_from_vehicle},
+                                                {"sensor-from-world poses", std::move(inverted_track), true}};
+    // The reader of the poses had no scans, which now decide the order of the quaternions.
+    const auto undecided = std::ranges::find_if(sequence.notes, [](const std::string& note) {
+        return note.find(kUndecidedNote) != note.npos && note.find(kScalarLast) != note.npos;
+    });
+    if (undecided != sequence.notes.end()) {
+        readings[0].about = kScalarFirst;
+        readings.push_back({kScalarLast, std::move(other_order)});
+        sequence.notes.erase(undecided);
+    }
     const auto read_pairs = [&] { return collect_consecutive_scan_pairs(sequence); };
-    if (choose_pose_interpretation(readings, read_pairs, sequence.source, sequence.notes) == 0) return;
-    set_vehicle_poses(sequence, readings[1].world_from_vehicle);
+    const std::size_t best =
+        choose_pose_interpretation(readings, read_pairs, sequence.source, sequence.notes);
+    if (best == 0) return;
+    set_vehicle_poses(sequence, readings[best].world_from_vehicle);
     sequence.world_offset_m = glm::dvec3(0.0);
     move_world_origin_of_log(sequence);
 }

@@ -211,12 +211,19 @@ std::vector<StampedPoseRow> read_timestamped_number_rows(const fs::path& file,
                                                          std::size_t min_values_per_row) {
     const std::vector<std::string> lines = split_lines(read_text_file(file));
     std::vector<StampedPoseRow> rows;
+    std::size_t n_cells = 0;  // number of cells in the line before
     for (std::size_t l = 0; l < lines.size(); ++l) {
         if (trim_blanks_at_both_ends(lines[l]).empty()) continue;
         const std::vector<std::string_view> cells = split_csv_cells(lines[l]);
         if (l == 0 && !parse_number(cells[0])) continue;  // skips a first line with column names
         StampedPoseRow row =
             parse_stamped_row(cells, min_values_per_row, fmt::format("{} line {}", file.string(), l + 1));
+        if (cells.size() < n_cells)
+            throw DataError(
+                fmt::format("{}: found {} cells in the line, expected {} as in the line before; the "
+                            "file may be truncated",
+                            row.where, cells.size(), n_cells));
+        n_cells = cells.size();
         if (!rows.empty() && row.stamp == rows.back().stamp) continue;
         if (!rows.empty() && row.stamp < rows.back().stamp)
             throw DataError(fmt::format("{}: found the time {} after {}, expected increasing times",

@@ -13,6 +13,7 @@
 #include <relidar/log/clouds.hpp>
 #include "base/files.hpp"
 #include "base/parallel.hpp"
+#include "log/clouds/box_conventions.hpp"
 #include "log/clouds/far_marker.hpp"
 #include "log/clouds/implausible_values.hpp"
 #include "log/clouds/log_files.hpp"
@@ -388,6 +389,7 @@ LidarSequence load_sequence(const std::string& dataset, const DatasetOptions& op
     set_sweep_starts_and_azimuth_shifts(sequence);
     remove_returns_that_mark_dropped_rays(sequence);
     apply_range_limits_to_lidars_and_scans(sequence, {options.min_range_m, options.max_range_m});
+    folder::remove_boxes_of_vehicle(sequence);
     folder::add_notes_about_implausible_values(sequence);
     return sequence;
 }

@@ -72,7 +72,14 @@ void require_valid_spinning_sensor(const SpinningSensor& sensor) {
 }  // namespace
 
 RangeLimits intersect_range_limits(const RangeLimits& first, const RangeLimits& second) {
-    return {std::max(first.min_m, second.min_m), std::min(first.max_m, second.max_m)};
+    const RangeLimits both{std::max(first.min_m, second.min_m), std::min(first.max_m, second.max_m)};
+    if (!(both.max_m > both.min_m))
+        throw UsageError(fmt::format(
+            "no range is within all limits: the largest minimum is {} m and the smallest maximum "
+            "is {} m; expected dataset.min_range_m below dataset.max_range_m and below the maximum "
+            "range of the sensor",
+            both.min_m, both.max_m));
+    return both;
 }
 
 BeamRay compute_beam_ray(const Beam& beam, double head_azimuth_rad) {

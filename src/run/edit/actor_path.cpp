@@ -60,8 +60,8 @@ FieldColumnIndices make_default_column_indices(std::size_t n_columns, const std:
     return at;
 }
 
-/// Reads the values of a line. A field without a column has the value 0. Pitch and roll
-/// may be missing at the end of a line.
+/// Reads the values of a line. A field without a column has the value 0. In a file without
+/// a header, pitch and roll may be missing at the end of a line.
 /// @throws DataError naming the column that is not a number
 std::array<double, kFieldCount> parse_trajectory_row(const std::vector<std::string_view>& cells,
                                                      const FieldColumnIndices& column_indices,
@@ -93,7 +93,8 @@ PoseTrack read_trajectory_csv(const std::filesystem::path& path) {
     const std::vector<std::string> lines = split_lines(read_text_file(path));
     PoseTrack track;
     FieldColumnIndices at;
-    std::size_t n_cells = 0;
+    // maximum number of cells in a line, and minimum number because of the lines before
+    std::size_t n_cells = 0, n_needed = 0;
     for (std::size_t i = 0; i < lines.size(); ++i) {
         if (trim_blanks_at_both_ends(lines[i]).empty()) continue;
         const std::vector<std::string_view> cells = split_csv_cells(lines[i]);
@@ -103,12 +104,21 @@ PoseTrack read_trajectory_csv(const std::filesystem::path& path) {
             n_cells = is_header ? cells.size() : kUnnamed;
             at = is_header ? find_trajectory_columns_in_header(cells, where)
                            : make_default_column_indices(cells.size(), where);
-            if (is_header) continue;
+            if (is_header) {
+                n_needed = n_cells;
+                continue;
+            }
         }
         if (cells.size() > n_cells)
             throw DataError(
                 fmt::format("{}: found {} columns, expected at most {}", where, cells.size(), n_cells));
         const auto row = parse_trajectory_row(cells, at, where);
+        if (cells.size() < n_needed)
+            throw DataError(
+                fmt::format("{}: found {} columns, expected {} as in the lines before; the file may "
+                            "be truncated",
+                            where, cells.size(), n_needed));
+        n_needed = cells.size();
         if (!track.time_s.empty() && !(row[kTime] > track.time_s.back()))
             throw DataError(
                 fmt::format("{}: time_s is {} after {} in the previous line, expected increasing times",

@@ -12,6 +12,9 @@
 namespace relidar {
 namespace {
 
+// Maximum time between the firing of a ray and the nearest end of the sensor's path. A sweep
+// may begin before the path or end after it, but a larger difference is an error.
+constexpr double kBeyondPath_s = 1.0;
 constexpr double kFarthest = 1e10;  // limit for coordinates in metres and for times in seconds since 1970
 
 /// Checks the track of a sensor or an actor.
@@ -40,6 +43,22 @@ void require_valid_track_poses_and_times(const PoseTrack& track, const std::stri
                  "times that increase from pose to pose");
         }
     }
+}
+
+/// @throws DataError if rays are fired long before or after the path of the sensor
+void require_sweep_on_path(const SimulatedSweep& sweep) {
+    const std::vector<double>& times_s = sweep.world_from_sensor.time_s;
+    if (times_s.size() < 2 || sweep.get_rays().size() == 0) return;
+    const auto [first, last] = std::ranges::minmax(sweep.get_rays().time_offset_s);
+    if (sweep.time_s + double(first) >= times_s.front() - kBeyondPath_s &&
+        sweep.time_s + double(last) <= times_s.back() + kBeyondPath_s)
+        return;
+    throw DataError(fmt::format(
+        "cannot render a scan: its rays are fired from {:.6g} to {:.6g} s, but the poses of the "
+        "sensor are from {:.6g} to {:.6g} s; expected poses during the sweep, or at most {} s before "
+        "or after it",
+        sweep.time_s + double(first), sweep.time_s + double(last), times_s.front(), times_s.back(),
+        kBeyondPath_s));
 }
 
 std::vector<LidarFrame> copy_frames_that_have_azimuth_shifts(const LidarSequence& sequence) {
@@ -101,6 +120,7 @@ SimulatedSweep SimulatedSweepBuilder::make_sweep_along_track(const SimulatedSens
         if (!log_.rolling_shutter) std::ranges::fill(rays->time_offset_s, 0.0f);
     }
     SimulatedSweep sweep{sensor, time_s, std::move(rays), log_.get_world_from_sensor(sensor.lidar)};
+    if (log_.rolling_shutter) require_sweep_on_path(sweep);
     sweep.pose = sweep.world_from_sensor.interpolate_pose(time_s);
     if (!log_.rolling_shutter) sweep.world_from_sensor = {{time_s}, {sweep.pose}};
     sweep.instances = world_from_actor ? compute_instance_poses(layout_, log_, now, *world_from_actor)

@@ -6,6 +6,8 @@
 #include <relidar/simulate/actor_boxes.hpp>
 #include <relidar/simulate/render.hpp>
 
+#include "base/median.hpp"
+
 namespace relidar::scan_files {
 namespace {
 
@@ -50,15 +52,32 @@ private:
     std::vector<SampledRay> rays_;
 };
 
-/// Counts the first returns of a scan on an actor.
-std::size_t count_returns_on_actor(const RenderedScan& scan, const ScanOutputOptions& format,
-                                   const std::string& track_id) {
+/// Returns the firing times of the first returns of a scan on an actor.
+std::vector<float> list_firing_times_on_actor(const RenderedScan& scan, const ScanOutputOptions& format,
+                                              const std::string& track_id) {
     const auto instance = std::ranges::find(format.instance_names, track_id) - format.instance_names.begin();
     const std::vector<float>& range_m = select_point_ranges(scan, format.config);
-    std::size_t n = 0;
+    std::vector<float> times_s;
     for (std::size_t i = 0; i < range_m.size(); ++i)
-        n += scan.instance[i] == instance && is_ray_returned(scan.image.drop_prob[i], range_m[i]);
-    return n;
+        if (scan.instance[i] == instance && is_ray_returned(scan.image.drop_prob[i], range_m[i]))
+            times_s.push_back(scan.time_offset_s[i]);
+    return times_s;
+}
+
+/// Returns the time of a box. The start and the end of a sweep hit different parts of a box
+/// behind the sensor. Such a box gets the median time of its returns, so that it matches
+/// the part with more of them.
+/// @param faced_s  time at which the sensor points at the centre of the box
+double choose_time_of_box(const RenderedScan& scan, double faced_s,
+                          const std::vector<float>& return_times_s) {
+    // A box takes less than this share of a sweep unless it is hit at the start and the end.
+    constexpr double kMostOfSweep = 0.5;
+    if (return_times_s.empty()) return faced_s;
+    const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
+    const auto [first_return_s, last_return_s] = std::ranges::minmax(return_times_s);
+    if (double(last_return_s) - double(first_return_s) < kMostOfSweep * (double(last_s) - double(first_s)))
+        return faced_s;
+    return scan.time_s + double(compute_median(return_times_s));
 }
 
 }  // namespace
@@ -92,8 +111,9 @@ std::vector<ActorInScan> find_actors_present_in_scan(const RenderedScan& scan,
         };
         const double faced_s =
             rays.find_firing_time_towards_point([&](double t_s) { return world_from_box(t_s).translation; });
-        actors.push_back(
-            {&box, world_from_box, faced_s, count_returns_on_actor(scan, format, box.id), visible_share});
+        const std::vector<float> times_s = list_firing_times_on_actor(scan, format, box.id);
+        actors.push_back({&box, world_from_box, choose_time_of_box(scan, faced_s, times_s), times_s.size(),
+                          visible_share});
     }
     return actors;
 }

@@ -86,6 +86,43 @@ TEST(ImplausibleValues, WrongUnitsOfBoxesAreReported) {
                 ElementsAre(HasSubstr("the times of 1 of ")));
 }
 
+TEST(ImplausibleValues, FrameTimesInAnotherUnitAreReported) {
+    const auto scale_times = [](double factor) {
+        return [factor](LidarSequence& log) {
+            for (LidarFrame& frame : log.frames) frame.time_s *= factor;
+            for (double& time_s : log.world_from_vehicle.time_s) time_s *= factor;
+            for (BoxTrack& box : log.boxes)
+                for (double& time_s : box.world_from_box.time_s) time_s *= factor;
+        };
+    };
+    EXPECT_THAT(get_notes_after(scale_times(1e3)),
+                ElementsAre(HasSubstr("in milliseconds, expected seconds")));
+    EXPECT_THAT(get_notes_after(scale_times(1e6)),
+                ElementsAre(HasSubstr("in microseconds, expected seconds")));
+    EXPECT_THAT(get_notes_after(scale_times(1e9)),
+                ElementsAre(HasSubstr("in nanoseconds, expected seconds")));
+    // A scan every minute, and every fifth scan of a log, are no faults.
+    EXPECT_THAT(get_notes_after(scale_times(600.0)), IsEmpty());
+    EXPECT_THAT(get_notes_after(scale_times(5.0)), IsEmpty());
+}
+
+TEST(ImplausibleValues, PositionsInSinglePrecisionAreReported) {
+    const auto move_to_map = [](bool is_rounded) {
+        return [is_rounded](LidarSequence& log) {
+            log.world_offset_m = {500000.0, 4000000.0, 100.0};
+            if (is_rounded)
+                for (Pose& pose : log.world_from_vehicle.pose)
+                    pose.translation =
+                        glm::dvec3(glm::vec3(pose.translation + log.world_offset_m)) - log.world_offset_m;
+        };
+    };
+    // The distance between float32 numbers from 2^18 to 2^19 is 2^-5.
+    EXPECT_THAT(get_notes_after(move_to_map(true)),
+                ElementsAre(HasSubstr("all x coordinates are multiples of "
+                                      "0.0312 m")));
+    EXPECT_THAT(get_notes_after(move_to_map(false)), IsEmpty());
+}
+
 TEST(ImplausibleValues, NotesOfAConvertedLogAreReplaced) {
     const auto move_one_pose = [](LidarSequence& log) {
         log.world_from_vehicle.pose[2].translation.y += 30.0;

@@ -108,6 +108,11 @@ TEST_F(RangeLimit, OfTheUserCountsTheReturnsThatItExcludes) {
     options.max_range_m = 10.0;
     EXPECT_THAT([&] { load("", "", options); },
                 ThrowsMessage<DataError>(Names("144 returns ... range limits")));
+    // The minimum of the user is above the maximum of the sensor.
+    options = make_options_without_limit();
+    options.min_range_m = 50.0;
+    EXPECT_THAT([&] { load(",max_range_m", ",10", options); },
+                ThrowsMessage<UsageError>(Names("minimum is 50 m ... maximum is 10 m")));
 }
 
 }  // namespace

@@ -102,6 +102,10 @@ TEST_F(TrajectoryFile, ComplaintsNameLineAndColumn) {
     EXPECT_NE(error("0,1,2,3\n").find("line 1: found 4 columns"), std::string::npos);
     EXPECT_NE(error("0,1,2,3,4,5,6,7\n").find("found 8 columns"), std::string::npos);
     EXPECT_THAT(error("time_s,x,y,z,yaw_deg\n0,1,2,3,0\n"), test::Names("1 poses"));
+    // The end of the last line is missing, but its yaw is complete.
+    EXPECT_THAT(error("time_s,x,y,z,yaw_deg,pitch_deg,roll_deg\n0,1,2,3,0,4,5\n1,1,2,3,0\n"),
+                test::Names("line 3: found 5 columns, expected 7"));
+    EXPECT_THAT(error("0,1,2,3,0,4,5\n1,1,2,3,0,4\n"), test::Names("line 2: found 6 columns, expected 7"));
     EXPECT_NE(error("").find("found 0 poses"), std::string::npos);
     EXPECT_NE(get_data_error_message([&] { read_trajectory_csv(folder / "none.csv"); }).find("none.csv"),
               std::string::npos);

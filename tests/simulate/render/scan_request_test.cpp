@@ -141,6 +141,11 @@ TEST_F(ScanRequests, WhatMakesNoSenseIsRefused) {
     EXPECT_NE(refusal({kNan, {{0.0}, {make_pose_at_x(0)}}}).find("time_s: found nan"), std::string::npos);
     EXPECT_THAT(refusal({0.0, {{0.0}, {make_pose_at_x(0)}}, ActorTracksByName{{"car", {}}}}),
                 test::Names("actor car ... 0 poses"));
+    SimulatedSensor slow = sensor;  // a sweep of 1000 s on a path of 1.2 s
+    for (std::size_t i = 0; i < slow.rays.size(); ++i) slow.rays.time_offset_s[i] *= 10000.0f;
+    EXPECT_THROW(renderer->render(slow, {0.5, {{0.0, 1.2}, {make_pose_at_x(0), make_pose_at_x(1)}}}),
+                 DataError);
+    EXPECT_NO_THROW(renderer->render(slow, {0.5, {{0.0}, {make_pose_at_x(0)}}}));  // the sensor stands
     EXPECT_THROW(
         measure_range_ahead(
             {0.0, {{0.0}, {make_pose_at_x(0)}}, ActorTracksByName{{"cat", {{0.0}, {make_pose_at_x(0)}}}}}),

@@ -10,6 +10,7 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 #include <relidar/base/images.hpp>
+#include <relidar/simulate/actor_boxes.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
 
@@ -183,6 +184,37 @@ TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
     EXPECT_THROW(scans.write_scan(1, scan), DataError) << "of another length";
     scan.channels[0].second = std::vector<float>{5, -1, -1, 7};
     EXPECT_THROW(scans.write_scan(1, scan), DataError) << "of another type";
+}
+
+// A clockwise head starts behind the sensor. It hits the left part of a box behind the
+// sensor at the start of the sweep and the right part at the end, 0.8 m later.
+TEST(ActorBoxes, ABoxBehindTheSensorHasTheTimeOfItsLargerPart) {
+    constexpr double kSpeed_mps = 8.0;
+    const auto get_front_m = [](double t_s) { return -10.0 + kSpeed_mps * t_s; };
+    RenderedScan scan;
+    scan.actor_views = {{"car", 40, 40}};
+    for (int i = 0; i < 720; ++i) {
+        const double azimuth = kPi - (i + 0.5) * 2.0 * kPi / 720, t_s = -azimuth / (2.0 * kPi) * 0.1,
+                     range_m = get_front_m(t_s) / std::cos(azimuth), y_m = range_m * std::sin(azimuth);
+        // The centre of the box is at y = 0.3 m, but its left part is hidden.
+        const bool is_hit = std::cos(azimuth) < 0.0 && y_m > -0.7 && y_m < 0.2;
+        scan.image.origin.emplace_back(0.0f);
+        scan.image.direction.emplace_back(std::cos(azimuth), std::sin(azimuth), 0.0);
+        scan.image.range_m.push_back(is_hit ? float(range_m) : 0.0f);
+        scan.image.drop_prob.push_back(is_hit ? 0.0f : 1.0f);
+        scan.instance.push_back(is_hit);
+        scan.time_offset_s.push_back(float(t_s));
+    }
+    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
+    ScanOutputOptions format;
+    format.instance_names = {"background", "car"};
+    format.actors = {{"car", "Car", {4.0, 2.0, 1.5}, {{-1.0, 1.0}, {}}}};
+    for (const double t_s : {-1.0, 1.0})
+        format.actors[0].world_from_box.pose.push_back({{1, 0, 0, 0}, {get_front_m(t_s) - 2.0, 0.3, 0.0}});
+    const std::vector<ActorBox> boxes = find_actor_boxes(scan, format);
+    ASSERT_EQ(boxes.size(), 1u);
+    EXPECT_NEAR(boxes[0].time_s, 0.05, 0.002);
+    EXPECT_NEAR(boxes[0].dataset_from_box.translation.x, get_front_m(boxes[0].time_s) - 2.0, 1e-9);
 }
 
 }  // namespace

@@ -417,6 +417,8 @@ void run_render_command(const RenderOptions& command_options) {
     RenderOutputs output = create_output_folders(options, run, targets, offset, ranks);
     if (options.sample && !options.quiet) print_notes_on_missing_noise_models(run, lidar);
     if (!options.quiet) print_sensor_properties_assumed_for_weather(parse_weather(options.weather));
+    if (!options.quiet && parse_point_frame(options.point_frame) == PointCoordinateFrame::world)
+        print_note_if_world_is_rounded(run, track);
     for (const MountedSimulatedSensor& w : targets)
         if (!options.quiet) print_notes_on_sensor(run, renderer, w.sensor);
     install_interrupt_handlers();

@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "render/render_notes.hpp"
 
+#include <algorithm>
+#include <cmath>
 #include <map>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
+#include <relidar/base/float_step.hpp>
 #include "console.hpp"
 
 namespace relidar::cli {
@@ -52,6 +55,24 @@ void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index)
     print_note(
         fmt::format("run {} has no model of the intensity noise, so --sample adds no noise to intensities",
                     run.folder.string()));
+}
+
+void print_note_if_world_is_rounded(const TrainedRun& run, const PoseTrack& dataset_from_sensor) {
+    constexpr double kLeastStep_m = 0.01;
+    const PoseTrack track =
+        dataset_from_sensor.pose.empty()
+            ? add_offset_to_track_positions(run.sequence.world_from_vehicle, run.sequence.world_offset_m)
+            : dataset_from_sensor;
+    double largest_m = 0.0;
+    for (const Pose& pose : track.pose)
+        for (int axis = 0; axis < 3; ++axis)
+            largest_m = std::max(largest_m, std::abs(pose.translation[axis]));
+    if (const double step_m = compute_float_step_m(largest_m); step_m > kLeastStep_m)
+        print_note(fmt::format(
+            "--frame world: points are written in single precision, which has steps of {:.3g} m at "
+            "coordinates "
+            "of {:.0f} m; without this option, points are exact and scans.json has the poses of the scans",
+            step_m, largest_m));
 }
 
 void print_sensor_properties_assumed_for_weather(const Weather& weather) {

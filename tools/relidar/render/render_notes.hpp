@@ -20,6 +20,11 @@ void print_notes_on_sensor(const TrainedRun& run, const ScanRenderer& renderer,
 /// measure the noise of this LiDAR.
 void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index);
 
+/// Prints a note if scans in the world frame are far from its origin, because points are
+/// written in single precision.
+/// @param dataset_from_sensor  path of the sensor; empty: the path of the log
+void print_note_if_world_is_rounded(const TrainedRun& run, const PoseTrack& dataset_from_sensor);
+
 /// Prints a note with the sensor properties that the weather simulation assumes.
 void print_sensor_properties_assumed_for_weather(const Weather& weather);
 

@@ -91,8 +91,9 @@ std::vector<double> parse_pose_row(const std::string& line, std::size_t expected
         throw DataError(fmt::format("{}: found '{}', expected 8 numbers: time_s x y z qw qx qy qz",
                                     error_location, shorten_for_error_message(line)));
     if (!std::all_of(v->begin(), v->end(), [](double value) { return std::abs(value) <= kLargestOfTrack; }))
-        throw DataError(fmt::format("{}: found '{}', expected finite numbers of at most {}", error_location,
-                                    shorten_for_error_message(line), kLargestOfTrack));
+        throw DataError(fmt::format("{}: found '{}', expected finite numbers of at most {}{}", error_location,
+                                    shorten_for_error_message(line), kLargestOfTrack,
+                                    v->front() > kLargestOfTrack ? ", and a time in seconds" : ""));
     return *v;
 }
 
@@ -179,11 +180,11 @@ std::vector<PoseInterpretation> list_possible_pose_conventions(const PoseRows& p
     std::vector<PoseInterpretation> readings;
     if (pose_rows.rows[0].size() == 8) {
         const std::string named = "columns in the order of the header line";
-        readings.push_back({pose_rows.has_names ? named : "qw qx qy qz",
+        readings.push_back({pose_rows.has_names ? named : kScalarFirst,
                             make_pose_track_of_rows(
                                 pose_rows, [](const Row& r) { return glm::dquat(r[4], r[5], r[6], r[7]); })});
         if (!pose_rows.has_names)
-            readings.push_back({"qx qy qz qw", make_pose_track_of_rows(pose_rows, [](const Row& r) {
+            readings.push_back({kScalarLast, make_pose_track_of_rows(pose_rows, [](const Row& r) {
                                     return glm::dquat(r[7], r[4], r[5], r[6]);
                                 })});
     } else {
@@ -197,17 +198,38 @@ std::vector<PoseInterpretation> list_possible_pose_conventions(const PoseRows& p
     return append_inverse_interpretations(std::move(readings));
 }
 
-/// Returns a hint if poses would cover all times after a shift by leap seconds. Otherwise
-/// returns an empty text.
-std::string describe_clock_hint(const PoseTrack& track, double first_frame_s, double last_frame_s) {
+/// Returns a hint to the probable cause if poses do not cover the frames: another unit, leap
+/// seconds or another clock.
+std::string describe_clock_difference(const PoseTrack& track,
+                                      const std::vector<SequenceHeaderFrame>& frames) {
+    // maximum relative difference of equal times or durations in different units
+    constexpr double kSame = 0.3;
+    const double pose_span_s = track.time_s.back() - track.time_s.front(),
+                 frame_span_s = frames.back().time_s - frames.front().time_s;
+    double per_second = 1.0;
+    for (const char* unit : {"milliseconds", "microseconds", "nanoseconds"}) {
+        per_second *= 1000.0;
+        const auto is_longer = [&](double longer_s, double shorter_s) {
+            return shorter_s > 0.0 && std::abs(longer_s / per_second / shorter_s - 1.0) < kSame;
+        };
+        const bool is_pose = is_longer(pose_span_s, frame_span_s);
+        if (is_pose || is_longer(frame_span_s, pose_span_s))
+            return fmt::format("; the times of the {} seem to be in {}, expected seconds",
+                               is_pose ? "poses" : "frames", unit);
+    }
     for (const auto& [leap_s, cause] :
          {std::pair(37, "TAI minus UTC"), {18, "GPS time minus UTC"}, {19, "TAI minus GPS time"}})
         for (const int shift_s : {leap_s, -leap_s})
-            if (first_frame_s >= track.time_s.front() - shift_s - kMostBeyond_s &&
-                last_frame_s <= track.time_s.back() - shift_s + kMostBeyond_s)
+            if (frames.front().time_s >= track.time_s.front() - shift_s - kMostBeyond_s &&
+                frames.back().time_s <= track.time_s.back() - shift_s + kMostBeyond_s)
                 return fmt::format("; {} s {}, they would cover all frames ({} is {} s)", leap_s,
                                    shift_s > 0 ? "earlier" : "later", cause, leap_s);
-    return "";
+    if (std::ranges::any_of(frames, [&](const auto& f) { return track.contains_time(f.time_s); })) return "";
+    return "; poses and frames must have the same clock: write the times of the scans to the key \"frames\" "
+           "of "
+           "sequence.json instead of \"rate_hz\", with which the first scan has the time 0, or subtract the "
+           "time "
+           "of the first scan from the times of the poses";
 }
 
 std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,
@@ -220,7 +242,7 @@ std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,
             throw DataError(fmt::format(
                 "{}: found poses from {} to {} s, but frame {} is at {} s, expected poses for all frames{}",
                 file_name, track.time_s.front(), track.time_s.back(), frame.number, frame.time_s,
-                describe_clock_hint(track, frames.front().time_s, frames.back().time_s)));
+                describe_clock_difference(track, frames)));
         poses.push_back(track.interpolate_pose(frame.time_s));
     }
     return poses;
@@ -302,10 +324,11 @@ std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
         const std::vector<PoseInterpretation> readings = list_possible_pose_conventions(rows);
         // Only relidar writes these column names. The meaning of the numbers is therefore
         // certain.
-        if (rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos)
-            return interpolate_poses_at_frames(readings[0].world_from_vehicle, frames, pose_file.string());
-        const std::size_t k =
-            choose_pose_interpretation(readings, read_scan_pairs_for_pose_check, pose_file.string(), notes);
+        const bool is_certain = rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos;
+        const std::size_t k = is_certain
+                                  ? 0
+                                  : choose_pose_interpretation(readings, read_scan_pairs_for_pose_check,
+                                                               pose_file.string(), notes);
         add_note_if_poses_are_sparse(readings[k].world_from_vehicle, frames, pose_file.string(), notes);
         return interpolate_poses_at_frames(readings[k].world_from_vehicle, frames, pose_file.string());
     }

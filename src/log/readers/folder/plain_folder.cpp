@@ -11,6 +11,7 @@
 #include "log/clouds/folder_head.hpp"
 #include "log/clouds/folder_points.hpp"
 #include "log/clouds/log_files.hpp"
+#include "log/clouds/scan_npz.hpp"
 
 namespace relidar {
 namespace {
@@ -47,22 +48,40 @@ std::vector<SequenceHeaderFrame> select_requested_frames(const folder::SequenceH
     return frames;
 }
 
+/// Returns the points of an image file in the frame of the LiDAR.
+std::vector<glm::vec3> read_points_of_image(const folder::SequenceHeader& sequence_header,
+                                            const SequenceHeaderFrame& frame) {
+    folder::SequenceHeader header = sequence_header;
+    header.units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
+    const folder::SequenceHeaderLidar& lidar = header.lidars[std::size_t(frame.lidar)];
+    const folder::ScanImageContext context{header, lidar, lidar.lidar, frame.time_s};
+    const Scan scan = frame.scan.extension() == ".exr" ? folder::read_scan_exr(frame.scan, context)
+                                                       : folder::read_scan_npz(frame.scan, context);
+    std::vector<glm::vec3> points;
+    for (std::size_t i = 0; i < scan.range_m.size(); ++i)
+        if (scan.range_m[i] > 0.0f) points.push_back(scan.compute_return_point_in_sensor_frame(i));
+    return points;
+}
+
 /// Reads pairs of consecutive scans of the first LiDAR, evenly spread over the log. Skips
-/// image files and unreadable files.
+/// unreadable files.
 folder::OverlapScanPairs read_consecutive_scan_pairs(const folder::SequenceHeader& sequence_header,
                                                      const std::vector<SequenceHeaderFrame>& frames) {
     constexpr std::size_t kPairs = 4;
     folder::OverlapScanPairs pairs;
     std::vector<const SequenceHeaderFrame*> of_first;
     for (const SequenceHeaderFrame& frame : frames)
-        if (frame.lidar == 0 && folder::is_point_file(frame.scan)) of_first.push_back(&frame);
+        if (frame.lidar == 0) of_first.push_back(&frame);
     const Pose& mounting = sequence_header.lidars[0].lidar.vehicle_from_sensor;
-    const auto read = [&](const SequenceHeaderFrame& frame) {
+    const auto read_points = [&](const SequenceHeaderFrame& frame) {
+        if (folder::is_image_file(frame.scan)) return read_points_of_image(sequence_header, frame);
         const folder::PointTable table = folder::read_point_file(frame.scan, sequence_header.units.columns);
         folder::PointFileUnits units = sequence_header.units;
         units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
-        std::vector<glm::vec3> points =
-            folder::convert_table_to_points(table, units, frame.time_s, frame.scan.string()).position_m;
+        return folder::convert_table_to_points(table, units, frame.time_s, frame.scan.string()).position_m;
+    };
+    const auto read = [&](const SequenceHeaderFrame& frame) {
+        std::vector<glm::vec3> points = read_points(frame);
         for (glm::vec3& p : points) p = glm::vec3(mounting * glm::dvec3(p));
         return points;
     };

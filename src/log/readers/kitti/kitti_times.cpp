@@ -57,6 +57,11 @@ std::int64_t parse_date_time_ns(const std::string& line, const std::string& erro
 /// Reads one time from each line. Returns nothing for an empty line.
 /// @throws DataError if no line contains a time
 std::vector<std::optional<std::int64_t>> read_timestamps_ns(const fs::path& file) {
+    if (!does_path_exist(file))
+        throw DataError(
+            fmt::format("{}: no such file, expected one time per frame; copy the file from the "
+                        "download of the dataset",
+                        file.string()));
     const std::vector<std::string> lines = split_lines(read_text_file(file));
     std::vector<std::optional<std::int64_t>> time_ns(lines.size());
     bool any = false;

@@ -19,6 +19,7 @@
 
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
+#include "log/clouds/box_conventions.hpp"
 #include "log/readers/argoverse2/argoverse2_log.hpp"
 #include "log/readers/kitti/kitti_drive.hpp"
 
@@ -255,6 +256,7 @@ TEST_F(Argoverse2Real, BoxesHoldPoints) {
         }
     }
     ASSERT_EQ(log_.boxes.size(), 81u);
+    EXPECT_EQ(folder::describe_box_fault(log_), "");
     std::size_t n_near_boxes = 0, n_empty_boxes = 0;
     for (const BoxTrack& box : log_.boxes) {
         const auto count = [&](const std::vector<glm::dvec3>& cloud, const glm::dvec3& shift) {

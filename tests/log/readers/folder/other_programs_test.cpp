@@ -184,6 +184,41 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
     expect("", backwards);
 }
 
+TEST(OtherPrograms, TheScansDecideTheOrderOfQuaternions) {
+    // The street is driven in four directions, forward and backward. The mounting of the
+    // LiDAR says where the front of the vehicle is.
+    const PointLog log("orders", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
+    const PoseTrack& truth = log.street.world_from_vehicle;
+    for (const bool is_backward : {false, true}) {
+        const Pose front{is_backward ? glm::dquat(0, 0, 0, 1) : glm::dquat(1, 0, 0, 0), {}};
+        test::write_text(log.folder / "sequence.json",
+                         fmt::format(
+                             R"({{"format": "relidar log", "version": 1, "rate_hz": 10,
+                     "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{{"vehicle_from_sensor":
+                     {{"translation": [0, 0, 0], "quaternion": [{}, 0, 0, {}]}}}}]}})",
+                             front.rotation.w, front.rotation.z));
+        for (const double heading_deg : {0.0, 90.0, 180.0, 270.0})
+            for (const bool is_scalar_last : {false, true}) {
+                const Pose turned{make_rotation(heading_deg * kPi / 180.0, 0, 0), {}};
+                std::string text;
+                for (double t_s = -1.0; t_s < 1.55; t_s += 0.1) {
+                    const auto& [q, t] = turned * truth.interpolate_pose(t_s) * front;
+                    text += fmt::format("{} {} {} {}", t_s, t.x, t.y, t.z);
+                    text += is_scalar_last ? fmt::format(" {} {} {} {}\n", q.x, q.y, q.z, q.w)
+                                           : fmt::format(" {} {} {} {}\n", q.w, q.x, q.y, q.z);
+                }
+                test::write_text(log.folder / "poses.txt", text);
+                const LidarSequence sequence = load_sequence(log.folder.string(), {});
+                const Pose off =
+                    inverse(turned * truth.pose[2] * front) * sequence.world_from_vehicle.pose[2];
+                EXPECT_GT(std::abs(off.rotation.w), 1.0 - 1e-9)
+                    << heading_deg << " degrees, backward " << is_backward << ", w last " << is_scalar_last;
+                EXPECT_EQ(testing::Value(sequence.notes, testing::Contains(testing::HasSubstr("poses.txt"))),
+                          is_scalar_last);
+            }
+    }
+}
+
 TEST(OtherPrograms, PosesWithoutTimesAreRefused) {
     const PointLog log("untimed", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
     std::string text;

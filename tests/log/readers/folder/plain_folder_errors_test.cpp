@@ -175,6 +175,13 @@ TEST_F(FolderDamage, OfPosesAndBoxes) {
     expect("poses.txt", "5 0 0 0 1 0 0 0\n6 0 0 0 1 0 0 0\n", "5 to 6 s ... frame 0 ... 0 s");
     expect("poses.txt", "# time_s x y z qw qx qy yaw\n0 0 0 0 1 0 0 0\n",
            "poses.txt line 1: column 'yaw' ... unknown");
+    // seconds since 1970 for a folder with "rate_hz", and two wrong units
+    expect("poses.txt", "1700000005 0 0 0 1 0 0 0\n1700000006 0 0 0 1 0 0 0\n",
+           "frame 0 is at 0 s ... same clock ... \"frames\" ... \"rate_hz\"");
+    expect("poses.txt", "1700000005000000000 0 0 0 1 0 0 0\n", "time in seconds");
+    put("poses.txt", "0 0 0 0 1 0 0 0\n0.1 0 0 0 1 0 0 0\n");
+    expect("sequence.json", replace_text(head, "10", "0.01"), "frames seem to be in milliseconds");
+    put("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n");
     expect("poses.txt", "time_s x y z qw qx qy\n", "poses.txt line 1 ... 'qz' ... missing");
     const std::string good = test::read_text(folder / "boxes.json");
     expect("boxes.json", good.substr(0, 30), "boxes.json ... JSON");
@@ -283,13 +290,15 @@ TEST_F(FolderDamage, PosesMayBeSeparatedByCommas) {
 }
 
 TEST_F(FolderDamage, PoseTimesInWrongUnitAreNoted) {
-    const auto load_notes = [&](double step_s) {
-        put("poses.txt",
-            fmt::format("0 0 0 0 1 0 0 0\n{} 1 0 0 1 0 0 0\n{} 2 0 0 1 0 0 0\n", step_s, 2.0 * step_s));
+    const auto load_notes = [&](double step_s, const char* header = "") {
+        put("poses.txt", header + fmt::format("0 0 0 0 1 0 0 0\n{} 1 0 0 1 0 0 0\n{} 2 0 0 1 0 0 0\n", step_s,
+                                              2.0 * step_s));
         return fmt::format("{}", fmt::join(load_sequence("folder:" + folder.string(), {}).notes, "; "));
     };
     EXPECT_THAT(load_notes(0.1), testing::Not(test::Names("poses are ... apart")));
-    EXPECT_THAT(load_notes(100.0), test::Names("poses are 100 s apart, but scans are 0.1 s apart"));
+    for (const char* header : {"", "# time_s x y z qw qx qy qz\n"})
+        EXPECT_THAT(load_notes(100.0, header),
+                    test::Names("poses are 100 s apart, but scans are 0.1 s apart"));
 }
 
 TEST_F(FolderDamage, DamagedPosesThatAreNotUsedAreNoError) {

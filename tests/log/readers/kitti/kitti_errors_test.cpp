@@ -57,7 +57,7 @@ TEST(KittiErrors, MissingFoldersAndFiles) {
     write_text(drive.file("oxts/data/nan.txt"), "");  // belongs to no frame
     expect_data_error(drive, {"oxts/data: the OXTS files"});
     fs::remove(drive.file("velodyne_points/timestamps_end.txt"));
-    expect_data_error(drive, {"timestamps_end.txt: no such file"});
+    expect_data_error(drive, {"timestamps_end.txt: no such file ... copy the file"});
     fs::remove_all(drive.file("velodyne_points/data"));
     expect_data_error(drive, {"velodyne_points/data: no such folder", "expected KITTI raw scans"});
     fs::create_directories(drive.file("velodyne_points/data"));

@@ -1,0 +1,21 @@
+// SPDX-License-Identifier: Apache-2.0
+// Declares the search for boxes that belong to the vehicle itself or that follow another
+// convention.
+#pragma once
+
+#include <string>
+
+#include <relidar/log/sequence.hpp>
+
+namespace relidar::folder {
+
+/// Removes the boxes that contain a LiDAR or the vehicle's origin in nearly all their
+/// poses, and adds a note. Trackers and simulators label the recording vehicle itself.
+void remove_boxes_of_vehicle(LidarSequence& sequence);
+
+/// Returns the probable fault of the boxes, with the evidence. Compares the points in the
+/// boxes with the points in boxes of other conventions, and the motion of the boxes with
+/// their longer side. Returns an empty text if no other convention is clearly better.
+std::string describe_box_fault(const LidarSequence& sequence);
+
+}  // namespace relidar::folder
