@@ -2,8 +2,8 @@
 // Writes and parses the header of a .npy file in numpy's format, for example:
 //   {'descr': '<f4', 'fortran_order': False, 'shape': (66, 1030), }
 //
-// Accepts only the types that NamedArray supports. Rejects big-endian numbers, Fortran
-// order, structs and objects, each with a separate message.
+// Accepts only the types that NamedArray supports. Rejects big-endian numbers, structs and
+// objects, each with a separate message.
 #include "npy.hpp"
 
 #include <charconv>
@@ -125,6 +125,20 @@ std::string parse_little_endian_numpy_type(const std::string& numpy_type_with_by
     return std::string(type);
 }
 
+/// Reorders the values of an array in Fortran order, in which the first index varies
+/// fastest.
+void convert_to_row_major_order(NamedArray& array) {
+    const std::size_t size = get_element_size_bytes(array.dtype), n_dimensions = array.shape.size();
+    const std::vector<std::byte> column_major = array.bytes;
+    std::vector<std::size_t> index(n_dimensions, 0);
+    for (std::size_t to = 0; to < array.bytes.size(); to += size) {
+        std::size_t from = 0;
+        for (std::size_t d = n_dimensions; d-- > 0;) from = from * array.shape[d] + index[d];
+        std::memcpy(array.bytes.data() + to, column_major.data() + from * size, size);
+        for (std::size_t d = n_dimensions; d-- > 0 && ++index[d] == array.shape[d];) index[d] = 0;
+    }
+}
+
 }  // namespace
 
 std::string make_npy_header(const NamedArray& array) {
@@ -165,14 +179,13 @@ NamedArray parse_npy(const std::string& array_name, const std::vector<std::byte>
     NpyHeaderParser header({reinterpret_cast<const char*>(bytes.data()) + start, length});
     header.parse_header();
     NamedArray array{array_name, parse_little_endian_numpy_type(*header.descr), *header.shape, {}};
-    if (*header.fortran_order)
-        throw DataError("the values are in Fortran (column-major) order, expected row-major");
     const auto n_expected_bytes = compute_array_size_bytes(array.shape, get_element_size_bytes(array.dtype));
     const std::size_t n_value_bytes = bytes.size() - start - length;
     if (!n_expected_bytes || *n_expected_bytes != n_value_bytes)
         throw DataError(
             fmt::format("the {} bytes of values do not fit the shape of the array", n_value_bytes));
     array.bytes.assign(bytes.end() - std::ptrdiff_t(n_value_bytes), bytes.end());
+    if (*header.fortran_order) convert_to_row_major_order(array);
     return array;
 }
 

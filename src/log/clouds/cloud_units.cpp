@@ -7,6 +7,8 @@
 
 #include <fmt/format.h>
 
+#include "log/clouds/point_times.hpp"
+
 namespace relidar::bag {
 namespace {
 
@@ -15,6 +17,10 @@ namespace {
 constexpr double kLeastSpan = 0.05, kMostSpan = 3.0;
 // Maximum difference between the time of a point and the time stamp of its cloud message.
 constexpr double kBesideStamp_s = 2.0;
+constexpr double kMostClouds = 0.8;  // minimum share of the clouds that must agree
+// Equal times of all points that can only be in steps above this value, in any unit, were
+// probably times in seconds.
+constexpr double kLargestStep = 16.0;
 
 struct TimeUnit {
     const char* name;
@@ -24,6 +30,7 @@ constexpr std::array<TimeUnit, 4> kTimeUnits = {{{"s", 1.0}, {"ms", 1e-3}, {"us"
 
 struct TimeRange {
     double first, last, stamp_s;
+    double resolution = 0.0;  ///< see find_time_resolution()
 };
 
 /// Returns the times of the first and the last point of each cloud. Skips clouds without
@@ -41,27 +48,59 @@ std::vector<TimeRange> list_point_time_ranges(const std::vector<folder::PointTab
                         range.last = std::max(range.last, t);
                     }
             });
+        range.resolution = folder::find_time_resolution(clouds[c]);
         if (range.first <= range.last) ranges.push_back(range);
     }
     return ranges;
 }
 
+/// Returns true if point times advance from cloud to cloud like the stamps of the clouds.
+bool do_times_follow_stamps(const std::vector<TimeRange>& ranges, double time_unit_s) {
+    std::size_t n_like_stamps = 0;
+    for (std::size_t k = 1; k < ranges.size(); ++k) {
+        const double step_s = ranges[k].stamp_s - ranges[k - 1].stamp_s,
+                     time_step_s = time_unit_s * (ranges[k].first - ranges[k - 1].first);
+        n_like_stamps += std::abs(time_step_s - step_s) < 0.5 * std::abs(step_s);
+    }
+    return 2 * n_like_stamps + 1 > ranges.size();
+}
+
 PointTimeReference find_reference_of_point_times(const std::vector<TimeRange>& time_ranges,
                                                  double time_unit_s) {
-    const auto all = [&](auto test) { return std::ranges::all_of(time_ranges, test); };
+    // Some of the clouds can have wrong times.
+    const auto most = [&](auto test) {
+        return double(std::ranges::count_if(time_ranges, test)) >= kMostClouds * double(time_ranges.size());
+    };
     const auto are_times_close = [&](double first, double second) {
         return std::abs(first - second) <= kBesideStamp_s;
     };
-    if (all([&](const TimeRange& r) {
+    if (most([&](const TimeRange& r) {
             return are_times_close(r.first * time_unit_s, 0.0) && are_times_close(r.last * time_unit_s, 0.0);
-        }))
+        }) &&
+        !do_times_follow_stamps(time_ranges, time_unit_s))
         return PointTimeReference::stamp;
-    if (all([&](const TimeRange& r) {
+    if (most([&](const TimeRange& r) {
             return are_times_close(r.first * time_unit_s, r.stamp_s) &&
                    are_times_close(r.last * time_unit_s, r.stamp_s);
         }))
         return PointTimeReference::epoch;
     return PointTimeReference::sensor_clock;
+}
+
+/// Returns true if the times cannot resolve a sweep. Equal times of all points of a cloud
+/// are precise if they are close to the stamps, or if they are small.
+bool have_times_lost_precision(const std::vector<TimeRange>& ranges, double span, double cloud_interval_s) {
+    const TimeRange& cloud = ranges[ranges.size() / 2];
+    if (span > 0.0) return folder::is_coarse_time(cloud.resolution, span);
+    const bool has_coarse_stamps = std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
+        const double resolution_s = cloud.resolution * unit.seconds;
+        return folder::is_coarse_time(resolution_s, cloud_interval_s) &&
+               std::abs(cloud.first * unit.seconds - cloud.stamp_s) < kBesideStamp_s + resolution_s;
+    });
+    const bool is_clock = std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
+        return ranges.size() > 1 && do_times_follow_stamps(ranges, unit.seconds);
+    });
+    return has_coarse_stamps || (!is_clock && cloud.resolution > kLargestStep);
 }
 
 /// Returns a text for the user that says at which moment the times of points are 0.
@@ -74,17 +113,25 @@ const char* describe_point_time_reference(PointTimeReference reference) {
 }
 
 void set_point_time_unit_from_ranges(PointCloudUnits& units, const std::vector<TimeRange>& time_ranges,
-                                     double cloud_interval_s) {
+                                     const std::vector<TimeRange>& signed_ranges, double cloud_interval_s) {
     if (time_ranges.empty()) return;
     std::vector<double> spans;
     for (const TimeRange& r : time_ranges) spans.push_back(r.last - r.first);
     std::ranges::sort(spans);
     const double span = spans[spans.size() / 2];
+    if (have_times_lost_precision(time_ranges, span, cloud_interval_s)) {
+        const TimeRange& cloud = time_ranges[time_ranges.size() / 2];
+        units.about = folder::describe_coarse_times(cloud.last, cloud.resolution);
+        return;
+    }
     units.is_deskewed = spans.back() == 0.0;
     for (const TimeUnit& unit : kTimeUnits) {
         const double turns = span * unit.seconds / cloud_interval_s;
         if (!(turns >= kLeastSpan && turns <= kMostSpan)) continue;
         units.zero = find_reference_of_point_times(time_ranges, unit.seconds);
+        if (units.zero == PointTimeReference::sensor_clock &&
+            find_reference_of_point_times(signed_ranges, unit.seconds) == PointTimeReference::stamp)
+            units.zero = PointTimeReference::stamp;
         units.time_unit_s = unit.seconds;
         units.about = fmt::format(
             "the times of points are read in {}; {}; a cloud lasts {:.1f} ms from its first to its last "
@@ -107,7 +154,10 @@ PointCloudUnits estimate_time_and_intensity_units(const std::vector<folder::Poin
                                                   const std::vector<double>& cloud_stamps_s,
                                                   double cloud_interval_s) {
     PointCloudUnits units;
-    set_point_time_unit_from_ranges(units, list_point_time_ranges(clouds, cloud_stamps_s), cloud_interval_s);
+    std::vector<folder::PointTable> signed_clouds = clouds;
+    std::ranges::for_each(signed_clouds, folder::restore_negative_offsets);
+    set_point_time_unit_from_ranges(units, list_point_time_ranges(clouds, cloud_stamps_s),
+                                    list_point_time_ranges(signed_clouds, cloud_stamps_s), cloud_interval_s);
     units.meaning = folder::interpret_point_fields(clouds);
     return units;
 }

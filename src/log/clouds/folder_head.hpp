@@ -12,6 +12,7 @@
 #include <relidar/log/dataset.hpp>
 
 #include "log/clouds/pose_conventions.hpp"
+#include "log/clouds/return_pairs.hpp"
 
 namespace relidar::folder {
 
@@ -39,7 +40,9 @@ struct PointFileUnits {
     std::string intensity_field = {};
     /// Position that marks a ray without a return. Points with NaN also mark such rays.
     std::optional<glm::vec3> no_return = {};
-    double time_zero = 0.0;  ///< value of the point time at the time 0 s, in the unit of the file
+    UnnumberedReturns returns = {};
+    bool ignore_times = false;  ///< true if the times of the points have lost their precision
+    double time_zero = 0.0;     ///< value of the point time at the time 0 s, in the unit of the file
 };
 
 /// A LiDAR that sequence.json describes.

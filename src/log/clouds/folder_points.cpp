@@ -14,6 +14,7 @@
 
 #include "base/median.hpp"
 #include "log/clouds/dropped_ray.hpp"
+#include "log/clouds/point_times.hpp"
 #include "log/clouds/scan_npz.hpp"
 
 namespace relidar::folder {
@@ -113,6 +114,29 @@ struct PointFieldConverter {
     }
 };
 
+/// Converts the times of points. If fewer than half of them are invalid, these get the
+/// longest offset, so that read_scans() removes their points.
+/// @throws DataError if most times are invalid
+void convert_times(LidarPoints& points, const PointFieldConverter& convert, PointTable table,
+                   const PointFileUnits& units, double frame_time_s) {
+    if (!units.absolute_times) restore_negative_offsets(table);
+    std::size_t n_invalid = 0;
+    const std::string of_point;
+    const auto convert_all = [&](bool is_strict) {
+        convert.convert_field_into(
+            points.time_offset_s, table.find_field(PointAttribute::time), [&](double value) {
+                const auto offset_s = float((value - units.time_zero) * units.time_unit_s -
+                                            (units.absolute_times ? frame_time_s : 0.0));
+                if (std::abs(offset_s) <= kMaxTimeOffset_s) return offset_s;
+                ++n_invalid;
+                if (is_strict) convert_point_time_to_frame_offset_s(value, units, frame_time_s, of_point);
+                return std::copysign(kMaxTimeOffset_s, offset_s);
+            });
+    };
+    convert_all(false);
+    if (2 * n_invalid > points.time_offset_s.size()) convert_all(true);
+}
+
 /// Returns the number that a file uses for first returns: 1 if the file counts from 1,
 /// otherwise 0. Every file has first returns, so this is the smallest number.
 double find_number_used_for_first_returns(const PointFieldView& return_numbers, std::size_t n_points) {
@@ -181,6 +205,9 @@ LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnit
     LidarPoints points;
     PointFieldConverter convert{{}, error_location};
     std::tie(convert.selected_indices, points.position_m) = select_return_points(table, {x, y, z}, units);
+    if (units.returns.exist)
+        points.return_number = number_returns(table, units.returns, units.intensity_field,
+                                              convert.selected_indices, points.position_m);
     for (std::size_t k = 0; k < convert.selected_indices.size(); ++k) {
         const glm::vec3 p = glm::abs(points.position_m[k]);
         if (std::max({p.x, p.y, p.z}) <= kFarthestCoordinate_m) continue;
@@ -197,10 +224,7 @@ LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnit
     });
     convert.convert_field_into(points.ring, table.find_field(PointAttribute::ring),
                                [&](double value) { return convert_ring_number(value, of_point); });
-    convert.convert_field_into(
-        points.time_offset_s, table.find_field(PointAttribute::time), [&](double value) {
-            return convert_point_time_to_frame_offset_s(value, units, frame_time_s, of_point);
-        });
+    if (!units.ignore_times) convert_times(points, convert, table, units, frame_time_s);
     const auto *number = table.find_field(PointAttribute::return_number),
                *type = table.find_field(PointAttribute::return_type);
     if (number) {

@@ -21,6 +21,7 @@
 #include "log/clouds/folder_points.hpp"
 #include "log/clouds/head_spins.hpp"
 #include "log/clouds/missing_units.hpp"
+#include "log/clouds/point_times.hpp"
 #include "log/clouds/scan_npz.hpp"
 #include "log/clouds/thinned_cloud.hpp"
 
@@ -61,7 +62,8 @@ struct ScanConversionPlan {
     bool ordered = false;
     /// true if the points in the files have ring numbers; true if they have times
     bool has_rings = false, has_times = false;
-    bool undo = false;  ///< true: motion compensation is undone
+    bool undo = false;                   ///< true: motion compensation is undone
+    double longest_offset_s = INFINITY;  ///< largest plausible distance of a time from the median time
     /// [rings] beam of each ring number in the files; kNoBeam: points of this ring are
     /// ignored
     std::vector<std::uint16_t> beam_of_ring;
@@ -75,13 +77,14 @@ class FolderScanProvider : public ScanProvider {
 public:
     FolderScanProvider(const LidarSequence& sequence, const SequenceHeader& head,
                        const std::vector<fs::path>& files)
-        : sequence_(sequence), head_(head), files_(files) {}
+        : sequence_(sequence), head_(head), files_(files), has_npz_points_(has_npz_points(files)) {}
 
     std::string get_frame_name(std::size_t frame_index) const override {
         return files_[frame_index].string();
     }
     bool is_stored_as_points(std::size_t frame_index) const override {
-        return !is_image_file(files_[frame_index]);
+        return !is_image_file(files_[frame_index]) ||
+               (has_npz_points_ && files_[frame_index].extension() == ".npz");
     }
     LidarPoints read_points_of_frame(std::size_t frame_index) const override {
         const PointTable table = read_point_file(files_[frame_index], head_.units.columns);
@@ -101,6 +104,7 @@ private:
     const LidarSequence& sequence_;
     const SequenceHeader& head_;
     const std::vector<fs::path>& files_;
+    const bool has_npz_points_;
 };
 
 class FolderScanReader {
@@ -115,6 +119,7 @@ public:
           plans_(head.lidars.size()),
           left_out_(sequence.frames.size(), 0),
           n_first_(sequence.frames.size(), 0),
+          n_late_(sequence.frames.size(), 0),
           behind_(sequence.frames.size(), 0) {}
 
     void determine_sensor_of_each_lidar() {
@@ -147,6 +152,7 @@ public:
         const auto sample = samples_.find(frame_index);
         LidarPoints points =
             sample == samples_.end() ? read_points(frame_index, plan.undo) : std::move(sample->second);
+        n_late_[frame_index] += remove_points_of_wrong_time(points, plan.longest_offset_s);
         const bool has_points = points.size() > 0;
         if (has_points &&
             (plan.has_rings == points.ring.empty() || plan.has_times == points.time_offset_s.empty()))
@@ -173,6 +179,13 @@ public:
         if (const std::size_t n = std::reduce(left_out_.begin(), left_out_.end()); n > 0)
             add_note_once(fmt::format(
                 "{} points are skipped, because the fitted sensor has no beam for their rings", n));
+        if (const auto worst = std::ranges::max_element(n_late_); worst != n_late_.end() && *worst > 0)
+            add_note_once(fmt::format(
+                "{} points of {} scans are skipped, because their times are outside the sweep of their scan, "
+                "most of them in frame {}",
+                std::reduce(n_late_.begin(), n_late_.end()),
+                std::ranges::count_if(n_late_, [](std::size_t n) { return n > 0; }),
+                sequence_.frames[std::size_t(worst - n_late_.begin())].index));
         for (std::size_t l = 0; l < plans_.size(); ++l) {
             std::size_t n = 0, all = 0;
             for (std::size_t i = 0; i < behind_.size(); ++i) {
@@ -205,6 +218,7 @@ private:
     std::map<std::size_t, LidarPoints> samples_;
     std::vector<std::size_t> left_out_;  ///< [frames] number of ignored points
     std::vector<std::size_t> n_first_;   ///< [frames] number of first returns
+    std::vector<std::size_t> n_late_;    ///< [frames] number of points with a wrong time
     /// [frames] number of points that are skipped, because their ray has a nearer point
     std::vector<std::size_t> behind_;
 
@@ -246,6 +260,15 @@ private:
             return head_.lidars[lidar_index].sweep_duration_s;
         const double step_s = find_median_frame_step_s(lidar_index).value_or(kUsualPeriod_s);
         return step_s > kLongestPeriod_s ? step_s / std::round(step_s / kUsualPeriod_s) : step_s;
+    }
+
+    /// Returns how far the time of a point can be from the median time of its scan.
+    double estimate_longest_offset_s(std::size_t lidar_index, const std::vector<LidarPoints>& samples) const {
+        constexpr double kMargin = 1.5;
+        std::vector<double> spans_s;
+        for (const LidarPoints& points : samples) spans_s.push_back(estimate_sweep_span_s(points));
+        const double span_s = spans_s.empty() ? 0.0 : compute_median(std::move(spans_s));
+        return kMargin * std::max(span_s, get_or_estimate_sweep_duration_s(lidar_index));
     }
 
     /// Adds a note if the points of a scan were measured in a time that does not fit the
@@ -299,6 +322,9 @@ private:
             broken_.note_broken_scans_or_throw_if_all_broken(sequence_, broken_.size());
             add_note_once(lidar_index, "no scan has a point with finite coordinates");
         }
+        plan.longest_offset_s = estimate_longest_offset_s(lidar_index, samples);
+        for (std::size_t k = 0; k < samples.size(); ++k)
+            n_late_[of_sample[k]] = remove_points_of_wrong_time(samples[k], plan.longest_offset_s);
         plan.has_rings = samples.empty() || !samples[0].ring.empty();
         plan.has_times = samples.empty() || !samples[0].time_offset_s.empty();
         plan.undo = head_.motion_compensated && has_poses_ && plan.has_times;

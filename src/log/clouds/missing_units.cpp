@@ -9,6 +9,7 @@
 
 #include "log/clouds/folder_points.hpp"
 #include "log/clouds/point_meaning.hpp"
+#include "log/clouds/point_times.hpp"
 #include "log/clouds/scan_npz.hpp"
 
 namespace relidar::folder {
@@ -20,8 +21,9 @@ namespace fs = std::filesystem;
 /// Their errors are reported when all scans are read.
 std::vector<PointTable> read_sample_tables(const std::vector<fs::path>& scan_files,
                                            const std::vector<std::string>& column_names) {
-    std::vector<fs::path> with_points;
-    std::ranges::copy_if(scan_files, std::back_inserter(with_points), is_point_file);
+    std::vector<fs::path> with_points = scan_files;
+    if (!has_npz_points(scan_files))
+        std::erase_if(with_points, [](const fs::path& file) { return !is_point_file(file); });
     std::vector<PointTable> samples;
     const std::size_t n = std::min(kSampleScans, with_points.size());
     for (std::size_t k = 0; k < n; ++k) {
@@ -34,23 +36,45 @@ std::vector<PointTable> read_sample_tables(const std::vector<fs::path>& scan_fil
     return samples;
 }
 
-/// Estimates the intensity scale of a log from a few of its .npz files.
-IntensityScale estimate_image_intensity_scale(const std::vector<fs::path>& scan_files) {
+/// Reads the arrays "intensity" and "time" of a few .npz files with rays.
+std::vector<PointTable> read_sample_images(const std::vector<fs::path>& scan_files) {
     std::vector<fs::path> images;
     std::ranges::copy_if(scan_files, std::back_inserter(images),
                          [](const fs::path& file) { return file.extension() == ".npz"; });
-    std::vector<double> intensities;
+    std::vector<PointTable> samples;
     const std::size_t n = std::min(kSampleScans, images.size());
     for (std::size_t k = 0; k < n; ++k) {
         try {
             const std::vector<NamedArray> arrays = read_npz(images[k * images.size() / n]);
-            if (const NamedArray* array = find_array(arrays, "intensity"))
-                std::ranges::copy(array->convert_to_doubles(), std::back_inserter(intensities));
+            PointTable& table = samples.emplace_back(arrays.empty() ? 0 : arrays[0].count_array_elements());
+            for (const char* name : {"intensity", "time"})
+                if (const NamedArray* array = find_array(arrays, name);
+                    array && array->count_array_elements() == table.n)
+                    table.add_value_field(name, ScalarType::f8, array->convert_to_doubles(), "");
         } catch (const DataError&) {
             continue;  // the error is reported when the scan is read
         }
     }
-    return estimate_intensity_scale(intensities);
+    return samples;
+}
+
+/// Ignores the times of the points, with a note, if they have lost their precision.
+void ignore_coarse_times(SequenceHeader& head, const std::vector<PointTable>& samples,
+                         std::vector<std::string>& notes) {
+    constexpr double kSweep_s = 0.1;
+    for (const PointTable& cloud : samples) {
+        const PointFieldView* times = cloud.find_field(PointAttribute::time);
+        const double resolution = find_time_resolution(cloud);
+        if (!times || head.units.ignore_times) continue;
+        double first = (*times)[0], last = first;
+        for (std::size_t i = 1; i < cloud.n; ++i) {
+            first = std::min(first, (*times)[i]);
+            last = std::max(last, (*times)[i]);
+        }
+        const double span = last > first ? last - first : kSweep_s / head.units.time_unit_s;
+        head.units.ignore_times = is_coarse_time(resolution, span);
+        if (head.units.ignore_times) notes.push_back(describe_coarse_times(last, resolution));
+    }
 }
 
 }  // namespace
@@ -59,10 +83,19 @@ void estimate_missing_point_units(SequenceHeader& sequence_header, const std::ve
                                   std::vector<std::string>& notes) {
     const std::vector<PointTable> samples = read_sample_tables(scan_files, sequence_header.units.columns);
     PointFieldSemantics meaning = interpret_point_fields(samples);
-    if (samples.empty() && !sequence_header.units.intensity_max)
-        meaning.scale = estimate_image_intensity_scale(scan_files);
+    ignore_coarse_times(sequence_header, samples, notes);
+    if (samples.empty()) {
+        const std::vector<PointTable> images = read_sample_images(scan_files);
+        ignore_coarse_times(sequence_header, images, notes);
+        std::vector<double> intensities;
+        for (const PointTable& image : images)
+            if (const PointFieldView* field = image.find_field("intensity"))
+                for (std::size_t i = 0; i < image.n; ++i) intensities.push_back((*field)[i]);
+        if (!sequence_header.units.intensity_max) meaning.scale = estimate_intensity_scale(intensities);
+    }
     sequence_header.units.intensity_field = meaning.intensity_field;
     sequence_header.units.no_return = meaning.no_return;
+    sequence_header.units.returns = meaning.returns;
     std::erase(meaning.notes, meaning.scale.about);
     if (!sequence_header.units.intensity_max && meaning.scale.is_sure && meaning.scale.max > 1.0) {
         sequence_header.units.intensity_max = meaning.scale.max;

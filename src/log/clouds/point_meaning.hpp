@@ -10,6 +10,7 @@
 #include <glm/glm.hpp>
 
 #include "log/clouds/point_table.hpp"
+#include "log/clouds/return_pairs.hpp"
 
 namespace relidar::folder {
 
@@ -29,6 +30,7 @@ struct PointFieldSemantics {
     IntensityScale scale;
     /// Position that marks a ray without a return. Points with NaN also mark such rays.
     std::optional<glm::vec3> no_return;
+    UnnumberedReturns returns;
     std::vector<std::string> notes;  ///< texts for the user about each assumption
 };
 /// Finds out which field contains intensities, how they are scaled, and how dropped rays

@@ -17,6 +17,7 @@ namespace {
 constexpr std::size_t kMostPcdFields = 256, kMostBytes = 65536;  // limits per point
 // Three bytes of LZF data decompress to at most this many bytes.
 constexpr std::size_t kMostExpansion = 264;
+constexpr std::size_t kMostPadding = 64;  // maximum size of the padding in a point, in bytes
 
 struct PcdHeader {
     std::vector<std::string> names;
@@ -95,7 +96,7 @@ std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::stri
     std::vector<PointField> fields;
     double record = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
-        if (header.counts[i] < 1.0)
+        if (header.counts[i] < 1.0 && is_known_point_field(header.names[i]))
             throw DataError(fmt::format("{}: COUNT of the field '{}' is 0, expected at least 1",
                                         error_location, shorten_for_error_message(header.names[i])));
         record += header.sizes[i] * header.counts[i];
@@ -106,6 +107,32 @@ std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::stri
         throw DataError(fmt::format("{}: a point has {} bytes (SIZE and COUNT), expected at most {}",
                                     error_location, record, kMostBytes));
     return fields;
+}
+
+/// Decides which fields with COUNT 0 exist. Some programs write COUNT 0 for padding that
+/// the file does not have, other programs for padding that it has.
+/// @param record  values per point (text) or bytes per point that the file has
+void resolve_empty_fields(std::vector<PointField>& fields, std::size_t record, bool is_text,
+                          const std::string& error_location) {
+    std::size_t known = 0, of_empty = 0, n_empty = 0;
+    for (const PointField& field : fields) {
+        known += (is_text ? 1 : field.size) * field.count;
+        n_empty += field.count == 0;
+        of_empty += field.count == 0 ? (is_text ? 1 : field.size) : 0;
+    }
+    const std::size_t more = record - std::min(known, record), missing = more > kMostPadding ? 0 : more;
+    const bool has_one_value_each = missing == of_empty;
+    if (n_empty > 1 && missing > 0 && !has_one_value_each)
+        throw DataError(
+            fmt::format("{}: {} fields have COUNT 0, and a point has {} more {} than the other fields, "
+                        "expected 0 or {} more",
+                        error_location, n_empty, missing, is_text ? "values" : "bytes", of_empty));
+    std::erase_if(fields, [&](PointField& field) {
+        if (field.count > 0) return false;
+        if (has_one_value_each) field.count = 1;
+        else field = {std::string(kPadding), 'U', 1, missing};
+        return missing == 0;
+    });
 }
 
 [[noreturn]] void throw_damaged_lzf_error(const std::string& error_location) {
@@ -172,16 +199,25 @@ std::string decompress_pcd_points(std::string_view compressed_data, const std::s
 
 PointTable parse_pcd_points(const SharedBytes& file, const std::string& error_location) {
     const PcdHeader header = parse_pcd_header(file.bytes, error_location);
-    const std::vector<PointField> fields = list_pcd_fields(header, error_location);
+    std::vector<PointField> fields = list_pcd_fields(header, error_location);
     const std::string_view data = file.bytes.substr(header.length);
     const std::size_t n = std::size_t(header.points);
-    if (header.data == "ascii") return parse_point_lines(data, fields, n, error_location);
-    if (header.data == "binary")
+    require_valid_point_count(n, error_location);
+    if (header.data == "ascii") {
+        resolve_empty_fields(fields, split_words(data.substr(0, data.find('\n'))).size(), true,
+                             error_location);
+        return parse_point_lines(data, fields, n, error_location);
+    }
+    if (header.data == "binary") {
+        resolve_empty_fields(fields, data.size() / n, false, error_location);
         return make_table_of_binary_points(file.make_shared_subview(data), fields, n,
                                            PointMemoryLayout::by_point, error_location);
-    if (header.data == "binary_compressed")
-        return make_table_of_binary_points(make_shared_bytes(decompress_pcd_points(data, error_location)),
-                                           fields, n, PointMemoryLayout::by_field, error_location);
+    }
+    if (header.data == "binary_compressed") {
+        const SharedBytes points = make_shared_bytes(decompress_pcd_points(data, error_location));
+        resolve_empty_fields(fields, points.bytes.size() / n, false, error_location);
+        return make_table_of_binary_points(points, fields, n, PointMemoryLayout::by_field, error_location);
+    }
     throw DataError(fmt::format("{}: found DATA '{}', expected ascii, binary or binary_compressed",
                                 error_location, shorten_for_error_message(header.data)));
 }

@@ -16,6 +16,7 @@
 
 #include "base/files.hpp"
 #include "log/clouds/other_formats.hpp"
+#include "log/clouds/point_times.hpp"
 
 namespace relidar::folder {
 namespace {
@@ -115,11 +116,33 @@ ScalarType get_field_number_type(const PointField& field, const std::string& err
                     shorten_for_error_message(std::string(1, field.kind)), field.size));
 }
 
+/// Returns true if a file contains the points of an HDL-32E as the dataset NCLT stores
+/// them. The number of the laser is the highest byte of the second float32 otherwise.
+bool is_nclt_packed_file(std::string_view bytes) {
+    constexpr std::size_t kRecord = 8, kMostLasers = 32, kMostTested = 1000;
+    const std::size_t n = std::min(bytes.size() / kRecord, kMostTested);
+    std::size_t n_not_zero = 0;
+    for (std::size_t i = 0; i < n; ++i) {
+        const auto laser = static_cast<unsigned char>(bytes[i * kRecord + 7]);
+        if (laser >= kMostLasers) return false;
+        n_not_zero += laser > 0;
+    }
+    return bytes.size() % kRecord == 0 && 2 * n_not_zero > n;
+}
+
 PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::string>& column_names) {
     const SharedBytes data = make_shared_bytes(read_file(bin_file));
     const std::size_t n_bytes = data.bytes.size();
     std::vector<PointField> fields;
     for (const std::string& column : column_names) fields.push_back({column, 'F', sizeof(float)});
+    if (is_nclt_packed_file(data.bytes))
+        throw DataError(fmt::format(
+            "{}: found points of the dataset NCLT (velodyne_sync): uint16 x, y, z, uint8 intensity, uint8 "
+            "laser; expected float32 values; convert x, y and z to metres (value * 0.005 - 100), negate y "
+            "and "
+            "z, and name the columns in sequence.json: \"columns\": [\"x\", \"y\", \"z\", \"intensity\", "
+            "\"ring\"]",
+            bin_file.string()));
     const std::size_t record = fields.size() * sizeof(float);
     if (n_bytes % record != 0)
         throw DataError(
@@ -134,18 +157,10 @@ PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::
     return table;
 }
 
-PointTable read_npy_points(const fs::path& file, const std::vector<std::string>& column_names) {
-    if (const SharedBytes bytes = make_shared_bytes(read_file(file)); is_structured_npy(bytes.bytes))
-        return parse_structured_npy_points(bytes, file.string());
-    NamedArray array = read_npy(file);
-    if (array.shape.size() != 2 || array.shape[1] != column_names.size())
-        throw DataError(fmt::format(
-            "{}: found an array of {} dimensions{}, expected the shape [points, {}] with the columns {}; set "
-            "\"columns\" in sequence.json to the columns of the array",
-            file.string(), array.shape.size(),
-            array.shape.empty() ? "" : fmt::format(", whose last dimension is {}", array.shape.back()),
-            column_names.size(), fmt::join(column_names, ", ")));
-    require_valid_point_count(array.shape[0], file.string());
+/// Adds the columns of an array [points, columns] to a table with the same number of
+/// points. Adds only columns that relidar reads.
+void add_array_columns(PointTable& table, NamedArray array, const std::vector<std::string>& column_names,
+                       const std::string& error_location) {
     const auto* type_row = std::ranges::find(kNumberTypes, array.dtype, &ScalarTypeEntry::numpy);
     if (type_row == std::end(kNumberTypes) ||
         array.bytes.size() != array.count_array_elements() * type_row->size) {
@@ -154,7 +169,6 @@ PointTable read_npy_points(const fs::path& file, const std::vector<std::string>&
         type_row = std::ranges::find(kNumberTypes, ScalarType::f8, &ScalarTypeEntry::type);
     }
     const auto memory = std::make_shared<const std::vector<std::byte>>(std::move(array.bytes));
-    PointTable table(array.shape[0]);
     table.keep_memory_alive(memory);
     const auto* first = reinterpret_cast<const char*>(memory->data());
     for (std::size_t c = 0; c < column_names.size(); ++c)
@@ -162,7 +176,56 @@ PointTable read_npy_points(const fs::path& file, const std::vector<std::string>&
             table.add_value_field(
                 column_names[c],
                 {type_row->type, first + c * type_row->size, column_names.size() * type_row->size},
-                file.string());
+                error_location);
+}
+
+PointTable make_table_of_array(NamedArray array, const std::vector<std::string>& column_names,
+                               const std::string& error_location) {
+    if (array.shape.size() != 2 || array.shape[1] != column_names.size())
+        throw DataError(fmt::format(
+            "{}: found an array of {} dimensions{}, expected the shape [points, {}] with the columns {}; set "
+            "\"columns\" in sequence.json to the columns of the array",
+            error_location, array.shape.size(),
+            array.shape.empty() ? "" : fmt::format(", whose last dimension is {}", array.shape.back()),
+            column_names.size(), fmt::join(column_names, ", ")));
+    require_valid_point_count(array.shape[0], error_location);
+    PointTable table(array.shape[0]);
+    add_array_columns(table, std::move(array), column_names, error_location);
+    return table;
+}
+
+PointTable read_npy_points(const fs::path& file, const std::vector<std::string>& column_names) {
+    if (const SharedBytes bytes = make_shared_bytes(read_file(file)); is_structured_npy(bytes.bytes))
+        return parse_structured_npy_points(bytes, file.string());
+    return make_table_of_array(read_npy(file), column_names, file.string());
+}
+
+const NamedArray* find_point_array(const std::vector<NamedArray>& arrays) {
+    for (const char* name : {"points", "xyz", "point_cloud", "pointcloud", "arr_0"})
+        if (const NamedArray* array = find_array(arrays, name); array && array->shape.size() >= 2)
+            return array;
+    return nullptr;
+}
+
+/// Reads an array "points" whose last dimension is the columns, and further arrays with a
+/// value per point.
+PointTable read_npz_points(const fs::path& file, const std::vector<std::string>& column_names) {
+    const std::vector<NamedArray> arrays = read_npz(file);
+    const NamedArray* found = find_point_array(arrays);
+    if (!found)
+        throw DataError(
+            fmt::format("{}: the array 'points' is missing, expected it in every scan file", file.string()));
+    NamedArray points = *found;
+    const std::size_t width = points.shape.back();
+    points.shape = {width == 0 ? 0 : points.count_array_elements() / width, width};
+    std::vector<std::string> columns = column_names;
+    if (columns.empty()) columns = {"x", "y", "z", "intensity"};
+    if (column_names.empty() && width == 3) columns.pop_back();
+    PointTable table = make_table_of_array(std::move(points), columns, file.string());
+    for (const NamedArray& array : arrays)
+        if (&array != found && is_known_point_field(array.name) && !table.find_field(array.name) &&
+            array.count_array_elements() == table.n)
+            add_array_columns(table, array, {array.name}, file.string());
     return table;
 }
 
@@ -311,13 +374,12 @@ PointTable read_point_file_with_header(const fs::path& file,
     return table;
 }
 
-}  // namespace
-
-PointTable read_point_file(const fs::path& file, const std::vector<std::string>& column_names) {
+PointTable read_points_of_format(const fs::path& file, const std::vector<std::string>& column_names) {
     static const std::vector<std::string> kKitti = {"x", "y", "z", "intensity"};
     const std::string ending = file.extension().string();
     if (ending == ".bin") return read_float32_points(file, column_names.empty() ? kKitti : column_names);
     if (ending == ".npy") return read_npy_points(file, column_names.empty() ? kKitti : column_names);
+    if (ending == ".npz") return read_npz_points(file, column_names);
     if (ending == ".pcd") return read_point_file_with_header(file, parse_pcd_points);
     if (ending == ".ply") return read_point_file_with_header(file, parse_ply_points);
     if (ending == ".las") return parse_las_points(make_shared_bytes(read_file(file)), file.string());
@@ -329,6 +391,31 @@ PointTable read_point_file(const fs::path& file, const std::vector<std::string>&
         fmt::format("{}: found the file name ending '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, "
                     ".las, .csv or .xyz",
                     file.string(), shorten_for_error_message(ending)));
+}
+
+}  // namespace
+
+bool has_npz_points(const std::vector<fs::path>& scan_files) {
+    const auto file = std::ranges::find(scan_files, ".npz", [](const fs::path& f) { return f.extension(); });
+    std::vector<NamedArray> arrays;
+    try {
+        if (file != scan_files.end()) arrays = read_npz(*file);
+    } catch (const DataError&) {
+        return false;  // the error is reported when the scan is read
+    }
+    if (arrays.empty() || find_array(arrays, "range")) return false;
+    if (find_point_array(arrays)) return true;
+    std::vector<std::string> names;
+    for (const NamedArray& array : arrays) names.push_back(array.name);
+    throw DataError(
+        fmt::format("{}: found the arrays {}; expected 'range' and 'directions' (rays), or 'points'",
+                    file->string(), fmt::join(names, ", ")));
+}
+
+PointTable read_point_file(const fs::path& file, const std::vector<std::string>& column_names) {
+    PointTable table = read_points_of_format(file, column_names);
+    unwrap_point_times(table);
+    return table;
 }
 
 }  // namespace relidar::folder

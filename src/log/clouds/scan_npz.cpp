@@ -15,7 +15,6 @@
 namespace relidar::folder {
 namespace {
 
-constexpr double kLongestOffset_s = 10.0;
 constexpr std::size_t kMostReturns = 8;
 
 /// The named arrays of a scan file. Each array has one entry per ray of the range image.
@@ -163,7 +162,7 @@ void set_ray_fields_that_exist(const ScanNpzArrays& arrays, const ScanImageConte
                                RayTable& rays) {
     const PointFileUnits& units = image_context.head.units;
     const std::size_t n = rays.size();
-    if (arrays.find_optional_array("time")) {
+    if (arrays.find_optional_array("time") && !units.ignore_times) {
         const std::vector<double> time = arrays.get_ray_values("time", 1);
         for (std::size_t i = 0; i < n; ++i)
             rays.time_offset_s[i] = convert_point_time_to_frame_offset_s(
@@ -226,12 +225,12 @@ float convert_point_time_to_frame_offset_s(double file_value, const PointFileUni
                                            double frame_time_s, const std::string& error_location) {
     const double offset_s =
         (file_value - units.time_zero) * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
-    if (!(std::abs(offset_s) <= kLongestOffset_s))
+    if (!(std::abs(offset_s) <= kMaxTimeOffset_s))
         throw DataError(
             fmt::format("{}: the time {} is {} s away from the time of the frame, expected at most {} s; "
                         "check the unit and the start of the times of points (\"time_unit\" and "
                         "\"point_times\" in sequence.json)",
-                        error_location, file_value, offset_s, kLongestOffset_s));
+                        error_location, file_value, offset_s, kMaxTimeOffset_s));
     return float(offset_s);
 }
 

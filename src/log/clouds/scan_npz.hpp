@@ -55,6 +55,9 @@ void require_deskewing_declared_in_header(bool are_points_deskewed, const Sequen
 /// contains no maximum intensity
 float normalise_file_intensity(double file_value, const PointFileUnits& units,
                                const std::string& error_location);
+/// No sweep is longer, and no point is farther in time from its frame.
+inline constexpr float kMaxTimeOffset_s = 10.0f;
+
 /// Converts a point time from a file to seconds relative to the time of the frame.
 /// @throws DataError if the result is longer than any sweep can be
 float convert_point_time_to_frame_offset_s(double file_value, const PointFileUnits& units,

@@ -117,6 +117,7 @@ public:
                          const std::vector<double>& head_rad)
         : points_(points), sensor_(sensor), sweep_(sweep), head_rad_(head_rad) {
         firing_of.reserve(points.size());
+        column_of_.reserve(points.size());
         if (points.firing.empty())
             nearest_ = find_nearest_firing_per_tick(sweep.firings, sweep.lattice.n_ticks);
         get_or_add_point_indices_of_return(0);
@@ -129,6 +130,8 @@ public:
     std::vector<int> firing_of;
 
 private:
+    std::vector<int> column_of_;  ///< [points] firing whose ray has the point; kEmpty: no ray
+
     const LidarPoints& points_;
     const SpinningSensor& sensor_;
     const SweepFirings& sweep_;
@@ -153,14 +156,28 @@ private:
             nearest_[std::size_t(sweep_.lattice.find_nearest_encoder_tick(head_rad_[point_index]))]);
     }
 
+    /// Returns the firing of the previous point if this point is the next return of its
+    /// ray. A near return can have another azimuth, because beams start beside the centre.
+    int find_firing_of_earlier_return(std::size_t i) const {
+        const std::size_t number = get_zero_based_return_number(points_, i);
+        const bool follows =
+            i > 0 && number > 0 && points_.firing.empty() && points_.ring[i] == points_.ring[i - 1] &&
+            get_zero_based_return_number(points_, i - 1) + 1 == number &&
+            (points_.time_offset_s.empty() || points_.time_offset_s[i] == points_.time_offset_s[i - 1]);
+        return follows ? column_of_[i - 1] : kEmpty;
+    }
+
     void assign_point_to_ray(std::size_t point_index) {
         const std::size_t ring = points_.ring[point_index], n = sweep_.firings.size(),
                           number = get_zero_based_return_number(points_, point_index);
+        const int earlier = find_firing_of_earlier_return(point_index);
+        column_of_.push_back(kEmpty);
         const double range = compute_point_range(static_cast<int>(point_index));
         firing_of.push_back(kEmpty);
         if (range > sensor_.max_range_m || range < kLeastRange_m) return;
-        const std::size_t firing =
+        std::size_t firing =
             points_.firing.empty() ? find_nearest_firing(point_index) : points_.firing[point_index];
+        if (earlier != kEmpty) firing = std::size_t(earlier);
         firing_of.back() = static_cast<int>(firing);
         RayPointIndices& cells = get_or_add_point_indices_of_return(number);
         int point = static_cast<int>(point_index);
@@ -170,10 +187,13 @@ private:
             // return (number > 0) can only use the ray of its measured firing.
             if (cells.get_point_index(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
             std::swap(cells.get_point_index(ring, f), point);
+            column_of_.back() = static_cast<int>(f);
             break;
         }
-        if (point != kEmpty && range < compute_point_range(cells.get_point_index(ring, firing)))
+        if (point != kEmpty && range < compute_point_range(cells.get_point_index(ring, firing))) {
             cells.get_point_index(ring, firing) = point;
+            column_of_.back() = static_cast<int>(firing);
+        }
     }
 
     /// Assigns a point beyond the sensor's maximum range to its ray, if the ray has no

@@ -8,6 +8,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "log/clouds/point_times.hpp"
 #include "log/readers/bag/packets/packet_messages.hpp"
 
 namespace relidar::bag {
@@ -30,7 +31,9 @@ folder::PointTable read_cloud_as_point_table(const BagRecording& bag, const Clou
                                              const MessagePosition& location) {
     const BagTopic& topic = bag.topics()[cloud_topic.topic];
     const SharedBytes message = bag.read_message_bytes(topic, location);
-    return make_point_table(read_cloud_of_message(topic, message.bytes), message);
+    folder::PointTable table = make_point_table(read_cloud_of_message(topic, message.bytes), message);
+    folder::unwrap_point_times(table);
+    return table;
 }
 
 }  // namespace
@@ -90,6 +93,7 @@ LidarPoints BagScanProvider::read_points_of_cloud(std::size_t frame_index, const
     folder::PointTable table = read_or_reuse_point_table(frame_index, cloud.message_position);
     if (units.zero == PointTimeReference::none)
         table.remove_fields_with_attribute(folder::PointAttribute::time);
+    if (units.zero == PointTimeReference::stamp) folder::restore_negative_offsets(table);
     // zero_s: time of the frame in seconds, on the clock that the point times use. It is
     // (time of the frame - time of the cloud) + time of the cloud on that clock.
     double zero_s = at.time_s - cloud_time_s;
@@ -101,7 +105,8 @@ LidarPoints BagScanProvider::read_points_of_cloud(std::size_t frame_index, const
                                              .time_unit_s = units.time_unit_s,
                                              .absolute_times = true,
                                              .intensity_field = units.meaning.intensity_field,
-                                             .no_return = units.meaning.no_return};
+                                             .no_return = units.meaning.no_return,
+                                             .returns = units.meaning.returns};
     LidarPoints points =
         folder::convert_table_to_points(table, point_units, zero_s, get_frame_name(frame_index));
     if (!deskewed_by_) return points;

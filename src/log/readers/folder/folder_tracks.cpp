@@ -226,10 +226,8 @@ std::string describe_clock_difference(const PoseTrack& track,
                                    shift_s > 0 ? "earlier" : "later", cause, leap_s);
     if (std::ranges::any_of(frames, [&](const auto& f) { return track.contains_time(f.time_s); })) return "";
     return "; poses and frames must have the same clock: write the times of the scans to the key \"frames\" "
-           "of "
-           "sequence.json instead of \"rate_hz\", with which the first scan has the time 0, or subtract the "
-           "time "
-           "of the first scan from the times of the poses";
+           "of sequence.json instead of \"rate_hz\", with which the first scan has the time 0, or subtract "
+           "the time of the first scan from the times of the poses";
 }
 
 std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,

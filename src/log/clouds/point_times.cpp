@@ -1,0 +1,179 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/clouds/point_times.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <type_traits>
+
+#include <fmt/format.h>
+
+#include <relidar/base/math.hpp>
+
+#include "base/median.hpp"
+
+namespace relidar::folder {
+namespace {
+
+// Periods of counters: 16 and 32 bits, a second, an hour and a week. A program may have
+// multiplied the counter by a power of 1000.
+constexpr std::array kPeriods = {65536.0, 4294967296.0, 4294967.296, 4294.967296, 4.294967296, 1.0,     1e3,
+                                 1e6,     1e9,          3600.0,      3.6e6,       3.6e9,       604800.0};
+constexpr std::array kFloatPeriods = {4294967296.0, 4294967.296, 4294.967296, 4.294967296};
+// A counter overflows in a cloud if its times span nearly a period, and if they leave out
+// more than half of the period.
+constexpr double kLeastSpan = 0.9, kLeastPause = 0.5;
+// Times in the last part of the period of a counter can be negative offsets.
+constexpr double kLastPart = 15.0 / 16.0;
+// A larger azimuth step is no rotation of the head, but a jump to another column.
+constexpr double kLargestStep_rad = 0.2;
+
+/// Returns true if a counter with this period overflows in the cloud. Sets `limit` to a
+/// value below the times before the overflow and above the other times.
+template <class TimeAt>
+bool is_period_of_times(const TimeAt& time_at, std::size_t n, std::array<double, 2> range, double period,
+                        double& limit) {
+    const auto [first, last] = range;
+    if (period == 1.0 && std::is_integral_v<decltype(time_at(0))>) return false;
+    if (last - first < kLeastSpan * period || last - first > period) return false;
+    limit = 0.5 * (first + last);
+    double before = first, after = last;
+    for (std::size_t i = 0; i < n; ++i) {
+        const auto t = double(time_at(i));
+        if (t < limit) before = std::max(before, t);
+        else after = std::min(after, t);
+    }
+    return after - before > kLeastPause * period;
+}
+
+template <class TimeAt>
+std::array<double, 2> find_time_range(const TimeAt& time_at, std::size_t n) {
+    std::array<double, 2> range{std::numeric_limits<double>::infinity(),
+                                -std::numeric_limits<double>::infinity()};
+    for (std::size_t i = 0; i < n; ++i)
+        if (const auto t = double(time_at(i)); std::isfinite(t))
+            range = {std::min(range[0], t), std::max(range[1], t)};
+    return range;
+}
+
+void replace_times(PointTable& table, std::vector<double> times) {
+    if (times.empty()) return;
+    table.remove_fields_with_attribute(PointAttribute::time);
+    table.add_value_field("time", ScalarType::f8, std::move(times), "");
+}
+
+}  // namespace
+
+void unwrap_point_times(PointTable& table) {
+    const PointFieldView* times = table.find_field(PointAttribute::time);
+    std::vector<double> unwrapped;
+    if (times)
+        times->call_with_value_reader([&](const auto& time_at) {
+            const std::array<double, 2> range = find_time_range(time_at, table.n);
+            double limit = 0.0;
+            const auto* const period = std::ranges::find_if(kPeriods, [&](double candidate) {
+                return is_period_of_times(time_at, table.n, range, candidate, limit);
+            });
+            for (std::size_t i = 0; period != kPeriods.end() && i < table.n; ++i)
+                unwrapped.push_back(double(time_at(i)) - (double(time_at(i)) >= limit ? *period : 0.0));
+        });
+    replace_times(table, std::move(unwrapped));
+}
+
+void restore_negative_offsets(PointTable& table) {
+    const PointFieldView* times = table.find_field(PointAttribute::time);
+    std::vector<double> offsets;
+    if (times)
+        times->call_with_value_reader([&](const auto& time_at) {
+            using Number = decltype(time_at(0));
+            const auto [first, last] = find_time_range(time_at, table.n);
+            for (const double period : kPeriods) {
+                const bool is_counter = std::is_floating_point_v<Number>
+                                            ? std::ranges::find(kFloatPeriods, period) != kFloatPeriods.end()
+                                            : period == std::ldexp(1.0, 8 * sizeof(Number));
+                if (!offsets.empty() || !is_counter || first < kLastPart * period || last >= period) continue;
+                for (std::size_t i = 0; i < table.n; ++i) offsets.push_back(double(time_at(i)) - period);
+            }
+        });
+    replace_times(table, std::move(offsets));
+}
+
+double find_time_resolution(const PointTable& table) {
+    constexpr double kLeastEpoch_s = 1e9;
+    const PointFieldView* times = table.find_field(PointAttribute::time);
+    double resolution = 0.0;
+    if (times)
+        times->call_with_value_reader([&](const auto& time_at) {
+            bool is_float = true, is_whole = true;
+            const auto [first, last] = find_time_range(time_at, table.n);
+            for (std::size_t i = 0; i < table.n; ++i) {
+                const auto t = double(time_at(i));
+                is_float = is_float && (!std::isfinite(t) || double(float(t)) == t);
+                is_whole = is_whole && (!std::isfinite(t) || std::round(t) == t);
+            }
+            const float largest = float(std::max(std::abs(first), std::abs(last)));
+            if (is_float) resolution = double(std::nextafter(largest, INFINITY)) - double(largest);
+            if (is_whole && first > kLeastEpoch_s && last < 4.0 * kLeastEpoch_s)
+                resolution = std::max(resolution, 1.0);
+        });
+    return resolution;
+}
+
+std::string describe_coarse_times(double time, double resolution) {
+    return fmt::format(
+        "the times of points are ignored, because they have lost their precision: near {:.10g}, their "
+        "smallest step is {:.3g}; expected 64-bit numbers, or times relative to the scan",
+        time, resolution);
+}
+
+std::string describe_reversed_times(const PointTable& table) {
+    const PointFieldView *times = table.find_field(PointAttribute::time), *x = table.find_field("x"),
+                         *y = table.find_field("y");
+    if (!times || !x || !y || table.n < 2) return "";
+    double up = 0.0, down = 0.0, turned_rad = 0.0;
+    for (std::size_t i = 1; i < table.n; ++i) {
+        const double step = (*times)[i] - (*times)[i - 1];
+        (step > 0.0 ? up : down) += std::abs(step);
+        const double turn_rad =
+            std::remainder(std::atan2((*y)[i], (*x)[i]) - std::atan2((*y)[i - 1], (*x)[i - 1]), 2.0 * kPi);
+        if (std::abs(turn_rad) < kLargestStep_rad) turned_rad += turn_rad;
+    }
+    if (!(down > 0.0) || up > 0.1 * down || turned_rad > -kPi) return "";
+    return "the times of the points probably have the wrong sign: they decrease from point to point, and the "
+           "LiDAR would turn counterclockwise; expected times that increase while the LiDAR turns";
+}
+
+double estimate_sweep_span_s(const LidarPoints& points) {
+    constexpr double kOuter = 0.1;
+    std::vector<float> times_s = points.time_offset_s;
+    if (times_s.empty()) return 0.0;
+    std::ranges::sort(times_s);
+    const auto outer = std::size_t(kOuter * double(times_s.size() - 1));
+    return double(times_s[times_s.size() - 1 - outer] - times_s[outer]) / (1.0 - 2.0 * kOuter);
+}
+
+std::size_t remove_points_of_wrong_time(LidarPoints& points, double limit_s) {
+    const std::size_t n = points.time_offset_s.size();
+    if (n == 0) return 0;
+    const auto [first, last] = std::ranges::minmax(points.time_offset_s);
+    if (double(last) - double(first) <= limit_s) return 0;
+    const double middle_s = double(compute_median(points.time_offset_s));
+    std::vector<bool> is_kept;
+    for (const float t_s : points.time_offset_s)
+        is_kept.push_back(std::abs(double(t_s) - middle_s) <= limit_s);
+    const auto keep = [&](auto& values) {
+        std::size_t kept = 0;
+        for (std::size_t i = 0; i < values.size(); ++i)
+            if (is_kept[i]) values[kept++] = values[i];
+        values.resize(kept);
+    };
+    keep(points.position_m);
+    keep(points.intensity);
+    keep(points.ring);
+    keep(points.return_number);
+    keep(points.time_offset_s);
+    return n - points.size();
+}
+
+}  // namespace relidar::folder

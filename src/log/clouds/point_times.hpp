@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+// Finds and repairs point times that a driver or a file format has damaged.
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include <relidar/log/points.hpp>
+
+#include "log/clouds/point_table.hpp"
+
+namespace relidar::folder {
+
+/// Makes the times of a cloud continuous if their counter overflows in this cloud.
+/// Subtracts the period of the counter from the times before the overflow.
+void unwrap_point_times(PointTable& table);
+
+/// Makes offsets negative if the file stores small negative offsets of all points of a
+/// cloud as large unsigned numbers.
+void restore_negative_offsets(PointTable& table);
+
+/// Returns the distance between neighbouring values that the times of a cloud can have,
+/// in the unit of the file. Detects numbers that were once 32-bit floats, and whole
+/// seconds since 1970. Returns 0 for other numbers.
+double find_time_resolution(const PointTable& table);
+/// Returns true if the resolution is too coarse for times that span `span`.
+inline bool is_coarse_time(double resolution, double span) {
+    constexpr double kFineStep = 1e-4;  // precise, even if the unit is seconds
+    return resolution > kFineStep && resolution > 0.05 * span;
+}
+/// Returns a note that times are ignored, because they have lost their precision.
+std::string describe_coarse_times(double time, double resolution);
+
+/// Returns a note if times decrease from point to point while the azimuths show a
+/// clockwise sensor. Otherwise returns an empty text.
+std::string describe_reversed_times(const PointTable& table);
+
+/// Returns the time between the first and the last point, without the outermost tenths of
+/// the points, extrapolated to all points.
+double estimate_sweep_span_s(const LidarPoints& points);
+
+/// Removes points whose times differ from the median time by more than `limit_s`. Adds
+/// the largest of these differences to `largest_s`.
+/// @return number of removed points
+std::size_t remove_points_of_wrong_time(LidarPoints& points, double limit_s);
+
+}  // namespace relidar::folder
