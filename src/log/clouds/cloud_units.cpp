@@ -38,19 +38,10 @@ struct TimeRange {
 std::vector<TimeRange> list_point_time_ranges(const std::vector<folder::PointTable>& clouds,
                                               const std::vector<double>& cloud_stamps_s) {
     std::vector<TimeRange> ranges;
-    for (std::size_t c = 0; c < clouds.size(); ++c) {
-        TimeRange range{INFINITY, -INFINITY, cloud_stamps_s[c]};
-        if (const folder::PointFieldView* times = clouds[c].find_field(folder::PointAttribute::time))
-            times->call_with_value_reader([&](const auto& time_at) {
-                for (std::size_t i = 0; i < clouds[c].n; ++i)
-                    if (const auto t = double(time_at(i)); std::isfinite(t)) {
-                        range.first = std::min(range.first, t);
-                        range.last = std::max(range.last, t);
-                    }
-            });
-        range.resolution = folder::find_time_resolution(clouds[c]);
-        if (range.first <= range.last) ranges.push_back(range);
-    }
+    for (std::size_t c = 0; c < clouds.size(); ++c)
+        if (const auto range = folder::find_time_range(clouds[c]))
+            ranges.push_back(
+                {(*range)[0], (*range)[1], cloud_stamps_s[c], folder::find_time_resolution(clouds[c])});
     return ranges;
 }
 
@@ -100,7 +91,11 @@ bool have_times_lost_precision(const std::vector<TimeRange>& ranges, double span
     const bool is_clock = std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
         return ranges.size() > 1 && do_times_follow_stamps(ranges, unit.seconds);
     });
-    return has_coarse_stamps || (!is_clock && cloud.resolution > kLargestStep);
+    const bool is_constant = std::ranges::all_of(
+        ranges, [&](const TimeRange& range) { return range.first == ranges.front().first; });
+    return has_coarse_stamps ||
+           (!is_clock && (cloud.resolution > kLargestStep ||
+                          (!is_constant && folder::is_coarse_time(cloud.resolution, cloud_interval_s))));
 }
 
 /// Returns a text for the user that says at which moment the times of points are 0.

@@ -41,8 +41,9 @@ struct PointFileUnits {
     /// Position that marks a ray without a return. Points with NaN also mark such rays.
     std::optional<glm::vec3> no_return = {};
     UnnumberedReturns returns = {};
-    bool ignore_times = false;  ///< true if the times of the points have lost their precision
-    double time_zero = 0.0;     ///< value of the point time at the time 0 s, in the unit of the file
+    bool ignore_times = false;      ///< true if the times of the points have lost their precision
+    bool skip_wrong_times = false;  ///< true: skips points with wrong times; false: throws
+    double time_zero = 0.0;         ///< value of the point time at the time 0 s, in the unit of the file
 };
 
 /// A LiDAR that sequence.json describes.

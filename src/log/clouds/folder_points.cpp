@@ -114,27 +114,23 @@ struct PointFieldConverter {
     }
 };
 
-/// Converts the times of points. If fewer than half of them are invalid, these get the
-/// longest offset, so that read_scans() removes their points.
-/// @throws DataError if most times are invalid
+/// Converts the times of points. With units.skip_wrong_times, a wrong time becomes the
+/// longest offset, so that read_scans() removes its point.
+/// @throws DataError otherwise, and if most times are wrong
 void convert_times(LidarPoints& points, const PointFieldConverter& convert, PointTable table,
                    const PointFileUnits& units, double frame_time_s) {
     if (!units.absolute_times) restore_negative_offsets(table);
-    std::size_t n_invalid = 0;
+    std::size_t n_wrong = 0;
     const std::string of_point;
-    const auto convert_all = [&](bool is_strict) {
-        convert.convert_field_into(
-            points.time_offset_s, table.find_field(PointAttribute::time), [&](double value) {
-                const auto offset_s = float((value - units.time_zero) * units.time_unit_s -
-                                            (units.absolute_times ? frame_time_s : 0.0));
-                if (std::abs(offset_s) <= kMaxTimeOffset_s) return offset_s;
-                ++n_invalid;
-                if (is_strict) convert_point_time_to_frame_offset_s(value, units, frame_time_s, of_point);
-                return std::copysign(kMaxTimeOffset_s, offset_s);
-            });
-    };
-    convert_all(false);
-    if (2 * n_invalid > points.time_offset_s.size()) convert_all(true);
+    convert.convert_field_into(
+        points.time_offset_s, table.find_field(PointAttribute::time), [&](double value) {
+            try {
+                return convert_point_time_to_frame_offset_s(value, units, frame_time_s, of_point);
+            } catch (const DataError&) {
+                if (!units.skip_wrong_times || 2 * ++n_wrong > convert.selected_indices.size()) throw;
+                return kMaxTimeOffset_s;
+            }
+        });
 }
 
 /// Returns the number that a file uses for first returns: 1 if the file counts from 1,

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <complex>
 #include <set>
 #include <string>
 #include <vector>
@@ -54,6 +55,7 @@ constexpr const char* kEqualNote = "all intensities of the log are ";
 constexpr const char* kBoxNote = "the boxes are probably wrong: ";
 constexpr const char* kUnitNote = "the unit of the times is probably wrong: ";
 constexpr const char* kFloatNote = "the positions of the vehicle have lost their precision: ";
+constexpr const char* kRotationNote = "the direction of rotation is probably wrong: ";
 
 /// Returns " of LiDAR 'NAME'", or an empty text if the LiDAR has no name.
 std::string format_of_lidar(const Lidar& lidar) {
@@ -242,6 +244,41 @@ void add_notes_about_intensities(LidarSequence& sequence, const std::vector<Retu
             sequence.notes.push_back(note);
 }
 
+/// Adds a note if the times of the rays show that the head of a spinning LiDAR turns
+/// against the direction of its sensor. Compares |mean of exp(i (azimuth -+ 2 pi t / period))|,
+/// which is 1 for the direction in which the head turns.
+void add_note_about_rotation(LidarSequence& sequence, std::size_t lidar_index) {
+    constexpr double kLeastFit = 0.9, kLargestMisfit = 0.6;
+    constexpr int kMostScans = 5;
+    const Lidar& lidar = sequence.lidars[lidar_index];
+    if (lidar.pattern || lidar.sensor.beams.empty() || !(lidar.sensor.period_s > 0.0)) return;
+    std::array<double, 2> fit{};  // of the direction of the sensor, and of the other direction
+    int n_scans = 0;
+    for (const LidarFrame& frame : sequence.frames) {
+        if (frame.lidar != int(lidar_index) || frame.scan.count_returns() == 0 || n_scans == kMostScans)
+            continue;
+        ++n_scans;
+        std::array<std::complex<double>, 2> sums{};
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+            if (!(frame.scan.range_m[ray] > 0.0f)) continue;
+            const glm::vec3& d = frame.scan.rays.direction[ray];
+            const double turned_rad = (lidar.sensor.clockwise ? -2.0 : 2.0) * kPi *
+                                      double(frame.scan.rays.time_offset_s[ray]) / lidar.sensor.period_s;
+            sums[0] += std::polar(1.0, std::atan2(double(d.y), double(d.x)) - turned_rad);
+            sums[1] += std::polar(1.0, std::atan2(double(d.y), double(d.x)) + turned_rad);
+        }
+        for (std::size_t k = 0; k < 2; ++k) fit[k] += std::abs(sums[k]) / double(frame.scan.count_returns());
+    }
+    if (n_scans == 0 || fit[1] < kLeastFit * n_scans || fit[0] > kLargestMisfit * n_scans) return;
+    const char *clockwise = "clockwise", *counterclockwise = "counterclockwise";
+    sequence.notes.push_back(
+        kRotationNote +
+        fmt::format("by the times of the points, the head{} turns {}, but its sensor turns {}; check the "
+                    "sign of the times and of y",
+                    format_of_lidar(lidar), lidar.sensor.clockwise ? counterclockwise : clockwise,
+                    lidar.sensor.clockwise ? clockwise : counterclockwise));
+}
+
 void add_notes_about_boxes(LidarSequence& sequence) {
     const PoseTrack& vehicle = sequence.world_from_vehicle;
     std::size_t n_far_in_time = 0;
@@ -272,9 +309,9 @@ void add_notes_about_boxes(LidarSequence& sequence) {
 
 void add_notes_about_implausible_values(LidarSequence& sequence) {
     std::erase_if(sequence.notes, [](const std::string& note) {
-        return std::ranges::any_of(
-            std::array{kSpeedNote, kReturnsNote, kScaleNote, kEqualNote, kBoxNote, kUnitNote, kFloatNote},
-            [&](const char* words) { return note.starts_with(words); });
+        return std::ranges::any_of(std::array{kSpeedNote, kReturnsNote, kScaleNote, kEqualNote, kBoxNote,
+                                              kUnitNote, kFloatNote, kRotationNote},
+                                   [&](const char* words) { return note.starts_with(words); });
     });
     add_note_if_time_unit_is_wrong(sequence);
     if (sequence.has_poses) {
@@ -284,6 +321,7 @@ void add_notes_about_implausible_values(LidarSequence& sequence) {
     const std::vector<ReturnStatistics> by_frame = compute_statistics_of_frames(sequence);
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
         add_note_about_scans_with_few_returns(sequence, by_frame, l);
+    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) add_note_about_rotation(sequence, l);
     add_notes_about_intensities(sequence, by_frame);
     add_notes_about_boxes(sequence);
 }

@@ -63,15 +63,11 @@ void ignore_coarse_times(SequenceHeader& head, const std::vector<PointTable>& sa
                          std::vector<std::string>& notes) {
     constexpr double kSweep_s = 0.1;
     for (const PointTable& cloud : samples) {
-        const PointFieldView* times = cloud.find_field(PointAttribute::time);
-        const double resolution = find_time_resolution(cloud);
-        if (!times || head.units.ignore_times) continue;
-        double first = (*times)[0], last = first;
-        for (std::size_t i = 1; i < cloud.n; ++i) {
-            first = std::min(first, (*times)[i]);
-            last = std::max(last, (*times)[i]);
-        }
-        const double span = last > first ? last - first : kSweep_s / head.units.time_unit_s;
+        const auto range = find_time_range(cloud);
+        if (!range || head.units.ignore_times) continue;
+        const auto [first, last] = *range;
+        const double resolution = find_time_resolution(cloud),
+                     span = last > first ? last - first : kSweep_s / head.units.time_unit_s;
         head.units.ignore_times = is_coarse_time(resolution, span);
         if (head.units.ignore_times) notes.push_back(describe_coarse_times(last, resolution));
     }

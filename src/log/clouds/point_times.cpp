@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 #include <type_traits>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -35,7 +36,6 @@ template <class TimeAt>
 bool is_period_of_times(const TimeAt& time_at, std::size_t n, std::array<double, 2> range, double period,
                         double& limit) {
     const auto [first, last] = range;
-    if (period == 1.0 && std::is_integral_v<decltype(time_at(0))>) return false;
     if (last - first < kLeastSpan * period || last - first > period) return false;
     limit = 0.5 * (first + last);
     double before = first, after = last;
@@ -44,11 +44,11 @@ bool is_period_of_times(const TimeAt& time_at, std::size_t n, std::array<double,
         if (t < limit) before = std::max(before, t);
         else after = std::min(after, t);
     }
-    return after - before > kLeastPause * period;
+    return after - before > kLeastPause * period && after - before < last - first;
 }
 
 template <class TimeAt>
-std::array<double, 2> find_time_range(const TimeAt& time_at, std::size_t n) {
+std::array<double, 2> find_value_range(const TimeAt& time_at, std::size_t n) {
     std::array<double, 2> range{std::numeric_limits<double>::infinity(),
                                 -std::numeric_limits<double>::infinity()};
     for (std::size_t i = 0; i < n; ++i)
@@ -63,14 +63,41 @@ void replace_times(PointTable& table, std::vector<double> times) {
     table.add_value_field("time", ScalarType::f8, std::move(times), "");
 }
 
+/// Returns the span of sorted values without their outermost tenths, extrapolated to all
+/// values, and the index of the last value of the lower tenth.
+template <class Number>
+std::pair<double, std::size_t> estimate_span(const std::vector<Number>& sorted) {
+    constexpr double kOuter = 0.1;
+    const auto outer = std::size_t(kOuter * double(sorted.size() - 1));
+    return {double(sorted[sorted.size() - 1 - outer] - sorted[outer]) / (1.0 - 2.0 * kOuter), outer};
+}
+
 }  // namespace
+
+std::optional<std::array<double, 2>> find_time_range(const PointTable& table) {
+    const PointFieldView* field = table.find_field(PointAttribute::time);
+    std::vector<double> times;
+    if (field)
+        field->call_with_value_reader([&](const auto& time_at) {
+            for (std::size_t i = 0; i < table.n; ++i)
+                if (const auto t = double(time_at(i)); std::isfinite(t)) times.push_back(t);
+        });
+    if (times.empty()) return std::nullopt;
+    std::ranges::sort(times);
+    constexpr double kFar = 10.0;  // points can be in a small part of the sweep
+    const auto [span, outer] = estimate_span(times);
+    if (span == 0.0) return std::array{times.front(), times.back()};
+    return std::array{
+        *std::ranges::lower_bound(times, times[outer] - kFar * span),
+        *std::prev(std::ranges::upper_bound(times, times[times.size() - 1 - outer] + kFar * span))};
+}
 
 void unwrap_point_times(PointTable& table) {
     const PointFieldView* times = table.find_field(PointAttribute::time);
     std::vector<double> unwrapped;
     if (times)
         times->call_with_value_reader([&](const auto& time_at) {
-            const std::array<double, 2> range = find_time_range(time_at, table.n);
+            const std::array<double, 2> range = find_value_range(time_at, table.n);
             double limit = 0.0;
             const auto* const period = std::ranges::find_if(kPeriods, [&](double candidate) {
                 return is_period_of_times(time_at, table.n, range, candidate, limit);
@@ -87,7 +114,7 @@ void restore_negative_offsets(PointTable& table) {
     if (times)
         times->call_with_value_reader([&](const auto& time_at) {
             using Number = decltype(time_at(0));
-            const auto [first, last] = find_time_range(time_at, table.n);
+            const auto [first, last] = find_value_range(time_at, table.n);
             for (const double period : kPeriods) {
                 const bool is_counter = std::is_floating_point_v<Number>
                                             ? std::ranges::find(kFloatPeriods, period) != kFloatPeriods.end()
@@ -106,7 +133,7 @@ double find_time_resolution(const PointTable& table) {
     if (times)
         times->call_with_value_reader([&](const auto& time_at) {
             bool is_float = true, is_whole = true;
-            const auto [first, last] = find_time_range(time_at, table.n);
+            const auto [first, last] = find_value_range(time_at, table.n);
             for (std::size_t i = 0; i < table.n; ++i) {
                 const auto t = double(time_at(i));
                 is_float = is_float && (!std::isfinite(t) || double(float(t)) == t);
@@ -145,12 +172,9 @@ std::string describe_reversed_times(const PointTable& table) {
 }
 
 double estimate_sweep_span_s(const LidarPoints& points) {
-    constexpr double kOuter = 0.1;
     std::vector<float> times_s = points.time_offset_s;
-    if (times_s.empty()) return 0.0;
     std::ranges::sort(times_s);
-    const auto outer = std::size_t(kOuter * double(times_s.size() - 1));
-    return double(times_s[times_s.size() - 1 - outer] - times_s[outer]) / (1.0 - 2.0 * kOuter);
+    return times_s.empty() ? 0.0 : estimate_span(times_s).first;
 }
 
 std::size_t remove_points_of_wrong_time(LidarPoints& points, double limit_s) {

@@ -2,7 +2,9 @@
 // Finds and repairs point times that a driver or a file format has damaged.
 #pragma once
 
+#include <array>
 #include <cstddef>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -11,6 +13,10 @@
 #include "log/clouds/point_table.hpp"
 
 namespace relidar::folder {
+
+/// Returns the first and the last time of a cloud, in the unit of the file. Ignores a few
+/// times that are far from the others. Returns nothing if the points have no times.
+std::optional<std::array<double, 2>> find_time_range(const PointTable& table);
 
 /// Makes the times of a cloud continuous if their counter overflows in this cloud.
 /// Subtracts the period of the counter from the times before the overflow.

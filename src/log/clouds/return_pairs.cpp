@@ -52,7 +52,10 @@ std::vector<RayKey> read_ray_keys(const PointTable& table) {
         for (std::size_t i = 0; i < table.n; ++i) keys[i].first = double(value_at(i));
     });
     time->call_with_value_reader([&](const auto& value_at) {
-        for (std::size_t i = 0; i < table.n; ++i) keys[i].second = double(value_at(i));
+        for (std::size_t i = 0; i < table.n; ++i) {
+            const auto t = double(value_at(i));
+            keys[i].second = std::isnan(t) ? INFINITY : t;  // NaN cannot be sorted
+        }
     });
     return keys;
 }
@@ -104,11 +107,12 @@ std::vector<std::size_t> find_partners(const PointTable& table, const Unnumbered
                                        std::vector<std::size_t>& order) {
     const std::size_t n = selected.size();
     std::vector<std::size_t> partner(n, kNone);
-    if (layout.distance > 0) {
-        std::vector<std::size_t> rank(table.n + layout.distance, kNone);
+    const std::size_t distance = layout.are_halves ? table.n / 2 : layout.distance;
+    if (distance > 0 && table.n % (2 * distance) == 0) {
+        std::vector<std::size_t> rank(table.n, kNone);
         for (std::size_t k = 0; k < n; ++k) rank[selected[k]] = k;
         for (std::size_t k = 0; k < n; ++k)
-            if (selected[k] / layout.distance % 2 == 0) partner[k] = rank[selected[k] + layout.distance];
+            if (selected[k] / distance % 2 == 0) partner[k] = rank[selected[k] + distance];
     } else if (const std::vector<RayKey> keys = read_ray_keys(table); !keys.empty()) {
         const auto key = [&](std::size_t k) { return keys[selected[k]]; };
         std::ranges::stable_sort(order, {}, key);
@@ -154,6 +158,7 @@ UnnumberedReturns find_unnumbered_returns(const PointTable& cloud) {
     const double least = kRegular * double(repeated.size());
     for (const auto& [distance, n] : n_of_distance)
         if (double(n) >= least && cloud.n % (2 * distance) == 0) returns.distance = distance;
+    returns.are_halves = 2 * returns.distance == cloud.n;
     returns.exist = returns.distance > 0 || double(n_of_ray) >= least;
     return returns;
 }

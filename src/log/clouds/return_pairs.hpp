@@ -20,7 +20,8 @@ struct UnnumberedReturns {
     /// Difference between the indices of both returns. Blocks of `distance` points are
     /// alternately first and second returns. 0: the returns have equal rings and times.
     std::size_t distance = 0;
-    std::string about;  ///< note for the user
+    bool are_halves = false;  ///< true if the distance is half of the points of each cloud
+    std::string about;        ///< note for the user
 };
 
 /// Finds out whether a cloud has two returns of each ray without return numbers.

@@ -150,5 +150,15 @@ TEST(ImplausibleValues, WrongScalesOfIntensitiesAreReported) {
         ElementsAre(HasSubstr("all intensities of the log are 0.5 of the maximum")));
 }
 
+TEST(ImplausibleValues, TimesAgainstTheRotationAreReported) {
+    EXPECT_THAT(get_notes_after([](LidarSequence& log) {
+                    for (LidarFrame& frame : log.frames)
+                        for (float& t_s : frame.scan.rays.time_offset_s) t_s = -t_s;
+                }),
+                ElementsAre(HasSubstr("turns counterclockwise, but its sensor turns clockwise")));
+    EXPECT_THAT(get_notes_after([](LidarSequence& log) { log.lidars[0].sensor.clockwise = false; }),
+                ElementsAre(HasSubstr("turns clockwise, but its sensor turns counterclockwise")));
+}
+
 }  // namespace
 }  // namespace relidar

@@ -17,13 +17,49 @@ void append(std::string& bytes, T value) {
 
 std::uint8_t get_byte(float intensity) { return std::uint8_t(std::lround(intensity * 255.0f)); }
 
-std::string make_pcd_header(std::size_t count, const char* data) {
+std::string make_pcd_header(std::size_t count, const char* data, std::size_t n_padding) {
     return fmt::format(
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z _ intensity ring "
         "timestamp\nSIZE 4 4 4 1 1 2 8\nTYPE F F F "
         "U U U F\n"
-        "COUNT 1 1 1 3 1 1 1\nWIDTH {}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {}\nDATA {}\n",
-        count, count, data);
+        "COUNT 1 1 1 {} 1 1 1\nWIDTH {}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {}\nDATA {}\n",
+        n_padding, count, count, data);
+}
+
+std::string write_pcd_text(const FilePoints& points, std::size_t n_padding) {
+    std::string text = make_pcd_header(points.size(), "ascii", n_padding);
+    for (const FilePoint& p : points)
+        text += fmt::format("{} {} {} {}{} {} {}\n", p.point_m.x, p.point_m.y, p.point_m.z,
+                            std::string("7 7 7 7 ").substr(0, 2 * n_padding), get_byte(p.intensity), p.ring,
+                            p.time_s);
+    return text;
+}
+
+std::string write_pcd_binary(const FilePoints& points, std::size_t n_padding) {
+    std::string bytes = make_pcd_header(points.size(), "binary", n_padding);
+    for (const FilePoint& p : points) {
+        for (int axis = 0; axis < 3; ++axis) append(bytes, p.point_m[axis]);
+        bytes += std::string(n_padding, '_');
+        append(bytes, get_byte(p.intensity));
+        append(bytes, p.ring);
+        append(bytes, p.time_s);
+    }
+    return bytes;
+}
+
+std::string write_pcd_compressed(const FilePoints& points, std::size_t n_padding) {
+    std::string fields;
+    for (int axis = 0; axis < 3; ++axis)
+        for (const FilePoint& p : points) append(fields, p.point_m[axis]);
+    fields += std::string(n_padding * points.size(), '_');
+    for (const FilePoint& p : points) append(fields, get_byte(p.intensity));
+    for (const FilePoint& p : points) append(fields, p.ring);
+    for (const FilePoint& p : points) append(fields, p.time_s);
+    const std::string packed = compress_lzf(fields);
+    std::string bytes = make_pcd_header(points.size(), "binary_compressed", n_padding);
+    append(bytes, std::uint32_t(packed.size()));
+    append(bytes, std::uint32_t(fields.size()));
+    return bytes + packed;
 }
 
 std::string make_ply_header(std::size_t count, const char* format) {
@@ -39,39 +75,13 @@ std::string make_ply_header(std::size_t count, const char* format) {
 
 }  // namespace
 
-std::string make_pcd_text(const FilePoints& points) {
-    std::string text = make_pcd_header(points.size(), "ascii");
-    for (const FilePoint& p : points)
-        text += fmt::format("{} {} {} 7 7 7 {} {} {}\n", p.point_m.x, p.point_m.y, p.point_m.z,
-                            get_byte(p.intensity), p.ring, p.time_s);
-    return text;
-}
+std::string make_pcd_text(const FilePoints& points) { return make_pcd(points, "ascii", 3); }
+std::string make_pcd_binary(const FilePoints& points) { return make_pcd(points, "binary", 3); }
+std::string make_pcd_compressed(const FilePoints& points) { return make_pcd(points, "binary_compressed", 3); }
 
-std::string make_pcd_binary(const FilePoints& points) {
-    std::string bytes = make_pcd_header(points.size(), "binary");
-    for (const FilePoint& p : points) {
-        for (int axis = 0; axis < 3; ++axis) append(bytes, p.point_m[axis]);
-        bytes += "___";
-        append(bytes, get_byte(p.intensity));
-        append(bytes, p.ring);
-        append(bytes, p.time_s);
-    }
-    return bytes;
-}
-
-std::string make_pcd_compressed(const FilePoints& points) {
-    std::string fields;
-    for (int axis = 0; axis < 3; ++axis)
-        for (const FilePoint& p : points) append(fields, p.point_m[axis]);
-    fields += std::string(3 * points.size(), '_');
-    for (const FilePoint& p : points) append(fields, get_byte(p.intensity));
-    for (const FilePoint& p : points) append(fields, p.ring);
-    for (const FilePoint& p : points) append(fields, p.time_s);
-    const std::string packed = compress_lzf(fields);
-    std::string bytes = make_pcd_header(points.size(), "binary_compressed");
-    append(bytes, std::uint32_t(packed.size()));
-    append(bytes, std::uint32_t(fields.size()));
-    return bytes + packed;
+std::string make_pcd(const FilePoints& points, const std::string& data, std::size_t n_padding) {
+    if (data == "ascii") return write_pcd_text(points, n_padding);
+    return data == "binary" ? write_pcd_binary(points, n_padding) : write_pcd_compressed(points, n_padding);
 }
 
 std::string make_ply_text(const FilePoints& points) {

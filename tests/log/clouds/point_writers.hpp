@@ -24,6 +24,8 @@ using FilePoints = std::vector<FilePoint>;
 std::string make_pcd_text(const FilePoints& points);
 std::string make_pcd_binary(const FilePoints& points);
 std::string make_pcd_compressed(const FilePoints& points);
+/// Returns the same file, with DATA `data` and `n_padding` bytes of padding.
+std::string make_pcd(const FilePoints& points, const std::string& data, std::size_t n_padding);
 /// Returns a PLY file with the properties x y z double, intensity float, channel ushort,
 /// t double, red uchar.
 std::string make_ply_text(const FilePoints& points);

@@ -16,17 +16,6 @@ namespace {
 
 constexpr std::size_t kSampleClouds = 6;
 
-/// Returns the earliest point time of a cloud, in the time unit of the file.
-double find_earliest_point_time(const folder::PointTable& table) {
-    double first = INFINITY;
-    if (const folder::PointFieldView* times = table.find_field(folder::PointAttribute::time))
-        times->call_with_value_reader([&](const auto& time_at) {
-            for (std::size_t i = 0; i < table.n; ++i)
-                if (const auto t = double(time_at(i)); std::isfinite(t)) first = std::min(first, t);
-        });
-    return std::isfinite(first) ? first : 0.0;
-}
-
 folder::PointTable read_cloud_as_point_table(const BagRecording& bag, const CloudTopic& cloud_topic,
                                              const MessagePosition& location) {
     const BagTopic& topic = bag.topics()[cloud_topic.topic];
@@ -99,14 +88,15 @@ LidarPoints BagScanProvider::read_points_of_cloud(std::size_t frame_index, const
     double zero_s = at.time_s - cloud_time_s;
     if (units.zero == PointTimeReference::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
     if (units.zero == PointTimeReference::sensor_clock)
-        zero_s += units.time_unit_s * find_earliest_point_time(table);
+        zero_s += units.time_unit_s * folder::find_time_range(table).value_or(std::array{0.0, 0.0})[0];
     const folder::PointFileUnits point_units{.columns = {},
                                              .intensity_max = units.meaning.scale.max,
                                              .time_unit_s = units.time_unit_s,
                                              .absolute_times = true,
                                              .intensity_field = units.meaning.intensity_field,
                                              .no_return = units.meaning.no_return,
-                                             .returns = units.meaning.returns};
+                                             .returns = units.meaning.returns,
+                                             .skip_wrong_times = true};
     LidarPoints points =
         folder::convert_table_to_points(table, point_units, zero_s, get_frame_name(frame_index));
     if (!deskewed_by_) return points;

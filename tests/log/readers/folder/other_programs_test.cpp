@@ -2,12 +2,15 @@
 // Reads point files and poses in the conventions of other programs: text files, numpy
 // arrays with named fields, pose files with different orders, and points without rings.
 #include <cmath>
+#include <fstream>
+#include <iterator>
 #include <random>
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 
 #include "../../../base/codecs/temporary_folder.hpp"
@@ -270,6 +273,159 @@ TEST(OtherPrograms, InventsNoBeamsForThinnedClouds) {
     EXPECT_TRUE(std::ranges::any_of(sequence.notes, [](const std::string& n) {
         return n.find("removed") != n.npos || n.find("order") != n.npos;
     }));
+}
+
+std::string replace_first(std::string text, const std::string& from, const std::string& to) {
+    return text.replace(text.find(from), from.size(), to);
+}
+
+TEST(OtherPrograms, PcdPaddingOfCountZero) {
+    int n = 0;
+    for (const char* data : {"ascii", "binary", "binary_compressed"}) {
+        const auto without = [&](const test::FilePoints& points) { return test::make_pcd(points, data, 0); };
+        // some programs write COUNT 0 although the file contains the padding
+        const auto with = [&](const test::FilePoints& points) {
+            return replace_first(test::make_pcd(points, data, 3), "COUNT 1 1 1 3", "COUNT 1 1 1 0");
+        };
+        const auto several = [&](const test::FilePoints& points) {
+            std::string text = replace_first(without(points), "timestamp\nSIZE 4", "timestamp _\nSIZE 4");
+            text = replace_first(std::move(text), "2 8\nTYPE", "2 8 4\nTYPE");
+            text = replace_first(std::move(text), "U U U F\n", "U U U F F\n");
+            return replace_first(std::move(text), "0 1 1 1\n", "0 1 1 1 0\n");
+        };
+        expect_street({fmt::format("count_0_{}", n), "pcd", without, kStamped}, 1e-6);
+        expect_street({fmt::format("count_0_padded_{}", n), "pcd", with, kStamped}, 1e-6);
+        expect_street({fmt::format("count_0_several_{}", n++), "pcd", several, kStamped}, 1e-6);
+    }
+}
+
+/// Every point is a return of a ray with two returns. Every seventh ray has a weaker
+/// return at half the range, the other rays repeat their only return.
+test::FilePoints make_second_returns(test::FilePoints points) {
+    for (std::size_t i = 0; i < points.size(); i += 7) {
+        points[i].point_m *= 0.5f;
+        points[i].intensity = 0.0f;
+    }
+    return points;
+}
+
+TEST(OtherPrograms, TwoReturnsWithoutNumbers) {
+    const auto in_turn = [](const test::FilePoints& points) {
+        test::FilePoints all;
+        for (std::size_t i = 0; i < points.size(); ++i) {
+            all.push_back(make_second_returns(points)[i]);
+            all.push_back(points[i]);
+        }
+        return test::make_pcd_binary(all);
+    };
+    const auto in_halves = [](const test::FilePoints& points) {
+        test::FilePoints all = make_second_returns(points);
+        all.insert(all.end(), points.begin(), points.end());
+        return test::make_ply_binary(all);
+    };
+    const auto in_blocks = [](const test::FilePoints& points) {
+        test::FilePoints all;
+        for (std::size_t first = 0; first < points.size(); first += 50 + first % 7)
+            for (const test::FilePoints& some : {points, make_second_returns(points)})
+                for (std::size_t i = first; i < std::min(first + 50 + first % 7, points.size()); ++i)
+                    all.push_back(some[i]);
+        return test::make_pcd_binary(all);
+    };
+    const auto without_repetition = [](const test::FilePoints& points) {
+        test::FilePoints all = points;
+        for (std::size_t i = 0; i < points.size(); i += 7) all.push_back(make_second_returns(points)[i]);
+        return test::make_pcd_binary(all);
+    };
+    const std::function<std::string(const test::FilePoints&)> layouts[] = {in_turn, in_halves, in_blocks,
+                                                                           without_repetition};
+    for (std::size_t k = 0; k < std::size(layouts); ++k) {
+        const PointLog log(fmt::format("two_returns_{}", k), k == 1 ? "ply" : "pcd", layouts[k],
+                           k == 1 ? R"(, "point_times": "absolute")" : kStamped);
+        expect_street(log, 1e-6);
+        const LidarSequence sequence = load_sequence(log.folder.string(), {});
+        EXPECT_THAT(sequence.notes, testing::Contains(test::Names("two returns ... without numbers")));
+        for (std::size_t f = 0; f < sequence.frames.size(); ++f) {
+            const Scan &scan = sequence.frames[f].scan, &truth = log.street.frames[f].scan;
+            ASSERT_EQ(scan.second_returns.size(), 1u) << k;
+            for (std::size_t ray = 0, point = 0; ray < truth.range_m.size(); ++ray) {
+                const bool is_second = truth.range_m[ray] > 0.0f && point++ % 7 == 0;
+                EXPECT_NEAR(scan.second_returns[0].range_m[ray], is_second ? 0.5f * truth.range_m[ray] : 0.0f,
+                            1e-3f);
+            }
+        }
+    }
+}
+
+TEST(OtherPrograms, NpzWithPoints) {
+    const auto npz = [](const test::FilePoints& points) {
+        std::vector<float> xyzi, rings, times;
+        for (const test::FilePoint& p : points) {
+            for (const float v : {p.point_m.x, p.point_m.y, p.point_m.z, p.intensity}) xyzi.push_back(v);
+            rings.push_back(float(p.ring));
+            times.push_back(float(p.time_s));
+        }
+        const fs::path file = fs::path(testing::TempDir()) / "points.npz";
+        write_npz(file, {make_array("points", {points.size(), 4}, xyzi.data(), xyzi.size()),
+                         make_array("ring", {points.size()}, rings.data(), rings.size()),
+                         make_array("time", {points.size()}, times.data(), times.size())});
+        std::ifstream stream(file, std::ios::binary);
+        return std::string(std::istreambuf_iterator<char>(stream), {});
+    };
+    const PointLog log("npz_points", "npz", npz, R"(, "point_times": "absolute")");
+    expect_street(log, 1e-6);
+    const float number = 1.0f;
+    for (const fs::path& file : fs::directory_iterator(log.folder / "scans"))
+        write_npz(file, {make_array("depth", {1}, &number, 1)});
+    EXPECT_THAT(error_message<DataError>([&] { load_sequence(log.folder.string(), {}); }),
+                testing::AllOf(test::Names("found the arrays depth; expected ... 'points'"),
+                               testing::Not(testing::HasSubstr("skip_broken"))));
+}
+
+TEST(OtherPrograms, Float32TimesAndNegativeIntensities) {
+    const auto bytes_of = [](const test::FilePoints& points) {
+        std::string bytes;
+        for (const test::FilePoint& p : points)
+            for (const float v : {p.point_m.x, p.point_m.y, p.point_m.z, p.ring == 3 ? -0.25f : 0.5f,
+                                  float(p.ring), float(1.7e9 + p.time_s)})
+                bytes.append(reinterpret_cast<const char*>(&v), sizeof v);
+        return bytes;
+    };
+    const PointLog log("float_times", "bin", bytes_of,
+                       R"(, "columns": ["x", "y", "z", "intensity", "ring", "time"], "intensity_max": 1,
+                           "point_times": "absolute")");
+    const LidarSequence sequence = load_sequence(log.folder.string(), {});
+    for (const char* note : {"lost their precision", "no times ... azimuths", "negative, down to -0.25"})
+        EXPECT_THAT(sequence.notes, testing::Contains(test::Names(note)));
+}
+
+TEST(OtherPrograms, PointsOfWrongTimeAreSkipped) {
+    const auto late = [](test::FilePoints points) {
+        for (std::size_t i = 0; i < 20; ++i) points[i].time_s += i % 2 == 0 ? 0.7 : 4.288;
+        return test::make_pcd_binary(points);
+    };
+    const PointLog log("late_points", "pcd", late, kStamped);
+    const LidarSequence sequence = load_sequence(log.folder.string(), {});
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("80 points of 4 scans ... times")));
+    for (const LidarFrame& frame : sequence.frames)
+        for (const float t_s : frame.scan.rays.time_offset_s) EXPECT_LT(std::abs(t_s), 0.06f);
+}
+
+TEST(OtherPrograms, NamesThePackedPointsOfNclt) {
+    const auto nclt = [](const test::FilePoints& points) {
+        std::string bytes;
+        for (const test::FilePoint& p : points) {
+            for (int axis = 0; axis < 3; ++axis) {
+                const auto packed = std::uint16_t((p.point_m[axis] + 100.0f) / 0.005f);
+                bytes.append(reinterpret_cast<const char*>(&packed), sizeof packed);
+            }
+            bytes += char(std::lround(255.0f * p.intensity));
+            bytes += char(p.ring);
+        }
+        return bytes;
+    };
+    EXPECT_THAT(error_message<DataError>(
+                    [&] { load_sequence(PointLog("nclt", "bin", nclt, "").folder.string(), {}); }),
+                test::Names("NCLT ... uint16 ... laser"));
 }
 
 }  // namespace

@@ -1,0 +1,146 @@
+// SPDX-License-Identifier: Apache-2.0
+// Tests point times that counters and number types have damaged. The truth is a sweep of
+// 0.1 s whose times a driver would write in some type and unit.
+#include "log/clouds/point_times.hpp"
+
+#include <cmath>
+#include <functional>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "log/clouds/cloud_units.hpp"
+
+namespace relidar::bag {
+namespace {
+
+constexpr double kStamp_s = 1.7e9, kCounter = 4294967296.0;
+constexpr std::size_t kPoints = 1000, kClouds = 6;
+
+/// Returns clouds whose times are value(t, k) for the times t of a sweep and the cloud k.
+template <class Number>
+std::vector<folder::PointTable> make_clouds(folder::ScalarType type,
+                                            const std::function<double(double, double)>& value) {
+    std::vector<folder::PointTable> clouds;
+    for (std::size_t k = 0; k < kClouds; ++k) {
+        std::vector<Number> times;
+        for (std::size_t i = 0; i < kPoints; ++i) times.push_back(Number(value(1e-4 * double(i), double(k))));
+        clouds.emplace_back(kPoints).add_value_field("t", type, std::move(times), "test");
+        folder::unwrap_point_times(clouds.back());
+    }
+    return clouds;
+}
+const auto make_u4 = [](const auto& value) {
+    return make_clouds<std::uint32_t>(folder::ScalarType::u4, [&](double t_s, double k) {
+        return std::fmod(std::round(value(t_s, k)) + kCounter, kCounter);
+    });
+};
+const auto make_f4 = [](const auto& value) { return make_clouds<float>(folder::ScalarType::f4, value); };
+const auto make_f8 = [](const auto& value) { return make_clouds<double>(folder::ScalarType::f8, value); };
+
+PointCloudUnits estimate_units(const std::vector<folder::PointTable>& clouds) {
+    std::vector<double> stamps_s;
+    for (std::size_t k = 0; k < clouds.size(); ++k) stamps_s.push_back(kStamp_s + 0.1 * double(k));
+    return estimate_time_and_intensity_units(clouds, stamps_s, 0.1);
+}
+
+/// Expects that the times of all clouds continue without a jump for 0.1 s.
+void expect_sweeps(const std::vector<folder::PointTable>& clouds, double time_unit_s) {
+    for (const folder::PointTable& cloud : clouds) {
+        const folder::PointFieldView& times = *cloud.find_field(folder::PointAttribute::time);
+        for (std::size_t i = 0; i < kPoints; ++i)
+            EXPECT_NEAR(time_unit_s * (times[i] - times[0]), 1e-4 * double(i), 1e-6);
+    }
+}
+
+TEST(PointTimes, CountersThatOverflowInACloudContinue) {
+    const auto late = [](double unit_s) {
+        return [unit_s](double t_s, double k) { return (t_s + 0.1 * k - 0.33) / unit_s; };
+    };
+    expect_sweeps(make_u4(late(1e-9)), 1e-9);
+    expect_sweeps(make_u4(late(1e-6)), 1e-6);
+    // The counter of nanoseconds as seconds, and microseconds since the last full hour.
+    const auto with_period = [](double unit, double period_s) {
+        return
+            [=](double t_s, double k) { return unit * std::fmod(t_s + 0.1 * k + period_s - 0.33, period_s); };
+    };
+    expect_sweeps(make_f8(with_period(1.0, 1e-9 * kCounter)), 1.0);
+    expect_sweeps(make_f8(with_period(1e6, 3600.0)), 1e-6);
+    EXPECT_EQ(estimate_units(make_u4(late(1e-9))).zero, PointTimeReference::sensor_clock);
+}
+
+TEST(PointTimes, NegativeOffsetsWithoutASignAreRestored) {
+    for (const double first_s : {-0.007, -0.1}) {
+        std::vector<folder::PointTable> clouds =
+            make_u4([&](double t_s, double) { return 1e9 * (t_s + first_s); });
+        EXPECT_EQ(estimate_units(clouds).zero, PointTimeReference::stamp);
+        for (folder::PointTable& cloud : clouds) {
+            folder::restore_negative_offsets(cloud);
+            EXPECT_NEAR((*cloud.find_field(folder::PointAttribute::time))[0], 1e9 * first_s, 1.0);
+        }
+        expect_sweeps(clouds, 1e-9);
+    }
+}
+
+TEST(PointTimes, SomeWrongTimesDoNotChangeTheUnit) {
+    const PointCloudUnits units =
+        estimate_units(make_f4([](double t_s, double) { return t_s < 0.099 ? t_s : 100.0; }));
+    EXPECT_EQ(units.time_unit_s, 1.0);
+    EXPECT_EQ(units.zero, PointTimeReference::stamp);
+    LidarPoints points;
+    points.time_offset_s = {0.0f, 0.05f, 4.288f, 0.1f, NAN, -3.0f, 0.02f};
+    points.position_m.resize(7);
+    EXPECT_EQ(folder::remove_points_of_wrong_time(points, 0.15), 3u);
+    EXPECT_EQ(points.time_offset_s, (std::vector<float>{0.0f, 0.05f, 0.1f, 0.02f}));
+    EXPECT_EQ(points.size(), 4u);
+}
+
+TEST(PointTimes, OfAClockThatStartsNearZeroAreNoOffsets) {
+    EXPECT_EQ(estimate_units(make_f8([](double t_s, double k) { return 0.3 + 0.1 * k + t_s; })).zero,
+              PointTimeReference::sensor_clock);
+}
+
+TEST(PointTimes, LostPrecisionIsReported) {
+    const auto epoch = [](double unit_s) {
+        return [=](double t_s, double k) { return (kStamp_s + 0.1 * k + t_s) / unit_s; };
+    };
+    const auto week = [](double t_s, double k) { return 3e5 + 0.1 * k + t_s; };
+    const auto rounded = [&](double t_s, double k) { return double(float(epoch(1.0)(t_s, k))); };
+    for (const auto& clouds : {make_f4(epoch(1.0)), make_f4(epoch(1e-3)), make_f4(epoch(1e-9)),
+                               make_f8(rounded), make_f4(week), make_u4(epoch(1.0))}) {
+        const PointCloudUnits units = estimate_units(clouds);
+        EXPECT_THAT(units.about, testing::HasSubstr("lost their precision"));
+        EXPECT_EQ(units.zero, PointTimeReference::none);
+        EXPECT_FALSE(units.is_deskewed);
+    }
+    for (const double unit_s : {1.0, 1e-3, 1e-6, 1e-9}) {
+        const PointCloudUnits units = estimate_units(make_f8(epoch(unit_s)));
+        EXPECT_EQ(units.time_unit_s, unit_s);
+        EXPECT_EQ(units.zero, PointTimeReference::epoch);
+    }
+    const auto stamp = [](double, double k) { return kStamp_s + 0.1 * k; };
+    const auto half = [](double, double) { return 0.05; };
+    for (const auto& clouds : {make_f8(stamp), make_f4(half), make_u4([](double, double) { return 0.0; })})
+        EXPECT_TRUE(estimate_units(clouds).is_deskewed);
+}
+
+TEST(PointTimes, ReversedTimesAreReported) {
+    const auto describe = [](double sign) {
+        folder::PointTable cloud(kPoints);
+        std::vector<float> x, y, t;
+        for (std::size_t i = 0; i < kPoints; ++i) {
+            x.push_back(std::cos(-0.006f * float(i)));
+            y.push_back(std::sin(-0.006f * float(i)));
+            t.push_back(float(sign * 1e-4 * double(i)));
+        }
+        cloud.add_value_field("x", folder::ScalarType::f4, x, "test");
+        cloud.add_value_field("y", folder::ScalarType::f4, y, "test");
+        cloud.add_value_field("t", folder::ScalarType::f4, t, "test");
+        return folder::describe_reversed_times(cloud);
+    };
+    EXPECT_THAT(describe(-1.0), testing::HasSubstr("wrong sign"));
+    EXPECT_EQ(describe(1.0), "");
+}
+
+}  // namespace
+}  // namespace relidar::bag
