@@ -249,13 +249,14 @@ void apply_range_limits_to_lidars_and_scans(LidarSequence& sequence, const Range
 void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<std::string>& lidar_names) {
     std::vector<int> new_index_of_lidar(sequence.lidars.size(), -1);
     for (const std::string& name : lidar_names) {
-        bool is_topic = false;  // several LiDARs TOPIC:NUMBER share a topic
-        for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
-            if (sequence.lidars[l].name.starts_with(name + ":")) {
-                new_index_of_lidar[l] = 0;
-                is_topic = true;
-            }
-        if (!is_topic) new_index_of_lidar[std::size_t(find_lidar_index_by_name(sequence, name))] = 0;
+        bool is_found = false;  // LiDARs that share a topic have the names TOPIC:ID
+        for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
+            const std::string& lidar = sequence.lidars[l].name;
+            if (lidar != name && !lidar.starts_with(name + ":")) continue;
+            new_index_of_lidar[l] = 0;
+            is_found = true;
+        }
+        if (!is_found) new_index_of_lidar[std::size_t(find_lidar_index_by_name(sequence, name))] = 0;
     }
     std::vector<Lidar> remaining_lidars;
     std::vector<std::string> left_out;
