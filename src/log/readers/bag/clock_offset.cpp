@@ -26,20 +26,20 @@ constexpr double kLeastSpread_ns = 5e8, kMostSpread_ns = 5e9;
 constexpr double kLeastPace = 0.5;
 
 /// Rounds an offset to a known difference between clocks: leap seconds since 1999 and
-/// time zones. A cloud is recorded up to 0.45 s later than a pose of the same time, so
+/// time zones. A cloud is recorded up to 0.25 s later than a pose of the same time, so
 /// the measured offset is too small by this delay.
 std::int64_t round_to_known_offset(std::int64_t measured_ns) {
-    const std::int64_t seconds = std::llround(1e-9 * double(measured_ns + 200 * kMilli_ns));
+    const std::int64_t seconds = std::llround(1e-9 * double(measured_ns + 100 * kMilli_ns));
     const std::int64_t n = std::abs(seconds), delay_ns = seconds * kUnit_ns - measured_ns;
     const bool is_known = (n >= 13 && n <= 19) || (n >= 32 && n <= 37) || n % 900 == 0;
-    return is_known && delay_ns >= -50 * kMilli_ns && delay_ns <= 450 * kMilli_ns ? seconds * kUnit_ns
+    return is_known && delay_ns >= -50 * kMilli_ns && delay_ns <= 250 * kMilli_ns ? seconds * kUnit_ns
                                                                                   : measured_ns;
 }
 
 }  // namespace
 
 std::string ClockOffset::describe(const std::string& reference_name) const {
-    const char* cause = "";
+    const char* cause = offset_ns % kUnit_ns == 0 ? "" : " (accurate to the delays of messages, about 0.1 s)";
     if (std::abs(offset_ns) == 37 * kUnit_ns) cause = " (TAI minus UTC is 37 s)";
     if (std::abs(offset_ns) == 18 * kUnit_ns) cause = " (GPS time minus UTC is 18 s)";
     if (std::abs(offset_ns) == 19 * kUnit_ns) cause = " (TAI minus GPS time is 19 s)";
