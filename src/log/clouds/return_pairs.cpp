@@ -21,7 +21,7 @@ constexpr double kRegular = 0.95;
 // If a driver removes repeated points, only true second returns share ring and time with
 // another point. At least this number, and this share of them, must be on the same ray.
 constexpr std::size_t kFewestPairs = 16;
-constexpr double kLeastOnRay = 0.25, kMostLargeGroups = 0.01;
+constexpr double kLeastOnRay = 0.5, kMostLargeGroups = 0.01;
 // Two points are on the same ray if the angle between them is below kOneRay_rad, plus the
 // parallax of a beam that starts kLargestOffset_m beside the centre.
 constexpr double kOneRay_rad = 1.4e-3, kLargestOffset_m = 0.1;
@@ -91,8 +91,7 @@ bool are_all_pairs_second_returns(const std::vector<glm::vec3>& points, const st
         n_large += next > k + 2;
         if (next != k + 2) continue;
         ++n_pairs;
-        const glm::dvec3 a(points[indices[k]]), b(points[indices[k + 1]]);
-        n_on_ray += std::atan2(glm::length(glm::cross(a, b)), glm::dot(a, b)) < 0.5 * kOneRay_rad;
+        n_on_ray += are_on_same_ray(points[indices[k]], points[indices[k + 1]]);
     }
     return n_pairs >= kFewestPairs && 2 * n_pairs <= n_groups &&
            double(n_large) <= kMostLargeGroups * double(n_groups) &&
