@@ -115,8 +115,10 @@ std::vector<ScoredFrame> score_rendered_frames(std::vector<RenderedFrame> render
     for (const RenderedFrame& r : rendered_frames) {
         std::vector<PixelRegion> regions = make_evaluation_regions(r.frame.real, r.moving);
         if (!r.discovered.empty()) regions.push_back({"discovered_boxes", r.discovered});
+        // A baseline has one range per ray, so its points are those of its image.
+        const std::vector<float>& points_m = select_point_ranges(r.frame.rendered, config);
         comparisons.push_back({&r.frame.rendered.image, &r.frame.real, std::move(regions),
-                               select_point_ranges(r.frame.rendered, config)});
+                               points_m.empty() ? r.frame.rendered.image.range_m : points_m});
     }
     const std::vector<MetricValues> rows = evaluate_all(comparisons, options);
     std::vector<ScoredFrame> frames;

@@ -78,10 +78,27 @@ double compute_elevation_rad(const glm::dvec3& vector) {
 /// 0.02 degrees rounds to 1 in single precision.
 struct RayTableNeighbours {
     const RayTable& rays;
+    const bool circular = is_full_turn(rays.rows, rays.columns, rays.direction);
 
+    /// Columns wrap around in a full turn. Otherwise they end at the first and last one.
     std::size_t get_ray_index(RayPixel ray_cell) const {
-        const int wrapped = (ray_cell.column % rays.columns + rays.columns) % rays.columns;
+        const int wrapped = circular ? (ray_cell.column % rays.columns + rays.columns) % rays.columns
+                                     : std::clamp(ray_cell.column, 0, rays.columns - 1);
         return std::size_t(ray_cell.row) * std::size_t(rays.columns) + std::size_t(wrapped);
+    }
+    /// Returns the azimuth of a direction, relative to a column of the middle row.
+    double compute_azimuth_from_column_rad(const glm::dvec3& direction, int column) const {
+        const glm::dvec3 ray = get_ray_direction({rays.rows / 2, column});
+        return std::remainder(std::atan2(direction.y, direction.x) - std::atan2(ray.y, ray.x), 2.0 * kPi);
+    }
+    /// Returns the position of a point in units of columns. Columns of less than a full
+    /// turn have even steps.
+    double estimate_column(const glm::dvec3& point_m) const {
+        if (circular) return (1.0 - std::atan2(point_m.y, point_m.x) / kPi) / 2.0 * rays.columns;
+        const int first = rays.columns / 4, last = 3 * rays.columns / 4;
+        const double step_rad =
+            compute_azimuth_from_column_rad(get_ray_direction({rays.rows / 2, last}), first) / (last - first);
+        return rays.columns / 2 + compute_azimuth_from_column_rad(point_m, rays.columns / 2) / step_rad;
     }
     glm::dvec3 compute_vector_from_ray_origin(RayPixel ray_cell, const glm::vec3& point_m) const {
         return glm::dvec3(point_m) - glm::dvec3(rays.origin[get_ray_index(ray_cell)]);
@@ -100,8 +117,7 @@ struct RayTableNeighbours {
     /// Returns the ray with the smallest angle to a point. Finds the row with the nearest
     /// elevation, then compares the rays of this row and of the two neighbouring rows.
     RayPixel find_nearest_ray_cell(const glm::vec3& point_m) const {
-        const double azimuth = std::atan2(double(point_m.y), double(point_m.x));
-        const int column = int(std::lround((1.0 - azimuth / kPi) / 2.0 * rays.columns));
+        const int column = int(std::lround(estimate_column(point_m)));
         int row = 0;
         double least = std::abs(compute_elevation_above_ray_rad({0, column}, point_m));
         for (int r = 1; r < rays.rows; ++r)
@@ -120,9 +136,12 @@ struct RayTableNeighbours {
                 }
         return best;
     }
-    /// Returns true if a point is above the highest or below the lowest row of rays. The
-    /// distance must be more than half the spacing of the rows.
-    bool is_point_outside_vertical_field_of_view(RayPixel ray_cell, const glm::vec3& point_m) const {
+    /// Returns true if a point is outside the outer rows of rays, or outside the outer
+    /// columns of less than a full turn. The distance must be more than half the spacing
+    /// of the rows or columns.
+    bool is_point_outside_field_of_view(RayPixel ray_cell, const glm::vec3& point_m) const {
+        const double column = estimate_column(point_m);
+        if (!circular && (column < -0.5 || column > rays.columns - 0.5)) return true;
         const double half_spacing =
             0.5 * std::abs(compute_elevation_rad(get_ray_direction(ray_cell)) -
                            compute_elevation_rad(get_ray_direction(
@@ -187,7 +206,7 @@ Scan assign_points_to_nearest_rays(const RayTable& rays, const Scan& points) {
     for (std::size_t i = 0; i < points.range_m.size(); ++i) {
         const glm::vec3 point = points.compute_return_point_in_sensor_frame(i);
         const RayPixel ray_cell = beams.find_nearest_ray_cell(point);
-        if (beams.is_point_outside_vertical_field_of_view(ray_cell, point)) continue;
+        if (beams.is_point_outside_field_of_view(ray_cell, point)) continue;
         const std::size_t ray = beams.get_ray_index(ray_cell);
         const float range = glm::distance(point, rays.origin[ray]);
         if (!(range > 0.0f) || (scan.range_m[ray] > 0.0f && scan.range_m[ray] <= range)) continue;

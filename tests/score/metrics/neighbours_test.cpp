@@ -140,6 +140,21 @@ TEST(BinOntoRays, GivesEachRayItsOwnPoint) {
     }
 }
 
+/// A window of 90 degrees that looks backward, over the azimuth of 180 degrees. Points
+/// beside the window belong to no ray.
+TEST(BinOntoRays, AWindowEnds) {
+    const RayTable rays = make_rays(WindowScanSensor{"", 4, 46, 1.25 * kPi, 0.75 * kPi, 0.1, -0.1});
+    Scan points{rays, {}, {}};
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        points.range_m.push_back(5.0f + 0.1f * float(i));
+        points.intensity.push_back(0.5f);
+    }
+    const Scan scan = assign_points_to_nearest_rays(rays, points);
+    for (std::size_t i = 0; i < rays.size(); ++i) ASSERT_NEAR(scan.range_m[i], points.range_m[i], 1e-4) << i;
+    for (glm::vec3& direction : points.rays.direction) direction.x = -direction.x;  // ahead
+    EXPECT_EQ(assign_points_to_nearest_rays(rays, points).count_returns(), 0u);
+}
+
 TEST(BinOntoRays, TakesTheNearestAndLeavesOutWhatNoBeamMeets) {
     const RayTable rays = make_rays(make_uneven_sensor());
     const std::size_t ray = 2 * 180 + 77;
