@@ -15,6 +15,7 @@
 #include <relidar/gpu/device.hpp>
 #include <relidar/log/coverage.hpp>
 #include <relidar/log/dataset.hpp>
+#include <relidar/log/log_time.hpp>
 #include <relidar/log/packets.hpp>
 #include <relidar/log/registration.hpp>
 #include <relidar/log/scatter.hpp>

@@ -53,9 +53,6 @@ std::string format_packet_sensor_names();
 /// Returns the packet format in the metadata of an Ouster (udp_profile_lidar). Returns an
 /// empty text if the file is not the metadata of an Ouster or does not contain a format.
 std::string read_ouster_packet_format(const std::filesystem::path& metadata_file);
-/// Returns the time since 1970 at which the time of a log is 0. Only ROS bags and
-/// captures contain this time. Returns 0 for all other logs.
-std::int64_t get_log_start_unix_ns(const LidarSequence& sequence);
 
 /// Converts the scans of a sensor to packets. A packet holds a fixed number of firings,
 /// so it may contain the end of one scan and the start of the next. An extra packet

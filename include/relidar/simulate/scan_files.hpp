@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <span>
@@ -42,7 +43,6 @@ enum class PointCoordinateFrame { sensor, world };
 struct PacketFormatOptions {
     std::optional<SpinningSensor> sensor;  ///< empty if the sensor does not spin
     std::string ouster_profile;            ///< packet format, as in PacketOptions
-    std::int64_t log_start_ns = 0;         ///< Time since 1970 of the log's time 0 (get_log_start_unix_ns()).
 };
 
 /// Options for writing scans, and the metadata that the files contain.
@@ -84,8 +84,15 @@ struct ScanOutputOptions {
     /// log's sensor are used.
     std::string trajectory;
     PacketFormatOptions packets;
+    /// Nanoseconds added to times of the log in recordings and packets
+    /// (compute_time_shift_ns()).
+    std::int64_t time_shift_ns = 0;
     Config config;
 };
+/// Returns ScanOutputOptions::time_shift_ns for all scans of a run.
+/// @param first_scan_s  time of the first scan, if it can be before the log
+std::int64_t compute_time_shift_ns(const TrainedRun& run, const SimulatedSensor& sensor,
+                                   double first_scan_s = std::numeric_limits<double>::infinity());
 /// Returns the default format for scans of a run: npz files with rays in the sensor
 /// frame. The simulated sensor has the same poses as the log's sensor.
 ScanOutputOptions make_default_output_options(const TrainedRun& run, const SimulatedSensor& sensor);
@@ -123,8 +130,9 @@ std::string make_valid_topic_name(const std::string& name);
 /// Transforms on /tf: world -> base_link (the log's vehicle), every 10 ms of a sweep and
 /// at every pose of its path. Transforms on /tf_static: base_link -> each sensor.
 ///
-/// Times: the stamp of a cloud is the time of its first ray, and the times of points are
-/// relative to the stamp. With ScanOutputOptions::deskew, the transforms at the time of
+/// Times: stamps are times of the log plus ScanOutputOptions::time_shift_ns. The stamp of
+/// a cloud is the time of its first ray, and the times of points are relative to it. With
+/// ScanOutputOptions::deskew, the transforms at the time of
 /// the stamp convert all points to the world. Otherwise each point in the sensor frame is
 /// converted by the transforms at its own time. Each box on /actors has the time at which
 /// the sensor faces it. Boxes on /actors_autoware have the time of the cloud, and
@@ -133,19 +141,21 @@ std::string make_valid_topic_name(const std::string& name);
 class ScanRecordingsWriter {
 public:
     /// Creates the recordings in an existing folder. Removes the files that an earlier
-    /// rendering has written to this folder.
+    /// rendering has written to this folder (list_scan_files()).
     /// @param sensors  formats of the sensors, at least one; settings common to all
     /// sensors are read from the first
-    /// @throws UsageError if two topics or frames have the same name, or if ROS does not
-    /// allow a name
+    /// @throws UsageError if two topics or frames have the same name, if ROS does not
+    /// allow a name, or if find_foreign_scan_file() finds a file
     /// @throws DataError if a file cannot be written
     ScanRecordingsWriter(std::filesystem::path folder, std::vector<ScanOutputOptions> sensors);
     /// Appends the scans of a sweep to the recordings.
     /// @param scans  a scan for each sensor, all of the same sweep
     /// @throws DataError if times decrease or a file cannot store them
     void write_scans(std::span<const RenderedScan> scans);
+    /// Gives the files their final names, and writes a scans.json that lists them.
     void finish_recording_files();
-    /// Returns the names of the files.
+    /// Returns the names of the files. Calibration files of packets are listed after
+    /// finish_recording_files().
     std::vector<std::string> list_file_names() const;
 
 private:
@@ -243,6 +253,8 @@ private:
     /// moved. Null if join_folder_of_other_process() has opened the folder of another
     /// process.
     std::shared_ptr<ScanRecordingsWriter> recordings_;
+    /// Marks the folder as an unfinished rendering, whose files are not listed yet.
+    std::shared_ptr<const std::filesystem::path> unfinished_marker_;
 
     /// returns true if `format` is one of ScanOutputOptions::formats
     bool is_output_format_selected(const std::string& format) const;
@@ -254,9 +266,13 @@ private:
 std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame_number,
                                          const ScanOutputOptions& format);
 
-/// Returns the paths of files that an earlier rendering has written to a folder. The
-/// ScanFolderWriter constructor would remove these files.
+/// Returns the paths of files that an earlier rendering has written to a folder: those in
+/// its scans.json, or all of an unfinished rendering. The ScanFolderWriter constructor
+/// would remove these files.
 std::vector<std::filesystem::path> list_scan_files(const std::filesystem::path& folder);
+/// Returns a file that list_scan_files() does not list, although its name is a name of
+/// rendered scans, so that a rendering could replace it. Empty if there is none.
+std::filesystem::path find_foreign_scan_file(const std::filesystem::path& folder);
 
 /// Returns a picture of the ranges in false colours. The colours depend on the square
 /// root of the range, so that near objects have more contrast. The next two functions

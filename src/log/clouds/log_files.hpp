@@ -54,8 +54,10 @@ std::string describe_mistaken_kitti_folder(const std::filesystem::path& folder,
 /// cross midnight.
 /// @throws DataError if a line is not a time, if a requested frame has no time, or if
 /// times do not increase
+/// @param conventions  gets the sentence of format_log_start()
 std::vector<double> read_relative_frame_times_s(const std::filesystem::path& time_file,
-                                                const std::vector<int>& frame_numbers);
+                                                const std::vector<int>& frame_numbers,
+                                                std::string& conventions);
 
 /// Returns the median duration of a sweep: the time in timestamps_end.txt minus the time
 /// in timestamps_start.txt. Uses all lines that both files have.

@@ -10,6 +10,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
+#include <relidar/log/log_time.hpp>
 
 #include "base/csv.hpp"
 #include "base/files.hpp"
@@ -308,6 +309,8 @@ std::vector<fs::path> add_frames_and_get_scan_files(LidarSequence& sequence, con
             "poses near their times",
             without.size(), without.size() + files.size(), without.front()->number, without.back()->number,
             log.poses_file.filename().string()));
+    sequence.conventions += " " + format_log_start(log.scans[0].stamp * std::llround(1e9 * log.unit_s),
+                                                   "on the clock of the files");
     kitti::replace_vehicle_poses_from_file(sequence, options.poses_file);
     move_world_origin_of_log(sequence);
     return files;

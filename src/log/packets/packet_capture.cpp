@@ -11,6 +11,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
+#include <relidar/log/log_time.hpp>
 #include <relidar/log/packets.hpp>
 
 #include "base/bytes.hpp"
@@ -25,7 +26,6 @@ namespace fs = std::filesystem;
 
 constexpr std::uint32_t kMagic = 0xA1B23C4D, kMostBytes = 262144, kEthernetLink = 1;
 constexpr std::size_t kIpBytes = 20, kUdpBytes = 8;
-constexpr const char* kStartText = "0 s is ";
 
 void append_uint16_big_endian(std::string& bytes, unsigned value) {
     bytes += char(value >> 8 & 0xFF);
@@ -70,19 +70,6 @@ std::string read_ouster_packet_format(const fs::path& metadata_file) {
     return packets::parse_ouster_metadata(text, metadata_file.string())->profile->name;
 }
 
-std::int64_t get_log_start_unix_ns(const LidarSequence& sequence) {
-    const std::size_t at = sequence.conventions.find(kStartText);
-    if (at == std::string::npos) return 0;
-    const std::string text = sequence.conventions.substr(at + std::string(kStartText).size());
-    const std::size_t dot = text.find('.'), end = text.find(' ');
-    if (dot == std::string::npos || end == std::string::npos || end < dot || end - dot != 10) return 0;
-    const auto seconds = parse_number(text.substr(0, dot));
-    const auto nanoseconds = parse_number(text.substr(dot + 1, 9));
-    constexpr double kLatest_s = 4e9;
-    if (!seconds || !nanoseconds || !(*seconds >= 0.0 && *seconds <= kLatest_s)) return 0;
-    return std::int64_t(*seconds) * 1'000'000'000 + std::int64_t(*nanoseconds);
-}
-
 PcapWriter::PcapWriter(const fs::path& file, int port)
     : file_(file), out_(file, std::ios::binary), port_(port) {
     std::string head;
@@ -125,11 +112,7 @@ std::size_t save_packets(const LidarSequence& sequence, const fs::path& file,
             "dataset.lidars",
             file.string(), sequence.lidars.size()));
     PacketOptions options;
-    options.start_ns = get_log_start_unix_ns(sequence);
-    // Packet times cannot be negative. A log that begins before time 0 is shifted.
-    if (options.start_ns == 0 && !sequence.frames.empty())
-        options.start_ns =
-            1'000'000'000 * (1 + std::int64_t(std::ceil(std::max(0.0, -sequence.frames.front().time_s))));
+    options.start_ns = compute_time_shift_ns(sequence);
     options.times_jitter = true;
     for (const LidarFrame& frame : sequence.frames)
         if (!frame.scan.second_returns.empty()) options.returns = 2;

@@ -243,10 +243,11 @@ std::string pack_points_to_bytes(const LidarPoints& cloud) {
     return bytes;
 }
 
-std::string make_point_cloud_message(const LidarPoints& cloud, const std::string& frame_id) {
+std::string make_point_cloud_message(const RecordedCloud& recorded, const std::string& frame_id) {
+    const LidarPoints& cloud = recorded.points;
     std::string bytes;
     pbf_writer writer(bytes);
-    writer.add_message(1, make_timestamp_message(convert_to_nanoseconds(cloud.time_s)));
+    writer.add_message(1, make_timestamp_message(recorded.stamp_ns));
     writer.add_string(2, frame_id);
     writer.add_message(3, make_pose_message({}));
     const std::vector<FoxglovePointField> fields = list_point_fields(cloud);

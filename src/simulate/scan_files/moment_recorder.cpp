@@ -15,7 +15,7 @@ namespace relidar::scan_files {
 namespace {
 
 // Latest time of a ROS time stamp, whose seconds are a signed 32-bit integer.
-constexpr double kLatest_s = 2147483647.0;
+constexpr std::int64_t kLatest_ns = 2'147'483'647'000'000'000;
 // Interval between recorded poses in seconds. Readers interpolate between them. If a
 // sensor is 2 m from the vehicle's origin and turns with 1 rad/s, the interpolation error
 // is 0.03 mm.
@@ -47,7 +47,35 @@ void merge_recorded_actors(std::vector<RecordedActor>& merged_actors, std::vecto
     }
 }
 
+/// Rounds a firing time to 10 ns, because floats have errors of some nanoseconds. The
+/// stamp of a ray at -0.05 s is then not 1 ns too small.
+double round_firing_time(float time_s) { return 1e-8 * std::round(1e8 * double(time_s)); }
+
 }  // namespace
+
+SweepInterval find_sweep_interval(std::span<const RenderedScan> scans) {
+    SweepInterval all{INFINITY, -INFINITY};
+    for (const RenderedScan& scan : scans) {
+        const std::vector<float>& offsets_s = scan.time_offset_s;
+        const auto [first, last] = offsets_s.empty() ? std::ranges::min_max_result<float>{0.0f, 0.0f}
+                                                     : std::ranges::minmax(offsets_s);
+        all = {std::min(all.first_s, scan.time_s + round_firing_time(first)),
+               std::max(all.last_s, scan.time_s + double(last))};
+    }
+    return all;
+}
+
+void require_storable_times(std::span<const RenderedScan> scans, std::int64_t time_shift_ns) {
+    const SweepInterval all = find_sweep_interval(scans);
+    if (std::abs(scans[0].time_s) < 4e9 && make_time_stamp_ns(all.first_s, time_shift_ns) >= 0 &&
+        make_time_stamp_ns(all.last_s, time_shift_ns) < kLatest_ns)
+        return;
+    throw DataError(fmt::format(
+        "cannot write a recording or packets: found a scan at {} s, whose rays have time stamps from {:.3f} "
+        "to {:.3f} s; expected 0 s or more and before the year 2038",
+        scans[0].time_s, all.first_s + 1e-9 * double(time_shift_ns),
+        all.last_s + 1e-9 * double(time_shift_ns)));
+}
 
 RecordedRig SweepRecorder::make_recorded_rig() const {
     RecordedRig rig;
@@ -58,20 +86,7 @@ RecordedRig SweepRecorder::make_recorded_rig() const {
 }
 
 std::uint64_t SweepRecorder::make_time_stamp_ns(double time_s) const {
-    return convert_to_nanoseconds(time_s + *shift_s_);
-}
-
-void SweepRecorder::require_valid_scan_times_and_set_time_shift(const RenderedScan& scan,
-                                                                const SweepInterval& combined_sweep) {
-    const bool falls = shift_s_ && scan.time_s < last_scan_s_;
-    if (!shift_s_) shift_s_ = combined_sweep.first_s < 0.0 ? std::ceil(-combined_sweep.first_s) : 0.0;
-    if (falls ||
-        !(combined_sweep.first_s + *shift_s_ >= 0.0 && combined_sweep.last_s + *shift_s_ < kLatest_s))
-        throw DataError(fmt::format(
-            "cannot write a recording: found a scan at {} s, expected times that do not decrease and "
-            "are before the year 2038",
-            scan.time_s));
-    last_scan_s_ = scan.time_s;
+    return std::uint64_t(scan_files::make_time_stamp_ns(time_s, sensors_.front().time_shift_ns));
 }
 
 RecordedSweep SweepRecorder::convert_scans_to_recorded_sweep(std::span<const RenderedScan> scans) {
@@ -79,26 +94,23 @@ RecordedSweep SweepRecorder::convert_scans_to_recorded_sweep(std::span<const Ren
         throw UsageError(
             fmt::format("cannot write a recording: found {} scans, expected {}, one for each sensor",
                         scans.size(), sensors_.size()));
-    std::vector<SweepInterval> sweeps;
-    for (std::size_t s = 0; s < scans.size(); ++s) {
-        const std::vector<float>& offsets_s = scans[s].time_offset_s;
-        const auto [first, last] = offsets_s.empty() ? std::ranges::min_max_result<float>{0.0f, 0.0f}
-                                                     : std::ranges::minmax(offsets_s);
-        sweeps.push_back({scans[s].time_s + double(first), scans[s].time_s + double(last)});
-    }
-    SweepInterval all = sweeps.front();
-    for (const SweepInterval& sweep : sweeps)
-        all = {std::min(all.first_s, sweep.first_s), std::max(all.last_s, sweep.last_s)};
-    require_valid_scan_times_and_set_time_shift(scans[0], all);
+    require_storable_times(scans, sensors_.front().time_shift_ns);
+    if (last_scan_s_ && scans[0].time_s < *last_scan_s_)
+        throw DataError(
+            fmt::format("cannot write a recording: found a scan at {} s, expected times that do not decrease",
+                        scans[0].time_s));
+    last_scan_s_ = scans[0].time_s;
+    const SweepInterval all = find_sweep_interval(scans);
     RecordedSweep moment{make_time_stamp_ns(all.first_s), make_time_stamp_ns(all.last_s), {}, {}, {}};
     std::vector<double> times_s;
     append_pose_sample_times(times_s, scans[0].track, all.first_s, all.last_s);
     for (std::size_t s = 0; s < scans.size(); ++s) {
-        times_s.push_back(sweeps[s].first_s);
-        times_s.push_back(sweeps[s].last_s);
-        moment.clouds.push_back(make_point_cloud(scans[s], sensors_[s], sweeps[s]));
-        merge_recorded_actors(moment.actors[make_time_stamp_ns(sweeps[s].first_s)],
-                              list_recorded_actors(scans[s], sweeps[s].first_s));
+        const auto [first_s, last_s] = find_sweep_interval(scans.subspan(s, 1));
+        times_s.push_back(first_s);
+        times_s.push_back(last_s);
+        moment.clouds.push_back(make_point_cloud(scans[s], sensors_[s], first_s));
+        merge_recorded_actors(moment.actors[make_time_stamp_ns(first_s)],
+                              list_recorded_actors(scans[s], first_s));
     }
     moment.poses = compute_vehicle_poses(scans[0], std::move(times_s));
     return moment;
@@ -126,15 +138,15 @@ std::vector<RecordedPose> SweepRecorder::compute_vehicle_poses(const RenderedSca
     return poses;
 }
 
-LidarPoints SweepRecorder::make_point_cloud(const RenderedScan& scan, const ScanOutputOptions& format,
-                                            const SweepInterval& sweep) const {
-    LidarPoints points = convert_scan_to_points(
-        scan, format.config,
-        compute_world_from_output_frame(format, interpolate_sensor_pose_in_scan(scan, sweep.first_s)));
-    for (float& time_s : points.time_offset_s)
-        time_s = static_cast<float>(double(time_s) - (sweep.first_s - scan.time_s));
-    points.time_s = sweep.first_s + *shift_s_;
-    return points;
+RecordedCloud SweepRecorder::make_point_cloud(const RenderedScan& scan, const ScanOutputOptions& format,
+                                              double first_s) const {
+    RecordedCloud cloud{make_time_stamp_ns(first_s),
+                        convert_scan_to_points(scan, format.config,
+                                               compute_world_from_output_frame(
+                                                   format, interpolate_sensor_pose_in_scan(scan, first_s)))};
+    for (float& time_s : cloud.points.time_offset_s)
+        time_s = static_cast<float>(std::max(0.0, double(time_s) - (first_s - scan.time_s)));
+    return cloud;
 }
 
 /// Returns the boxes of the actors that are present during a scan, in the world frame of

@@ -24,26 +24,16 @@ public:
     /// @param scans one scan per sensor, all with the same time
     /// @throws DataError if times decrease, or if the file format cannot represent them
     RecordedSweep convert_scans_to_recorded_sweep(std::span<const RenderedScan> scans);
-    /// Returns the number of whole seconds that are added to all times of the log. The
-    /// first scan determines this number. It is needed because times in files cannot be
-    /// negative.
-    double get_time_shift_s() const { return shift_s_.value_or(0.0); }
 
 private:
-    struct SweepInterval {
-        double first_s, last_s;  ///< firing times of the first and last ray, in the log's time
-    };
     std::vector<ScanOutputOptions> sensors_;
-    std::optional<double> shift_s_;
-    double last_scan_s_ = 0.0;  ///< time of the previous scan in the log
+    std::optional<double> last_scan_s_;  ///< time of the previous scan in the log
     std::optional<std::uint64_t> last_pose_ns_;
 
     std::uint64_t make_time_stamp_ns(double time_s) const;
-    void require_valid_scan_times_and_set_time_shift(const RenderedScan& scan,
-                                                     const SweepInterval& combined_sweep);
     std::vector<RecordedPose> compute_vehicle_poses(const RenderedScan& scan, std::vector<double> times_s);
-    LidarPoints make_point_cloud(const RenderedScan& scan, const ScanOutputOptions& format,
-                                 const SweepInterval& sweep) const;
+    RecordedCloud make_point_cloud(const RenderedScan& scan, const ScanOutputOptions& format,
+                                   double first_s) const;
     std::vector<RecordedActor> list_recorded_actors(const RenderedScan& scan, double cloud_time_s) const;
 };
 

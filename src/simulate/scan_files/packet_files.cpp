@@ -47,14 +47,16 @@ void PacketFileWriter::finish_writing() {
         file.capture.close_file();
         write_file_atomically(file.path, [&](const fs::path& target) { fs::rename(file.temporary, target); });
         const PacketCalibrationFile calibration = packets_.get_packet_encoder(s).get_packet_calibration();
-        if (!calibration.ending.empty())
-            write_text_file(fs::path(file.path).replace_extension(calibration.ending), calibration.text);
+        if (calibration.ending.empty()) continue;
+        calibrations_.push_back(fs::path(file.path).replace_extension(calibration.ending));
+        write_text_file(calibrations_.back(), calibration.text);
     }
 }
 
 std::vector<std::string> PacketFileWriter::list_packet_file_names() const {
     std::vector<std::string> names;
     for (const OpenPacketFile& file : files_) names.push_back(file.path.filename().string());
+    for (const fs::path& file : calibrations_) names.push_back(file.filename().string());
     return names;
 }
 

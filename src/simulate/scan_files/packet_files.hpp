@@ -39,6 +39,7 @@ private:
     };
     ScanPacketEncoder packets_;
     std::vector<OpenPacketFile> files_;
+    std::vector<std::filesystem::path> calibrations_;
 
     void write_packets(const std::vector<std::vector<SensorPacket>>& packets_per_sensor);
 };

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <map>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -14,6 +15,10 @@
 
 #include <relidar/base/math.hpp>
 #include <relidar/log/points.hpp>
+
+namespace relidar {
+struct RenderedScan;
+}
 
 namespace relidar::scan_files {
 
@@ -58,18 +63,31 @@ struct RecordedActor {
     std::optional<double> visible_share;  ///< empty if it was not computed
 };
 
-inline std::uint64_t convert_to_nanoseconds(double time_s) {
-    return std::uint64_t(std::llround(1e9 * time_s));
+/// Times in seconds of the log at which the first and the last ray are fired.
+struct SweepInterval {
+    double first_s, last_s;
+};
+SweepInterval find_sweep_interval(std::span<const RenderedScan> scans);
+/// Converts a time of the log to a time stamp, rounded to the nearest nanosecond.
+inline std::int64_t make_time_stamp_ns(double time_s, std::int64_t time_shift_ns) {
+    return time_shift_ns + std::llround(1e9 * time_s);
 }
+/// Checks that recordings and packets can store the times of some scans.
+/// @throws DataError if a time is before 1970 or after 2038
+void require_storable_times(std::span<const RenderedScan> scans, std::int64_t time_shift_ns);
+
+struct RecordedCloud {
+    std::uint64_t stamp_ns;  ///< firing time of the first ray
+    LidarPoints points;
+};
 
 struct RecordedSweep {
     std::uint64_t first_ns, last_ns;  ///< firing times of the first and last ray of all sensors
     /// poses in ascending order of time, all later than the poses of earlier scans
     std::vector<RecordedPose> poses;
-    /// [sensors] point cloud of each sensor. `time_s` is the firing time of the first
-    /// ray, in the clock of the output file. Motion-compensated points are in the
-    /// sensor's frame at `time_s`.
-    std::vector<LidarPoints> clouds;
+    /// [sensors] point cloud of each sensor. Motion-compensated points are in the
+    /// sensor's frame at the time of the stamp.
+    std::vector<RecordedCloud> clouds;
     /// actors at the time stamp of each point cloud
     std::map<std::uint64_t, std::vector<RecordedActor>> actors;
 };

@@ -79,8 +79,9 @@ struct RosPointType {
 const RosPointType kPlainType{kPlain, 24, pack_velodyne_points, true},
     kAutowareType{kAutoware, 32, pack_autoware_points, false};
 
-std::string make_point_cloud2_message(const LidarPoints& cloud, const std::string& frame_id,
+std::string make_point_cloud2_message(const RecordedCloud& recorded, const std::string& frame_id,
                                       const RosPointType& point_type) {
+    const LidarPoints& cloud = recorded.points;
     const std::string points = point_type.points(cloud);
     std::vector<RosField> fields = point_type.fields;
     std::uint32_t step = point_type.step;
@@ -90,7 +91,7 @@ std::string make_point_cloud2_message(const LidarPoints& cloud, const std::strin
         step += 4;
     }
     CdrWriter cdr;
-    add_header(cdr, convert_to_nanoseconds(cloud.time_s), frame_id);
+    add_header(cdr, recorded.stamp_ns, frame_id);
     cdr.append_aligned_number(std::uint32_t(1))
         .append_aligned_number(std::uint32_t(cloud.size()))
         .append_aligned_number(std::uint32_t(fields.size()));

@@ -22,5 +22,7 @@ std::string make_scan_entry_json(int frame_number, const RenderedScan& scan, con
 /// half-written files of a killed process.
 /// @throws DataError if a file cannot be removed
 void remove_scan_files(const std::filesystem::path& folder);
+/// Writes a scans.json that only lists recordings, for a folder without single scans.
+void write_list_of_recordings(const std::filesystem::path& folder, const std::vector<std::string>& names);
 
 }  // namespace relidar::scan_files

@@ -11,6 +11,7 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
+#include <relidar/log/log_time.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/point_files.hpp>
 #include <relidar/simulate/render.hpp>
@@ -153,6 +154,15 @@ std::vector<std::string> list_scan_formats() {
     return names;
 }
 
+std::int64_t compute_time_shift_ns(const TrainedRun& run, const SimulatedSensor& sensor,
+                                   double first_scan_s) {
+    if (!run.sequence.frames.empty())
+        first_scan_s = std::min(first_scan_s, run.sequence.frames.front().time_s);
+    double first_ray_s = sensor.pattern ? -get_scan_period_s(*sensor.pattern) : 0.0;
+    for (const float t : sensor.rays.time_offset_s) first_ray_s = std::min(first_ray_s, 1.01 * double(t));
+    return compute_time_shift_ns(run.sequence, first_scan_s + first_ray_s);
+}
+
 ScanOutputOptions make_default_output_options(const TrainedRun& run, const SimulatedSensor& sensor) {
     ScanOutputOptions format;
     for (const ModelInstance& instance : run.scene.instances) {
@@ -171,7 +181,7 @@ ScanOutputOptions make_default_output_options(const TrainedRun& run, const Simul
     format.sensor = sensor.name;
     format.limits = sensor.limits;
     if (sensor.is_log_lidar && !lidar.pattern) format.packets.sensor = lidar.sensor;
-    format.packets.log_start_ns = get_log_start_unix_ns(run.sequence);
+    format.time_shift_ns = compute_time_shift_ns(run, sensor);
     format.config = run.config;
     if (sensor.returns > 0) format.config.sensor.returns = sensor.returns;
     return format;

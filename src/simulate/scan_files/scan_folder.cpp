@@ -4,6 +4,8 @@
 #include <relidar/simulate/scan_files.hpp>
 
 #include <algorithm>
+#include <fstream>
+#include <set>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -25,11 +27,12 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-constexpr const char* kSummary = "scans.json";
+constexpr const char *kSummary = "scans.json", *kSummaryFormat = "relidar scans";
+// Name of a file that exists while a rendering is not finished.
+constexpr const char* kUnfinished = ".unfinished_scans";
 
 /// Returns true if a file name is scans.json, the name of a recording or capture, or
-/// frame_<number>.<format>. Only files with such names are removed, because other
-/// programs may have files in the folder.
+/// frame_<number>.<format>.
 bool is_output_file_name(const fs::path& name) {
     const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
     if (name == kSummary || scan_files::PacketFileWriter::is_packet_file_name(name) ||
@@ -40,6 +43,32 @@ bool is_output_file_name(const fs::path& name) {
     return stem.starts_with(prefix) && stem.size() > prefix.size() &&
            stem.find_first_not_of("0123456789", prefix.size()) == std::string::npos && !extension.empty() &&
            std::find(formats.begin(), formats.end(), extension.substr(1)) != formats.end();
+}
+
+std::vector<fs::path> list_output_files(const fs::path& folder) {
+    std::vector<fs::path> files;
+    std::error_code failed;
+    for (const auto& entry : fs::directory_iterator(folder, failed))
+        if (is_output_file_name(entry.path().filename())) files.push_back(entry.path());
+    std::sort(files.begin(), files.end());
+    return files;
+}
+
+/// Returns the names of all files that the scans.json of a folder lists, and scans.json.
+std::set<std::string> read_listed_names(const fs::path& folder) {
+    std::ifstream file(folder / kSummary);
+    const Json json = Json::parse(file, nullptr, false);
+    std::set<std::string> names;
+    if (!json.is_object() || json.value("format", Json()) != kSummaryFormat) return names;
+    names.insert(kSummary);
+    const auto add = [&](const Json& list) {
+        for (const Json& name : list)
+            if (name.is_string()) names.insert(name.get<std::string>());
+    };
+    add(json.value("recordings", Json::array()));
+    for (const Json& scan : json.value("scans", Json::array()))
+        if (scan.is_object()) add(scan.value("files", Json::array()));
+    return names;
 }
 
 Json make_matrix_json(const Pose& pose) {
@@ -101,11 +130,20 @@ ScanFolderWriter ScanFolderWriter::join_folder_of_other_process(fs::path folder,
 ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format)
     : ScanFolderWriter(std::move(folder), std::move(format), JoinExistingTag{}) {
     recordings_ = std::make_shared<ScanRecordingsWriter>(folder_, std::vector{format_});
+    // The marker of an interrupted rendering stays if there are scans.
+    unfinished_marker_ = {new fs::path(folder_ / kUnfinished), [](const fs::path* marker) {
+                              std::error_code failed;
+                              if (list_output_files(marker->parent_path()).empty())
+                                  fs::remove(*marker, failed);
+                              delete marker;
+                          }};
+    write_text_file(*unfinished_marker_, "relidar has not finished the scans in this folder\n");
 }
 
 void ScanFolderWriter::finish_scan_folder() {
     if (recordings_) recordings_->finish_recording_files();
     write_summary_file();
+    fs::remove(folder_ / kUnfinished);
 }
 
 void ScanFolderWriter::write_summary_file() const {
@@ -121,7 +159,7 @@ void ScanFolderWriter::write_summary_file() const {
                                                  "strongest if the last is the strongest"
                                                : "one return per ray"}};
     Json json = {
-        {"format", "relidar scans"},
+        {"format", kSummaryFormat},
         {"version", 1},
         {"relidar", RELIDAR_VERSION},
         {"run", format_.run},
@@ -132,6 +170,7 @@ void ScanFolderWriter::write_summary_file() const {
           {"max_range_m", format_.limits.max_m}}},
         {"sensor_offset", make_matrix_json(format_.offset)},
         {"trajectory", format_.trajectory.empty() ? Json() : Json(format_.trajectory)},
+        {"time_shift_ns", format_.time_shift_ns},
         {"units", "metres, seconds; times of points are relative to time_s; intensity, drop_prob: 0 to 1"},
         {"points", points},
         {"channels", make_channels_json(channels_)},
@@ -189,15 +228,36 @@ std::string scan_files::make_scan_entry_json(int frame_number, const RenderedSca
 }
 
 std::vector<fs::path> list_scan_files(const fs::path& folder) {
-    std::vector<fs::path> files;
+    std::vector<fs::path> files = list_output_files(folder);
     std::error_code failed;
-    for (const auto& entry : fs::directory_iterator(folder, failed))
-        if (is_output_file_name(entry.path().filename())) files.push_back(entry.path());
-    std::sort(files.begin(), files.end());
+    if (files.empty() || fs::exists(folder / kUnfinished, failed)) return files;
+    const std::set<std::string> listed = read_listed_names(folder);
+    std::erase_if(files, [&](const fs::path& file) { return !listed.contains(file.filename().string()); });
     return files;
 }
 
+fs::path find_foreign_scan_file(const fs::path& folder) {
+    const std::vector<fs::path> ours = list_scan_files(folder);
+    for (const fs::path& file : list_output_files(folder))
+        if (!std::ranges::binary_search(ours, file)) return file;
+    return {};
+}
+
+void scan_files::write_list_of_recordings(const fs::path& folder, const std::vector<std::string>& names) {
+    const Json json = {{"format", kSummaryFormat},
+                       {"version", 1},
+                       {"relidar", RELIDAR_VERSION},
+                       {"recordings", names},
+                       {"scans", Json::array()}};
+    write_text_file(folder / kSummary, json.dump(1) + "\n");
+}
+
 void scan_files::remove_scan_files(const fs::path& folder) {
+    if (const fs::path foreign = find_foreign_scan_file(folder); !foreign.empty())
+        throw UsageError(fmt::format(
+            "cannot write scans to {}: found {}, which is not listed in a scans.json of relidar and could "
+            "be replaced; expected another folder",
+            folder.string(), foreign.filename().string()));
     for (const fs::path& file : list_scan_files(folder)) {
         std::error_code failed;
         fs::remove(file, failed);

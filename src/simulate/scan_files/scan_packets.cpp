@@ -1,14 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <relidar/simulate/scan_packets.hpp>
 
-#include <algorithm>
-#include <cmath>
 #include <utility>
 
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/simulate/render.hpp>
+#include "simulate/scan_files/recorded_moment.hpp"
 
 namespace relidar {
 
@@ -36,30 +35,20 @@ Scan convert_rendered_to_measured_scan(const RenderedScan& scan, const Config& c
 struct ScanPacketEncoder::Impl {
     std::vector<ScanOutputOptions> sensors;
     std::vector<std::unique_ptr<PacketEncoder>> encoders;
-    bool has_started = false;
-
-    /// Creates one packet encoder per sensor.
-    /// @param time_shift_s  offset in whole seconds that makes all times positive
-    void create_packet_encoders(double time_shift_s) {
-        encoders.clear();
-        for (const ScanOutputOptions& format : sensors) {
-            PacketOptions options;
-            options.start_ns = format.packets.log_start_ns + std::llround(1e9 * time_shift_s);
-            options.returns = format.config.sensor.returns;
-            options.ouster_profile = format.packets.ouster_profile;
-            encoders.push_back(std::make_unique<PacketEncoder>(*format.packets.sensor, options));
-        }
-    }
 };
 
 ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> sensors)
     : impl_(std::make_unique<Impl>()) {
-    for (const ScanOutputOptions& format : sensors)
+    for (const ScanOutputOptions& format : sensors) {
         if (!format.packets.sensor)
             throw UsageError(fmt::format("cannot write packets of the sensor \"{}\", expected one of {}",
                                          format.sensor, format_packet_sensor_names()));
+        const PacketOptions options{.start_ns = format.time_shift_ns,
+                                    .returns = format.config.sensor.returns,
+                                    .ouster_profile = format.packets.ouster_profile};
+        impl_->encoders.push_back(std::make_unique<PacketEncoder>(*format.packets.sensor, options));
+    }
     impl_->sensors = std::move(sensors);
-    impl_->create_packet_encoders(0.0);
 }
 
 ScanPacketEncoder::~ScanPacketEncoder() = default;
@@ -69,14 +58,7 @@ std::vector<std::vector<SensorPacket>> ScanPacketEncoder::encode_scans_as_packet
     if (scans.size() != impl_->encoders.size())
         throw UsageError(fmt::format("cannot write packets: found {} scans, expected {}, one of each sensor",
                                      scans.size(), impl_->encoders.size()));
-    if (!std::exchange(impl_->has_started, true)) {
-        double first_s = 0.0;
-        for (const RenderedScan& scan : scans) first_s = std::min(first_s, scan.time_s);
-        // If the log starts at time 0, shifts all times so that they are positive. The
-        // extra second covers rays that fire before the time of their scan.
-        if (impl_->sensors.front().packets.log_start_ns == 0)
-            impl_->create_packet_encoders(1.0 + std::ceil(-first_s));
-    }
+    scan_files::require_storable_times(scans, impl_->sensors.front().time_shift_ns);
     std::vector<std::vector<SensorPacket>> packets;
     for (std::size_t s = 0; s < scans.size(); ++s)
         packets.push_back(impl_->encoders[s]->encode_scan_as_packets(

@@ -6,8 +6,6 @@
 #include <system_error>
 #include <utility>
 
-#include <fmt/format.h>
-
 #include <relidar/base/files.hpp>
 
 namespace relidar::scan_files {
@@ -18,7 +16,6 @@ RecordingFileWriter::RecordingFileWriter(fs::path path, const RecordingFormat& f
                                          const FileMetadata& notes)
     : path_(std::move(path)),
       temporary_(make_unique_temporary_path(path_)),
-      notes_(notes),
       writer_(temporary_, format.profile),
       topics_(format.topics(rig)) {
     std::map<std::string, std::uint16_t> schemas;
@@ -30,6 +27,7 @@ RecordingFileWriter::RecordingFileWriter(fs::path path, const RecordingFormat& f
             writer_.add_channel(schemas[topic.type], topic.name, format.message_encoding, topic.metadata));
     }
     for (const auto& [name, values] : format.metadata) writer_.add_metadata(name, values);
+    writer_.add_metadata("relidar", {notes.begin(), notes.end()});
 }
 
 RecordingFileWriter::~RecordingFileWriter() {
@@ -37,13 +35,7 @@ RecordingFileWriter::~RecordingFileWriter() {
     fs::remove(temporary_, failed);
 }
 
-void RecordingFileWriter::write_sweep_messages(const RecordedSweep& moment, double time_shift_s) {
-    if (!std::exchange(has_notes_, true)) {
-        McapWriter::McapMetadataMap values(notes_.begin(), notes_.end());
-        // offset in seconds between the times of the file and the times of the log
-        values["time_shift_s"] = fmt::format("{}", time_shift_s);
-        writer_.add_metadata("relidar", values);
-    }
+void RecordingFileWriter::write_sweep_messages(const RecordedSweep& moment) {
     for (const ScanMessage& message : make_messages_in_time_order(topics_, moment)) {
         // Log times in the file must not decrease, although sweeps can overlap. If a
         // message is earlier than the previous message, it gets the log time of the

@@ -26,18 +26,14 @@ public:
     RecordingFileWriter& operator=(const RecordingFileWriter&) = delete;
 
     /// Writes the messages of all scans with the same time.
-    /// @param time_shift_s offset that converts times of the log to times of the file.
-    /// All calls must use the same offset
-    void write_sweep_messages(const RecordedSweep& moment, double time_shift_s);
+    void write_sweep_messages(const RecordedSweep& moment);
     void finish_writing();
 
 private:
     std::filesystem::path path_, temporary_;
-    FileMetadata notes_;
     McapWriter writer_;
     std::vector<RecordedTopic> topics_;
     std::vector<std::uint16_t> channels_;  ///< [topics] numbers of the topics in the file
-    bool has_notes_ = false;
     std::uint64_t last_logged_ns_ = 0;
 };
 

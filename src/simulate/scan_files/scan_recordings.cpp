@@ -80,6 +80,13 @@ const char* describe_recording_coordinate_frame(const ScanOutputOptions& output_
                                                               : "sensor at each ray's firing time";
 }
 
+/// Returns a time in seconds without rounding.
+std::string format_exact_seconds(std::int64_t time_ns) {
+    constexpr std::int64_t kSecond_ns = 1'000'000'000;
+    const std::string seconds = fmt::format("{}", time_ns / kSecond_ns);
+    return time_ns % kSecond_ns == 0 ? seconds : fmt::format("{}.{:09}", seconds, time_ns % kSecond_ns);
+}
+
 /// Returns the metadata of a recording.
 FileMetadata make_recording_metadata(const std::vector<ScanOutputOptions>& sensors) {
     const ScanOutputOptions& format = sensors.front();
@@ -91,6 +98,7 @@ FileMetadata make_recording_metadata(const std::vector<ScanOutputOptions>& senso
             {"dataset", format.config.dataset.path},
             {"sensor", fmt::format("{}", fmt::join(names, ", "))},
             {"trajectory", format.trajectory},
+            {"time_shift_s", format_exact_seconds(format.time_shift_ns)},
             {"points_in", describe_recording_coordinate_frame(format)},
             {"units", "metres, seconds; intensity 0 to 1"}};
 }
@@ -120,6 +128,7 @@ bool is_recording_format(const std::string& format) {
 
 struct ScanRecordingsWriter::Impl {
     scan_files::SweepRecorder recorder;
+    fs::path folder;
     std::vector<std::string> names;
     std::vector<std::unique_ptr<scan_files::RecordingFileWriter>> files;
     std::unique_ptr<scan_files::PacketFileWriter> packets;
@@ -127,7 +136,7 @@ struct ScanRecordingsWriter::Impl {
 
 ScanRecordingsWriter::ScanRecordingsWriter(fs::path folder, std::vector<ScanOutputOptions> sensors) {
     scan_files::remove_scan_files(folder);
-    impl_ = std::make_shared<Impl>(Impl{scan_files::SweepRecorder(sensors), {}, {}, {}});
+    impl_ = std::make_shared<Impl>(Impl{scan_files::SweepRecorder(sensors), folder, {}, {}, {}});
     const std::vector<std::string>& requested_formats = sensors.front().formats;
     const scan_files::RecordedRig rig = impl_->recorder.make_recorded_rig();
     for (const scan_files::RecordingFormat& format : scan_files::list_recording_formats()) {
@@ -140,23 +149,28 @@ ScanRecordingsWriter::ScanRecordingsWriter(fs::path folder, std::vector<ScanOutp
     }
     if (std::ranges::find(requested_formats, scan_files::kPacketFormat) == requested_formats.end()) return;
     impl_->packets = std::make_unique<scan_files::PacketFileWriter>(folder, sensors);
-    for (const std::string& name : impl_->packets->list_packet_file_names()) impl_->names.push_back(name);
 }
 
 void ScanRecordingsWriter::write_scans(std::span<const RenderedScan> scans) {
     if (impl_->packets) impl_->packets->write_scans_as_packets(scans);
     if (impl_->files.empty()) return;
     const scan_files::RecordedSweep moment = impl_->recorder.convert_scans_to_recorded_sweep(scans);
-    for (const auto& file : impl_->files)
-        file->write_sweep_messages(moment, impl_->recorder.get_time_shift_s());
+    for (const auto& file : impl_->files) file->write_sweep_messages(moment);
 }
 
 void ScanRecordingsWriter::finish_recording_files() {
     for (const auto& file : impl_->files) file->finish_writing();
     if (impl_->packets) impl_->packets->finish_writing();
+    const std::vector<std::string> names = list_file_names();
+    if (!names.empty()) scan_files::write_list_of_recordings(impl_->folder, names);
 }
 
-std::vector<std::string> ScanRecordingsWriter::list_file_names() const { return impl_->names; }
+std::vector<std::string> ScanRecordingsWriter::list_file_names() const {
+    std::vector<std::string> names = impl_->names;
+    if (impl_->packets)
+        for (const std::string& name : impl_->packets->list_packet_file_names()) names.push_back(name);
+    return names;
+}
 
 struct ScanMessageEncoder::Impl {
     scan_files::SweepRecorder recorder;

@@ -15,6 +15,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 #include <relidar/log/dataset.hpp>
+#include <relidar/log/log_time.hpp>
 #include <relidar/log/packets.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 

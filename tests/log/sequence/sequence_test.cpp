@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks interpolated poses, rays in the world frame, moving boxes, and the split into
 // training and test frames against numbers computed by hand.
-#include <relidar/log/sequence.hpp>
+#include <relidar/log/log_time.hpp>
 
 #include <algorithm>
 #include <cmath>
 #include <random>
 
-#include <gtest/gtest.h>
+#include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
 
@@ -23,6 +23,34 @@ Pose make_turned_pose(double yaw, const glm::dvec3& t) {
 double get_yaw(const Pose& pose) {
     const glm::dvec3 x = pose.rotation * glm::dvec3(1, 0, 0);
     return std::atan2(x.y, x.x);
+}
+
+/// Returns a log of two frames with a sweep of 0.1 s.
+LidarSequence make_log_from(double first_s, const std::string& conventions = "") {
+    LidarSequence log;
+    log.lidars[0].sensor.period_s = 0.1;
+    for (const int i : {0, 1}) log.frames.push_back({.index = i, .time_s = first_s + 0.1 * i, .scan = {}});
+    log.conventions = conventions;
+    return log;
+}
+
+TEST(LogTime, TheShiftIsTheDateOrTheFewestWholeSeconds) {
+    constexpr std::int64_t kSecond_ns = 1'000'000'000;
+    const auto shift = [](double first_s) { return compute_time_shift_ns(make_log_from(first_s)); };
+    EXPECT_EQ(shift(10.3), 0) << "no stamp is negative";
+    EXPECT_EQ(shift(0.0), kSecond_ns);
+    EXPECT_EQ(shift(-1000.0), 1001 * kSecond_ns);
+    EXPECT_EQ(shift(1.7e9), 0) << "the times of the log are dates";
+    EXPECT_EQ(compute_time_shift_ns(make_log_from(10.0), -2.5), 3 * kSecond_ns) << "scans before the log";
+    EXPECT_EQ(format_time_shift_note(make_log_from(10.0), 0), "");
+    EXPECT_THAT(format_time_shift_note(make_log_from(-1000.0), shift(-1000.0)), test::Names("1001 s later"));
+    const std::int64_t start_ns = 1317042145594360375;
+    const LidarSequence dated = make_log_from(-5.0, "x forward. " + format_log_start(start_ns, "on a clock"));
+    EXPECT_EQ(get_log_start_unix_ns(dated), start_ns);
+    EXPECT_EQ(compute_time_shift_ns(dated), start_ns) << "a log with a date keeps it";
+    EXPECT_EQ(format_time_shift_note(dated, start_ns), "");
+    const LidarSequence booted = make_log_from(0.0, format_log_start(40'000'000, "after the start"));
+    EXPECT_EQ(compute_time_shift_ns(booted), 40'000'000 + kSecond_ns) << "a clock that starts at 0";
 }
 
 TEST(PoseTrack, InterpolatesAndContinuesAtTheEnds) {

@@ -8,8 +8,10 @@
 #include <gmock/gmock.h>
 #include <zlib.h>
 
+#include <relidar/log/sensor.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
+#include <relidar/simulate/scan_packets.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"
 #include "support/names.hpp"
@@ -170,15 +172,87 @@ TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
     }
 }
 
-TEST_F(Recordings, TimesBeforeTheBeginningAreMovedByWholeSeconds) {
+TEST_F(Recordings, AllTimesHaveTheShiftOfTheRun) {
+    const auto first_stamp_ns = [&](std::int64_t time_shift_ns, double scan_s) {
+        format.time_shift_ns = time_shift_ns;
+        ScanFolderWriter scans(folder, format);
+        scans.write_scan(0, make_two_rays(scan_s));  // its first ray is fired 0.05 s earlier
+        scans.finish_scan_folder();
+        const std::string bytes = read_contents(folder / "rosbag.mcap");
+        const auto all = records(bytes, 8, bytes.size() - 8);
+        return number<std::uint64_t>(bytes, all.find(8)->second.body);  // of the first chunk
+    };
+    EXPECT_EQ(first_stamp_ns(1'000'000'000, 0.0), 950'000'000u);
+    EXPECT_THAT(read_contents(folder / "rosbag.mcap"),
+                testing::HasSubstr(std::string("time_shift_s\1\0\0\0001", 17)));
+    EXPECT_EQ(first_stamp_ns(1'000'000'000, 0.5), 1'450'000'000u) << "later scans have the same shift";
+    EXPECT_EQ(first_stamp_ns(0, 0.5), 450'000'000u) << "not 449,999,999, although -0.05f is not -0.05";
+    EXPECT_EQ(first_stamp_ns(1317042145594360375, 10.0), 1317042155544360375u) << "nanoseconds of a date";
+    for (const char* name : {"rosbag.mcap", "scans.mcap"})
+        EXPECT_THAT(read_contents(folder / name), testing::HasSubstr("1317042145.594360375")) << name;
+    EXPECT_THAT(read_contents(folder / "scans.json"),
+                testing::HasSubstr("\"time_shift_ns\": 1317042145594360375"));
+    EXPECT_THAT(get_data_error_message([&] { first_stamp_ns(0, 0.0); }), Names("0 s ... -0.050 ... 0.050"));
+}
+
+/// Packets must have the times of the other files: the first ray of the scan is fired at
+/// 1.95 s of the log.
+TEST_F(Recordings, PacketsHaveTheSameTimes) {
+    const auto sensor = std::get<SpinningSensor>(find_built_in_sensor("VLP-16")->pattern);
+    format.packets.sensor = sensor;
+    RenderedScan scan;
+    const RayTable rays = make_rays(sensor);
+    scan.image = {rays.rows,
+                  rays.columns,
+                  std::vector(rays.size(), 10.0f),
+                  std::vector(rays.size(), 0.5f),
+                  std::vector(rays.size(), 0.0f),
+                  {rays.origin.begin(), rays.origin.end()},
+                  {rays.direction.begin(), rays.direction.end()}};
+    scan.median_range_m = scan.mean_range_m = scan.image.range_m;
+    scan.time_offset_s = {rays.time_offset_s.begin(), rays.time_offset_s.end()};
+    scan.ring = {rays.channel.begin(), rays.channel.end()};
+    scan.time_s = 2.0;
+    const double first_s = 2.0 + double(*std::ranges::min_element(scan.time_offset_s));
+    for (const std::int64_t shift_ns : {std::int64_t(0), std::int64_t(1317042145594360375)}) {
+        format.time_shift_ns = shift_ns;
+        ScanPacketEncoder encoder({format});
+        const auto packets = encoder.encode_scans_as_packets({&scan, 1});
+        ASSERT_FALSE(packets[0].empty());
+        // A packet begins up to 12 blocks before the first ray.
+        EXPECT_NEAR(double(packets[0][0].time_ns - shift_ns), 1e9 * first_s, 1e9 * 12 * 110.592e-6);
+    }
+    format.time_shift_ns = 0;
+    scan.time_s = 0.0;
+    EXPECT_THAT(get_data_error_message([&] {
+                    ScanPacketEncoder({format}).encode_scans_as_packets({&scan, 1});
+                }),
+                Names("0 s"));
+}
+
+TEST_F(Recordings, FilesOfOthersStay) {
+    format.formats = {"npz", "rosbag"};
+    for (const char* name : {"rosbag.mcap", "packets.csv", "frame_000007.npz", "scans.json"}) {
+        put(folder / name, "of the user");
+        EXPECT_THAT(list_scan_files(folder), ElementsAre()) << name;
+        EXPECT_EQ(find_foreign_scan_file(folder).filename(), name);
+        EXPECT_THAT(error_message<UsageError>([&] { ScanFolderWriter(folder, format); }), Names(name));
+        EXPECT_EQ(read_contents(folder / name), "of the user");
+        std::filesystem::remove(folder / name);
+    }
+    put(folder / "notes.txt", "of the user");
+    {
+        ScanFolderWriter interrupted(folder, format);
+        interrupted.write_scan(3, make_two_rays(1.0));
+    }
+    EXPECT_EQ(list_scan_files(folder).size(), 1u) << "files of an interrupted rendering are known";
     ScanFolderWriter scans(folder, format);
-    scans.write_scan(0, make_two_rays(0.0));  // its first ray is fired at -0.05 s
+    scans.write_scan(4, make_two_rays(1.0));
     scans.finish_scan_folder();
-    const std::string bytes = read_contents(folder / "rosbag.mcap");
-    const auto all = records(bytes, 8, bytes.size() - 8);
-    EXPECT_NEAR(double(number<std::uint64_t>(bytes, all.find(8)->second.body)), 0.95e9, 5.0)
-        << "the first stamp of the first chunk; times of rays are floats";
-    EXPECT_THAT(bytes, testing::HasSubstr(std::string("time_shift_s\1\0\0\0001", 17)));
+    EXPECT_THAT(files(), UnorderedElementsAre("notes.txt", "frame_000004.npz", "rosbag.mcap", "scans.json"));
+    put(folder / "frame_000005.npz", "of the user");
+    EXPECT_EQ(list_scan_files(folder).size(), 3u);
+    EXPECT_EQ(find_foreign_scan_file(folder).filename(), "frame_000005.npz");
 }
 
 TEST_F(Recordings, TimesThatNoFileHasAreRefused) {
@@ -200,7 +274,8 @@ TEST_F(Recordings, OfARigAreOne) {
                 Names("found 1 scans, expected 2"));
     recordings.finish_recording_files();
     EXPECT_THAT(recordings.list_file_names(), ElementsAre("scans.mcap", "rosbag.mcap"));
-    EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap"));
+    EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap", "scans.json"));
+    EXPECT_EQ(list_scan_files(folder).size(), 3u);
     for (const char* name : {"scans.mcap", "rosbag.mcap"})
         for (const char* topic : {"/lidar/left/points", "/lidar/_2nd_right/points"})
             EXPECT_THAT(read_contents(folder / name), testing::HasSubstr(topic)) << name;

@@ -11,6 +11,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include <relidar/log/log_time.hpp>
 
 #include "base/files.hpp"
 #include "log/clouds/log_files.hpp"
@@ -378,10 +379,10 @@ private:
                 "the recording has no poses; they must be estimated from the scans, like with "
                 "dataset.poses=none");
         sequence_.conventions = fmt::format(
-            "ROS frames: x forward, y left, z up, in metres. Time 0 s is {}.{:09} s on the clock of the {}. "
-            "Frame numbers count the clouds of {} from 0.",
-            poses_.zero_ns / kSecond_ns, std::abs(poses_.zero_ns % kSecond_ns),
-            poses_.clock == LogClock::stamps ? "time stamps" : "recorder",
+            "ROS frames: x forward, y left, z up, in metres. {} Frame numbers count the clouds of {} from 0.",
+            format_log_start(poses_.zero_ns, poses_.clock == LogClock::stamps
+                                                 ? "on the clock of the time stamps"
+                                                 : "on the clock of the recorder"),
             get_topic_name(get_main_cloud_topic()));
         add_boxes_to_sequence();
         move_world_origin_of_log(sequence_);

@@ -18,14 +18,14 @@ namespace fs = std::filesystem;
 using namespace kitti;
 
 PoseTrack read_drive_poses(const fs::path& drive_folder, const std::vector<int>& frame_numbers,
-                           const fs::path& user_pose_file, std::vector<std::string>& notes) {
-    PoseTrack track{
-        read_relative_frame_times_s(drive_folder / "velodyne_points/timestamps.txt", frame_numbers),
-        std::vector<Pose>(frame_numbers.size())};
+                           const fs::path& user_pose_file, LidarSequence& sequence) {
+    PoseTrack track{read_relative_frame_times_s(drive_folder / "velodyne_points/timestamps.txt",
+                                                frame_numbers, sequence.conventions),
+                    std::vector<Pose>(frame_numbers.size())};
     if (user_pose_file != kNoPoses)
         track.pose = user_pose_file.empty()
                          ? compute_lidar_poses_from_oxts_files(drive_folder, frame_numbers)
-                         : read_user_pose_file(user_pose_file, frame_numbers, track.time_s, notes);
+                         : read_user_pose_file(user_pose_file, frame_numbers, track.time_s, sequence.notes);
     return track;
 }
 
@@ -77,7 +77,7 @@ LidarSequence load_kitti_raw(const fs::path& folder, const DatasetOptions& optio
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;
     sequence.lidars[0].sensor.period_s = read_median_sweep_duration_s(drive);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
-    const PoseTrack poses = read_drive_poses(drive, frames, options.poses_file, sequence.notes);
+    const PoseTrack poses = read_drive_poses(drive, frames, options.poses_file, sequence);
     for (std::size_t i = 0; i < frames.size(); ++i)
         add_frame(sequence, frames[i], poses.time_s[i], poses.pose[i]);
     move_world_origin_of_log(sequence);

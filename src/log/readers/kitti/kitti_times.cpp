@@ -14,6 +14,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include <relidar/log/log_time.hpp>
 #include "base/files.hpp"
 #include "base/median.hpp"
 
@@ -78,10 +79,14 @@ std::vector<std::optional<std::int64_t>> read_timestamps_ns(const fs::path& file
 }  // namespace
 
 std::vector<double> read_relative_frame_times_s(const fs::path& time_file,
-                                                const std::vector<int>& frame_numbers) {
+                                                const std::vector<int>& frame_numbers,
+                                                std::string& conventions) {
     const std::vector<std::optional<std::int64_t>> time_ns = read_timestamps_ns(time_file);
     const std::int64_t first_ns =
         **std::find_if(time_ns.begin(), time_ns.end(), [](const auto& t) { return t.has_value(); });
+    conventions += " " + format_log_start(first_ns,
+                                          "after 1970; the files have no time zone, so their local times are "
+                                          "read as UTC");
     std::vector<double> time_s;
     for (std::size_t i = 0; i < frame_numbers.size(); ++i) {
         const std::size_t line = static_cast<std::size_t>(frame_numbers[i]);

@@ -11,6 +11,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
+#include <relidar/log/log_time.hpp>
 #include "base/files.hpp"
 #include "log/clouds/folder_head.hpp"
 #include "log/clouds/log_files.hpp"
@@ -164,7 +165,8 @@ public:
         sequence_.source = folder_.string();
         sequence_.conventions = fmt::format(
             "Vehicle frame: x forward, y left, z up, in metres. Times are seconds after the first sweep of "
-            "the scene. Boxes are interpolated between keyframes. {}",
+            "the scene. {} Boxes are interpolated between keyframes. {}",
+            format_log_start(1000 * scene_.lidars[0].sweeps[0].time_us, "on the clock of the dataset"),
             format_.conventions);
         select_requested_lidars();
         select_sweeps_of_requested_frames();
