@@ -245,6 +245,9 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     const std::vector<DeviceInfo> infos = describe_physical_devices(physical);
     const int index = choose_device_index(infos, options);
     impl_->info = infos[static_cast<std::size_t>(index)];
+    if (options.report_missing_drivers && options.index < 0 && impl_->info.type == "CPU")
+        for (const std::string& line : list_gpus_without_driver(infos))
+            gpu::report_device_note(line + "; relidar uses " + impl_->info.name);
     throw_if_backend_unsupported(impl_->info, options.traversal);
     impl_->traversal = options.traversal == RayTracingBackend::automatic
                            ? choose_best_ray_tracing_backend(impl_->info)

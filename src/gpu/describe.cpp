@@ -238,6 +238,7 @@ DeviceInfo make_device_info(VkPhysicalDevice physical_device, int device_index) 
     DeviceInfo info;
     info.index = device_index;
     info.name = properties.properties.deviceName;
+    info.vendor_id = properties.properties.vendorID;
     info.type = get_device_type_name(properties.properties.deviceType);
     info.driver = fmt::format("{} {}", driver.driverName, driver.driverInfo);
     const std::uint32_t packed_version = properties.properties.apiVersion;

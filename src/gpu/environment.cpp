@@ -3,6 +3,8 @@
 // the program does not call this function.
 #include <relidar/gpu/device.hpp>
 
+#include <algorithm>
+#include <array>
 #include <charconv>
 #include <cstdlib>
 
@@ -15,6 +17,10 @@
 namespace relidar {
 
 namespace {
+
+// Variables with which users select drivers (documentation of the Vulkan loader).
+constexpr std::array kDriverVariables = {"VK_DRIVER_FILES", "VK_ICD_FILENAMES", "VK_ADD_DRIVER_FILES",
+                                         "VK_LOADER_DRIVERS_SELECT", "VK_LOADER_DRIVERS_DISABLE"};
 
 std::string read_environment_variable(const char* name) {
     const char* text = std::getenv(name);
@@ -47,6 +53,8 @@ std::filesystem::path get_pipeline_cache_folder_of_user() {
 
 DeviceOptions apply_environment_variables(DeviceOptions options) {
     if (read_environment_variable("RELIDAR_VALIDATION") == "1") options.validation = true;
+    options.report_missing_drivers =
+        std::ranges::all_of(kDriverVariables, [](const char* name) { return !std::getenv(name); });
     const std::string limit = read_environment_variable("RELIDAR_MEMORY_LIMIT_MIB");
     if (!limit.empty() && options.memory_limit_bytes == 0)
         options.memory_limit_bytes = parse_memory_limit_bytes(limit);

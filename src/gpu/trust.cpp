@@ -127,11 +127,14 @@ DeviceTestResults read_or_run_device_test(const Device::Impl& device, const Devi
     return trust;
 }
 
+void report_device_note(const std::string& text) {
+    if (get_device_open_callbacks().note && !fixed_trust) get_device_open_callbacks().note(text);
+}
+
 void disable_methods_that_failed_test(Device::Impl& device, const DeviceTestResults& test_results) {
     DeviceInfo& info = device.info;
     const auto note = [&](const std::string& text) {
-        if (get_device_open_callbacks().note && !fixed_trust)
-            get_device_open_callbacks().note(fmt::format("{}: {}", info.name, text));
+        report_device_note(fmt::format("{}: {}", info.name, text));
     };
     if (!test_results.float_atomics && info.float_atomics) {
         info.float_atomics = false;

@@ -19,6 +19,8 @@ namespace relidar::gpu {
 /// method counts as correct.
 DeviceTestResults read_or_run_device_test(const Device::Impl& device, const DeviceOptions& options);
 
+/// Prints a line about devices, unless this thread has fixed test results.
+void report_device_note(const std::string& text);
 /// Replaces the methods that failed the device test by other methods, and prints one line
 /// for each. Call this function before the device is opened.
 void disable_methods_that_failed_test(Device::Impl& device, const DeviceTestResults& test_results);

@@ -7,6 +7,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/stream.hpp>
 
+#include "../base/codecs/temporary_folder.hpp"
 #include "../support/device.hpp"
 #include "gpu/context.hpp"
 #include "support/names.hpp"
@@ -29,6 +30,46 @@ TEST_F(Gpu, EveryDeviceIsDescribed) {
             EXPECT_FALSE(devices[i].software);
         }
     }
+}
+
+class MissingDrivers : public TemporaryFolder {
+protected:
+    void add_render_node(const char* name, const char* vendor) const {
+        std::filesystem::create_directories(folder / "dev/dri");
+        std::filesystem::create_directories(folder / "sys/class/drm" / name / "device");
+        put(folder / "dev/dri" / name, "");
+        put(folder / "sys/class/drm" / name / "device/vendor", vendor);
+    }
+    std::vector<std::string> list(std::uint32_t vendor_id, const char* type) const {
+        DeviceInfo device;
+        device.vendor_id = vendor_id;
+        device.type = type;
+        return list_gpus_without_driver({device}, folder);
+    }
+    static constexpr std::uint32_t kMesaCpu = 0x10005;  // VK_VENDOR_ID_MESA
+};
+
+TEST_F(MissingDrivers, NameTheirDeviceFile) {
+    EXPECT_THAT(list(kMesaCpu, "CPU"), testing::IsEmpty()) << "no card";
+    add_render_node("renderD128", "0x8086\n");
+    EXPECT_THAT(list(kMesaCpu, "CPU"), testing::ElementsAre(test::Names("Intel ... /dev/dri/renderD128")));
+    EXPECT_THAT(list(0x8086, "integrated GPU"), testing::IsEmpty());
+    put(folder / "dev/nvidia3", "");
+    put(folder / "dev/nvidia-modeset", "");
+    EXPECT_THAT(list(0x8086, "integrated GPU"),
+                testing::ElementsAre(test::Names("NVIDIA ... (/dev/nvidia3)")));
+    put(folder / "dev/kfd", "");
+    EXPECT_THAT(list(0x10DE, "discrete GPU"), testing::SizeIs(2)) << "AMD and Intel";
+}
+
+TEST_F(MissingDrivers, OfWindowsAndOfNodesThatAContainerLacks) {
+    add_render_node("renderD128", "0x1002\n");
+    add_render_node("renderD129", "0x1af4\n");  // a virtual card
+    std::filesystem::remove(folder / "dev/dri/renderD128");
+    EXPECT_THAT(list(kMesaCpu, "CPU"), testing::IsEmpty());
+    put(folder / "dev/dxg", "");
+    EXPECT_THAT(list(kMesaCpu, "CPU"), testing::ElementsAre(test::Names("/dev/dxg")));
+    EXPECT_THAT(list(0x10DE, "discrete GPU"), testing::IsEmpty());
 }
 
 TEST_F(Gpu, UploadsAndDownloadsAreEqual) {

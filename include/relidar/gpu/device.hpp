@@ -28,6 +28,7 @@ RayTracingBackend parse_ray_tracing_backend(const std::string& name);
 struct DeviceInfo {
     int index = 0;
     std::string name;
+    std::uint32_t vendor_id = 0;     ///< Identifier of the maker, for example 0x10DE for NVIDIA.
     std::string type;                ///< Device type: "discrete GPU", "integrated GPU", "CPU", ...
     std::string driver;              ///< Driver name and version.
     std::string api_version;         ///< Vulkan version, for example "1.3.240".
@@ -62,6 +63,12 @@ RayTracingBackend choose_best_ray_tracing_backend(const DeviceInfo& info);
 /// @throws DeviceError if no Vulkan loader or driver is installed
 std::vector<DeviceInfo> list_devices();
 
+/// Returns a line about each GPU of the machine that is missing in a list of all devices,
+/// because its Vulkan driver is not installed. Detects GPUs on Linux only.
+/// @param root  folder that contains the folders dev and sys
+std::vector<std::string> list_gpus_without_driver(const std::vector<DeviceInfo>& devices,
+                                                  const std::filesystem::path& root = "/");
+
 /// Statistics from the driver for one compiled kernel with one set of specialisation
 /// constants.
 struct PipelineStatistics {
@@ -84,6 +91,9 @@ struct DeviceOptions {
     /// and devices with ray queries before devices without them.
     int index = -1;
     RayTracingBackend traversal = RayTracingBackend::automatic;
+    /// True: reports list_gpus_without_driver() if a device of the type CPU is selected
+    /// automatically.
+    bool report_missing_drivers = false;
     bool validation = false;  ///< Enables the Khronos validation layer.
     /// Maximum device-local memory that relidar may allocate, bytes. 0 = no limit.
     std::uint64_t memory_limit_bytes = 0;
@@ -100,6 +110,8 @@ struct DeviceOptions {
 /// result. Programs on a user's machine should call this function. No other function of
 /// the library reads environment variables.
 /// - RELIDAR_VALIDATION=1 enables the validation layer.
+/// - Variables of the Vulkan loader such as VK_DRIVER_FILES select drivers. Without them,
+///   missing drivers are reported.
 /// - RELIDAR_MEMORY_LIMIT_MIB=n applies if the options have no memory limit.
 /// - RELIDAR_PIPELINE_CACHE=FOLDER applies if the options have no folder. 0 = no cache.
 ///   Default: $XDG_CACHE_HOME/relidar or $HOME/.cache/relidar.

@@ -1,0 +1,70 @@
+// SPDX-License-Identifier: Apache-2.0
+// Finds GPUs in the device files of Linux that no Vulkan driver offers. A GPU in a
+// container often has no Vulkan driver, and relidar would use the CPU without a word.
+#include <relidar/gpu/device.hpp>
+
+#include <algorithm>
+#include <fstream>
+#include <utility>
+
+#include <fmt/format.h>
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct GpuMaker {
+    std::uint32_t vendor_id;                  ///< PCI identifier, also in VkPhysicalDeviceProperties
+    const char *name, *device_file, *advice;  ///< device_file: in /dev, a number may follow
+};
+constexpr GpuMaker kMakers[] = {
+    {0x10DE, "NVIDIA", "nvidia",
+     "install NVIDIA's Vulkan driver; in a container, set NVIDIA_DRIVER_CAPABILITIES=all"},
+    {0x1002, "AMD", "kfd", "install Mesa's Vulkan driver (RADV)"},
+    {0x8086, "Intel", "", "install Mesa's Vulkan driver (ANV)"}};
+
+/// Returns the device file of a GPU: /dev/nvidia0, /dev/kfd, or the render node of its
+/// PCI vendor such as /dev/dri/renderD128. Returns an empty path if there is none.
+fs::path find_device_file(const fs::path& root, std::uint32_t vendor_id, const std::string& device_file) {
+    std::error_code failed;
+    for (const auto& entry : fs::directory_iterator(root / "dev", failed)) {
+        const std::string name = entry.path().filename().string();
+        if (!device_file.empty() && name.starts_with(device_file) &&
+            name.find_first_not_of("0123456789", device_file.size()) == std::string::npos &&
+            !entry.is_directory(failed))
+            return entry.path();
+    }
+    for (const auto& entry : fs::directory_iterator(root / "sys/class/drm", failed)) {
+        const fs::path node = root / "dev/dri" / entry.path().filename();
+        std::uint32_t found = 0;
+        std::ifstream(entry.path() / "device/vendor") >> std::hex >> found;
+        if (entry.path().filename().string().starts_with("renderD") && found == vendor_id &&
+            fs::exists(node, failed))
+            return node;
+    }
+    return {};
+}
+
+}  // namespace
+
+std::vector<std::string> list_gpus_without_driver(const std::vector<DeviceInfo>& devices,
+                                                  const fs::path& root) {
+    std::vector<std::string> lines;
+    std::error_code failed;
+    const auto add = [&](const std::string& name, const fs::path& file, const char* advice) {
+        lines.push_back(fmt::format("{} (/{}) is not used, because no Vulkan driver offers it; {}", name,
+                                    file.lexically_relative(root).string(), advice));
+    };
+    for (const GpuMaker& maker : kMakers) {
+        if (std::ranges::find(devices, maker.vendor_id, &DeviceInfo::vendor_id) != devices.end()) continue;
+        const fs::path file = find_device_file(root, maker.vendor_id, maker.device_file);
+        if (!file.empty()) add(fmt::format("the {} GPU of this machine", maker.name), file, maker.advice);
+    }
+    const bool has_gpu = std::ranges::any_of(devices, [](const DeviceInfo& d) { return d.type != "CPU"; });
+    if (!has_gpu && fs::exists(root / "dev/dxg", failed))
+        add("the GPU of Windows", root / "dev/dxg", "install Mesa's Vulkan driver for WSL (dzn)");
+    return lines;
+}
+
+}  // namespace relidar
