@@ -44,6 +44,17 @@ std::optional<RenderQueue::QueueSlot> RenderQueue::reserve_slot() {
     return QueueSlot(this);
 }
 
+void RenderQueue::wait_for_all_slots(std::chrono::milliseconds max_wait) {
+    draining_ = true;
+    const auto end = std::chrono::steady_clock::now() + max_wait;
+    std::unique_lock lock(mutex_);
+    while (n_reserved_ > 0 && std::chrono::steady_clock::now() < end) {
+        lock.unlock();
+        std::this_thread::sleep_for(kPoll);
+        lock.lock();
+    }
+}
+
 std::optional<std::string> RenderQueue::get_device_loss_message() {
     const std::lock_guard lock(mutex_);
     return device_loss_;

@@ -4,6 +4,7 @@
 // fails immediately. A cancelled request is skipped.
 #pragma once
 
+#include <atomic>
 #include <chrono>
 #include <condition_variable>
 #include <deque>
@@ -94,6 +95,10 @@ public:
     /// Reserves a slot in the queue. Returns no value if the queue is full.
     std::optional<QueueSlot> reserve_slot();
     std::size_t get_total_slot_count() const { return slots_; }
+    /// Waits until no slot is reserved. From now on, is_draining() returns true, so that
+    /// callers reject new calls of clients.
+    void wait_for_all_slots(std::chrono::milliseconds max_wait);
+    bool is_draining() const { return draining_; }
     /// Returns the driver's error message if the device was lost. Returns no value as
     /// long as the device works.
     std::optional<std::string> get_device_loss_message();
@@ -113,6 +118,7 @@ private:
     std::deque<QueuedRequest*> pending_;
     std::size_t n_reserved_ = 0, batch_size_ = 1;
     bool closed_ = false;
+    std::atomic<bool> draining_ = false;
     std::thread thread_;
 
     void run_render_loop();

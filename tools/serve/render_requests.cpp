@@ -36,6 +36,9 @@ bool has_deadline_passed(const grpc::ServerContext& context) {
 }  // namespace
 
 RenderQueue::QueueSlot reserve_slot_or_throw(RenderQueue& queue) {
+    if (queue.is_draining())
+        throw RejectedRequest(grpc::StatusCode::UNAVAILABLE,
+                              "cannot queue the request: the server is shutting down");
     std::optional<RenderQueue::QueueSlot> slot = queue.reserve_slot();
     if (!slot)
         throw RejectedRequest(

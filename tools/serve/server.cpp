@@ -5,6 +5,7 @@
 #include <fstream>
 #include <iterator>
 #include <optional>
+#include <thread>
 
 #include <fmt/format.h>
 #include <google/protobuf/stubs/common.h>
@@ -36,6 +37,8 @@ constexpr int kKeepalive_ms = 20'000;
 // Maximum time until a new connection starts to use gRPC. After this time, the connection
 // is closed.
 constexpr int kHandshake_ms = 10'000;
+// Time in which gRPC writes a response after its call has returned.
+constexpr std::chrono::milliseconds kLastWrites{200};
 // Maximum time that a connection stays open without calls. After this time, the client
 // must connect again.
 constexpr int kLongestIdle_ms = 600'000;
@@ -178,9 +181,15 @@ std::optional<std::string> ScanServer::get_device_loss_message() {
 }
 
 void ScanServer::stop_and_wait(std::chrono::milliseconds max_wait) {
+    const auto end = std::chrono::system_clock::now() + max_wait;
     impl_->acceptor->stop_accepting_and_close_sockets();
     impl_->server->GetHealthCheckService()->SetServingStatus(false);
-    impl_->server->Shutdown(std::chrono::system_clock::now() + max_wait);
+    // Shutdown() waits until each client has read all responses that gRPC has written
+    // before. It closes a connection immediately after later responses. If the client
+    // then sends a byte, the system resets the connection, and responses can be lost.
+    impl_->queue.wait_for_all_slots(max_wait);
+    std::this_thread::sleep_for(kLastWrites);
+    impl_->server->Shutdown(end);
 }
 
 }  // namespace relidar::serve
