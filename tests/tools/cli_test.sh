@@ -171,7 +171,7 @@ converting() {
     good info plain
     check "info says other things of a log and of the folder it was converted to" cmp -s street.txt <(grep -v ^source out)
     bad 2 "plain: .*exists.*--force" convert street --out plain
-    good convert plain --out plain --frames 3: --force --quiet
+    good convert plain --out plain --frames 3:20 --force --quiet
     check "--quiet prints" test ! -s out -a ! -s err
     check "--force left scans of the log before" test "$(ls plain/scans | wc -l)" = 3
     bad 2 "street: .*exists .*new name" convert street --out street --force
@@ -273,7 +273,14 @@ rendering() {
     check "--force left frames of the rendering before" test "$(ls scans | tr '\n' ' ')" = "frame_000002.npz scans.json "
     good render run --out recorded --frames 2:4 --format mcap,rosbag
     check "recordings are other than one file each" test "$(ls -A recorded | tr '\n' ' ')" = "rosbag.mcap scans.json scans.mcap "
+    check "nobody says that recordings have other times than the log" grep -q "^relidar: note: times of recordings .* 1 s later" err
     bad 2 "out run: .*run folder" render run --out run
+    bad 2 "out street: .*log" render run --out street --force
+    bad 2 "out /: .*root folder" render run --out / --force
+    mkdir home theirs && printf 'mine' >theirs/rosbag.mcap
+    HOME=$work/home bad 2 "out home: .*home folder" render run --out home
+    bad 2 "out theirs: .*rosbag.mcap.*scans.json" render run --out theirs --force
+    check "--force changed a file that no scans.json lists" grep -qx mine theirs/rosbag.mcap
     bad 2 "recorded: .*contains.*\(3 files" render run --out recorded --format mcap
     good render run --out drawn --frames 2:4 --sample 7
     good render run --out drawn_again --frames 2:4 --sample 7
@@ -430,7 +437,7 @@ ray_drop() {
     printf 'short' >surfels/drop_network.safetensors
     bad 3 "surfels/drop_network.safetensors" render surfels --out x
     good train street --out surfels --config run/config.toml --set refine.network=paper --no-eval --force
-    check "training does not say that its network was not trained" grep -q "^relidar: note: .*network .*image 0" err
+    check "training does not say that its network was not trained" grep -q "^relidar: warning: .*network .*image 0" err
     absent surfels/drop_network.safetensors
     absent x
 }
@@ -445,6 +452,7 @@ own_paths() {
     check "the log's own path: other points than the log's own frame" awk "BEGIN { exit !($(difference log/frame_000005.bin along/frame_000000.bin) < 1e-3) }"
     check "scans.json does not name the trajectory" grep -q '"trajectory": ".*way.csv"' along/scans.json
     good render run --out twice_as_often --trajectory way.csv --rate 20 --format bin --offset 0,1,0 --quiet
+    check "the log's own path is said to be outside of the log" test ! -s err
     check "11 turns at 20 Hz are not 23 scans" test "$(find twice_as_often -name '*.bin' | grep -c .)" = 23
     { cat way.csv; echo "60,400,0,2,0"; } >beyond.csv
     good render run --out after_the_log --trajectory beyond.csv --times 50:60:10 --format bin
@@ -871,15 +879,18 @@ resuming() {
     # tests the flag in front of the log
     good train --resume street --out stopped --set train.iterations=$((total + 2)) --no-eval
     says "^resume .*from iteration $((total - 1))$"
-    check "the damaged checkpoint is not named" grep -Eq "^relidar: note: .*safetensors .*$total.safetensors.*checkpoint" err
+    check "the damaged checkpoint is not named" grep -Eq "^relidar: warning: .*safetensors .*$total.safetensors.*checkpoint" err
     exists stopped/checkpoints/iteration_*$((total + 2)).safetensors
     # simulates a process that was killed while it wrote its first file
     mkdir anew && touch anew/.lock anew/.config.toml.tmp-1-0
     good train street --out anew --preset quick --set train.refine_poses=none --set train.iterations=2 --no-eval --resume
     absent anew/.config.toml.tmp-1-0
-    check "a run without checkpoint starts anew without a word" grep -q "^relidar: note: anew .*checkpoint" err
+    check "a run without checkpoint starts anew without a word" grep -q "^relidar: warning: anew .*checkpoint" err
     bad 2 "ended .*checkpoint" train --resume anew --set train.iterations=4
     bad 3 "iteration 1.*: (.*intensity|row [0-9]+ of array .* inf)" train street --out lost --quiet --preset quick --set train.refine_poses=none --set loss.intensity=3e38 --set train.log_every=1 --set train.checkpoint_minutes=1e-9
+    # a failed training must not block the corrected command
+    bad 3 "iteration 1" train street --out again_lost --quiet --preset quick --set train.refine_poses=none --set loss.intensity=3e38 --set train.log_every=1
+    absent again_lost
 }
 
 # Tests Ctrl-C during the training of the network. A checkpoint must stay, and the resumed
@@ -901,7 +912,7 @@ network_resuming() {
     good train --resume half
     says "finished"
     good train --resume other --no-eval --set refine.epochs=1
-    check "other settings of the network are taken without a word" grep -Eq "^relidar: note: .*step [0-9]+: setting refine.epochs: found 1, expected 15 .*from the beginning" err
+    check "other settings of the network are taken without a word" grep -Eq "^relidar: warning: .*step [0-9]+: setting refine.epochs: found 1, expected 15 .*from the beginning" err
     exists other/drop_network.safetensors
     stop_in_network refine other --no-eval --set refine.epochs=15
     check "interrupted refine: the message does not say how to go on" grep -Eq "^relidar: interrupted: .*unchanged; .*relidar refine --resume other$" err
@@ -911,7 +922,7 @@ network_resuming() {
     check "refine --resume ends with other bits" cmp other/drop_network.safetensors whole/drop_network.safetensors
     absent other/checkpoints
     good refine --resume other --no-eval --set refine.epochs=1
-    check "nobody says that there is nothing to resume" grep -q "^relidar: note: other .*checkpoint" err
+    check "nobody says that there is nothing to resume" grep -q "^relidar: warning: other .*checkpoint" err
 }
 
 # stop_in_network ARGS...: runs a command that trains a network on $checkpoints. Ends it

@@ -98,10 +98,25 @@ std::string quote_word_for_shell(const std::string& word) {
 
 void print(const std::string& text) { std::fputs(text.c_str(), stdout); }
 
-void print_note(const std::string& text) {
+namespace {
+
+bool notes_hidden = false, warnings_hidden = false;
+
+void print_remark(bool hidden, const char* kind, const std::string& text) {
+    if (hidden) return;
     end_progress_line();
-    std::fputs(("relidar: note: " + replace_control_characters(text) + "\n").c_str(), stderr);
+    std::fputs(fmt::format("relidar: {}: {}\n", kind, replace_control_characters(text)).c_str(), stderr);
     std::fflush(stderr);
+}
+
+}  // namespace
+
+void print_note(const std::string& text) { print_remark(notes_hidden, "note", text); }
+void print_warning(const std::string& text) { print_remark(warnings_hidden, "warning", text); }
+
+void set_quiet(bool hide_notes, bool hide_warnings) {
+    notes_hidden = hide_notes;
+    warnings_hidden = hide_warnings;
 }
 
 void end_progress_line() {

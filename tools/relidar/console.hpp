@@ -29,8 +29,12 @@ std::string quote_word_for_shell(const std::string& word);
 /// Writes to stdout.
 void print(const std::string& text);
 
-/// Prints a one-line warning on stderr. The program continues.
+/// These functions print one line on stderr. A warning says that a result is probably not
+/// what the user expects. Other remarks are notes.
 void print_note(const std::string& text);
+void print_warning(const std::string& text);
+/// Hides notes, and also warnings if `hide_warnings` is true.
+void set_quiet(bool hide_notes, bool hide_warnings = false);
 
 /// Prints a line break if the terminal shows a progress line, so that other output starts
 /// on a new line.

@@ -198,7 +198,7 @@ void add_demo_command(CLI::App& app, ParsedCommand& selected_command) {
         ->type_name("S");
     add_setting_override_option(*command, options->sets);
     add_device_options(*command, options->device);
-    command->add_flag("--quiet", options->quiet, "print errors only");
+    add_quiet_option(*command, options->quiet);
     command->footer(kDemoHelp);
     command->callback([&selected_command, options] {
         selected_command.run = [&selected_command, options] {

@@ -47,6 +47,12 @@ void add_device_options(CLI::App& command, DeviceCommandOptions& device_choice) 
         ->type_name("HOW");
 }
 
+void add_quiet_option(CLI::App& command, bool& quiet) {
+    command.add_flag("--quiet", quiet, "print warnings and errors only")->each([](const std::string& value) {
+        set_quiet(value != "false");
+    });
+}
+
 DeviceOptions convert_to_device_options(const DeviceCommandOptions& device_choice) {
     DeviceOptions options;
     if (device_choice.index < -1)
@@ -54,7 +60,7 @@ DeviceOptions convert_to_device_options(const DeviceCommandOptions& device_choic
             "--device: found {}; expected a device number from `relidar list devices`", device_choice.index));
     options.index = device_choice.index;
     options.traversal = parse_ray_tracing_backend(device_choice.traversal);
-    set_device_open_callbacks({test_device_capabilities, print_note});
+    set_device_open_callbacks({test_device_capabilities, print_warning});
     return apply_environment_variables(options);
 }
 

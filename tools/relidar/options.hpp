@@ -25,6 +25,8 @@ struct DeviceCommandOptions {
     std::string traversal = "auto";
 };
 void add_device_options(CLI::App& command, DeviceCommandOptions& device_choice);
+/// Adds the option --quiet. It hides progress, results and notes of a command.
+void add_quiet_option(CLI::App& command, bool& quiet);
 DeviceOptions convert_to_device_options(const DeviceCommandOptions& device_choice);
 /// Converts the device options back to command line words, for example to start another
 /// process. Options with default values are left out.

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cstdlib>
 #include <fstream>
 #include <set>
 #include <string>
@@ -23,7 +24,9 @@
 #include <relidar/run/checkpoint.hpp>
 #include <relidar/run/config.hpp>
 #include <relidar/run/run.hpp>
+#include <relidar/simulate/scan_files.hpp>
 #include <relidar/train/train.hpp>
+#include "interrupt.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -88,6 +91,19 @@ bool is_open_file_still_at_path(int file_descriptor, const fs::path& expected_pa
            opened.st_dev == named.st_dev && opened.st_ino == named.st_ino;
 }
 
+/// Returns the path of an output folder.
+/// @throws UsageError for folders whose content has other purposes
+const fs::path& reject_root_and_home_folder(const fs::path& folder) {
+    const char* home = std::getenv("HOME");
+    std::error_code failed;
+    for (const fs::path& other : {fs::path("/"), fs::path(home ? home : "/")})
+        if (fs::equivalent(folder, other, failed))
+            throw UsageError(fmt::format("--out {}: this is {}; expected a folder for the output",
+                                         folder.string(),
+                                         other == "/" ? "the root folder" : "a home folder"));
+    return folder;
+}
+
 struct OpenLockFile {
     int descriptor;
     /// True if the file is locked. False if the file system does not support locks.
@@ -124,6 +140,25 @@ OutputFolder::~OutputFolder() {
     // the error is ignored.
     if (!was_there_) fs::remove(path_, failed);
 }
+
+void require_folder_for_scans(const fs::path& folder, bool overwrite) {
+    if (const fs::path foreign = find_foreign_scan_file(folder); !foreign.empty())
+        throw UsageError(fmt::format(
+            "--out {}: the folder contains {}, which is not listed in a scans.json of relidar and could be "
+            "replaced; choose a new folder",
+            folder.string(), foreign.filename().string()));
+    const std::vector<fs::path> files = list_scan_files(folder);
+    if (contains_run(folder) || (files.empty() && is_dataset(folder)))
+        throw UsageError(fmt::format("--out {}: this is a {}; choose a different folder for scans",
+                                     folder.string(), contains_run(folder) ? "run folder" : "log"));
+    if (!files.empty() && !overwrite)
+        throw UsageError(fmt::format(
+            "--out {}: the folder already contains rendered scans ({} files, for example {}); choose "
+            "a new folder, or use --force to replace the files",
+            folder.string(), files.size(), files.front().filename().string()));
+}
+
+LockedFolder::LockedFolder(const fs::path& path) : folder_(reject_root_and_home_folder(path)), lock_(path) {}
 
 FolderLock::FolderLock(fs::path file, int descriptor) : file_(std::move(file)), descriptor_(descriptor) {}
 
@@ -165,7 +200,8 @@ FolderLock::~FolderLock() {
     ::close(descriptor_);
 }
 
-RunOutputFolder::RunOutputFolder(const fs::path& path, ExistingRunPolicy existing_run_policy) {
+RunOutputFolder::RunOutputFolder(const fs::path& path, ExistingRunPolicy existing_run_policy)
+    : was_empty_(is_folder_without_user_files(path)) {
     // Checks the content before the folder is locked, because the lock writes a file into
     // the folder.
     if (!contains_run(path)) require_free_folder_or_replaceable_run(path, existing_run_policy);
@@ -173,6 +209,21 @@ RunOutputFolder::RunOutputFolder(const fs::path& path, ExistingRunPolicy existin
     lock_.emplace(
         path, existing_run_policy == ExistingRunPolicy::keep ? kEndOfOthers : std::chrono::milliseconds{});
     require_free_folder_or_replaceable_run(path, existing_run_policy);
+}
+
+RunOutputFolder::~RunOutputFolder() {
+    if (!was_empty_ || is_interrupted()) return;
+    std::error_code failed;
+    std::vector<fs::path> started;  // settings and logs of the run and of its blocks
+    for (fs::recursive_directory_iterator entry(path(), failed), end; !failed && entry != end;
+         entry.increment(failed)) {
+        const std::string name = entry->path().filename().string();
+        if (name == "config.toml" || name == "log.jsonl") started.push_back(entry->path());
+        else if (!entry->is_directory(failed) && !is_lock_or_temporary_file(entry->path())) return;
+    }
+    for (const fs::path& file : started) fs::remove(file, failed);
+    remove_block_folders(path());
+    fs::remove(get_checkpoint_folder(path()), failed);
 }
 
 namespace {

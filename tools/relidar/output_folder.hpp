@@ -61,13 +61,19 @@ private:
     int descriptor_;
 };
 
+/// Checks that rendered scans can be written to a folder.
+/// @throws UsageError if the folder is a run or a log, or if it contains files that would
+/// be replaced. Rendered scans may be replaced if `overwrite` is true.
+void require_folder_for_scans(const std::filesystem::path& folder, bool overwrite);
+
 /// An output folder that no other process can write to, because it is locked.
 class LockedFolder {
 public:
     /// Creates the folder if it does not exist, and locks it.
+    /// @throws UsageError for / and the home folder of the user
     /// @throws DataError if another process has locked the folder, or if the folder
     /// cannot be created or written
-    explicit LockedFolder(const std::filesystem::path& path) : folder_(path), lock_(path) {}
+    explicit LockedFolder(const std::filesystem::path& path);
 
     const std::filesystem::path& path() const { return folder_.path(); }
 
@@ -99,10 +105,14 @@ public:
     /// @throws DataError if another process has locked the folder, or if the folder
     /// cannot be created
     RunOutputFolder(const std::filesystem::path& path, ExistingRunPolicy existing_run_policy);
+    /// If the folder was empty and a training has failed before it saved a scene or a
+    /// checkpoint, removes its settings and its log. After Ctrl-C they stay.
+    ~RunOutputFolder();
 
     const std::filesystem::path& path() const { return folder_->path(); }
 
 private:
+    bool was_empty_;
     std::optional<OutputFolder> folder_;
     /// Declared last, so that it is destroyed first and removes the lock file. The
     /// destructor of `folder_` then removes the folder if it is empty.

@@ -14,6 +14,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/device.hpp>
 #include <relidar/log/sensor.hpp>
+#include "console.hpp"
 #include "launched_by_mpi.hpp"
 
 namespace relidar::cli {
@@ -94,6 +95,7 @@ MpiProcessGroup::MpiProcessGroup() {
     MPI_Comm_free(&on_this_machine);
     divide_scan_memory_among_processes(n_here);
     require_same_build_on_all_ranks(group_.rank);
+    if (group_.rank > 0) set_quiet(true, true);
 }
 
 MpiProcessGroup::~MpiProcessGroup() {

@@ -280,7 +280,7 @@ void add_bench_command(CLI::App& app, ParsedCommand& selected_command) {
     add_scan_benchmark_options(*command, *options);
     command->add_option("--json", options->json, "also write the results to this file")->type_name("FILE");
     add_device_options(*command, options->device);
-    command->add_flag("--quiet", options->settings.quiet, "print errors only");
+    add_quiet_option(*command, options->settings.quiet);
     command->footer(kBenchHelp);
     command->callback([&selected_command, options, scene, surfels, rays] {
         options->describes_street = scene->count() + surfels->count() + rays->count() > 0;

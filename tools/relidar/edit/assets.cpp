@@ -165,7 +165,7 @@ void add_assets_command(CLI::App& app, ParsedCommand& selected_command) {
     command->add_option("--least", options->least, "minimum score of an actor, 0 to 1 (default: 0.5)")
         ->type_name("SCORE");
     add_device_options(*command, options->device);
-    command->add_flag("--quiet", options->quiet, "print errors only");
+    add_quiet_option(*command, options->quiet);
     command->footer(kAssetsHelp);
     command->callback(
         [&selected_command, options] { selected_command.run = [options] { run_assets_command(*options); }; });

@@ -154,7 +154,7 @@ void add_edit_command(CLI::App& app, ParsedCommand& selected_command) {
                      "from the surfels of RUN at the same positions")
         ->type_name("FILE.ply");
     command->add_flag("--force", options->force, "overwrite the run in DIR");
-    command->add_flag("--quiet", options->quiet, "print errors only");
+    add_quiet_option(*command, options->quiet);
     command->footer(kEditHelp);
     command->callback(
         [&selected_command, options] { selected_command.run = [options] { run_edit_command(*options); }; });

@@ -11,6 +11,7 @@
 #include <relidar/run/run.hpp>
 #include <relidar/score/evaluation.hpp>
 #include <relidar/simulate/render.hpp>
+#include "interrupt.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -124,6 +125,7 @@ MovingBoxPoints collect_real_and_rendered_box_points(ScanRenderer& renderer, con
                                                      const BoxTrack& box) {
     const Scan scan = select_scan_rays_near_box(run, frame, box);
     if (scan.rays.size() == 0) return {};
+    throw_if_interrupted();
     SimulatedSensor sensor = make_sensor_from_config(config, run.sequence, frame.lidar);
     sensor.rays = scan.rays;
     sensor.follows_sweeps = false;

@@ -345,7 +345,7 @@ void add_eval_command(CLI::App& app, ParsedCommand& selected_command) {
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
                       "do not use the ray-drop network of the run; the surfels alone decide which rays drop");
-    command->add_flag("--quiet", options->quiet, "print errors only");
+    add_quiet_option(*command, options->quiet);
     command
         ->add_option("--table", options->tables,
                      "write a table of the existing scores of the runs, as .md, .csv or .html (chosen by the "

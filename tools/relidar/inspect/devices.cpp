@@ -93,6 +93,8 @@ void add_list_devices_command(CLI::App& list_command, ParsedCommand& selected_co
                     "a "
                     "driver that renders on the CPU");
             *json ? print_devices_json(devices) : print_device_table(devices);
+            if (apply_environment_variables().report_missing_drivers)
+                for (const std::string& line : list_gpus_without_driver(devices)) print_warning(line);
         };
     });
 }

@@ -9,6 +9,7 @@
 #include <CLI/CLI.hpp>
 
 #include <relidar/log/dataset.hpp>
+#include <relidar/log/log_time.hpp>
 #include <relidar/log/packets.hpp>
 
 #include "command.hpp"
@@ -17,6 +18,7 @@
 #include "options.hpp"
 #include "output_folder.hpp"
 #include "render/packet_sender.hpp"
+#include "render/render_notes.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -91,6 +93,7 @@ void write_and_send_log_as_packets(const LidarSequence& sequence, const ConvertO
             if (queue) queue->send_or_queue_packets({packets});
         });
     end_progress_line();
+    print_note_on_time_shift(sequence, compute_time_shift_ns(sequence));
     if (!options.quiet)
         print(fmt::format("wrote {}: {} packets of {} scans\n", make_absolute_path(options.out), n,
                           sequence.frames.size()));
@@ -159,7 +162,7 @@ void add_convert_command(CLI::App& app, ParsedCommand& selected_command) {
         *command, options->packets, "with --out FILE.pcap: also send the packets to this address",
         "write the file first, then send the packets with the timing of the sensor");
     command->add_flag("--force", options->overwrite, "replace an existing folder or file of this name");
-    command->add_flag("--quiet", options->quiet, "print errors only");
+    add_quiet_option(*command, options->quiet);
     command->footer(kConvertHelp);
     command->callback([&selected_command, options] {
         selected_command.run = [options] { run_convert_command(*options); };

@@ -118,7 +118,7 @@ void add_export_command(CLI::App& app, ParsedCommand& selected_command) {
                      "for each of these frames (FIRST:END, test, train or all), write one file with the "
                      "background and all actors at their poses")
         ->type_name("A:B");
-    command->add_flag("--quiet", options->quiet, "print errors only");
+    add_quiet_option(*command, options->quiet);
     command->footer(kExportHelp);
     command->callback(
         [&selected_command, options] { selected_command.run = [options] { run_export_command(*options); }; });

@@ -51,6 +51,7 @@ struct RenderOptions {
     std::string point_frame = "sensor";
     std::optional<std::uint64_t> sample;
     std::string weather;
+    std::int64_t time_shift_ns = 0;  ///< ScanOutputOptions::time_shift_ns; computed from the run
     bool boxes = false;
     bool deskew = false;
     bool merge = false;
@@ -130,6 +131,7 @@ ScanOutputOptions make_scan_output_format(const RenderOptions& options, const Tr
                                           const std::string& rig_sensor_name) {
     ScanOutputOptions format = make_default_output_options(run, sensor);
     format.offset = sensor_offset;
+    format.time_shift_ns = options.time_shift_ns;
     set_topic_and_frame_id(
         format,
         rig_sensor_name.empty() ? run.sequence.lidars[std::size_t(sensor.lidar)].name : rig_sensor_name,
@@ -145,20 +147,10 @@ ScanOutputOptions make_scan_output_format(const RenderOptions& options, const Tr
     return format;
 }
 
-/// Checks that the command would not overwrite files in the output folder.
-/// @throws UsageError if the folder is a run, or if --force is needed to replace scans
-void require_no_files_overwritten(const std::filesystem::path& folder, const RenderOptions& options) {
-    if (contains_run(folder))
-        throw UsageError(fmt::format(
-            "--out {}: this is a run folder; choose a different folder for its scans", folder.string()));
-    const std::vector<std::filesystem::path> files =
-        options.overwrite ? std::vector<std::filesystem::path>{} : list_scan_files(folder);
-    if (!files.empty()) {
-        throw UsageError(fmt::format(
-            "--out {}: the folder already contains rendered scans ({} files, for example {}); choose "
-            "a new folder, or use --force to replace the files",
-            folder.string(), files.size(), files.front().filename().string()));
-    }
+/// Returns true if the command writes recordings or packets, whose times are stamps.
+bool has_stamped_outputs(const RenderOptions& options) {
+    return !options.packets.address.empty() ||
+           std::ranges::any_of(parse_file_formats(options.formats), is_recording_format);
 }
 
 /// Checks all options that do not depend on the run, before the run is loaded.
@@ -176,7 +168,7 @@ void require_valid_render_options(const RenderOptions& options, bool is_rig, con
     parse_weather(options.weather);
     require_valid_packet_options(options.packets, parse_file_formats(options.formats), options.merge,
                                  ranks.size());
-    if (ranks.is_first_mpi_process()) require_no_files_overwritten(options.out, options);
+    if (ranks.is_first_mpi_process()) require_folder_for_scans(options.out, options.overwrite);
     if (options.merge && !is_rig)
         throw UsageError("--merge needs a rig with several sensors, but --sensor names a single sensor");
     const TrajectoryOptions& t = options.trajectory;
@@ -215,7 +207,7 @@ std::vector<NumberedScanTime> list_sweeps_on_trajectory(const TrainedRun& run, c
     const std::vector<double> times_s = list_scan_times_on_trajectory(
         options.trajectory, sensor_track,
         1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar_index)].get_sweep_period_s());
-    if (!options.quiet) print_notes_if_trajectory_leaves_log(run, sensor_track, times_s);
+    print_notes_if_trajectory_leaves_log(run, sensor_track, times_s);
     std::vector<NumberedScanTime> sweeps;
     for (const double t : times_s) sweeps.push_back({static_cast<int>(sweeps.size()), t});
     return sweeps;
@@ -270,7 +262,7 @@ RenderOutputs create_output_folders(const RenderOptions& options, const TrainedR
         if (!ranks.is_first_mpi_process())
             return output.folders.push_back(ScanFolderWriter::join_folder_of_other_process(folder, format));
         if (folder != options.out) {
-            require_no_files_overwritten(folder, options);
+            require_folder_for_scans(folder, options.overwrite);
             std::filesystem::create_directories(folder);
         }
         output.folders.emplace_back(folder, format);
@@ -307,7 +299,7 @@ void finish_output_files(RenderOutputs& output, const MpiProcessGroup& ranks, bo
                 for (const std::string& entry : split_text(of_one, '\n')) entries.push_back(entry);
         folder.set_summary_entries(std::move(entries));
         if (ranks.is_first_mpi_process()) folder.finish_scan_folder();
-        if (!quiet) print_note_on_unobserved_space(folder.get_summary_entries(), folder.path().string());
+        print_note_on_unobserved_space(folder.get_summary_entries(), folder.path().string());
     }
 }
 
@@ -408,6 +400,10 @@ void run_render_command(const RenderOptions& command_options) {
                                : list_sweeps_of_frames(run, options, lidar);
     const std::vector<MountedSimulatedSensor> targets =
         list_sensors_of_rig_or_single_sensor(options.sensor, rig, run, lidar);
+    for (const MountedSimulatedSensor& w : targets)
+        options.time_shift_ns =
+            std::max(options.time_shift_ns,
+                     compute_time_shift_ns(run, w.sensor, drives ? track.time_s.front() : INFINITY));
     const std::vector<bool> shown = mark_instances_with_names(run.scene, options.only);
     Device device(convert_to_device_options(options.device));
     ScanRenderer renderer(device, run);
@@ -415,12 +411,12 @@ void run_render_command(const RenderOptions& command_options) {
     if (options.boxes) renderer.enable_actor_visibility();
     renderer.set_weather(parse_weather(options.weather));
     RenderOutputs output = create_output_folders(options, run, targets, offset, ranks);
-    if (options.sample && !options.quiet) print_notes_on_missing_noise_models(run, lidar);
-    if (!options.quiet) print_sensor_properties_assumed_for_weather(parse_weather(options.weather));
-    if (!options.quiet && parse_point_frame(options.point_frame) == PointCoordinateFrame::world)
+    if (has_stamped_outputs(options)) print_note_on_time_shift(run.sequence, options.time_shift_ns);
+    if (options.sample) print_notes_on_missing_noise_models(run, lidar);
+    if (parse_point_frame(options.point_frame) == PointCoordinateFrame::world)
         print_note_if_world_is_rounded(run, track);
-    for (const MountedSimulatedSensor& w : targets)
-        if (!options.quiet) print_notes_on_sensor(run, renderer, w.sensor);
+    print_sensor_properties_assumed_for_weather(parse_weather(options.weather));
+    for (const MountedSimulatedSensor& w : targets) print_notes_on_sensor(run, renderer, w.sensor);
     install_interrupt_handlers();
     TerminalProgress progress(options.quiet);
     SweepRenderer sweep_renderer(renderer, run, options, targets, offset, subdivide_turning_segments(track));
@@ -537,7 +533,7 @@ void add_render_command(CLI::App& app, ParsedCommand& selected_command) {
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
                       "do not use the ray-drop network of the run; the surfels alone decide which rays drop");
-    command->add_flag("--quiet", options->quiet, "print errors only");
+    add_quiet_option(*command, options->quiet);
     command->footer(make_output_files_help_text() + make_channels_help_text() + make_sensor_file_help() +
                     "\n"
                     "Examples:\n"

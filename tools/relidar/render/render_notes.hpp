@@ -24,6 +24,9 @@ void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index)
 /// written in single precision.
 /// @param dataset_from_sensor  path of the sensor; empty: the path of the log
 void print_note_if_world_is_rounded(const TrainedRun& run, const PoseTrack& dataset_from_sensor);
+/// Prints a note if time stamps of recordings and packets differ from the times and the
+/// date of the log.
+void print_note_on_time_shift(const LidarSequence& log, std::int64_t time_shift_ns);
 
 /// Prints a note with the sensor properties that the weather simulation assumes.
 void print_sensor_properties_assumed_for_weather(const Weather& weather);

@@ -110,6 +110,7 @@ public:
         if (key != key_ || scan.time_s <= last_s_) finish_stream();
         if (!sender_) {
             ScanOutputOptions format = make_default_output_options(run, sensor);
+            format.time_shift_ns = compute_time_shift_ns(run, sensor, scan.time_s);
             if (!sensor_name.empty())
                 if (const auto spinning = find_spinning_sensor(sensor_name, sensor))
                     format.packets.sensor = spinning;
@@ -260,7 +261,7 @@ void add_serve_command(CLI::App& app, ParsedCommand& selected_command) {
     command->add_option("--tls-key", options->server.tls_key, "private key of the certificate in PEM")
         ->type_name("FILE");
     add_device_options(*command, options->device);
-    command->add_flag("--quiet", options->quiet, "print errors and warnings only");
+    add_quiet_option(*command, options->quiet);
     command->footer(kServeHelp);
     command->callback(
         [&selected_command, options] { selected_command.run = [options] { run_serve_command(*options); }; });

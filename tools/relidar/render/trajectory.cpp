@@ -49,7 +49,8 @@ std::vector<double> list_scan_times_on_trajectory(const TrajectoryOptions& traje
     if (!(steps.step > 0.0) || !(steps.last >= steps.first))
         throw UsageError(fmt::format("--times: found \"{}\"; expected FIRST < LAST and a STEP above 0",
                                      trajectory_options.times));
-    if (steps.first < begin || steps.last > end) {
+    const double slack_s = kSlack * steps.step;
+    if (steps.first < begin - slack_s || steps.last > end + slack_s) {
         throw UsageError(fmt::format(
             "--times: found {} to {} s; expected times within those of the trajectory, {} to {} s",
             steps.first, steps.last, begin, end));
@@ -77,16 +78,19 @@ void print_notes_if_trajectory_leaves_log(const TrainedRun& run, const PoseTrack
         farthest = std::max(farthest, nearest_m);
     }
     if (farthest > kFar_m) {
-        print_note(fmt::format(
+        print_warning(fmt::format(
             "the trajectory is up to {:.0f} m away from the path of the log's sensor; expected poses "
             "in the dataset's world, like the path that `relidar export {} --out FILE.csv` writes",
             farthest, run.folder.string()));
     }
     const double begin = log.frames.front().time_s, end = log.frames.back().time_s;
-    const auto beyond =
-        std::count_if(times_s.begin(), times_s.end(), [&](double t) { return t < begin || t > end; });
+    // Actors exist for half a time step longer than the log (BoxTrack).
+    const double slack_s =
+        0.5 * (end - begin) / std::max<double>(1.0, log.world_from_vehicle.time_s.size() - 1.0);
+    const auto beyond = std::count_if(times_s.begin(), times_s.end(),
+                                      [&](double t) { return t < begin - slack_s || t > end + slack_s; });
     if (beyond > 0 && run.scene.instances.size() > 1)
-        print_note(
+        print_warning(
             fmt::format("{} of {} scans are outside the time of the log ({} to {} s), so they show no actors",
                         beyond, times_s.size(), begin, end));
 }

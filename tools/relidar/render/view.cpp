@@ -170,7 +170,7 @@ void add_view_command(CLI::App& app, ParsedCommand& selected_command) {
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
                       "do not use the ray-drop network of the run; the surfels alone decide which rays drop");
-    command->add_flag("--quiet", options->quiet, "print the address and errors only");
+    add_quiet_option(*command, options->quiet);
     command->footer(kViewHelp);
     command->callback(
         [&selected_command, options] { selected_command.run = [options] { run_view_command(*options); }; });

@@ -36,15 +36,15 @@ std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const RefineCommand
     const std::filesystem::path folder = get_network_checkpoint_folder(options.run);
     if (!options.resume) {
         if (!list_checkpoints(folder).empty())
-            print_note(fmt::format(
+            print_warning(fmt::format(
                 "{} contains a checkpoint of an unfinished network training, which is discarded; use "
                 "--resume to continue such a training",
                 options.run));
         return std::nullopt;
     }
-    std::optional<Checkpoint> start = load_newest_checkpoint(folder, print_note);
+    std::optional<Checkpoint> start = load_newest_checkpoint(folder, print_warning);
     if (!start)
-        print_note(fmt::format(
+        print_warning(fmt::format(
             "{} has no checkpoint of its network training, which therefore starts from the beginning",
             options.run));
     return start;
@@ -147,7 +147,7 @@ void add_refine_command(CLI::App& app, ParsedCommand& selected_command) {
     add_setting_override_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames after the training");
-    command->add_flag("--quiet", options->quiet, "print errors only");
+    add_quiet_option(*command, options->quiet);
     command->footer(kRefineHelp);
     command->callback(
         [&selected_command, options] { selected_command.run = [options] { run_refine_command(*options); }; });

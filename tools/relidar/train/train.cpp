@@ -153,14 +153,15 @@ bool has_trained_scene_but_no_report(const fs::path& run_folder, const Config& c
 /// @return no value if training starts from the beginning
 std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const TrainOptions& options) {
     const fs::path folder = options.out;
-    std::optional<Checkpoint> start = load_newest_checkpoint(get_checkpoint_folder(folder), print_note);
+    std::optional<Checkpoint> start = load_newest_checkpoint(get_checkpoint_folder(folder), print_warning);
     if (start) return start;
     if (is_file(folder / "report.html"))
         throw UsageError(
             fmt::format("cannot resume {}: its training has ended without a checkpoint; --force trains again "
                         "from the start",
                         folder.string()));
-    print_note(fmt::format("{} has no checkpoint, so training starts from the beginning", folder.string()));
+    print_warning(
+        fmt::format("{} has no checkpoint, so training starts from the beginning", folder.string()));
     return std::nullopt;
 }
 
@@ -234,14 +235,8 @@ EvaluationResult evaluate_held_out_and_write_metrics(Device& device, const Train
     ScanRenderer renderer(device, run);
     TerminalProgress progress(options.quiet);
     const auto start = std::chrono::steady_clock::now();
-    EvaluationResult evaluation;
-    try {
-        evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test,
-                                     make_interruptible_progress_callback(progress));
-    } catch (const Error& error) {
-        if (error.code() != ExitCode::interrupted) throw;
-        throw make_error_with_resume_command("held-out frames were scored", run, options);
-    }
+    EvaluationResult evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test,
+                                                  make_interruptible_progress_callback(progress));
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     write_text_file(run.folder / "metrics.json",
                     make_metrics_json(evaluation, run.config,
@@ -267,14 +262,20 @@ void score_and_write_training_report(Device& device, const TrainedRun& run, cons
                 result.iterations, run.config.train.iterations, run.folder.string(),
                 format_train_resume_command(options)));
     }
-    stage_times.start_stage("evaluate");
-    const EvaluationResult evaluation = evaluate_held_out_and_write_metrics(device, run, options);
-    stage_times.start_stage("report");
-    add_evaluation_to_report(report, evaluation, run, {"held out", "real"});
-    for (ReportFigure& strip : draw_worst_actor_figures(device, run, evaluation))
-        report.figures.push_back(std::move(strip));
-    if (std::optional<ReportFigure> strip = draw_walking_actor_figure(device, run))
-        report.figures.push_back(std::move(*strip));
+    EvaluationResult evaluation;
+    try {
+        stage_times.start_stage("evaluate");
+        evaluation = evaluate_held_out_and_write_metrics(device, run, options);
+        stage_times.start_stage("report");
+        add_evaluation_to_report(report, evaluation, run, {"held out", "real"});
+        for (ReportFigure& strip : draw_worst_actor_figures(device, run, evaluation))
+            report.figures.push_back(std::move(strip));
+        if (std::optional<ReportFigure> strip = draw_walking_actor_figure(device, run))
+            report.figures.push_back(std::move(*strip));
+    } catch (const Error& error) {
+        if (error.code() != ExitCode::interrupted) throw;
+        throw make_error_with_resume_command("held-out frames were scored or drawn", run, options);
+    }
     report.facts.emplace_back("Stages", format_stage_times(stage_times));
     write_report(run.folder / "report.html", report);
     stage_times.end_running_stage();
@@ -295,12 +296,12 @@ void score_and_write_training_report(Device& device, const TrainedRun& run, cons
 std::optional<Checkpoint> load_matching_network_checkpoint(const TrainedRun& run) {
     try {
         std::optional<Checkpoint> start =
-            load_newest_checkpoint(get_network_checkpoint_folder(run.folder), print_note);
+            load_newest_checkpoint(get_network_checkpoint_folder(run.folder), print_warning);
         if (start) require_network_training_is_resumable(*start, run);
         return start;
     } catch (const Error& error) {
-        print_note(fmt::format("{}; therefore the training of the ray-drop network starts from the beginning",
-                               error.what()));
+        print_warning(fmt::format(
+            "{}; therefore the training of the ray-drop network starts from the beginning", error.what()));
         return std::nullopt;
     }
 }
@@ -316,7 +317,7 @@ void train_and_save_drop_network_if_possible(Device& device, TrainedRun& run, co
                           start->iteration));
     const auto leave_out = [](const Error& error) {
         end_progress_line();
-        print_note(error.what());
+        print_warning(error.what());
     };
     try {
         const RayDropTrainingSession session{.checkpoints = get_network_checkpoint_folder(run.folder),
@@ -503,7 +504,7 @@ void add_train_command(CLI::App& app, ParsedCommand& selected_command) {
         ->expected(0, 1);
     command->add_flag("--force", options->force, "overwrite the run in RUN");
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames at the end");
-    command->add_flag("--quiet", options->quiet, "print errors only");
+    add_quiet_option(*command, options->quiet);
     command->footer(kTrainHelp);
     command->callback([&selected_command, options, command] {
         options->resume = command->count("--resume") > 0;

@@ -203,8 +203,15 @@ private:
         end_progress_line();
     }
 
-    /// Appends the command that resumes the training to an error message.
+    /// Appends the command that resumes the training to an error message, if a block or a
+    /// checkpoint is saved.
     std::string append_resume_command(const std::string& error_message) const {
+        std::error_code failed;
+        bool has_saved_block = is_interrupted();
+        for (const auto& entry : fs::directory_iterator(get_blocks_folder(run_.folder), failed))
+            has_saved_block |= fs::exists(entry.path() / "scene.json", failed) ||
+                               !list_checkpoints(get_checkpoint_folder(entry.path())).empty();
+        if (!has_saved_block) return error_message;
         return fmt::format("{}; the trained blocks are saved; continue with: {}", error_message, how_.resume);
     }
 
@@ -220,7 +227,7 @@ private:
 
     TrainResult train_or_resume_block(const BlockTrainingLog& block_log, const fs::path& block_folder) const {
         const fs::path checkpoints = get_checkpoint_folder(block_folder);
-        const std::optional<Checkpoint> start = load_newest_checkpoint(checkpoints, print_note);
+        const std::optional<Checkpoint> start = load_newest_checkpoint(checkpoints, print_warning);
         const TrainSession session{checkpoints, start ? &*start : nullptr, {}, {}};
         TrainResult result = train_scene_with_progress(device_, block_log.sequence, block_log.split,
                                                        block_log.config, block_folder, how_.quiet, session);

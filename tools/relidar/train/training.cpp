@@ -53,7 +53,7 @@ public:
     void append_and_flush_log_entry(const TrainProgress& progress) {
         if (lost_ || (file_ << format_progress_json_line(progress)).flush()) return;
         lost_ = true;
-        print_note(fmt::format(
+        print_warning(fmt::format(
             "cannot write {}, because the disk is full or the folder was removed; training continues "
             "without it",
             path_.string()));
@@ -63,7 +63,7 @@ public:
         try {
             write_text_file(path_, format_training_log(log_entries));
         } catch (const DataError& error) {
-            print_note(error.what());
+            print_warning(error.what());
         }
     }
 
@@ -95,6 +95,8 @@ void prepare_log_for_training_with_progress(LidarSequence& sequence, const Train
                                             const ProcessGroup& process_group, StageTimes* stage_times) {
     TerminalProgress progress(quiet);
     const auto report_line = [&](const std::string& line) {
+        constexpr std::string_view kWarning = "warning: ";
+        if (line.starts_with(kWarning)) return print_warning(line.substr(kWarning.size()));
         if (quiet) return;
         end_progress_line();
         print(line + "\n");
@@ -119,7 +121,7 @@ TrainResult train_scene_with_progress(Device& device, const LidarSequence& seque
         show(description, done);
     };
     session.stop = is_interrupted;
-    session.note = print_note;
+    session.note = print_warning;
     const TrainResult result = train(
         device, sequence, split, config,
         [&](const TrainProgress& p) {
@@ -154,7 +156,7 @@ TrainingEndReason train_drop_network_with_progress(Device& device, TrainedRun& r
     TerminalProgress progress(quiet);
     session.progress = make_terminal_progress_callback(progress);
     session.stop = is_interrupted;
-    session.note = print_note;
+    session.note = print_warning;
     session.step = [&](const RayDropTrainProgress& p) {
         const double eta_s = p.seconds / p.step * (p.n_steps - p.step);
         progress.show_progress_text(
@@ -195,8 +197,8 @@ void append_stage_times_to_log(const fs::path& run_folder, const StageTimes& sta
     for (const StageTimes::Stage& stage : stage_times.stages()) seconds[stage.name] = stage.seconds;
     std::ofstream file(run_folder / "log.jsonl", std::ios::binary | std::ios::app);
     if (!(file << nlohmann::ordered_json{{"stages_s", seconds}}.dump() << "\n"))
-        print_note(fmt::format("cannot write the times of the training stages to {}",
-                               (run_folder / "log.jsonl").string()));
+        print_warning(fmt::format("cannot write the times of the training stages to {}",
+                                  (run_folder / "log.jsonl").string()));
 }
 
 void write_training_log_file(const fs::path& run_folder, const std::vector<TrainProgress>& log_entries) {
