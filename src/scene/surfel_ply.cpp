@@ -220,8 +220,8 @@ PlyColumns find_ply_properties(const PlyRecordLayout& layout, SurfelParameterSet
     return columns;
 }
 
-/// Throws an error if properties are missing that no other surfels can supply. A file with
-/// all properties except `model` has surfels in the world frame.
+/// Throws an error if properties are missing that no other surfels can supply. A file
+/// with all properties except `model` has surfels in the world frame.
 void require_restorable_properties(const PlyColumns& columns, const Scene& run_scene,
                                    SurfelParameterSet parameter_set) {
     for (const PlyProperty& p : columns.missing)

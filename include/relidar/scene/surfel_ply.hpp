@@ -38,13 +38,13 @@ void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
 /// Reads a scene that write_surfel_ply() has written. The surfels are restored bit by bit
 /// and grouped by model. Models, instances and sensor drop probabilities are copied from
 /// `scene_layout`. Properties may have any order, and additional properties are allowed.
-/// Ignores nx ny nz, scale_2 of surfels, and the second and third colour. Many editors keep
-/// only the usual properties. Missing properties are copied from the surfels of
+/// Ignores nx ny nz, scale_2 of surfels, and the second and third colour. Many editors
+/// keep only the usual properties. Missing properties are copied from the surfels of
 /// `scene_layout` at the same positions.
 /// @param primitive primitive of the file. Default: surfels
 /// @param note output: text about missing properties, empty if the file has all
-/// @throws DataError for text or big-endian files, sizes that do not match, or values that
-/// are not finite; for missing properties of surfels that are not in `scene_layout`
+/// @throws DataError for text or big-endian files, sizes that do not match, or values
+/// that are not finite; for missing properties of surfels that are not in `scene_layout`
 Scene read_surfel_ply(const std::filesystem::path& path, const Scene& scene_layout,
                       PrimitiveType primitive = {}, std::string* note = nullptr);
 

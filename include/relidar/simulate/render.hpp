@@ -82,8 +82,8 @@ struct RenderedScan {
     std::vector<ScanChannel> channels = {};
     /// Fraction of rays that pass mostly through space that the log did not observe: the
     /// log observed less than half of their path. Computed from all rays, or from about a
-    /// thousand of them. Empty if the run does not store which space the log observed, or if
-    /// the scan does not show the background.
+    /// thousand of them. Empty if the run does not store which space the log observed, or
+    /// if the scan does not show the background.
     std::optional<double> unseen_share = {};
     /// Sides of actors that the log did not observe, although rays of this scan reach
     /// them. Set by the command `relidar render`, not by ScanRenderer.

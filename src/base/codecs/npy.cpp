@@ -2,8 +2,8 @@
 // Writes and parses the header of a .npy file in numpy's format, for example:
 //   {'descr': '<f4', 'fortran_order': False, 'shape': (66, 1030), }
 //
-// Accepts only the types that NamedArray supports. Rejects big-endian numbers, structs and
-// objects, each with a separate message.
+// Accepts only the types that NamedArray supports. Rejects big-endian numbers, structs
+// and objects, each with a separate message.
 #include "npy.hpp"
 
 #include <charconv>

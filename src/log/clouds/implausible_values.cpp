@@ -245,8 +245,8 @@ void add_notes_about_intensities(LidarSequence& sequence, const std::vector<Retu
 }
 
 /// Adds a note if the times of the rays show that the head of a spinning LiDAR turns
-/// against the direction of its sensor. Compares |mean of exp(i (azimuth -+ 2 pi t / period))|,
-/// which is 1 for the direction in which the head turns.
+/// against the direction of its sensor. Compares |mean of exp(i (azimuth -+ 2 pi t /
+/// period))|, which is 1 for the direction in which the head turns.
 void add_note_about_rotation(LidarSequence& sequence, std::size_t lidar_index) {
     constexpr double kLeastFit = 0.9, kLargestMisfit = 0.6;
     constexpr int kMostScans = 5;

@@ -171,7 +171,8 @@ bool is_point_file(const std::filesystem::path& file);
 /// Returns true if the extension of a file means an image format. Each pixel of the image
 /// is a ray.
 bool is_image_file(const std::filesystem::path& file);
-/// Returns true if the .npz files of a log contain points, and false if they contain rays.
+/// Returns true if the .npz files of a log contain points, and false if they contain
+/// rays.
 /// @throws DataError if the first .npz file contains neither
 bool has_npz_points(const std::vector<std::filesystem::path>& scan_files);
 /// Reads the points of a file. The extension of the file defines its format.

@@ -173,7 +173,8 @@ void correct_poses_if_stored_inverted(LidarSequence& sequence) {
     }
     std::vector<PoseInterpretation> readings = {{"world-from-sensor poses", sequence.world_from_vehicle},
                                                 {"sensor-from-world poses", std::move(inverted_track), true}};
-    // The reader of the poses had no scans, which now decide the order of the quaternions.
+    // The reader of the poses had no scans, which now decide the order of the
+    // quaternions.
     const auto undecided = std::ranges::find_if(sequence.notes, [](const std::string& note) {
         return note.find(kUndecidedNote) != note.npos && note.find(kScalarLast) != note.npos;
     });

@@ -98,8 +98,8 @@ bool are_all_pairs_second_returns(const std::vector<glm::vec3>& points, const st
            double(n_on_ray) >= kLeastOnRay * double(n_pairs);
 }
 
-/// Returns for each selected point the other return of its ray, or kNone. Each pair occurs
-/// once. Sorts `order` so that the returns of a ray are close together.
+/// Returns for each selected point the other return of its ray, or kNone. Each pair
+/// occurs once. Sorts `order` so that the returns of a ray are close together.
 std::vector<std::size_t> find_partners(const PointTable& table, const UnnumberedReturns& layout,
                                        const std::vector<std::uint32_t>& selected,
                                        const std::vector<glm::vec3>& points,

@@ -157,7 +157,8 @@ private:
     }
 
     /// Returns the firing of the previous point if this point is the next return of its
-    /// ray. A near return can have another azimuth, because beams start beside the centre.
+    /// ray. A near return can have another azimuth, because beams start beside the
+    /// centre.
     int find_firing_of_earlier_return(std::size_t i) const {
         const std::size_t number = get_zero_based_return_number(points_, i);
         const bool follows =

@@ -64,13 +64,14 @@ std::vector<float> list_firing_times_on_actor(const RenderedScan& scan, const Sc
     return times_s;
 }
 
-/// Returns the time of a box. The start and the end of a sweep hit different parts of a box
-/// behind the sensor. Such a box gets the median time of its returns, so that it matches
-/// the part with more of them.
+/// Returns the time of a box. The start and the end of a sweep hit different parts of a
+/// box behind the sensor. Such a box gets the median time of its returns, so that it
+/// matches the part with more of them.
 /// @param faced_s  time at which the sensor points at the centre of the box
 double choose_time_of_box(const RenderedScan& scan, double faced_s,
                           const std::vector<float>& return_times_s) {
-    // A box takes less than this share of a sweep unless it is hit at the start and the end.
+    // A box takes less than this share of a sweep unless it is hit at the start and the
+    // end.
     constexpr double kMostOfSweep = 0.5;
     if (return_times_s.empty()) return faced_s;
     const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);

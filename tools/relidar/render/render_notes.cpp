@@ -93,7 +93,8 @@ void print_note_if_world_is_rounded(const TrainedRun& run, const PoseTrack& data
     /// Prints a note if rays of the scans reach sides of actors that the log has never
     /// observed. Lists these sides, each with its numbers of scans and rays.
     /// @param sides_json_key key of the list of these sides in an entry of scans.json
-    /// @param effect_text what happens to these rays, for example "pass through such a side"
+    /// @param effect_text what happens to these rays, for example "pass through such a
+    /// side"
     void print_note_on_unobserved_actor_sides(const std::vector<nlohmann::json>& scans,
                                               const std::string& folder, const char* sides_json_key,
                                               const char* effect_text) {

@@ -198,8 +198,8 @@ std::vector<PoseInterpretation> list_possible_pose_conventions(const PoseRows& p
     return append_inverse_interpretations(std::move(readings));
 }
 
-/// Returns a hint to the probable cause if poses do not cover the frames: another unit, leap
-/// seconds or another clock.
+/// Returns a hint to the probable cause if poses do not cover the frames: another unit,
+/// leap seconds or another clock.
 std::string describe_clock_difference(const PoseTrack& track,
                                       const std::vector<SequenceHeaderFrame>& frames) {
     // maximum relative difference of equal times or durations in different units
