@@ -16,6 +16,9 @@ namespace {
 
 // Latest time of a ROS time stamp, whose seconds are a signed 32-bit integer.
 constexpr std::int64_t kLatest_ns = 2'147'483'647'000'000'000;
+// The transforms of a sweep end this much later than its last ray, because the times of
+// points are rounded.
+constexpr double kRounding_s = 2e-8;
 // Interval between recorded poses in seconds. Readers interpolate between them. If a
 // sensor is 2 m from the vehicle's origin and turns with 1 rad/s, the interpolation error
 // is 0.03 mm.
@@ -60,7 +63,7 @@ SweepInterval find_sweep_interval(std::span<const RenderedScan> scans) {
         const auto [first, last] = offsets_s.empty() ? std::ranges::min_max_result<float>{0.0f, 0.0f}
                                                      : std::ranges::minmax(offsets_s);
         all = {std::min(all.first_s, scan.time_s + round_firing_time(first)),
-               std::max(all.last_s, scan.time_s + double(last))};
+               std::max(all.last_s, scan.time_s + round_firing_time(last) + kRounding_s)};
     }
     return all;
 }
