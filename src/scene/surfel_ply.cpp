@@ -222,8 +222,7 @@ PlyColumns find_ply_properties(const PlyRecordLayout& layout, SurfelParameterSet
 
 /// Throws an error if properties are missing that no other surfels can supply. A file
 /// with all properties except `model` has surfels in the world frame.
-void require_restorable_properties(const PlyColumns& columns, const Scene& run_scene,
-                                   SurfelParameterSet parameter_set) {
+void require_restorable(const PlyColumns& columns, const Scene& run_scene, SurfelParameterSet parameter_set) {
     for (const PlyProperty& p : columns.missing)
         if (p.group == &kMean || columns.missing.front().kind == PlyProperty::model ||
             run_scene.surfels.size() == 0 || run_scene.surfels.get_parameter_set() != parameter_set)
@@ -380,7 +379,7 @@ Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& s
     const PlyRecordLayout layout = parse_ply_header(start.substr(0, end));
     const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = file_bytes.size() - data;
     const PlyColumns columns = find_ply_properties(layout, parameter_set);
-    require_restorable_properties(columns, scene_layout, parameter_set);
+    require_restorable(columns, scene_layout, parameter_set);
     if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
         throw DataError(fmt::format("found {} bytes of data, expected {} vertices of {} bytes", n_bytes,
                                     layout.count, layout.stride));

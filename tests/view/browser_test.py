@@ -130,8 +130,10 @@ def edits(page, relidar, work):
     page.click(f"{buttons}:nth-of-type(3)")
     page.wait("the first actor removed", lambda: page.strip().count(FIRST_BLUE) == 0 and page.strip().count(COPY_GREEN) > 0)
     page.type("#save-name", "edited")
-    page.click("#save")
+    page.driver.execute_script("document.querySelector('aside').scrollTop = 0; document.getElementById('save').click()")
     page.wait("the edited run saved", lambda: "saved as" in page.find("#save-hint").text)
+    below = page.driver.execute_script("return document.getElementById('save-hint').getBoundingClientRect().bottom - innerHeight")
+    assert below < 1, f"the answer is {below} pixels below the window"
     info = subprocess.run([relidar, "info", str(work / "saved/edited")], capture_output=True, text=True, check=True).stdout
     assert "--copy 0@" in info and "--remove 0" in info, info
     page.click("#save")

@@ -18,8 +18,7 @@ namespace relidar {
 
 namespace {
 
-// Largest accepted time in seconds or coordinate in metres. The renderer has the same
-// limit.
+// Largest accepted time in seconds or coordinate in metres, as in the renderer.
 constexpr double kLargestNumber = 1e10;
 constexpr double kMaxTrackSteps = 1e6;  // Maximum number of sweeps in a trajectory.
 
@@ -220,8 +219,7 @@ void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, ModelInstanc
         scene.models[m].first += model.count - before;
 }
 
-/// Returns true if two tracks differ only by the rounding errors of a move and its
-/// reverse.
+/// Returns true if two tracks are equal except for rounding errors.
 bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
     constexpr double kSame = 1e-9;  // metres, seconds, and components of quaternions
     const auto is_same_pose = [](const Pose& p, const Pose& q) {

@@ -52,8 +52,7 @@ std::vector<std::string> list_added_or_moved_track_ids(const SceneWithLog& drivi
 
 /// Returns a note for each added or moved actor that has sides without observations, or
 /// too few surfels. An actor needs more surfels if it is closer to the sensor.
-std::string format_notes_on_placed_actors(const SceneWithLog& driving_scene,
-                                          const LidarSequence& original_log) {
+std::string format_placed_actor_notes(const SceneWithLog& driving_scene, const LidarSequence& original_log) {
     std::string text;
     for (const std::string& track : list_added_or_moved_track_ids(driving_scene, original_log)) {
         if (const std::string sides = describe_unobserved_sides(driving_scene.scene, track); !sides.empty())
@@ -94,7 +93,7 @@ void run_edit_command(const EditOptions& options) {
         text += applied.said + "\n" + (applied.note.empty() ? "" : "note: " + applied.note + "\n");
     }
     driving = complete_moved_actors(std::move(driving), before.boxes);
-    text += format_notes_on_placed_actors(driving, before);
+    text += format_placed_actor_notes(driving, before);
     run.sequence.boxes = driving.sequence.boxes;
     run.replace_driving_scene(std::move(driving));
     edited.save_run_to_folder(run);
