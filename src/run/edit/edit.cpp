@@ -276,7 +276,7 @@ SceneWithLog complete_moved_actors(SceneWithLog scene_and_log, const std::vector
         const auto before = std::ranges::find(boxes_before, instance.track, &BoxTrack::id);
         if (before == boxes_before.end() || !is_same_track(box->world_from_box, before->world_from_box))
             moved.insert(instance.track);
-        else *box = *before;  // removes the rounding errors of the moves
+        else box->world_from_box = before->world_from_box;  // removes the rounding errors of the moves
     }
     for (ModelInstance& instance : instances) {
         const bool is_shared = std::ranges::any_of(instances, [&](const ModelInstance& other) {

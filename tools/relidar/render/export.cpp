@@ -92,8 +92,9 @@ void run_export_command(const ExportOptions& options) {
 constexpr const char* kExportHelp =
     R"(Common viewers can show the PLY file: intensity as colour, surfels as flat ellipsoids. Additional
 float properties (hit_0..15, drop_0..15, model) let `relidar edit --from-ply` restore exactly the
-same scene. Each actor is stored in the frame of its box, at the origin and not deformed. With
---frames all surfels are in world coordinates; `relidar edit` cannot read such files.
+same scene. If an editor drops them, it must keep the positions of the surfels. Each actor is
+stored in the frame of its box, at the origin and not deformed. With --frames all surfels are in
+world coordinates; `relidar edit` cannot read such files.
 The path has the columns time_s,x,y,z,yaw_deg,pitch_deg,roll_deg in the dataset's world. render
 --trajectory and edit --trajectory read it.
 Examples:
