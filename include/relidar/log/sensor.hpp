@@ -167,6 +167,7 @@ struct RangeLimits {
     bool contains(double range_m) const { return range_m > 0.0 && range_m >= min_m && range_m <= max_m; }
 };
 /// Returns the intersection of two range limits.
+/// @throws UsageError if it contains no range
 RangeLimits intersect_range_limits(const RangeLimits& first, const RangeLimits& second);
 
 /// A spinning LiDAR: its beams, the number of azimuth steps in a sweep, and the timing of

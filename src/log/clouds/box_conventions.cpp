@@ -256,7 +256,8 @@ std::string describe_box_fault(const LidarSequence& sequence) {
         return motion.is_sideways() && !is_straight ? fmt::format("{}: {}", turned, sideways) : "";
     const std::string points = fmt::format("boxes that are corrected in this way gain {} points and lose {}",
                                            gains[best].gained, gains[best].lost);
-    return fmt::format("{}: {}{}", best == kTurned ? turned : kFaults[best].description, points,
+    return fmt::format("{}{}: {}{}", best == kTurned ? turned : kFaults[best].description,
+                       best > kTurned ? ", as in left-handed coordinates (CARLA)" : "", points,
                        best == kTurned && motion.is_sideways() ? "; " + sideways : "");
 }
 

@@ -283,8 +283,7 @@ private:
             spans_s.push_back(double(last_s) - double(first_s));
             largest_offsets_s.push_back(std::max(std::abs(double(first_s)), std::abs(double(last_s))));
         }
-        // If scans are much farther apart, add_notes_about_implausible_values() reports
-        // it.
+        // add_notes_about_implausible_values() reports scans that are much farther apart.
         if (!frame_step_s || *frame_step_s > kLongestFrameStep_s || spans_s.empty()) return;
         const double span_s = compute_median(std::move(spans_s)),
                      offset_s = compute_median(std::move(largest_offsets_s));

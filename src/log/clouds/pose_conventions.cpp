@@ -107,50 +107,52 @@ std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& in
                                        const std::string& error_location, std::vector<std::string>& notes) {
     std::vector<double> forward, upright;
     for (const PoseInterpretation& reading : interpretations) {
-        const stamped::DrivingDirection driving =
-            stamped::estimate_driving_direction(reading.world_from_vehicle);
+        const auto driving = stamped::estimate_driving_direction(reading.world_from_vehicle);
         forward.push_back(driving.n_steps < kFewestSteps ? 0.0 : driving.mean.x);
         upright.push_back(compute_mean_upright(reading.world_from_vehicle));
     }
     const auto is_forward = [&](std::size_t k) {
         return forward[k] >= kForward && forward[k] >= forward[0] + kMoreForward;
     };
-    // A vehicle may also drive backward. Only the scans can show this.
+    // Only the scans can show that a vehicle drives backward.
     const auto is_possible = [&](std::size_t k) {
         return is_forward(k) || (std::abs(forward[k]) >= kForward &&
                                  (forward[0] < kForward || upright[k] > upright[0] + kMoreUpright ||
                                   (forward[k] < 0.0 && !interpretations[k].needs_scans)));
     };
-    std::size_t n_possible = 0;
-    for (std::size_t k = 1; k < interpretations.size(); ++k) n_possible += is_possible(k);
-    if (n_possible == 0) return 0;
+    std::vector<std::size_t> possible;
+    for (std::size_t k = 1; k < interpretations.size(); ++k)
+        if (is_possible(k)) possible.push_back(k);
+    if (possible.empty()) return 0;
     const OverlapScanPairs scans = read_scan_pairs_or_null ? read_scan_pairs_or_null() : OverlapScanPairs();
     const double first_overlap = scans.compute_scan_overlap_fraction(interpretations[0].world_from_vehicle);
     std::size_t best = 0, undecided = 0;
     double best_overlap = first_overlap + kMoreOverlap;
-    for (std::size_t k = 1; k < interpretations.size(); ++k) {
+    for (const std::size_t k : possible) {
         const PoseInterpretation& reading = interpretations[k];
-        if (!is_possible(k)) continue;
         const double overlap = scans.compute_scan_overlap_fraction(reading.world_from_vehicle);
-        const bool needs_scans = reading.needs_scans || !is_forward(k);
         if (scans.empty()) {
-            if (needs_scans || best > 0 || upright[k] < upright[0] - kLessUpright) continue;
+            if (reading.needs_scans || best > 0 || upright[k] < upright[0] - kLessUpright ||
+                !(is_forward(k) || upright[k] > upright[0] + kMoreUpright))
+                continue;
             // A vehicle that drives backward looks like one that drives forward with
             // another order of the quaternion.
-            (forward[0] <= -kForward ? undecided : best) = k;
+            (forward[0] <= -kForward || !is_forward(k) ? undecided : best) = k;
         } else if (overlap > best_overlap) {
             best = k;
             best_overlap = overlap;
-        } else if (!needs_scans && overlap >= first_overlap - kMoreOverlap) {
+        } else if (is_forward(k) && !reading.needs_scans && overlap >= first_overlap - kMoreOverlap) {
             undecided = k;
         }
     }
     if (best > 0)
         notes.push_back(fmt::format(
-            "{}: poses are read as {}, because the vehicle then moves {:.2f} m forward per metre "
-            "of its path, but {:.2f} m if poses are read as {}{}",
-            error_location, interpretations[best].about, forward[best], forward[0], interpretations[0].about,
-            scans.empty() ? "" : "; consecutive scans then overlap better"));
+            "{}: poses are read as {}, because the vehicle then moves {:.2f} m {} per metre of its "
+            "path{}, but {:.2f} m forward if poses are read as {}",
+            error_location, interpretations[best].about, std::abs(forward[best]),
+            forward[best] < 0.0 ? "backward" : "forward",
+            scans.empty() ? "" : " and consecutive scans overlap better", forward[0],
+            interpretations[0].about));
     else if (undecided > 0)
         notes.push_back(
             fmt::format("{}{}the vehicle moves {:.2f} m forward per metre of its path with poses "
@@ -173,8 +175,7 @@ void correct_poses_if_stored_inverted(LidarSequence& sequence) {
     }
     std::vector<PoseInterpretation> readings = {{"world-from-sensor poses", sequence.world_from_vehicle},
                                                 {"sensor-from-world poses", std::move(inverted_track), true}};
-    // The reader of the poses had no scans, which now decide the order of the
-    // quaternions.
+    // The reader had no scans, which now decide the order of the quaternions.
     const auto undecided = std::ranges::find_if(sequence.notes, [](const std::string& note) {
         return note.find(kUndecidedNote) != note.npos && note.find(kScalarLast) != note.npos;
     });

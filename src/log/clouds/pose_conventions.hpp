@@ -50,8 +50,8 @@ using OverlapScanPairReader = std::function<OverlapScanPairs()>;
 
 /// Returns the index of the meaning that fits the motion of the vehicle and the scans
 /// best. Returns 0, the documented meaning, unless another meaning is clearly better.
-/// Adds a note if the result is not 0. Also adds a note if the vehicle drives backward
-/// and no scans show whether another meaning is right.
+/// Adds a note if the result is not 0, or if the vehicle drives backward and no scans
+/// show whether another meaning is right.
 /// @param interpretations  possible meanings, at least one
 /// @param read_scan_pairs_or_null  reads pairs of scans; called only if the motion
 /// contradicts the documented meaning; may be null
@@ -62,8 +62,8 @@ std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& in
 
 /// Inverts the poses of a log if they are probably sensor-from-world poses, and adds a
 /// note. Condition: with the inverse, the vehicle drives forward and consecutive scans
-/// overlap better. If the reader could not decide the order of the quaternions, decides
-/// it in the same way. The log must already contain the scans.
+/// overlap better. Also decides the order of the quaternions if the reader could not. The
+/// log must already contain the scans.
 void correct_poses_if_stored_inverted(LidarSequence& sequence);
 
 }  // namespace relidar::folder

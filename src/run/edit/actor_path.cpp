@@ -60,8 +60,8 @@ FieldColumnIndices make_default_column_indices(std::size_t n_columns, const std:
     return at;
 }
 
-/// Reads the values of a line. A field without a column has the value 0. In a file
-/// without a header, pitch and roll may be missing at the end of a line.
+/// Reads the values of a line. A field without a column has the value 0. Pitch and roll
+/// may be missing at the end of a line if the file has no header.
 /// @throws DataError naming the column that is not a number
 std::array<double, kFieldCount> parse_trajectory_row(const std::vector<std::string_view>& cells,
                                                      const FieldColumnIndices& column_indices,

@@ -13,7 +13,7 @@ namespace relidar {
 namespace {
 
 // Maximum time between the firing of a ray and the nearest end of the sensor's path. A
-// sweep may begin before the path or end after it, but a larger difference is an error.
+// sweep may begin before the path or end after it, but not by more.
 constexpr double kBeyondPath_s = 1.0;
 constexpr double kFarthest = 1e10;  // limit for coordinates in metres and for times in seconds since 1970
 

@@ -70,8 +70,7 @@ std::vector<float> list_firing_times_on_actor(const RenderedScan& scan, const Sc
 /// @param faced_s  time at which the sensor points at the centre of the box
 double choose_time_of_box(const RenderedScan& scan, double faced_s,
                           const std::vector<float>& return_times_s) {
-    // A box takes less than this share of a sweep unless it is hit at the start and the
-    // end.
+    // A box takes a smaller share of a sweep, unless it is hit at its start and end.
     constexpr double kMostOfSweep = 0.5;
     if (return_times_s.empty()) return faced_s;
     const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);

@@ -93,6 +93,23 @@ TEST(CorrectInversePoses, IfTheScansConfirm) {
     EXPECT_NE(log.notes.back().find("sensor-from-world"), std::string::npos) << log.notes.back();
 }
 
+TEST(ChoosePoses, WithoutScansANoteAsksWhetherTheVehicleDrivesBackward) {
+    PoseTrack backward, forward;
+    for (int i = 0; i < 8; ++i) {
+        backward.time_s.push_back(0.2 * i);
+        backward.pose.push_back({{0, 0, 0, 1}, {1.5 * i, 0, 0}});  // faces -x
+        forward.pose.push_back({{1, 0, 0, 0}, {1.5 * i, 0, 0}});
+    }
+    forward.time_s = backward.time_s;
+    std::vector<std::string> notes;
+    EXPECT_EQ(
+        folder::choose_pose_interpretation({{folder::kScalarFirst, backward}, {folder::kScalarLast, forward}},
+                                           nullptr, "poses", notes),
+        0u);
+    ASSERT_EQ(notes.size(), 1u);
+    EXPECT_THAT(notes[0], test::Names("uncertain ... -1.00 m ... 1.00 m with qx qy qz qw ... first line"));
+}
+
 TEST(CheckSequence, NamesLidarFramePoseOrBox) {
     expect_errors({
         {[](LidarSequence& s) { s.frames.clear(); }, "frame"},

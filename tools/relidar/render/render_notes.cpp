@@ -59,8 +59,10 @@ void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index)
                     run.folder.string()));
 }
 
-void print_note_if_world_is_rounded(const TrainedRun& run, const PoseTrack& dataset_from_sensor) {
+void print_note_if_world_is_rounded(const TrainedRun& run, const PoseTrack& dataset_from_sensor,
+                                    PointCoordinateFrame frame) {
     constexpr double kLeastStep_m = 0.01;
+    if (frame != PointCoordinateFrame::world) return;
     const PoseTrack track =
         dataset_from_sensor.pose.empty()
             ? add_offset_to_track_positions(run.sequence.world_from_vehicle, run.sequence.world_offset_m)
@@ -72,84 +74,83 @@ void print_note_if_world_is_rounded(const TrainedRun& run, const PoseTrack& data
     if (const double step_m = compute_float_step_m(largest_m); step_m > kLeastStep_m)
         print_note(fmt::format(
             "--frame world: points are written in single precision, which has steps of {:.3g} m at "
-            "coordinates "
-            "of {:.0f} m; without this option, points are exact and scans.json has the poses of the scans",
+            "coordinates of {:.0f} m; without this option, points are exact and scans.json has the poses of "
+            "the scans",
             step_m, largest_m));
-    void print_note_on_time_shift(const LidarSequence& log, std::int64_t time_shift_ns) {
-        if (const std::string note = format_time_shift_note(log, time_shift_ns); !note.empty())
-            print_note(note);
-    }
+}
 
-    void print_sensor_properties_assumed_for_weather(const Weather& weather) {
-        if (weather.is_clear()) return;
-        print_note(fmt::format(
-            "weather {}: the wavelength of the sensors is unknown, so 905 nm is assumed; if a beam "
-            "divergence is unknown, 3 mrad is assumed",
-            format_weather(weather)));
-    }
+void print_note_on_time_shift(const LidarSequence& log, std::int64_t time_shift_ns) {
+    if (const std::string note = format_time_shift_note(log, time_shift_ns); !note.empty()) print_note(note);
+}
 
-    namespace {
+void print_sensor_properties_assumed_for_weather(const Weather& weather) {
+    if (weather.is_clear()) return;
+    print_note(
+        fmt::format("weather {}: the wavelength of the sensors is unknown, so 905 nm is assumed; if a beam "
+                    "divergence is unknown, 3 mrad is assumed",
+                    format_weather(weather)));
+}
 
-    /// Prints a note if rays of the scans reach sides of actors that the log has never
-    /// observed. Lists these sides, each with its numbers of scans and rays.
-    /// @param sides_json_key key of the list of these sides in an entry of scans.json
-    /// @param effect_text what happens to these rays, for example "pass through such a
-    /// side"
-    void print_note_on_unobserved_actor_sides(const std::vector<nlohmann::json>& scans,
-                                              const std::string& folder, const char* sides_json_key,
-                                              const char* effect_text) {
-        struct ScanRayCounts {
-            std::size_t scans = 0, rays = 0;
-        };
-        std::map<std::string, ScanRayCounts> sums;
-        for (const nlohmann::json& scan : scans)
-            for (const nlohmann::json& side : scan[sides_json_key]) {
-                ScanRayCounts& sum = sums[fmt::format("the {} of {}", side["side"].get<std::string>(),
-                                                      side["track"].get<std::string>())];
-                ++sum.scans;
-                sum.rays += side["rays"].get<std::size_t>();
-            }
-        std::vector<std::string> texts;
-        for (const auto& [name, sum] : sums)
-            texts.push_back(fmt::format("{} in {} scans ({} rays)", name, sum.scans, sum.rays));
-        if (texts.empty()) return;
-        print_note(
-            fmt::format("{}: some rays reach sides of actors that the log did not observe; these rays {}: {} "
-                        "(see \"{}\" in "
-                        "scans.json)",
-                        folder, effect_text, fmt::join(texts, ", "), sides_json_key));
-    }
+namespace {
 
-    }  // namespace
-
-    void print_note_on_unobserved_space(const std::vector<std::string>& scan_json_entries,
-                                        const std::string& scan_folder) {
-        std::vector<nlohmann::json> scans;
-        for (const std::string& entry : scan_json_entries) scans.push_back(nlohmann::json::parse(entry));
-        print_note_on_unobserved_actor_sides(scans, scan_folder, "unseen_sides",
-                                             "pass through such a side, because it has no surfels");
-        print_note_on_unobserved_actor_sides(
-            scans, scan_folder, "completed_sides",
-            "hit surfels that were mirrored from the other side of the actor");
-        std::size_t n_unseen = 0, n_scans_with_value = 0;
-        double worst = 0.0;
-        int worst_number = 0;
-        for (const nlohmann::json& scan : scans) {
-            if (!scan["unseen"].is_number()) continue;
-            ++n_scans_with_value;
-            const double unseen = scan["unseen"];
-            n_unseen += unseen > kMuchUnseen;
-            if (unseen > worst) {
-                worst = unseen;
-                worst_number = scan["frame_number"];
-            }
+/// Prints a note if rays of the scans reach sides of actors that the log has never
+/// observed. Lists these sides, each with its numbers of scans and rays.
+/// @param sides_json_key key of the list of these sides in an entry of scans.json
+/// @param effect_text what happens to these rays, for example "pass through such a
+/// side"
+void print_note_on_unobserved_actor_sides(const std::vector<nlohmann::json>& scans, const std::string& folder,
+                                          const char* sides_json_key, const char* effect_text) {
+    struct ScanRayCounts {
+        std::size_t scans = 0, rays = 0;
+    };
+    std::map<std::string, ScanRayCounts> sums;
+    for (const nlohmann::json& scan : scans)
+        for (const nlohmann::json& side : scan[sides_json_key]) {
+            ScanRayCounts& sum = sums[fmt::format("the {} of {}", side["side"].get<std::string>(),
+                                                  side["track"].get<std::string>())];
+            ++sum.scans;
+            sum.rays += side["rays"].get<std::size_t>();
         }
-        if (n_unseen == 0) return;
-        print_note(fmt::format(
-            "{}: in {} of {} scans, more than {:.0f} % of the rays cross space that the log has not "
-            "observed. The surfaces there are guessed. The share is largest in scan {} with {:.1f} %. "
-            "\"unseen\" in scans.json has the share of each scan; --channels seen shows it for each ray",
-            scan_folder, n_unseen, n_scans_with_value, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
+    std::vector<std::string> texts;
+    for (const auto& [name, sum] : sums)
+        texts.push_back(fmt::format("{} in {} scans ({} rays)", name, sum.scans, sum.rays));
+    if (texts.empty()) return;
+    print_note(
+        fmt::format("{}: some rays reach sides of actors that the log did not observe; these rays {}: {} "
+                    "(see \"{}\" in "
+                    "scans.json)",
+                    folder, effect_text, fmt::join(texts, ", "), sides_json_key));
+}
+
+}  // namespace
+
+void print_note_on_unobserved_space(const std::vector<std::string>& scan_json_entries,
+                                    const std::string& scan_folder) {
+    std::vector<nlohmann::json> scans;
+    for (const std::string& entry : scan_json_entries) scans.push_back(nlohmann::json::parse(entry));
+    print_note_on_unobserved_actor_sides(scans, scan_folder, "unseen_sides",
+                                         "pass through such a side, because it has no surfels");
+    print_note_on_unobserved_actor_sides(scans, scan_folder, "completed_sides",
+                                         "hit surfels that were mirrored from the other side of the actor");
+    std::size_t n_unseen = 0, n_scans_with_value = 0;
+    double worst = 0.0;
+    int worst_number = 0;
+    for (const nlohmann::json& scan : scans) {
+        if (!scan["unseen"].is_number()) continue;
+        ++n_scans_with_value;
+        const double unseen = scan["unseen"];
+        n_unseen += unseen > kMuchUnseen;
+        if (unseen > worst) {
+            worst = unseen;
+            worst_number = scan["frame_number"];
+        }
     }
+    if (n_unseen == 0) return;
+    print_note(fmt::format(
+        "{}: in {} of {} scans, more than {:.0f} % of the rays cross space that the log has not "
+        "observed. The surfaces there are guessed. The share is largest in scan {} with {:.1f} %. "
+        "\"unseen\" in scans.json has the share of each scan; --channels seen shows it for each ray",
+        scan_folder, n_unseen, n_scans_with_value, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
+}
 
 }  // namespace relidar::cli
