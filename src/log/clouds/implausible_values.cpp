@@ -103,7 +103,7 @@ double find_sweep_duration_s(const LidarSequence& sequence) {
     return kUsualSweep_s;
 }
 
-void add_note_if_time_unit_is_wrong(LidarSequence& sequence) {
+void add_time_unit_note(LidarSequence& sequence) {
     const std::vector<double>& times_s = sequence.world_from_vehicle.time_s;
     if (times_s.size() < 2) return;
     const double step_s = compute_median_interval_s(times_s), sweep_s = find_sweep_duration_s(sequence);
@@ -123,7 +123,7 @@ void add_note_if_time_unit_is_wrong(LidarSequence& sequence) {
     }
 }
 
-void add_note_if_positions_are_rounded(LidarSequence& sequence) {
+void add_rounding_note(LidarSequence& sequence) {
     for (int axis = 0; axis < 2; ++axis) {
         std::set<double> different_m;
         double step_m = 0.0;
@@ -313,10 +313,10 @@ void add_notes_about_implausible_values(LidarSequence& sequence) {
                                               kUnitNote, kFloatNote, kRotationNote},
                                    [&](const char* words) { return note.starts_with(words); });
     });
-    add_note_if_time_unit_is_wrong(sequence);
+    add_time_unit_note(sequence);
     if (sequence.has_poses) {
         add_note_if_vehicle_is_too_fast(sequence);
-        add_note_if_positions_are_rounded(sequence);
+        add_rounding_note(sequence);
     }
     const std::vector<ReturnStatistics> by_frame = compute_statistics_of_frames(sequence);
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)

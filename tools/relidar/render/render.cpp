@@ -412,7 +412,7 @@ void run_render_command(const RenderOptions& command_options) {
     RenderOutputs output = create_output_folders(options, run, targets, offset, ranks);
     if (has_stamped_outputs(options)) print_note_on_time_shift(run.sequence, options.time_shift_ns);
     if (options.sample) print_notes_on_missing_noise_models(run, lidar);
-    print_note_if_world_is_rounded(run, track, parse_point_frame(options.point_frame));
+    print_rounding_note(run, track, parse_point_frame(options.point_frame));
     print_sensor_properties_assumed_for_weather(parse_weather(options.weather));
     for (const MountedSimulatedSensor& w : targets) print_notes_on_sensor(run, renderer, w.sensor);
     install_interrupt_handlers();

@@ -59,8 +59,8 @@ void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index)
                     run.folder.string()));
 }
 
-void print_note_if_world_is_rounded(const TrainedRun& run, const PoseTrack& dataset_from_sensor,
-                                    PointCoordinateFrame frame) {
+void print_rounding_note(const TrainedRun& run, const PoseTrack& dataset_from_sensor,
+                         PointCoordinateFrame frame) {
     constexpr double kLeastStep_m = 0.01;
     if (frame != PointCoordinateFrame::world) return;
     const PoseTrack track =

@@ -24,8 +24,8 @@ void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index)
 /// Prints a note if points in the world frame are far from its origin, because they are
 /// written in single precision.
 /// @param dataset_from_sensor  path of the sensor; empty: the path of the log
-void print_note_if_world_is_rounded(const TrainedRun& run, const PoseTrack& dataset_from_sensor,
-                                    PointCoordinateFrame frame);
+void print_rounding_note(const TrainedRun& run, const PoseTrack& dataset_from_sensor,
+                         PointCoordinateFrame frame);
 /// Prints a note if time stamps of recordings and packets differ from the times and the
 /// date of the log.
 void print_note_on_time_shift(const LidarSequence& log, std::int64_t time_shift_ns);
