@@ -83,10 +83,14 @@ for frame, scan in zip(frames, scans):
     expect(abs(hit.sum() - len(points)) < 0.01 * len(points) > 10, f"{hit.sum()} returns in the packets, expected {len(points)}")
     n_equal = 0
     for ring in range(16):
-        truth, found = points[rings == ring], decoded["directions"][hit & (decoded["ring"] == ring)].astype(float)
-        ranges = decoded["range"][hit & (decoded["ring"] == ring)]
+        of_ring = hit & (decoded["ring"] == ring)
+        truth = points[rings == ring]
+        # the beams of a VLP-16 start above or below the centre of the sensor
+        found = decoded["origin"][of_ring] + decoded["range"][of_ring][:, None] * decoded["directions"][of_ring].astype(float)
         if len(truth) == 0 or len(found) == 0:
             continue
+        ranges = np.linalg.norm(found, axis=1)
+        found /= ranges[:, None]
         direction = truth / np.linalg.norm(truth, axis=1)[:, None]
         nearest = (found @ direction.T).argmax(1)
         apart_deg = np.degrees(np.linalg.norm(found - direction[nearest], axis=1))
