@@ -125,7 +125,7 @@ losing=(env VK_INSTANCE_LAYERS=VK_LAYER_RELIDAR_device_loss "VK_ADD_LAYER_PATH=$
 lost_device() {
     local after resume
     for after in 10 220; do
-        resume=.*
+        resume='.*'
         [[ $after == 10 ]] || resume=".*; .*relidar train --resume gone"
         "${losing[@]}" RELIDAR_LOSE_DEVICE_AFTER=$after "$relidar" train street --out gone --force --blocks 30m "${settings[@]}" --quiet >out 2>err
         check "device lost after $after submissions: exit code $?, expected 4" test $? = 4
