@@ -253,6 +253,8 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
     save_run(run);
     start();
     constexpr double kTime_s = 0.5, kEnd_s = 0.6, kPeriod_s = 0.1, kWall_m = 10.0;
+    constexpr std::array kOffsets_mm{-11.2, -9.7, -8.1, -6.6, -5.1, -3.7, -2.2, -0.7,
+                                     0.7,   2.2,  3.7,  5.1,  6.6,  8.1,  9.7,  11.2};
     const auto sensor_x = [](double time_s) { return 20.0 * (time_s - kTime_s); };
     v1::RenderLidarRequest request = make_standing_request();
     request.clear_path();
@@ -279,7 +281,9 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
                 EXPECT_NEAR(world_point_m.x, kWall_m, 1e-3);
                 const glm::dvec3 ray =
                     world_point_m - glm::dvec3(sensor_x(kTime_s + double(times_s[i])), 0.0, 0.0);
-                const double elevation = std::atan2(ray.z, std::hypot(ray.x, ray.y)),
+                // Vertical offset of the laser (VLP-16 manual). The native beams have none.
+                const double up_m = is_native ? 0.0 : 1e-3 * kOffsets_mm[rings[i]];
+                const double elevation = std::atan2(ray.z - up_m, std::hypot(ray.x, ray.y)),
                              azimuth = std::atan2(ray.y, ray.x);
                 EXPECT_NEAR(elevation,
                             is_native ? 0.1 - 0.1 * rings[i] : (15.0 - 2.0 * rings[i]) * kPi / 180.0, 3e-4)

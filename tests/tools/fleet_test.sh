@@ -31,19 +31,19 @@ run() {
 # Uses scores that are written by hand, so that the means can be computed by hand. Needs
 # no device.
 score_tables() {
-    run a '[{}, {}]' native '"strict/depth_medae_m": 0.25, "strict/drop_accuracy": 0.5, "own/metric": 7'
-    run 'b|c' '[{}]' native '"strict/depth_medae_m": 0.75, "strict/drop_accuracy": null'
+    run a '[{}, {}]' native '"points/depth_medae_m": 0.25, "strict/drop_accuracy": 0.5, "own/metric": 7'
+    run 'b|c' '[{}]' native '"points/depth_medae_m": 0.75, "strict/drop_accuracy": null'
     good eval scored/a/ 'scored/b|c' --table t.md --table t.csv --table t.html
-    has t.md '| run | log | held-out frames | training s | strict/depth_medae_m | strict/drop_accuracy |'
+    has t.md '| run | log | held-out frames | training s | points/depth_medae_m | strict/drop_accuracy |'
     has t.md '| scored/a | logs/a | 2 | 12.5 | 0.25 | 0.5 |'
     has t.md '| scored/b\|c | logs/b\|c | 1 | 12.5 | 0.75 | - |'
     has t.md '| mean of 2 runs |  |  |  | 0.5 | 0.5 |'
     check "equal protocols are called different" test "$(grep -c "different settings" t.md)" = 0
-    has t.csv 'run,log,frames,training_s,own/metric,strict/depth_medae_m,strict/drop_accuracy'
+    has t.csv 'run,log,frames,training_s,own/metric,points/depth_medae_m,strict/drop_accuracy'
     has t.csv '"scored/a","logs/a",2,12.5,7,0.25,0.5'
     has t.csv '"scored/b|c","logs/b|c",1,12.5,,0.75,'
     for text in "scored/a" "scored/b|c" "2 of 2 runs have scores" "Typical range error"; do has t.html "$text"; done
-    run d '[{}]' kitti360 '"strict/depth_medae_m": 1'
+    run d '[{}]' kitti360 '"points/depth_medae_m": 1'
     good eval scored/a scored/d --table t.md
     has t.md "Compare the runs with care, because they were scored with different settings: grid."
     bad 2 "2 runs .*--table" eval scored/a scored/d

@@ -38,7 +38,7 @@ constexpr double kSpecifiedReflectivity = 0.8;
 constexpr double kNearReflectivity = 0.0025;
 // Power of the weakest noise and stray light that a sensor detects. It belongs to the
 // constants of blooming, which were fitted to KITTI's intensities.
-constexpr double kNoisePower = 0.005 / (80.0 * 80.0);
+constexpr double kNoisePower = 0.5 / 255.0 / (80.0 * 80.0);
 
 void require_normals_for_channel(const Config& config, const ChannelInfo& channel, const char* error_prefix) {
     if (!channel.needs_normals || get_primitive_properties(config.image.primitive).has_normals) return;

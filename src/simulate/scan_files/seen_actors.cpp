@@ -6,8 +6,6 @@
 #include <relidar/simulate/actor_boxes.hpp>
 #include <relidar/simulate/render.hpp>
 
-#include "base/median.hpp"
-
 namespace relidar::scan_files {
 namespace {
 
@@ -55,7 +53,9 @@ private:
 /// Returns the firing times of the first returns of a scan on an actor.
 std::vector<float> list_firing_times_on_actor(const RenderedScan& scan, const ScanOutputOptions& format,
                                               const std::string& track_id) {
-    const auto instance = std::ranges::find(format.instance_names, track_id) - format.instance_names.begin();
+    const auto name = std::ranges::find(format.instance_names, track_id);
+    if (name == format.instance_names.end()) return {};
+    const auto instance = name - format.instance_names.begin();
     const std::vector<float>& range_m = select_point_ranges(scan, format.config);
     std::vector<float> times_s;
     for (std::size_t i = 0; i < range_m.size(); ++i)
@@ -68,8 +68,7 @@ std::vector<float> list_firing_times_on_actor(const RenderedScan& scan, const Sc
 /// box behind the sensor. Such a box gets the median time of its returns, so that it
 /// matches the part with more of them.
 /// @param faced_s  time at which the sensor points at the centre of the box
-double choose_time_of_box(const RenderedScan& scan, double faced_s,
-                          const std::vector<float>& return_times_s) {
+double choose_time_of_box(const RenderedScan& scan, double faced_s, std::vector<float> return_times_s) {
     // A box takes a smaller share of a sweep, unless it is hit at its start and end.
     constexpr double kMostOfSweep = 0.5;
     if (return_times_s.empty()) return faced_s;
@@ -77,7 +76,9 @@ double choose_time_of_box(const RenderedScan& scan, double faced_s,
     const auto [first_return_s, last_return_s] = std::ranges::minmax(return_times_s);
     if (double(last_return_s) - double(first_return_s) < kMostOfSweep * (double(last_s) - double(first_s)))
         return faced_s;
-    return scan.time_s + double(compute_median(return_times_s));
+    const auto middle = return_times_s.begin() + std::ptrdiff_t(return_times_s.size() / 2);
+    std::ranges::nth_element(return_times_s, middle);  // not the mean of two, which no part has
+    return scan.time_s + double(*middle);
 }
 
 }  // namespace
