@@ -253,8 +253,6 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
     save_run(run);
     start();
     constexpr double kTime_s = 0.5, kEnd_s = 0.6, kPeriod_s = 0.1, kWall_m = 10.0;
-    constexpr std::array kOffsets_mm{-11.2, -9.7, -8.1, -6.6, -5.1, -3.7, -2.2, -0.7,
-                                     0.7,   2.2,  3.7,  5.1,  6.6,  8.1,  9.7,  11.2};
     const auto sensor_x = [](double time_s) { return 20.0 * (time_s - kTime_s); };
     v1::RenderLidarRequest request = make_standing_request();
     request.clear_path();
@@ -276,18 +274,16 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
             EXPECT_EQ(scan.time_s(), kTime_s);
             float latest_s = 0.0f;
             for (std::size_t i = 0; i < points.size(); ++i) {
-                const glm::dvec3 world_point_m =
-                    glm::dvec3(points[i]) + glm::dvec3(sensor_x(kEnd_s), 0.0, 0.0);
-                EXPECT_NEAR(world_point_m.x, kWall_m, 1e-3);
-                const glm::dvec3 ray =
-                    world_point_m - glm::dvec3(sensor_x(kTime_s + double(times_s[i])), 0.0, 0.0);
-                // Vertical offset of the laser (VLP-16 manual). The native beams have none.
-                const double up_m = is_native ? 0.0 : 1e-3 * kOffsets_mm[rings[i]];
-                const double elevation = std::atan2(ray.z - up_m, std::hypot(ray.x, ray.y)),
+                const double end_m = sensor_x(kEnd_s), fired_m = sensor_x(kTime_s + double(times_s[i]));
+                EXPECT_NEAR(double(points[i].x) + end_m, kWall_m, 1e-3);
+                const glm::dvec3 ray = glm::dvec3(points[i]) + glm::dvec3(end_m - fired_m, 0.0, 0.0);
+                // The lasers of a VLP-16 meet 41.9 mm in front of its axis.
+                const double beam_rad =
+                                 is_native ? 0.1 - 0.1 * rings[i] : (15.0 - 2.0 * rings[i]) * kPi / 180.0,
+                             up_m = is_native ? 0.0 : -0.0419 * std::tan(beam_rad),
+                             elevation = std::atan2(ray.z - up_m, std::hypot(ray.x, ray.y)),
                              azimuth = std::atan2(ray.y, ray.x);
-                EXPECT_NEAR(elevation,
-                            is_native ? 0.1 - 0.1 * rings[i] : (15.0 - 2.0 * rings[i]) * kPi / 180.0, 3e-4)
-                    << i;
+                EXPECT_NEAR(elevation, beam_rad, 3e-4) << i;
                 if (is_native) EXPECT_EQ(times_s[i], 0.0f);
                 else
                     EXPECT_NEAR(times_s[i], -azimuth / (2.0 * kPi) * kPeriod_s, 1e-3)

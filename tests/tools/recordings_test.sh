@@ -98,7 +98,7 @@ check rig_named "front=/sensing/front/points=front_link 2nd-rear=/sensing/_2nd_r
 
 # A rig has a single recording for all its sensors, and a new rendering must replace the
 # recording.
-[[ "$(ls rig/sensor | tr '\n' ' ')" == "2nd-rear front rosbag.mcap scans.mcap " ]] || fail "a rig's folder holds $(ls rig/sensor | tr '\n' ' ')"
+[[ "$(ls rig/sensor | tr '\n' ' ')" == "2nd-rear front rosbag.mcap scans.json scans.mcap " ]] || fail "a rig's folder holds $(ls rig/sensor | tr '\n' ' ')"
 "$relidar" render run --frames 3:4 --sensor rig.json --out rig/sensor --quiet 2>err && fail "a rig's recordings were overwritten unasked"
 grep -q "rig/sensor: .*contains" err || fail "another message than that of a folder that is taken: $(cat err)"
 "$relidar" render run --frames 3:4 --sensor rig.json --out rig/sensor --quiet --force || fail "a rig rendered over another"
