@@ -253,7 +253,9 @@ std::vector<std::uint32_t> list_model_of_each_surfel(const Scene& scene) {
 /// Finds the surfels of a run that surfels of an edited file come from.
 class SurfelMatcher {
 public:
-    explicit SurfelMatcher(const Surfels& run_surfels) : run_(run_surfels), used_(run_surfels.size()) {
+    /// @param run_model  model of each surfel of the run
+    SurfelMatcher(const Surfels& run_surfels, const std::vector<std::uint32_t>& run_model)
+        : run_(run_surfels), run_model_(run_model), used_(run_surfels.size()) {
         for (std::uint32_t i = 0; i < run_.size(); ++i) cells_.emplace(get_cell_key(run_.mean[i]), i);
     }
 
@@ -262,6 +264,7 @@ public:
     std::optional<std::uint32_t> find_match(const Surfels& surfels, std::size_t i) {
         using Difference = std::tuple<float, float, bool>;
         std::optional<std::pair<Difference, std::uint32_t>> best;
+        bool has_twin = false;         // true if a surfel of another model fits equally well
         std::set<std::uint64_t> keys;  // of the cells that the sphere of matching positions touches
         for (int corner = 0; corner < 8; ++corner)
             keys.insert(get_cell_key(surfels.mean[i] + kSamePosition_m * glm::vec3(corner & 1 ? 1 : -1,
@@ -275,15 +278,21 @@ public:
                 if (!(distance_m <= kSamePosition_m)) continue;
                 const float other = std::abs(run_.opacity_logit[k] - surfels.opacity_logit[i]) +
                                     glm::length(run_.log_scale[k] - surfels.log_scale[i]);
-                best = std::min(best.value_or(std::pair(Difference(kNone, kNone, true), k)),
-                                std::pair(Difference(distance_m, other, used_[k]), k));
+                const std::pair found(Difference(distance_m, other, used_[k]), k);
+                const bool is_tie =
+                    best && std::get<0>(best->first) == distance_m && std::get<1>(best->first) == other;
+                if (is_tie) has_twin |= run_model_[best->second] != run_model_[k];
+                else if (!best || found < *best) has_twin = false;
+                best = std::min(best.value_or(std::pair(Difference(kNone, kNone, true), k)), found);
             }
         }
         if (!best) return {};
+        n_twins_ += has_twin;
         used_[best->second] = true;
         return best->second;
     }
     std::size_t count_unused() const { return std::size_t(std::ranges::count(used_, false)); }
+    std::size_t count_twins() const { return n_twins_; }  ///< surfels that fit several models
 
 private:
     // Editors may round positions. Neighbouring surfels are farther apart.
@@ -292,7 +301,9 @@ private:
         return compute_grid_cell_key(glm::clamp(glm::dvec3(mean_m), -1e6, 1e6), 0.05);
     }
     const Surfels& run_;
+    const std::vector<std::uint32_t>& run_model_;
     std::vector<bool> used_;
+    std::size_t n_twins_ = 0;
     std::unordered_multimap<std::uint64_t, std::uint32_t> cells_;
 };
 
@@ -313,8 +324,8 @@ private:
 /// @return a note about the surfels that were matched
 std::string restore_missing_properties(Surfels& surfels, std::vector<std::uint32_t>& model,
                                        const PlyColumns& columns, const Scene& run_scene) {
-    SurfelMatcher matcher(run_scene.surfels);
     const std::vector<std::uint32_t> run_model = list_model_of_each_surfel(run_scene);
+    SurfelMatcher matcher(run_scene.surfels, run_model);
     std::size_t n_moved = 0, first_moved = 0;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         const std::optional<std::uint32_t> match = matcher.find_match(surfels, i);
@@ -328,6 +339,13 @@ std::string restore_missing_properties(Surfels& surfels, std::vector<std::uint32
         }
     }
     if (n_moved > 0) throw_moved_surfels_error(surfels, first_moved, n_moved, columns, run_scene);
+    if (columns.missing.back().kind == PlyProperty::model && matcher.count_twins() > 0 &&
+        matcher.count_unused() > 0)
+        throw DataError(fmt::format(
+            "the property model is missing, {} surfels fit several models of the run, and {} surfels of the "
+            "run "
+            "are not in the file; expected the property model, which shows whose surfels are deleted",
+            matcher.count_twins(), matcher.count_unused()));
     return fmt::format(
         "the file lacks {} properties, such as {}; they are those of the run's surfels at the "
         "same positions; {} of {} surfels of the run are not in the file",

@@ -242,6 +242,19 @@ TEST_F(SurfelPly, RestoresWhatEditorsDrop) {
     EXPECT_EQ(note, "");
 }
 
+/// Without the property "model", a file cannot show which of two equal actors an editor
+/// has deleted.
+TEST_F(SurfelPly, RefusesDeletedSurfelsOfEqualModels) {
+    Scene scene = make_some_scene();
+    scene.surfels = scene.surfels.reorder({0, 1, 2, 3, 4, 5, 2});  // 2 and 6 are in different models
+    write_surfel_ply(folder / "a.ply", scene);
+    const std::string all = read_contents(folder / "a.ply");
+    put(folder / "b.ply", select_from_ply(all, list_usual_properties(0), {0, 1, 2, 3, 4, 5, 6}));
+    EXPECT_EQ(read_surfel_ply(folder / "b.ply", scene).surfels.size(), 7u);
+    put(folder / "b.ply", select_from_ply(all, list_usual_properties(0), {0, 1, 2, 3, 4, 5}));
+    EXPECT_THROW((void)read_surfel_ply(folder / "b.ply", scene), DataError);
+}
+
 TEST_F(SurfelPly, MatchesRoundedPositionsAndKeepsEditedValues) {
     Scene scene = make_some_scene();
     write_surfel_ply(folder / "a.ply", scene);

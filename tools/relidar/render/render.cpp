@@ -260,10 +260,7 @@ RenderOutputs create_output_folders(const RenderOptions& options, const TrainedR
     const auto add = [&](const std::filesystem::path& folder, const ScanOutputOptions& format) {
         if (!ranks.is_first_mpi_process())
             return output.folders.push_back(ScanFolderWriter::join_folder_of_other_process(folder, format));
-        if (folder != options.out) {
-            require_folder_for_scans(folder, options.overwrite);
-            std::filesystem::create_directories(folder);
-        }
+        if (folder != options.out) std::filesystem::create_directories(folder);
         output.folders.emplace_back(folder, format);
     };
     if (options.merge)
@@ -272,6 +269,10 @@ RenderOutputs create_output_folders(const RenderOptions& options, const TrainedR
     if (!options.packets.address.empty())
         output.sender = std::make_unique<PacketSender>(options.packets, sensors);
     const bool is_rig = !options.merge && !rendered_sensors.front().folder.empty();
+    // All folders are checked before files of an earlier rendering are removed.
+    for (const MountedSimulatedSensor& sensor : rendered_sensors)
+        if (is_rig && ranks.is_first_mpi_process())
+            require_folder_for_scans(std::filesystem::path(options.out) / sensor.folder, options.overwrite);
     if (is_rig && ranks.is_first_mpi_process()) output.recordings.emplace(options.out, sensors);
     for (std::size_t s = 0; s < sensors.size(); ++s) {
         if (is_rig) std::erase_if(sensors[s].formats, is_recording_format);
