@@ -377,6 +377,9 @@ rendering() {
     bad 2 'topic "points", .*/lidar/points' render run --out x --frames 2:3 --format rosbag --topic points
     absent x
     bad 2 "rig/top: .*contains" render run --out rig --frames 5:6 --sensor rig.json
+    echo mine >rig/left/frame_000031.npz
+    bad 2 "rig/left: .*frame_000031.npz" render run --out rig --frames 5:6 --sensor rig.json --format npz --force
+    exists rig/top/frame_000005.npz
     good render run --out wide --frames 5:6 --sensor VLP-16 --format npz,pcd --set sensor.sub_rays=5 --set sensor.returns=2
     check "a second return is missing from the pcd" grep -aq "^FIELDS x y z intensity ring time instance return$" wide/frame_000005.pcd
     bad 2 "sensor.sub_rays: .*XT32" render run --out x --sensor XT32 --set sensor.sub_rays=5
