@@ -40,7 +40,8 @@ constexpr double kLongestBox_m = 200.0, kFarTime_s = 3600.0;
 // unit, frames are by a multiple of 1000 farther apart. A log may have a scan every few
 // minutes, so milliseconds are assumed only if the frames would then follow each other.
 constexpr double kLeastSweeps = 0.7, kMostSweeps = 1.5, kMostSweepsOfLongSteps = 100.0;
-constexpr double kUsualSweep_s = 0.1;  // if the duration of a sweep is unknown
+constexpr double kLeastStepSweeps = 0.5;  // sweeps between the scans of a LiDAR
+constexpr double kUsualSweep_s = 0.1;     // if the duration of a sweep is unknown
 // Coordinates are in single precision if all of them are multiples of its step. A step
 // below the first limit does no harm. Fewer different coordinates prove nothing.
 constexpr double kLeastStep_m = 0.01, kSameStep = 1e-4;
@@ -121,6 +122,25 @@ void add_time_unit_note(LidarSequence& sequence) {
                         step_s, sweep_s, unit));
         return;
     }
+}
+
+/// Adds a note if the scans of a LiDAR follow each other faster than it can measure them.
+void add_overlap_note(LidarSequence& sequence, std::size_t lidar) {
+    std::vector<double> times_s;
+    double sweep_s = 0.0;
+    for (const LidarFrame& frame : sequence.frames) {
+        if (std::size_t(frame.lidar) != lidar || frame.scan.rays.size() == 0) continue;
+        const auto [first_s, last_s] = std::ranges::minmax(frame.scan.rays.time_offset_s);
+        if (times_s.empty()) sweep_s = double(last_s) - double(first_s);
+        times_s.push_back(frame.time_s);
+    }
+    if (times_s.size() < 2) return;
+    const double step_s = compute_median_interval_s(times_s);
+    if (step_s >= kLeastStepSweeps * sweep_s) return;
+    sequence.notes.push_back(
+        kUnitNote + fmt::format("scans{} are {:.3g} s apart, but the rays of a scan take {:.3g} s; expected "
+                                "times of frames in seconds, or the rate of the scans",
+                                format_of_lidar(sequence.lidars[lidar]), step_s, sweep_s));
 }
 
 void add_rounding_note(LidarSequence& sequence) {
@@ -321,7 +341,10 @@ void add_notes_about_implausible_values(LidarSequence& sequence) {
     const std::vector<ReturnStatistics> by_frame = compute_statistics_of_frames(sequence);
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
         add_note_about_scans_with_few_returns(sequence, by_frame, l);
-    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) add_note_about_rotation(sequence, l);
+    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
+        add_note_about_rotation(sequence, l);
+        add_overlap_note(sequence, l);
+    }
     add_notes_about_intensities(sequence, by_frame);
     add_notes_about_boxes(sequence);
 }

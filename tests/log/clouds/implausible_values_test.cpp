@@ -104,6 +104,8 @@ TEST(ImplausibleValues, FrameTimesInAnotherUnitAreReported) {
     // A scan every minute, and every fifth scan of a log, are no faults.
     EXPECT_THAT(get_notes_after(scale_times(600.0)), IsEmpty());
     EXPECT_THAT(get_notes_after(scale_times(5.0)), IsEmpty());
+    // The rays of a scan cannot take longer than the time to the next scan.
+    EXPECT_THAT(get_notes_after(scale_times(0.1)), Contains(HasSubstr("the rays of a scan take")));
 }
 
 TEST(ImplausibleValues, PositionsInSinglePrecisionAreReported) {
