@@ -200,8 +200,8 @@ std::vector<PoseInterpretation> list_possible_pose_conventions(const PoseRows& p
 
 /// Returns a hint to the probable cause if poses do not cover the frames: another unit,
 /// leap seconds or another clock.
-std::string describe_clock_difference(const PoseTrack& track,
-                                      const std::vector<SequenceHeaderFrame>& frames) {
+std::string describe_clock_difference(const PoseTrack& track, const std::vector<SequenceHeaderFrame>& frames,
+                                      bool is_plain_folder) {
     // maximum relative difference of equal times or durations in different units
     constexpr double kSame = 0.3;
     const double pose_span_s = track.time_s.back() - track.time_s.front(),
@@ -225,6 +225,11 @@ std::string describe_clock_difference(const PoseTrack& track,
                 return fmt::format("; {} s {}, they would cover all frames ({} is {} s)", leap_s,
                                    shift_s > 0 ? "earlier" : "later", cause, leap_s);
     if (std::ranges::any_of(frames, [&](const auto& f) { return track.contains_time(f.time_s); })) return "";
+    if (!is_plain_folder)
+        return fmt::format(
+            "; poses and frames must have the same clock: correct the times of the poses by the difference "
+            "of the clocks, for example {:+.3f} s if both begin simultaneously",
+            frames.front().time_s - track.time_s.front());
     return "; poses and frames must have the same clock: write the times of the scans to the key \"frames\" "
            "of sequence.json instead of \"rate_hz\", with which the first scan has the time 0, or subtract "
            "the time of the first scan from the times of the poses";
@@ -232,7 +237,7 @@ std::string describe_clock_difference(const PoseTrack& track,
 
 std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,
                                               const std::vector<SequenceHeaderFrame>& frames,
-                                              const std::string& file_name) {
+                                              const std::string& file_name, bool is_plain_folder) {
     std::vector<Pose> poses;
     for (const SequenceHeaderFrame& frame : frames) {
         if (frame.time_s < track.time_s.front() - kMostBeyond_s ||
@@ -240,7 +245,7 @@ std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,
             throw DataError(fmt::format(
                 "{}: found poses from {} to {} s, but frame {} is at {} s, expected poses for all frames{}",
                 file_name, track.time_s.front(), track.time_s.back(), frame.number, frame.time_s,
-                describe_clock_difference(track, frames)));
+                describe_clock_difference(track, frames, is_plain_folder)));
         poses.push_back(track.interpolate_pose(frame.time_s));
     }
     return poses;
@@ -328,7 +333,9 @@ std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
                                   : choose_pose_interpretation(readings, read_scan_pairs_for_pose_check,
                                                                pose_file.string(), notes);
         add_note_if_poses_are_sparse(readings[k].world_from_vehicle, frames, pose_file.string(), notes);
-        return interpolate_poses_at_frames(readings[k].world_from_vehicle, frames, pose_file.string());
+        // Only plain folders give pairs of scans.
+        return interpolate_poses_at_frames(readings[k].world_from_vehicle, frames, pose_file.string(),
+                                           bool(read_scan_pairs_for_pose_check));
     }
     std::vector<int> numbers;
     for (const SequenceHeaderFrame& frame : frames) numbers.push_back(frame.number);
