@@ -39,7 +39,13 @@ LidarPoints BagScanProvider::read_points_of_frame(std::size_t frame_index) const
     if (at.entry.parts.empty()) return read_points_of_cloud(frame_index, at.entry, at.cloud_s);
     LidarPoints all;
     for (const RevolutionPart& part : at.entry.parts) {
-        const CloudIndexEntry cloud{part.stamp_ns, part.log_ns, part.n_points, part.message_position};
+        const CloudIndexEntry cloud{part.stamp_ns - at.entry.correction_ns,
+                                    part.log_ns,
+                                    part.n_points,
+                                    part.message_position,
+                                    0,
+                                    {},
+                                    at.entry.correction_ns};
         LidarPoints points = read_points_of_cloud(
             frame_index, cloud,
             at.cloud_s + 1e-9 * double(cloud.get_time_ns(clock_) - at.entry.get_time_ns(clock_)));
@@ -86,7 +92,8 @@ LidarPoints BagScanProvider::read_points_of_cloud(std::size_t frame_index, const
     // zero_s: time of the frame in seconds, on the clock that the point times use. It is
     // (time of the frame - time of the cloud) + time of the cloud on that clock.
     double zero_s = at.time_s - cloud_time_s;
-    if (units.zero == PointTimeReference::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
+    if (units.zero == PointTimeReference::epoch)
+        zero_s += 1e-9 * double(cloud.stamp_ns + cloud.correction_ns);
     if (units.zero == PointTimeReference::sensor_clock)
         zero_s += units.time_unit_s * folder::find_time_range(table).value_or(std::array{0.0, 0.0})[0];
     const folder::PointFileUnits point_units{.columns = {},
@@ -143,7 +150,7 @@ LidarTopic estimate_units_of_cloud_topic(const BagRecording& bag, const CloudTop
         } catch (const DataError&) {
             continue;  // the error is reported when the scan is read
         }
-        stamps_s.push_back(1e-9 * double(entry.stamp_ns));
+        stamps_s.push_back(1e-9 * double(entry.stamp_ns + entry.correction_ns));
         topic.samples.emplace(entry.message_position, samples.back());
     }
     topic.units = estimate_time_and_intensity_units(samples, stamps_s, cloud_period_s);

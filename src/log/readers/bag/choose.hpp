@@ -44,12 +44,12 @@ struct SelectedPoseSource {
 };
 /// Selects the vehicle poses of the log.
 /// @param main_lidar_clouds  clouds of the main LiDAR; poses must cover the times of
-/// these clouds
+/// these clouds. Damaged times are corrected or their clouds removed
 /// @param requested_frame_or_topic  name of a frame or of a pose topic; empty: automatic
 /// selection
 /// @throws UsageError if `requested_frame_or_topic` is neither a frame nor a pose topic
 SelectedPoseSource choose_vehicle_pose_source(const BagRecording& bag, const BagIndex& bag_index,
-                                              const CloudTopic& main_lidar_clouds,
+                                              CloudTopic& main_lidar_clouds,
                                               const std::string& requested_frame_or_topic);
 
 struct SelectedBoxTopic {

@@ -8,6 +8,7 @@
 
 #include "base/files.hpp"
 #include "log/readers/bag/choose.hpp"
+#include "log/readers/bag/clock_jumps.hpp"
 #include "log/readers/bag/clock_offset.hpp"
 
 namespace relidar::bag {
@@ -183,7 +184,7 @@ std::int64_t find_first_cloud_time_ns(const CloudTopic& clouds, LogClock clock) 
 }  // namespace
 
 SelectedPoseSource choose_vehicle_pose_source(const BagRecording& bag, const BagIndex& bag_index,
-                                              const CloudTopic& main_lidar_clouds,
+                                              CloudTopic& main_lidar_clouds,
                                               const std::string& requested_frame_or_topic) {
     SelectedPoseSource choice;
     const std::vector<std::string> frame_chain =
@@ -199,6 +200,11 @@ SelectedPoseSource choose_vehicle_pose_source(const BagRecording& bag, const Bag
             fmt::format("the {} have no time stamps, so the times at which they were recorded are used",
                         has_stamps ? "poses" : "clouds"));
     }
+    if (const std::string note =
+            correct_clock_jumps(main_lidar_clouds.clouds, choice.clock,
+                                poses ? list_message_times(*poses) : std::vector<MessageTimes>{});
+        !note.empty())
+        choice.notes.push_back(note);
     choice.zero_ns = choice.poses_zero_ns = find_first_cloud_time_ns(main_lidar_clouds, choice.clock);
     choice.vehicle = main_lidar_clouds.frame;
     if (!source) return choice;

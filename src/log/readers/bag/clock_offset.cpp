@@ -9,12 +9,16 @@
 
 #include <fmt/format.h>
 
+#include "base/median.hpp"
+
 namespace relidar::bag {
 namespace {
 
 constexpr std::int64_t kMilli_ns = 1000000, kUnit_ns = 1000 * kMilli_ns;
 // Smaller offsets may be delays. Offsets below kClear_ns may be delays of slow programs.
 constexpr std::int64_t kLeastOffset_ns = 750 * kMilli_ns, kClear_ns = 2 * kUnit_ns;
+// Messages ahead of the recorder by more than this have another clock.
+constexpr std::int64_t kAhead_ns = 150 * kMilli_ns, kLeastDrift_ns = 200 * kMilli_ns;
 // Larger offsets are damaged times. A clock that starts at 0 is about 1.8e9 s behind.
 constexpr std::int64_t kMostOffset_ns = 2400000000 * kUnit_ns;
 // Two messages are compared if they were recorded within this time of each other.
@@ -36,46 +40,10 @@ std::int64_t round_to_known_offset(std::int64_t measured_ns) {
                                                                                   : measured_ns;
 }
 
-}  // namespace
-
-std::string ClockOffset::describe(const std::string& reference_name) const {
-    const char* cause = offset_ns % kUnit_ns == 0 ? "" : " (accurate to the delays of messages, about 0.1 s)";
-    if (std::abs(offset_ns) == 37 * kUnit_ns) cause = " (TAI minus UTC is 37 s)";
-    if (std::abs(offset_ns) == 18 * kUnit_ns) cause = " (GPS time minus UTC is 18 s)";
-    if (std::abs(offset_ns) == 19 * kUnit_ns) cause = " (TAI minus GPS time is 19 s)";
-    return fmt::format("{:.3f} s {} {}{}", 1e-9 * double(std::abs(offset_ns)),
-                       offset_ns > 0 ? "ahead of" : "behind", reference_name, cause);
-}
-
-ClockOffset estimate_clock_offset(const std::vector<MessageTimes>& messages,
-                                  std::vector<MessageTimes> reference) {
-    constexpr std::size_t kLeast = 3;
-    std::ranges::stable_sort(reference, {}, &MessageTimes::log_ns);
-    std::vector<std::int64_t> offsets_ns;
-    for (const MessageTimes& m : messages) {
-        auto near = std::ranges::lower_bound(reference, m.log_ns, {}, &MessageTimes::log_ns);
-        if (near != reference.begin() &&
-            (near == reference.end() || m.log_ns - std::prev(near)->log_ns < near->log_ns - m.log_ns))
-            --near;
-        if (near != reference.end() && std::abs(near->log_ns - m.log_ns) <= kNearby_ns)
-            offsets_ns.push_back((m.stamp_ns - m.log_ns) - (near->stamp_ns - near->log_ns));
-    }
-    const auto get_passed_ns = [&](std::int64_t MessageTimes::*time) {
-        return std::abs(double(messages.back().*time) - double(messages.front().*time));
-    };
-    if (offsets_ns.size() < kLeast ||
-        get_passed_ns(&MessageTimes::log_ns) < kLeastPace * get_passed_ns(&MessageTimes::stamp_ns))
-        return {};
-    std::ranges::sort(offsets_ns);
-    const std::size_t n = offsets_ns.size();
-    const std::int64_t median_ns = offsets_ns[n / 2];
-    const double spread_ns = double(offsets_ns[n - 1 - n / 10]) - double(offsets_ns[n / 10]);
-    if (spread_ns > std::clamp(0.1 * std::abs(double(median_ns)), kLeastSpread_ns, kMostSpread_ns) ||
-        std::abs(median_ns) < kLeastOffset_ns || std::abs(median_ns) > kMostOffset_ns)
-        return {};
-    ClockOffset clock{round_to_known_offset(median_ns), std::abs(median_ns) >= kClear_ns};
-    // Poses that were computed from clouds have their time stamps. So equal time stamps
-    // show one clock and late messages, unless even more are equal with the offset.
+/// Poses that were computed from clouds have their time stamps. So equal time stamps show
+/// one clock and late messages, unless even more are equal with the offset.
+bool have_equal_stamps(const std::vector<MessageTimes>& messages, const std::vector<MessageTimes>& reference,
+                       std::int64_t offset_ns) {
     std::set<std::int64_t> stamps;
     for (const MessageTimes& m : reference) stamps.insert(m.stamp_ns);
     const auto count_equal = [&](std::int64_t shift_ns) {
@@ -83,7 +51,84 @@ ClockOffset estimate_clock_offset(const std::vector<MessageTimes>& messages,
             messages, [&](const MessageTimes& m) { return stamps.contains(m.stamp_ns - shift_ns); }));
     };
     const std::size_t n_equal = count_equal(0);
-    if (2 * n_equal > messages.size() && count_equal(clock.offset_ns) < n_equal) clock.is_clear = false;
+    return 2 * n_equal > messages.size() && count_equal(offset_ns) < n_equal;
+}
+
+}  // namespace
+
+std::string ClockOffset::describe(const std::string& reference_name) const {
+    const char* cause = offset_ns % kUnit_ns == 0 ? "" : " (accurate to the delays of messages, about 0.1 s)";
+    if (std::abs(offset_ns) == 37 * kUnit_ns) cause = " (TAI minus UTC is 37 s)";
+    if (std::abs(offset_ns) == 18 * kUnit_ns) cause = " (GPS time minus UTC is 18 s)";
+    if (std::abs(offset_ns) == 19 * kUnit_ns) cause = " (TAI minus GPS time is 19 s)";
+    const std::string drift = drift_ns == 0 ? ""
+                                            : fmt::format(" (this changes by {:.3f} s during the recording)",
+                                                          1e-9 * double(std::abs(drift_ns)));
+    return fmt::format("{:.3f} s {} {}{}{}", 1e-9 * double(std::abs(offset_ns)),
+                       offset_ns > 0 ? "ahead of" : "behind", reference_name, cause, drift);
+}
+
+const MessageTimes* find_nearest_recorded(const std::vector<MessageTimes>& messages, std::int64_t log_ns) {
+    auto near = std::ranges::lower_bound(messages, log_ns, {}, &MessageTimes::log_ns);
+    if (near != messages.begin() &&
+        (near == messages.end() || log_ns - std::prev(near)->log_ns < near->log_ns - log_ns))
+        --near;
+    return near == messages.end() ? nullptr : &*near;
+}
+
+ClockOffset estimate_clock_offset(const std::vector<MessageTimes>& messages,
+                                  std::vector<MessageTimes> reference) {
+    constexpr std::size_t kLeast = 3;
+    std::ranges::stable_sort(reference, {}, &MessageTimes::log_ns);
+    std::vector<std::int64_t> offsets_ns, ahead_ns, reference_ahead_ns;
+    for (const MessageTimes& m : messages) {
+        const MessageTimes* near = find_nearest_recorded(reference, m.log_ns);
+        if (!near || std::abs(near->log_ns - m.log_ns) > kNearby_ns) continue;
+        ahead_ns.push_back(m.stamp_ns - m.log_ns);
+        reference_ahead_ns.push_back(near->stamp_ns - near->log_ns);
+        offsets_ns.push_back(ahead_ns.back() - reference_ahead_ns.back());
+    }
+    const auto get_passed_ns = [&](std::int64_t MessageTimes::*time) {
+        return std::abs(double(messages.back().*time) - double(messages.front().*time));
+    };
+    if (offsets_ns.size() < kLeast ||
+        get_passed_ns(&MessageTimes::log_ns) < kLeastPace * get_passed_ns(&MessageTimes::stamp_ns))
+        return {};
+    const std::size_t n = offsets_ns.size(), n_tenth = n / 10;
+    const auto get_median = [&](const std::vector<std::int64_t>& values, std::size_t begin, std::size_t end) {
+        return compute_median(
+            std::vector(values.begin() + std::ptrdiff_t(begin), values.begin() + std::ptrdiff_t(end)));
+    };
+    // A message is recorded after its time stamp. So no delay explains an offset of
+    // messages that are ahead of the recorder, if the others are not.
+    const auto is_ahead = [&](std::size_t begin, std::size_t end) {
+        return get_median(ahead_ns, begin, end) > kAhead_ns &&
+               get_median(reference_ahead_ns, begin, end) < kAhead_ns / 3;
+    };
+    ClockOffset clock;
+    const std::int64_t least_ns = is_ahead(0, n) ? kAhead_ns : kLeastOffset_ns;
+    const std::int64_t median_ns = get_median(offsets_ns, 0, n);
+    if (n_tenth >= kLeast) {
+        const std::int64_t first_ns = get_median(offsets_ns, 0, n_tenth),
+                           last_ns = get_median(offsets_ns, n - n_tenth, n);
+        const bool is_last = std::abs(last_ns) > std::abs(first_ns);
+        const bool is_clock = is_last ? is_ahead(n - n_tenth, n) : is_ahead(0, n_tenth);
+        if (std::abs(last_ns - first_ns) >= (is_clock ? kLeastDrift_ns : kLeastOffset_ns))
+            clock = {is_last ? last_ns : first_ns, last_ns - first_ns};
+    }
+    std::ranges::sort(offsets_ns);
+    const double spread_ns = double(offsets_ns[n - 1 - n / 10]) - double(offsets_ns[n / 10]);
+    if (std::abs(median_ns) > kMostOffset_ns) return {};
+    if (spread_ns > std::clamp(0.1 * std::abs(double(median_ns)), kLeastSpread_ns, kMostSpread_ns) ||
+        std::abs(median_ns) < least_ns) {
+        if (clock.drift_ns == 0) return {};
+    } else {
+        clock = {round_to_known_offset(median_ns), clock.drift_ns, std::abs(median_ns) >= kClear_ns};
+    }
+    if (have_equal_stamps(messages, reference, clock.offset_ns)) {
+        if (clock.drift_ns != 0 && least_ns == kLeastOffset_ns) return {};
+        clock.is_clear = false;
+    }
     return clock;
 }
 

@@ -24,8 +24,14 @@ std::vector<MessageTimes> list_message_times(const Entries& entries) {
     return times;
 }
 
+/// Returns the message that was recorded nearest to a time, or null if there is none.
+/// @param messages  in the order of their recording times
+const MessageTimes* find_nearest_recorded(const std::vector<MessageTimes>& messages, std::int64_t log_ns);
+
 struct ClockOffset {
     std::int64_t offset_ns = 0;  ///< 0 if the time stamps may come from one clock
+    /// Change of the offset from the begin to the end of the recording. 0 if it is small.
+    std::int64_t drift_ns = 0;
     /// True if the offset is certain. Otherwise, late messages are also possible.
     bool is_clear = false;
 

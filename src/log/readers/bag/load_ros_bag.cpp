@@ -20,6 +20,7 @@
 #include "log/readers/bag/bag_boxes.hpp"
 #include "log/readers/bag/bag_scans.hpp"
 #include "log/readers/bag/choose.hpp"
+#include "log/readers/bag/clock_jumps.hpp"
 #include "log/readers/bag/clock_offset.hpp"
 #include "log/readers/bag/recording_notes.hpp"
 
@@ -41,7 +42,8 @@ public:
           bag_(path, options.skip_broken),
           survey_(index_bag_messages(bag_, options.progress)),
           clouds_(choose_cloud_topics(bag_, survey_, options.lidars)),
-          poses_(choose_vehicle_pose_source(bag_, survey_, get_main_cloud_topic(), options.bag.poses_from)),
+          poses_(choose_vehicle_pose_source(bag_, survey_, survey_.clouds[clouds_.lidars[clouds_.main]],
+                                            options.bag.poses_from)),
           boxes_(choose_box_topic(bag_, survey_)) {
         sequence_.name = path.lexically_normal().filename().empty()
                              ? path.lexically_normal().parent_path().filename().string()
@@ -140,6 +142,13 @@ private:
                 fmt::format("the frame '{}' has several parents in /tf; the parent with the most "
                             "transforms is used",
                             frame));
+        for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
+            CloudTopic& other = survey_.clouds[clouds_.lidars[l]];
+            if (l == clouds_.main) continue;
+            const std::string text = correct_clock_jumps(other.clouds, poses_.clock,
+                                                         list_message_times(get_main_cloud_topic().clouds));
+            if (!text.empty()) add_note_if_not_empty(get_topic_name(other) + ": " + text);
+        }
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
             for (const std::string& text : {describe_clouds_with_differing_frame_id(get_cloud_topic(l)),
                                             describe_time_jumps(get_cloud_topic(l))})
@@ -286,12 +295,15 @@ private:
         if (poses_.clock == LogClock::recorder) return {};
         const CloudTopic& main = get_main_cloud_topic();
         std::vector<MessageTimes> times = list_message_times(main.clouds);
-        for (std::size_t i = 0; i < main.revolutions.size() && i < times.size(); ++i)
-            if (const std::int64_t ahead_ns = main.revolutions[i].stamp_less_clock_ns; ahead_ns != 0)
+        for (std::size_t i = 0; !main.revolutions.empty() && i < times.size(); ++i)
+            if (const std::int64_t ahead_ns =
+                    main.revolutions[main.clouds[i].revolution_index].stamp_less_clock_ns;
+                ahead_ns != 0)
                 times[i].log_ns = times[i].stamp_ns - ahead_ns;
         std::vector<MessageTimes> other = times;
         for (MessageTimes& t : other) t.stamp_ns = t.log_ns;
         const ClockOffset offset = estimate_clock_offset(times, other);
+        if (offset.drift_ns != 0 && !offset.is_clear) return {};
         // A sensor without GPS counts its hour from any moment. Only whole seconds show
         // that the sensor has GPS.
         return main.packets.has_wrapping_clock() && offset.offset_ns % kSecond_ns != 0 ? ClockOffset{}

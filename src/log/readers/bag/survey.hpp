@@ -39,6 +39,9 @@ struct CloudIndexEntry {
     /// Partial clouds from which this cloud was composed. Empty if the recorded cloud was
     /// already a full revolution.
     std::vector<RevolutionPart> parts = {};
+    /// Time by which the time stamp in the message is larger than `stamp_ns`, because the
+    /// clock of the LiDAR was set during the recording.
+    std::int64_t correction_ns = 0;
 
     std::int64_t get_time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }
 };
