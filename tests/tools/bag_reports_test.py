@@ -134,6 +134,60 @@ def test_clocks():
         expect("recording times" not in notes, f"{name}: {notes}")
 
 
+def with_clock(ahead_s, n=40, of=CLOUD, **given):
+    """Returns a drive in which the clock of the LiDAR is ahead by ahead_s(sweep)."""
+    messages = log(n, **given)
+    for name, kind, _, message in messages:
+        for header in [message["header"]] if kind == CLOUD == of else [t["header"] for t in message.get("transforms", ()) if name == "/tf" and of == TF]:
+            header["stamp"] += round(ahead_s((header["stamp"] - T0) / STEP) * SECOND)
+    return messages
+
+
+def test_clock_jumps():
+    delays = {"cloud_delay_ns": 112_000_000, "pose_delay_ns": 3_000_000, "start_s": -60, "end_s": 60}
+    for before_s, after_s in ((0, 37), (37, 0), (0, -18), (5.3, 0), (-1_699_999_990, 0), (37, 18)):
+        notes = check(written("jump", with_clock(lambda k: before_s if k < 15 else after_s, **delays)), n=40)
+        expect(names(notes, f"jumps ... {abs(after_s - before_s):.3f} s ... clouds are corrected"), notes)
+    late = lambda k: 3_000_000_000 if 10 <= k < 20 else 0   # a queue is recorded late
+    queue = [(*m[:2], m[2] + (late((m[2] - T0) / STEP) if m[1] == CLOUD else 0), m[3]) for m in log(40)]
+    for n, messages in ((40, queue), (30, [m for m in queue if m[1] != CLOUD or not T0 + 20 * STEP <= m[2] < T0 + 30 * STEP])):
+        expect("corrected" not in convert(written("queue", sorted(messages, key=lambda m: m[2])))[2], "a late queue")
+    both = [m for m in with_clock(lambda k: 0 if k < 15 else 37) if m[1] != TF or m[0] != "/tf"]
+    both += [m for m in with_clock(lambda k: 0 if k < 15 else 37, of=TF) if m[0] == "/tf"]
+    expect("corrected" not in convert(written("both", sorted(both, key=lambda m: m[2])))[2], "poses jump, too")
+
+
+def test_damaged_times():
+    for bad, stamp, recorded in ((5, 10**17 + T0, None), (0, 10**17 + T0, None), (39, T0 - 10**9, None), (5, 0, None), (5, None, 4_294_000_000 * SECOND)):
+        messages = log(40)
+        for i, m in enumerate(messages):
+            if m[1] != CLOUD:
+                continue
+            k = (m[2] - T0) // STEP
+            m[3]["header"]["stamp"] = (stamp if k == bad else m[2]) if recorded is None else 0
+            messages[i] = (*m[:2], recorded if recorded and k == bad else m[2], m[3])
+        folder, _, notes = convert(written("damaged", messages))
+        rows = np.loadtxt(folder / "poses.txt")
+        true = [SPEED * 0.1 * k for k in range(40) if k != bad]
+        expect(rows.shape[0] == 39 and np.abs(rows[:, 1] - true).max() < 1e-5 and "1 clouds are left out" in notes, f"cloud {bad}: {rows[:, :2]}\n{notes}")
+
+
+def test_small_offsets():
+    for ahead_s in (0.3, 0.5):
+        for delay_s in (0, 0.11):
+            notes = convert(written("small", log(40, ahead_ns=round(ahead_s * SECOND), cloud_delay_ns=round(delay_s * SECOND))))[2]
+            expect(names(notes, "s ahead of ... nothing is corrected"), f"{ahead_s} s: {notes}")
+    for per_sweep_s in (0.01, 0.04, -0.04):   # 0.9 of the change is seen between the tenths
+        notes = convert(written("drift", with_clock(lambda k: k * per_sweep_s, start_s=-5, end_s=5)))[2]
+        expect(names(notes, f"this changes by {0.9 * 40 * abs(per_sweep_s):.3f} s"), notes)
+
+
+def test_half_a_sweep():
+    front, rear = log(60), [(*m[:2], m[2] + STEP // 2, m[3]) for m in log(60, ahead_ns=STEP // 2, lidars=(("/rear", "rear"),))]
+    _, head, notes = convert(written("half", sorted(front + [m for m in rear if m[0] == "/rear"], key=lambda m: m[2])))
+    expect([f["lidar"] for f in head["frames"]] == ["/points", "/rear"] * 60 and "near their times" not in notes, notes)
+
+
 def test_clocks_of_lidars():
     """The rear LiDAR has the time of GPS, the front LiDAR has UTC. Both measure simultaneously."""
     front, rear = log(), log(ahead_ns=18 * SECOND, lidars=(("/rear", "rear"),))
@@ -159,6 +213,9 @@ def test_pose_files():
     # Without recording times of another clock, the error names the likely cause.
     (WORK / "poses.txt").write_text("# time_s x y z qw qx qy qz\n" + "".join(f"{T0 // SECOND + 18 + s:.3f} {s} 0 0 1 0 0 0\n" for s in range(-1, 3)))
     expect("GPS" in run("info", written("gps", log()), "--set", f"dataset.poses={WORK / 'poses.txt'}", code=3), "poses on the clock of GPS")
+    (WORK / "poses.txt").write_text("".join(f"{T0 // SECOND + 3600 + s:.3f} {s} 0 0 1 0 0 0\n" for s in range(-1, 3)))
+    hour = run("info", written("hour", log()), "--set", f"dataset.poses={WORK / 'poses.txt'}", code=3)
+    expect("sequence.json" not in hour and "-3599.000 s" in hour, hour)
 
 
 def test_transforms():
@@ -276,7 +333,7 @@ def test_frames_of_chunks():
 
 shutil.rmtree(WORK, ignore_errors=True)
 WORK.mkdir(parents=True)
-for test in (test_clocks, test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames,
+for test in (test_clocks, test_clock_jumps, test_damaged_times, test_small_offsets, test_half_a_sweep, test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames,
              test_shared_topics, test_zstd, test_frames_of_chunks):
     test()
     print(test.__name__)

@@ -21,7 +21,7 @@ double compute_median_interval_s(std::vector<double> sweep_times_s) {
 std::vector<std::optional<std::size_t>> find_nearest_other_sweep_per_sweep(
     const std::vector<double>& main_times_s, const std::vector<double>& other_times_s,
     double max_difference_s) {
-    // Sweeps half a period apart have two nearest sweeps. The earlier one is used for all.
+    // Sweeps half a period apart have two nearest sweeps. All use the earlier one.
     constexpr double kTie = 0.05;  // in units of max_difference_s
     std::vector<std::optional<std::size_t>> beside(main_times_s.size());
     for (std::size_t i = 0; i < other_times_s.size(); ++i) {

@@ -98,7 +98,7 @@ std::string correct_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock c
         kept.insert(kept.end(), clouds.begin() + std::ptrdiff_t(run.begin),
                     clouds.begin() + std::ptrdiff_t(run.end));
         if (!is_other || !has_log || is_unclear) continue;
-        // The nearest clouds of both runs are whole sweeps apart, which gives the exact jump.
+        // The nearest clouds of both runs are whole sweeps apart.
         const bool is_before = run.begin < main.begin;
         const std::int64_t step_ns = clouds[is_before ? run.end - 1 : run.begin].stamp_ns -
                                      clouds[is_before ? main.begin : main.end - 1].stamp_ns;

@@ -13,10 +13,9 @@ namespace relidar::bag {
 
 /// Removes clouds whose times differ from those of their neighbours on both sides. If the
 /// clock of the time stamps jumps, sets all clouds to the clock of the reference, or else
-/// to the clock that most clouds have.
-/// The times of recording must show that messages are not only late.
-/// @param reference  messages that are not set to another clock, for example the poses. If
-/// their clock jumps at the same time, nothing is corrected. May be empty
+/// to the clock of most clouds. Ignores messages that may only be late.
+/// @param reference  messages on the right clock, for example the poses. If their clock
+/// jumps at the same time, nothing is corrected. May be empty
 /// @return text about the changes, or an empty text
 std::string correct_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock clock,
                                 std::vector<MessageTimes> reference);
