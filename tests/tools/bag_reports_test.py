@@ -151,14 +151,14 @@ def test_clock_jumps():
     late = lambda k: 3_000_000_000 if 10 <= k < 20 else 0   # a queue is recorded late
     queue = [(*m[:2], m[2] + (late((m[2] - T0) / STEP) if m[1] == CLOUD else 0), m[3]) for m in log(40)]
     for n, messages in ((40, queue), (30, [m for m in queue if m[1] != CLOUD or not T0 + 20 * STEP <= m[2] < T0 + 30 * STEP])):
-        expect("corrected" not in convert(written("queue", sorted(messages, key=lambda m: m[2])))[2], "a late queue")
+        expect(not any(text in convert(written("queue", sorted(messages, key=lambda m: m[2])))[2] for text in ("left out", "corrected")), "a late queue")
     both = [m for m in with_clock(lambda k: 0 if k < 15 else 37) if m[1] != TF or m[0] != "/tf"]
     both += [m for m in with_clock(lambda k: 0 if k < 15 else 37, of=TF) if m[0] == "/tf"]
     expect("corrected" not in convert(written("both", sorted(both, key=lambda m: m[2])))[2], "poses jump, too")
 
 
 def test_damaged_times():
-    for bad, stamp, recorded in ((5, 10**17 + T0, None), (0, 10**17 + T0, None), (39, T0 - 10**9, None), (5, 0, None), (5, None, 4_294_000_000 * SECOND)):
+    for bad, stamp, recorded in ((5, 10**17 + T0, None), (0, 10**17 + T0, None), (39, T0 - 10**11, None), (5, 0, None), (5, None, 4_294_000_000 * SECOND)):
         messages = log(40)
         for i, m in enumerate(messages):
             if m[1] != CLOUD:

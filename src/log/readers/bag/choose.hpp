@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "log/readers/bag/clock_offset.hpp"
 #include "log/readers/bag/survey.hpp"
 
 namespace relidar::bag {
@@ -25,6 +26,15 @@ struct SelectedCloudTopics {
 /// @throws UsageError if a requested topic contains no clouds
 SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex& bag_index,
                                         const std::vector<std::string>& requested_topics);
+
+/// Removes clouds whose times differ from those of their neighbours on both sides. If the
+/// clock of the time stamps jumps, sets all clouds to the clock of the reference, or else
+/// to the clock of most clouds. Ignores messages that may only be late.
+/// @param reference  messages on the right clock, for example the poses. If their clock
+/// jumps at the same time, nothing is corrected. May be empty
+/// @return text about the changes, or an empty text
+std::string correct_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock clock,
+                                std::vector<MessageTimes> reference);
 
 /// Which vehicle poses of a bag are used, and which clock gives the times.
 struct SelectedPoseSource {

@@ -8,8 +8,6 @@
 
 #include "base/files.hpp"
 #include "log/readers/bag/choose.hpp"
-#include "log/readers/bag/clock_jumps.hpp"
-#include "log/readers/bag/clock_offset.hpp"
 
 namespace relidar::bag {
 namespace {

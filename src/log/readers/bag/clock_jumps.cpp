@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "log/readers/bag/clock_jumps.hpp"
-
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
@@ -8,6 +6,7 @@
 #include <fmt/format.h>
 
 #include "base/median.hpp"
+#include "log/readers/bag/choose.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -36,15 +35,16 @@ std::int64_t compute_median_of(std::size_t begin, std::size_t end, const Functio
 /// Splits the clouds where their times jump. A late message is no jump: its time stamp
 /// follows the previous one regularly. Without recording times, only days are jumps.
 std::vector<ClockRun> split_at_clock_jumps(const std::vector<CloudIndexEntry>& clouds, LogClock clock,
-                                           const std::vector<MessageTimes>& reference,
-                                           std::int64_t period_ns, bool has_log) {
+                                           const std::vector<MessageTimes>& reference, std::int64_t period_ns,
+                                           bool has_log) {
     std::vector<ClockRun> runs{{}};
     for (std::size_t i = 1; i < clouds.size(); ++i) {
         const std::int64_t step_ns = clouds[i].get_time_ns(clock) - clouds[i - 1].get_time_ns(clock),
                            log_ns = clouds[i].log_ns - clouds[i - 1].log_ns;
-        const bool is_late = std::abs(step_ns - period_ns) <= std::abs(log_ns - period_ns) &&
-                             (step_ns > 0 || log_ns < 0);
-        if (has_log ? std::abs(step_ns - log_ns) < kJump_ns || is_late : std::abs(step_ns) < kDay_ns) continue;
+        const bool is_late =
+            std::abs(step_ns - period_ns) <= std::abs(log_ns - period_ns) && (step_ns > 0 || log_ns < 0);
+        if (has_log ? std::abs(step_ns - log_ns) < kJump_ns || is_late : std::abs(step_ns) < kDay_ns)
+            continue;
         runs.back().end = i;
         runs.push_back({i});
     }
@@ -91,7 +91,7 @@ std::string correct_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock c
         const bool is_other = std::abs(about_ns) > kJump_ns;
         const bool is_unclear = std::max(run.recorder_ns, main.recorder_ns) <= kMostAhead_ns &&
                                 std::abs(about_ns) < kMostDelay_ns;
-        if (is_other && run.size() < kLeastRun) {
+        if (is_other && run.size() < kLeastRun && !is_unclear) {
             out_ns = about_ns;
             continue;
         }
@@ -111,13 +111,15 @@ std::string correct_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock c
     }
     std::string text;
     if (kept.size() < clouds.size())
-        text = fmt::format("{} clouds are left out, because their times are far from those of their "
-                           "neighbours, for example by {:.3f} s",
-                           clouds.size() - kept.size(), 1e-9 * double(std::abs(out_ns)));
+        text = fmt::format(
+            "{} clouds are left out, because their times are far from those of their "
+            "neighbours, for example by {:.3f} s",
+            clouds.size() - kept.size(), 1e-9 * double(std::abs(out_ns)));
     if (n_moved > 0)
-        text += fmt::format("{}the clock of the time stamps jumps, for example by {:.3f} s; the times of {} "
-                            "clouds are corrected to the clock of the other clouds",
-                            text.empty() ? "" : "; ", 1e-9 * double(std::abs(moved_ns)), n_moved);
+        text += fmt::format(
+            "{}the clock of the time stamps jumps, for example by {:.3f} s; the times of {} "
+            "clouds are corrected to the clock of the other clouds",
+            text.empty() ? "" : "; ", 1e-9 * double(std::abs(moved_ns)), n_moved);
     clouds = std::move(kept);
     return text;
 }

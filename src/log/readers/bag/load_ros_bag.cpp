@@ -20,8 +20,6 @@
 #include "log/readers/bag/bag_boxes.hpp"
 #include "log/readers/bag/bag_scans.hpp"
 #include "log/readers/bag/choose.hpp"
-#include "log/readers/bag/clock_jumps.hpp"
-#include "log/readers/bag/clock_offset.hpp"
 #include "log/readers/bag/recording_notes.hpp"
 
 namespace relidar {
