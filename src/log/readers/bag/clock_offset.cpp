@@ -113,7 +113,10 @@ ClockOffset estimate_clock_offset(const std::vector<MessageTimes>& messages,
                            last_ns = get_median(offsets_ns, n - n_tenth, n);
         const bool is_last = std::abs(last_ns) > std::abs(first_ns);
         const bool is_clock = is_last ? is_ahead(n - n_tenth, n) : is_ahead(0, n_tenth);
-        if (std::abs(last_ns - first_ns) >= (is_clock ? kLeastDrift_ns : kLeastOffset_ns))
+        // Messages that are late for a while do not change the offset evenly.
+        const std::int64_t change_ns = std::abs(last_ns - first_ns);
+        const bool is_even = 2 * std::abs(2 * median_ns - first_ns - last_ns) < change_ns;
+        if (is_clock ? change_ns >= kLeastDrift_ns : is_even && change_ns >= kLeastOffset_ns)
             clock = {is_last ? last_ns : first_ns, last_ns - first_ns};
     }
     std::ranges::sort(offsets_ns);
