@@ -42,11 +42,13 @@ def points(columns=np.arange(COLUMNS)):
     return (d * np.minimum(8 / abs(d[..., 1:2]), 30 / abs(d[..., :1]))).reshape(-1, 3).astype("f4")
 
 
-def cloud(stamp, frame="lidar"):
+def cloud(stamp, frame="lidar", late_s=lambda t: 0):
+    """@param late_s error of the time of each point"""
     p = points()
     row = np.zeros(len(p), [("x", "f4"), ("y", "f4"), ("z", "f4"), ("ring", "u2"), ("time", "f4")])
     row["x"], row["y"], row["z"] = p.T
     row["ring"], row["time"] = np.arange(len(p)) % ROWS, np.arange(len(p)) // ROWS * (0.1 / COLUMNS)
+    row["time"] += late_s(row["time"])
     fields = [{"name": n, "offset": row.dtype.fields[n][1], "datatype": 4 if n == "ring" else 7, "count": 1} for n in row.dtype.names]
     return {"header": {"stamp": stamp, "frame_id": frame}, "height": 1, "width": len(p), "fields": fields, "is_bigendian": 0,
             "point_step": row.itemsize, "row_step": row.nbytes, "data": row.tobytes(), "is_dense": 1}
@@ -186,6 +188,17 @@ def test_half_a_sweep():
     front, rear = log(60), [(*m[:2], m[2] + STEP // 2, m[3]) for m in log(60, ahead_ns=STEP // 2, lidars=(("/rear", "rear"),))]
     _, head, notes = convert(written("half", sorted(front + [m for m in rear if m[0] == "/rear"], key=lambda m: m[2])))
     expect([f["lidar"] for f in head["frames"]] == ["/points", "/rear"] * 60 and "near their times" not in notes, notes)
+
+
+def test_late_scans():
+    """The times of most points of some scans are wrong. These scans are skipped."""
+    for late, late_s in (([7], lambda t: 3), ([6], lambda t: 0.5), ([35, 36, 37, 38, 39], lambda t: 3), ([7], lambda t: 37),
+                         ([7], lambda t: 3 * (t > 0.03))):
+        messages = [(*m[:3], cloud(m[2], late_s=late_s)) if m[1] == CLOUD and (m[2] - T0) // STEP in late else m for m in log(n=40)]
+        folder, head, notes = convert(written("late_scans", messages))
+        expect([f["number"] for f in head["frames"]] == [k for k in range(40) if k not in late], f"{late}: {head['frames']}\n{notes}")
+        expect(notes.count("scan that cannot be read is skipped") == len(late), f"{late}: {notes}")
+        expect(max(np.load(folder / f["scan"])["time"].max() for f in head["frames"]) < 0.1, f"{late}: times")
 
 
 def test_clocks_of_lidars():
@@ -334,6 +347,9 @@ def test_frames_of_chunks():
 shutil.rmtree(WORK, ignore_errors=True)
 WORK.mkdir(parents=True)
 for test in (test_clocks, test_clock_jumps, test_damaged_times, test_small_offsets, test_half_a_sweep, test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames,
+
+
+for test in (test_clocks, test_late_scans, test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames,
              test_shared_topics, test_zstd, test_frames_of_chunks):
     test()
     print(test.__name__)

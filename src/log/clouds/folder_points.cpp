@@ -116,21 +116,26 @@ struct PointFieldConverter {
 
 /// Converts the times of points. With units.skip_wrong_times, a wrong time becomes the
 /// longest offset, so that read_scans() removes its point.
-/// @throws DataError otherwise, and if most times are wrong
+/// @throws DataError otherwise, and MostTimesWrong if most times are wrong
 void convert_times(LidarPoints& points, const PointFieldConverter& convert, PointTable table,
                    const PointFileUnits& units, double frame_time_s) {
     if (!units.absolute_times) restore_negative_offsets(table);
     std::size_t n_wrong = 0;
+    std::string first_error;
     const std::string of_point;
     convert.convert_field_into(
         points.time_offset_s, table.find_field(PointAttribute::time), [&](double value) {
             try {
                 return convert_point_time_to_frame_offset_s(value, units, frame_time_s, of_point);
-            } catch (const DataError&) {
-                if (!units.skip_wrong_times || 2 * ++n_wrong > convert.selected_indices.size()) throw;
+            } catch (const DataError& error) {
+                if (!units.skip_wrong_times) throw;
+                if (n_wrong++ == 0) first_error = error.what();
                 return kMaxTimeOffset_s;
             }
         });
+    if (2 * n_wrong > convert.selected_indices.size())
+        throw MostTimesWrong(fmt::format("{}: {} of {} points have wrong times{}", convert.where, n_wrong,
+                                         convert.selected_indices.size(), first_error));
 }
 
 /// Returns the number that a file uses for first returns: 1 if the file counts from 1,

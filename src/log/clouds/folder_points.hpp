@@ -5,12 +5,18 @@
 
 #include <string>
 
+#include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
 
 #include "log/clouds/folder_head.hpp"
 #include "log/clouds/point_table.hpp"
 
 namespace relidar::folder {
+
+/// The times of most points of a scan are far from the time of its frame.
+struct MostTimesWrong : DataError {
+    using DataError::DataError;
+};
 
 /// Converts a table of points to relidar's units. Finds the meaning of each field by its
 /// name. If the table has the field return_type of the ROS package Nebula, points with

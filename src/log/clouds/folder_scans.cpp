@@ -37,9 +37,6 @@ constexpr double kUsualPeriod_s = 0.1;
 constexpr double kLongestPeriod_s = 0.25;
 // If a larger share of the points fits no ray, the sensor of the log is probably wrong.
 constexpr double kMostSkipped = 0.1;
-// Plausible time from the first to the last point of a scan, relative to the time between
-// scans. The lower limit is small, because a log may contain only some of the scans.
-constexpr double kShortestSpan = 0.01, kLongestSpan = 3.0;
 // If scans are farther apart, the unit of their times is probably wrong.
 constexpr double kLongestFrameStep_s = 20.0;
 
@@ -64,6 +61,7 @@ struct ScanConversionPlan {
     bool has_rings = false, has_times = false;
     bool undo = false;                   ///< true: motion compensation is undone
     double longest_offset_s = INFINITY;  ///< largest plausible distance of a time from the median time
+    std::optional<double> middle_s;      ///< median time of most scans; not set if they disagree
     /// [rings] beam of each ring number in the files; kNoBeam: points of this ring are
     /// ignored
     std::vector<std::uint16_t> beam_of_ring;
@@ -150,9 +148,14 @@ public:
         const ScanConversionPlan& plan = plans_[std::size_t(frame.lidar)];
         const SpinningSensor& sensor = sequence_.get_lidar(frame).sensor;
         const auto sample = samples_.find(frame_index);
-        LidarPoints points =
-            sample == samples_.end() ? read_points(frame_index, plan.undo) : std::move(sample->second);
-        n_late_[frame_index] += remove_points_of_wrong_time(points, plan.longest_offset_s);
+        LidarPoints points;
+        try {
+            points =
+                sample == samples_.end() ? read_points(frame_index, plan.undo) : std::move(sample->second);
+        } catch (const MostTimesWrong& error) {
+            broken_.record_broken_scan(frame_index, error.what());
+        }
+        if (!remove_late_points(frame_index, points)) return;
         const bool has_points = points.size() > 0;
         if (has_points &&
             (plan.has_rings == points.ring.empty() || plan.has_times == points.time_offset_s.empty()))
@@ -262,6 +265,28 @@ private:
         return step_s > kLongestPeriod_s ? step_s / std::round(step_s / kUsualPeriod_s) : step_s;
     }
 
+    /// Removes points whose times are outside the sweep. Returns false if the scan is
+    /// skipped, because most of its points have such times.
+    bool remove_late_points(std::size_t frame_index, LidarPoints& points) {
+        const ScanConversionPlan& plan = plans_[std::size_t(sequence_.frames[frame_index].lidar)];
+        const std::size_t n = points.size();
+        const double middle_s = plan.middle_s.value_or(0.0);
+        double worst_s = middle_s;
+        for (const float t_s : points.time_offset_s)
+            if (std::abs(double(t_s) - middle_s) > std::abs(worst_s - middle_s)) worst_s = double(t_s);
+        const std::size_t n_late = remove_points_of_wrong_time(points, plan.longest_offset_s, plan.middle_s);
+        if (2 * n_late > n)
+            broken_.record_broken_scan(
+                frame_index,
+                fmt::format(
+                    "{}: {} of {} points have times outside the sweep, such as {:.6g} s after the time of "
+                    "the frame; expected at most {:.3g} s from {:.3g} s, as in other scans",
+                    source_.get_frame_name(frame_index), n_late, n, worst_s, plan.longest_offset_s,
+                    middle_s));
+        else n_late_[frame_index] += n_late;
+        return !broken_.is_scan_broken(frame_index);
+    }
+
     /// Returns how far the time of a point can be from the median time of its scan.
     double estimate_longest_offset_s(std::size_t lidar_index, const std::vector<LidarPoints>& samples) const {
         constexpr double kMargin = 1.5;
@@ -271,60 +296,43 @@ private:
         return kMargin * std::max(span_s, get_or_estimate_sweep_duration_s(lidar_index));
     }
 
-    /// Adds a note if the points of a scan were measured in a time that does not fit the
-    /// time between scans. The usual cause is a wrong unit of the times.
-    void add_note_if_point_times_implausible(std::size_t lidar_index,
-                                             const std::vector<LidarPoints>& samples) {
-        const std::optional<double> frame_step_s = find_median_frame_step_s(lidar_index);
-        std::vector<double> spans_s, largest_offsets_s;
-        for (const LidarPoints& points : samples) {
-            if (points.time_offset_s.empty()) continue;
-            const auto [first_s, last_s] = std::ranges::minmax(points.time_offset_s);
-            spans_s.push_back(double(last_s) - double(first_s));
-            largest_offsets_s.push_back(std::max(std::abs(double(first_s)), std::abs(double(last_s))));
-        }
-        // add_notes_about_implausible_values() reports scans that are much farther apart.
-        if (!frame_step_s || *frame_step_s > kLongestFrameStep_s || spans_s.empty()) return;
-        const double span_s = compute_median(std::move(spans_s)),
-                     offset_s = compute_median(std::move(largest_offsets_s));
-        if (span_s < kShortestSpan * *frame_step_s || span_s > kLongestSpan * *frame_step_s)
-            add_note_once(lidar_index,
-                          fmt::format("the times of the points are probably wrong: those of one scan span "
-                                      "{:.3g} s, but a new scan begins every {:.3g} s; check the unit of the "
-                                      "times, and whether 32-bit numbers store absolute times",
-                                      span_s, *frame_step_s));
-        else if (offset_s > kLongestSpan * *frame_step_s)
-            add_note_once(lidar_index,
-                          fmt::format("the times of the points are probably wrong: they differ by up to "
-                                      "{:.3g} s from the time of their scan, but a new scan begins every "
-                                      "{:.3g} s; check whether the times are relative to the scan",
-                                      offset_s, *frame_step_s));
-    }
-
     void choose_scan_conversion_plan_of_lidar(std::size_t lidar_index,
                                               const std::vector<std::size_t>& frame_indices) {
         ScanConversionPlan& plan = plans_[lidar_index];
         std::vector<LidarPoints> samples;
         std::vector<std::size_t> of_sample;  // frame of each sample
+        std::map<std::size_t, std::string> wrong;
         const auto add_sample = [&](std::size_t index) {
             broken_.call_and_record_scan_errors(index, [&] {
-                LidarPoints points = read_points(index, head_.motion_compensated && has_poses_);
-                if (points.size() == 0) return;
-                samples.push_back(std::move(points));
-                of_sample.push_back(index);
+                try {
+                    LidarPoints points = read_points(index, head_.motion_compensated && has_poses_);
+                    if (points.size() == 0) return;
+                    samples.push_back(std::move(points));
+                    of_sample.push_back(index);
+                } catch (const MostTimesWrong& error) {
+                    wrong.emplace(index, error.what());
+                }
             });
         };
         const std::size_t n = std::min(kSampleScans, frame_indices.size());
         for (std::size_t k = 0; k < n; ++k) add_sample(frame_indices[k * frame_indices.size() / n]);
         for (std::size_t k = 0; samples.empty() && k < frame_indices.size(); ++k)
             add_sample(frame_indices[k]);
+        for (const auto& [index, text] : wrong) {
+            if (double(samples.size()) >= kMostScans * double(n)) broken_.record_broken_scan(index, text);
+            else broken_.call_and_record_scan_errors(index, [&] { throw DataError(text); });
+        }
         if (samples.empty()) {
             broken_.note_broken_scans_or_throw_if_all_broken(sequence_, broken_.size());
             add_note_once(lidar_index, "no scan has a point with finite coordinates");
         }
         plan.longest_offset_s = estimate_longest_offset_s(lidar_index, samples);
-        for (std::size_t k = 0; k < samples.size(); ++k)
-            n_late_[of_sample[k]] = remove_points_of_wrong_time(samples[k], plan.longest_offset_s);
+        plan.middle_s = find_middle_time_s(samples, plan.longest_offset_s);
+        for (std::size_t k = samples.size(); k-- > 0;) {
+            if (remove_late_points(of_sample[k], samples[k])) continue;
+            samples.erase(samples.begin() + std::ptrdiff_t(k));
+            of_sample.erase(of_sample.begin() + std::ptrdiff_t(k));
+        }
         plan.has_rings = samples.empty() || !samples[0].ring.empty();
         plan.has_times = samples.empty() || !samples[0].time_offset_s.empty();
         plan.undo = head_.motion_compensated && has_poses_ && plan.has_times;
@@ -341,7 +349,11 @@ private:
                                       "assumes that a sweep takes {:.3g} s and that the LiDAR's head faces "
                                       "forward at the time of the frame",
                                       sensor.period_s));
-        if (!head_.motion_compensated) add_note_if_point_times_implausible(lidar_index, samples);
+        // add_notes_about_implausible_values() reports scans that are much farther apart.
+        const double step_s = find_median_frame_step_s(lidar_index).value_or(INFINITY);
+        if (!head_.motion_compensated && step_s <= kLongestFrameStep_s)
+            if (const std::string text = describe_implausible_times(samples, step_s); !text.empty())
+                add_note_once(lidar_index, text);
         if (head_.motion_compensated && !plan.undo)
             add_note_once(lidar_index,
                           "the scans are motion-compensated. This cannot be undone without times of points "

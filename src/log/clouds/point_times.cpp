@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <type_traits>
 #include <utility>
@@ -27,6 +28,9 @@ constexpr std::array kFloatPeriods = {4294967296.0, 4294967.296, 4294.967296, 4.
 constexpr double kLeastSpan = 0.9, kLeastPause = 0.5;
 // Times in the last part of the period of a counter can be negative offsets.
 constexpr double kLastPart = 15.0 / 16.0;
+// Plausible time from the first to the last point of a scan, relative to the time between
+// scans. The lower limit is small, because a log may contain only some of the scans.
+constexpr double kShortestSpan = 0.01, kLongestSpan = 3.0;
 // A larger azimuth step is no rotation of the head, but a jump to another column.
 constexpr double kLargestStep_rad = 0.2;
 
@@ -177,15 +181,51 @@ double estimate_sweep_span_s(const LidarPoints& points) {
     return times_s.empty() ? 0.0 : estimate_span(times_s).first;
 }
 
-std::size_t remove_points_of_wrong_time(LidarPoints& points, double limit_s) {
+std::string describe_implausible_times(const std::vector<LidarPoints>& scans, double frame_step_s) {
+    std::vector<double> spans_s, largest_offsets_s;
+    for (const LidarPoints& points : scans) {
+        if (points.time_offset_s.empty()) continue;
+        const auto [first_s, last_s] = std::ranges::minmax(points.time_offset_s);
+        spans_s.push_back(double(last_s) - double(first_s));
+        largest_offsets_s.push_back(std::max(std::abs(double(first_s)), std::abs(double(last_s))));
+    }
+    if (spans_s.empty()) return "";
+    const double span_s = compute_median(std::move(spans_s)),
+                 offset_s = compute_median(std::move(largest_offsets_s));
+    if (span_s < kShortestSpan * frame_step_s || span_s > kLongestSpan * frame_step_s)
+        return fmt::format(
+            "the times of the points are probably wrong: those of one scan span {:.3g} s, but a new scan "
+            "begins every {:.3g} s; check the unit of the times, and whether 32-bit numbers store absolute "
+            "times",
+            span_s, frame_step_s);
+    if (offset_s > kLongestSpan * frame_step_s)
+        return fmt::format(
+            "the times of the points are probably wrong: they differ by up to {:.3g} s from the time of "
+            "their scan, but a new scan begins every {:.3g} s; check whether the times are relative to the "
+            "scan",
+            offset_s, frame_step_s);
+    return "";
+}
+
+std::optional<double> find_middle_time_s(const std::vector<LidarPoints>& scans, double limit_s) {
+    std::vector<double> middles_s;
+    for (const LidarPoints& scan : scans)
+        if (!scan.time_offset_s.empty()) middles_s.push_back(double(compute_median(scan.time_offset_s)));
+    if (middles_s.empty()) return std::nullopt;
+    const double middle_s = compute_median(middles_s);
+    const auto n =
+        std::ranges::count_if(middles_s, [&](double t_s) { return std::abs(t_s - middle_s) <= limit_s; });
+    return double(n) >= kMostScans * double(middles_s.size()) ? std::optional(middle_s) : std::nullopt;
+}
+
+std::size_t remove_points_of_wrong_time(LidarPoints& points, double limit_s, std::optional<double> middle_s) {
     const std::size_t n = points.time_offset_s.size();
     if (n == 0) return 0;
-    const auto [first, last] = std::ranges::minmax(points.time_offset_s);
-    if (double(last) - double(first) <= limit_s) return 0;
-    const double middle_s = double(compute_median(points.time_offset_s));
+    if (!middle_s) middle_s = double(compute_median(points.time_offset_s));
+    const auto is_right = [&](float t_s) { return std::abs(double(t_s) - *middle_s) <= limit_s; };
+    if (std::ranges::all_of(points.time_offset_s, is_right)) return 0;
     std::vector<bool> is_kept;
-    for (const float t_s : points.time_offset_s)
-        is_kept.push_back(std::abs(double(t_s) - middle_s) <= limit_s);
+    std::ranges::transform(points.time_offset_s, std::back_inserter(is_kept), is_right);
     const auto keep = [&](auto& values) {
         std::size_t kept = 0;
         for (std::size_t i = 0; i < values.size(); ++i)

@@ -46,9 +46,21 @@ std::string describe_reversed_times(const PointTable& table);
 /// the points, extrapolated to all points.
 double estimate_sweep_span_s(const LidarPoints& points);
 
-/// Removes points whose times differ from the median time by more than `limit_s`. Adds
-/// the largest of these differences to `largest_s`.
+/// Returns a note if the points of a scan were measured in a time that does not fit the
+/// time between scans. The usual cause is a wrong unit of the times.
+std::string describe_implausible_times(const std::vector<LidarPoints>& scans, double frame_step_s);
+
+/// Share of the scans of a log that must agree before a scan with other times is skipped.
+inline constexpr double kMostScans = 0.8;
+
+/// Returns the median of the median times of scans. Returns nothing if too few of these
+/// times are within `limit_s` of it.
+std::optional<double> find_middle_time_s(const std::vector<LidarPoints>& scans, double limit_s);
+
+/// Removes points whose times differ by more than `limit_s` from `middle_s`, or from the
+/// median time if it is not given.
 /// @return number of removed points
-std::size_t remove_points_of_wrong_time(LidarPoints& points, double limit_s);
+std::size_t remove_points_of_wrong_time(LidarPoints& points, double limit_s,
+                                        std::optional<double> middle_s = std::nullopt);
 
 }  // namespace relidar::folder

@@ -93,6 +93,17 @@ TEST(PointTimes, SomeWrongTimesDoNotChangeTheUnit) {
     EXPECT_EQ(folder::remove_points_of_wrong_time(points, 0.15), 3u);
     EXPECT_EQ(points.time_offset_s, (std::vector<float>{0.0f, 0.05f, 0.1f, 0.02f}));
     EXPECT_EQ(points.size(), 4u);
+    // The whole scan is 3 s late, unlike most other scans.
+    std::vector<LidarPoints> scans(5, points);
+    for (float& t_s : scans[1].time_offset_s) t_s += 3.0f;
+    const std::optional<double> middle_s = folder::find_middle_time_s(scans, 0.15);
+    ASSERT_TRUE(middle_s);
+    EXPECT_LE(*middle_s, 0.1);
+    EXPECT_EQ(folder::remove_points_of_wrong_time(scans[1], 0.15, middle_s), 4u);
+    EXPECT_EQ(folder::remove_points_of_wrong_time(scans[0], 0.15, middle_s), 0u);
+    for (float& t_s : scans[2].time_offset_s) t_s -= 1.0f;
+    for (float& t_s : scans[3].time_offset_s) t_s += 1.0f;
+    EXPECT_FALSE(folder::find_middle_time_s(scans, 0.15));  // only two of five agree
 }
 
 TEST(PointTimes, OfAClockThatStartsNearZeroAreNoOffsets) {
