@@ -25,6 +25,8 @@ constexpr double kLeastOnRay = 0.5, kMostLargeGroups = 0.01;
 // Two points are on the same ray if the angle between them is below kOneRay_rad, plus the
 // parallax of a beam that starts kLargestOffset_m beside the centre.
 constexpr double kOneRay_rad = 1.4e-3, kLargestOffset_m = 0.1;
+// Columns of no sensor are this close. Such pairs are returns, even if they are frequent.
+constexpr double kSameRay_rad = 2e-4;
 constexpr std::size_t kMostNeighbours = 64;  // number of points of equal ring and time that are compared
 
 constexpr std::size_t kNone = SIZE_MAX;  // no point
@@ -60,11 +62,11 @@ std::vector<RayKey> read_ray_keys(const PointTable& table) {
     return keys;
 }
 
-bool are_on_same_ray(const glm::vec3& first, const glm::vec3& second) {
+bool are_on_same_ray(const glm::vec3& first, const glm::vec3& second, double limit_rad = kOneRay_rad) {
     const glm::dvec3 a(first), b(second);
     const double near_m = glm::length(a), far_m = glm::length(b);
     const double angle_rad = std::atan2(glm::length(glm::cross(a, b)), glm::dot(a, b));
-    return angle_rad < kOneRay_rad + kLargestOffset_m * std::abs(1.0 / near_m - 1.0 / far_m);
+    return angle_rad < limit_rad + kLargestOffset_m * std::abs(1.0 / near_m - 1.0 / far_m);
 }
 
 /// Returns the pairs of indices of points that occur exactly twice.
@@ -80,20 +82,22 @@ std::vector<std::array<std::size_t, 2>> find_repeated_points(const std::vector<g
     return pairs;
 }
 
-/// Returns true if few points share ring and time with another point, and if these pairs
-/// are on the same ray.
+/// Returns true if some points share ring and time with another point, and if these pairs
+/// are on the same ray. If most points are such pairs, they must be on exactly one ray.
 bool are_all_pairs_second_returns(const std::vector<glm::vec3>& points, const std::vector<RayKey>& keys,
                                   std::vector<std::size_t> indices) {
     std::ranges::stable_sort(indices, {}, [&](std::size_t i) { return keys[i]; });
-    std::size_t n_groups = 0, n_pairs = 0, n_large = 0, n_on_ray = 0;
+    std::size_t n_groups = 0, n_pairs = 0, n_large = 0, n_on_ray = 0, n_exact = 0;
     for (std::size_t k = 0, next = 0; k < indices.size(); k = next, ++n_groups) {
         while (next < indices.size() && keys[indices[next]] == keys[indices[k]]) ++next;
         n_large += next > k + 2;
         if (next != k + 2) continue;
         ++n_pairs;
         n_on_ray += are_on_same_ray(points[indices[k]], points[indices[k + 1]]);
+        n_exact += are_on_same_ray(points[indices[k]], points[indices[k + 1]], kSameRay_rad);
     }
-    return n_pairs >= kFewestPairs && 2 * n_pairs <= n_groups &&
+    const bool are_exact = double(n_exact) >= kRegular * double(n_pairs);
+    return n_pairs >= kFewestPairs && (2 * n_pairs <= n_groups || are_exact) &&
            double(n_large) <= kMostLargeGroups * double(n_groups) &&
            double(n_on_ray) >= kLeastOnRay * double(n_pairs);
 }

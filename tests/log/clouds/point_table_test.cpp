@@ -260,5 +260,32 @@ TEST(ReadScans, ReadsEachScanOnce) {
     }
 }
 
+/// Returns a cloud of 1000 rays. Rays with two returns are `step_rad` wide.
+PointTable make_pairs(double share, double step_rad) {
+    std::vector<float> x, y, z, t;
+    for (int i = 0; i < 1000; ++i)
+        for (int k = 0; k < (i % 100 < 100.0 * share ? 2 : 1); ++k) {
+            const double azimuth_rad = 0.006 * i + step_rad * k, range_m = 10.0 + 0.01 * (i % 37) + 2.0 * k;
+            x.push_back(float(range_m * std::cos(azimuth_rad)));
+            y.push_back(float(range_m * std::sin(azimuth_rad)));
+            z.push_back(float(-0.1 * range_m));
+            t.push_back(1e-4f * float(i));
+        }
+    PointTable cloud(x.size());
+    for (const auto& [name, values] :
+         {std::pair("x", x), std::pair("y", y), std::pair("z", z), std::pair("time", t)})
+        cloud.add_value_field(name, ScalarType::f4, values, "test");
+    cloud.add_value_field("ring", ScalarType::u2, std::vector<std::uint16_t>(x.size(), 3), "test");
+    return cloud;
+}
+
+TEST(PointTable, FrequentAndRareSecondReturnsAreFound) {
+    for (const double share : {0.1, 0.6, 0.95, 1.0}) {
+        EXPECT_TRUE(find_unnumbered_returns(make_pairs(share, 0.0)).exist) << share;
+        EXPECT_TRUE(interpret_point_fields({make_pairs(0.0, 0.0), make_pairs(share, 0.0)}).returns.exist);
+        EXPECT_FALSE(find_unnumbered_returns(make_pairs(share, 0.0035)).exist);  // two columns of one time
+    }
+}
+
 }  // namespace
 }  // namespace relidar::folder
