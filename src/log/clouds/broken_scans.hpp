@@ -30,7 +30,9 @@ public:
         try {
             read_scan_part();
         } catch (const DataError& error) {
-            if (!skip_) throw DataError(std::string(error.what()) + kSkipBrokenHint);
+            const std::string text = error.what();
+            // A scan with other columns is not broken: all scans of the log are alike.
+            if (!skip_) throw DataError(text + (text.find(kOtherHint) == text.npos ? kSkipBrokenHint : ""));
             record_broken_scan(scan_index, error.what());
         }
     }
@@ -55,6 +57,8 @@ public:
 private:
     static constexpr const char* kSkipBrokenHint =
         "; use dataset.skip_broken=true to skip scans that cannot be read";
+
+    static constexpr const char* kOtherHint = "set \"columns\" in sequence.json";
 
     const bool skip_;
     mutable std::mutex lock_;

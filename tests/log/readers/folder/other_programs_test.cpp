@@ -379,6 +379,12 @@ TEST(OtherPrograms, NpzWithPoints) {
     EXPECT_THAT(error_message<DataError>([&] { load_sequence(log.folder.string(), {}); }),
                 testing::AllOf(test::Names("found the arrays depth; expected ... 'points'"),
                                testing::Not(testing::HasSubstr("skip_broken"))));
+    const std::vector<float> six(60, 1.0f);
+    for (const fs::path& file : fs::directory_iterator(log.folder / "scans"))
+        write_npz(file, {make_array("points", {10, 6}, six.data(), six.size())});
+    EXPECT_THAT(error_message<DataError>([&] { load_sequence(log.folder.string(), {}); }),
+                testing::AllOf(test::Names("last dimension is 6 ... set \"columns\" in sequence.json"),
+                               testing::Not(testing::HasSubstr("skip_broken"))));
 }
 
 TEST(OtherPrograms, Float32TimesAndNegativeIntensities) {
