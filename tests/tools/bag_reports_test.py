@@ -42,14 +42,14 @@ def points(columns=np.arange(COLUMNS)):
     return (d * np.minimum(8 / abs(d[..., 1:2]), 30 / abs(d[..., :1]))).reshape(-1, 3).astype("f4")
 
 
-def cloud(stamp, frame="lidar", late_s=lambda t: 0):
+def cloud(stamp, frame="lidar", late_s=lambda t: 0, kind="f4"):
     """@param late_s error of the time of each point"""
     p = points()
-    row = np.zeros(len(p), [("x", "f4"), ("y", "f4"), ("z", "f4"), ("ring", "u2"), ("time", "f4")])
+    row = np.zeros(len(p), [("x", "f4"), ("y", "f4"), ("z", "f4"), ("ring", "u2"), ("time", kind)])
     row["x"], row["y"], row["z"] = p.T
     row["ring"], row["time"] = np.arange(len(p)) % ROWS, np.arange(len(p)) // ROWS * (0.1 / COLUMNS)
     row["time"] += late_s(row["time"])
-    fields = [{"name": n, "offset": row.dtype.fields[n][1], "datatype": 4 if n == "ring" else 7, "count": 1} for n in row.dtype.names]
+    fields = [{"name": n, "offset": row.dtype.fields[n][1], "datatype": {"u2": 4, "f4": 7, "f8": 8}[row.dtype[n].str[1:]], "count": 1} for n in row.dtype.names]
     return {"header": {"stamp": stamp, "frame_id": frame}, "height": 1, "width": len(p), "fields": fields, "is_bigendian": 0,
             "point_step": row.itemsize, "row_step": row.nbytes, "data": row.tobytes(), "is_dense": 1}
 
@@ -201,6 +201,21 @@ def test_late_scans():
         expect(max(np.load(folder / f["scan"])["time"].max() for f in head["frames"]) < 0.1, f"{late}: times")
 
 
+def test_times_of_clocks():
+    """Times are on a clock that begins again. Offsets from the stamp that are 0.9 s late are no such times."""
+    for period_s in (1, 60, 86400):
+        late = lambda k: lambda t: np.mod(k * 0.1 + t.astype("f8") + period_s - 0.55, period_s) - t
+        messages = [(*m[:3], cloud(m[2], late_s=late((m[2] - T0) // STEP), kind="f8")) if m[1] == CLOUD else m for m in log(n=40)]
+        folder, head, notes = convert(written("clock_times", messages))
+        expect(len(head["frames"]) == 40 and "skipped" not in notes, f"{period_s} s: {notes}")
+        for f in head["frames"]:
+            t = np.load(folder / f["scan"])["time"]
+            expect(abs(t - np.arange(COLUMNS) * 0.1 / COLUMNS).max() < 1e-3, f"{period_s} s, {f}: {t}\n{notes}")
+    messages = [(*m[:3], cloud(m[2], late_s=lambda t: 0.9 * (t > 0.09))) if m[1] == CLOUD and m[2] == T0 + 7 * STEP else m for m in log(n=40)]
+    notes = convert(written("nearly_a_second", messages))[2]
+    expect(names(notes, f"{8 * ROWS} points of 1 scans are skipped, because their times are outside"), notes)
+
+
 def test_clocks_of_lidars():
     """The rear LiDAR has the time of GPS, the front LiDAR has UTC. Both measure simultaneously."""
     front, rear = log(), log(ahead_ns=18 * SECOND, lidars=(("/rear", "rear"),))
@@ -346,10 +361,8 @@ def test_frames_of_chunks():
 
 shutil.rmtree(WORK, ignore_errors=True)
 WORK.mkdir(parents=True)
-for test in (test_clocks, test_clock_jumps, test_damaged_times, test_small_offsets, test_half_a_sweep, test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames,
-
-
-for test in (test_clocks, test_late_scans, test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames,
+for test in (test_clocks, test_clock_jumps, test_damaged_times, test_small_offsets, test_half_a_sweep, test_late_scans, test_times_of_clocks,
+             test_clocks_of_lidars, test_pose_files, test_transforms, test_recording_times, test_shared_frames,
              test_shared_topics, test_zstd, test_frames_of_chunks):
     test()
     print(test.__name__)

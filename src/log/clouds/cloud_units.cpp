@@ -7,6 +7,7 @@
 
 #include <fmt/format.h>
 
+#include "base/median.hpp"
 #include "log/clouds/point_times.hpp"
 
 namespace relidar::bag {
@@ -17,6 +18,8 @@ namespace {
 constexpr double kLeastSpan = 0.05, kMostSpan = 3.0;
 // Maximum difference between the time of a point and the time stamp of its cloud message.
 constexpr double kBesideStamp_s = 2.0;
+// Clouds can be parts of a sweep that takes this time. Their offsets are in the sweep.
+constexpr double kLeastSweep_s = 0.1;
 constexpr double kMostClouds = 0.8;  // minimum share of the clouds that must agree
 // Equal times of all points that can only be in steps above this value, in any unit, were
 // probably times in seconds.
@@ -56,8 +59,19 @@ bool do_times_follow_stamps(const std::vector<TimeRange>& ranges, double time_un
     return 2 * n_like_stamps + 1 > ranges.size();
 }
 
+/// Returns true if the first times of some clouds differ by more than a sweep. Then they
+/// are no offsets from stamps, but for example times within a second.
+bool do_first_times_differ(const std::vector<TimeRange>& ranges, double time_unit_s, double sweep_s) {
+    std::vector<double> first_s;
+    for (const TimeRange& range : ranges) first_s.push_back(range.first * time_unit_s);
+    const double middle_s = compute_median(first_s);
+    const auto n_near =
+        std::ranges::count_if(first_s, [&](double t_s) { return std::abs(t_s - middle_s) <= sweep_s; });
+    return double(n_near) < kMostClouds * double(ranges.size());
+}
+
 PointTimeReference find_reference_of_point_times(const std::vector<TimeRange>& time_ranges,
-                                                 double time_unit_s) {
+                                                 double time_unit_s, double sweep_s) {
     // Some of the clouds can have wrong times.
     const auto most = [&](auto test) {
         return double(std::ranges::count_if(time_ranges, test)) >= kMostClouds * double(time_ranges.size());
@@ -68,7 +82,8 @@ PointTimeReference find_reference_of_point_times(const std::vector<TimeRange>& t
     if (most([&](const TimeRange& r) {
             return are_times_close(r.first * time_unit_s, 0.0) && are_times_close(r.last * time_unit_s, 0.0);
         }) &&
-        !do_times_follow_stamps(time_ranges, time_unit_s))
+        !do_times_follow_stamps(time_ranges, time_unit_s) &&
+        !do_first_times_differ(time_ranges, time_unit_s, sweep_s))
         return PointTimeReference::stamp;
     if (most([&](const TimeRange& r) {
             return are_times_close(r.first * time_unit_s, r.stamp_s) &&
@@ -123,9 +138,10 @@ void set_point_time_unit_from_ranges(PointCloudUnits& units, const std::vector<T
     for (const TimeUnit& unit : kTimeUnits) {
         const double turns = span * unit.seconds / cloud_interval_s;
         if (!(turns >= kLeastSpan && turns <= kMostSpan)) continue;
-        units.zero = find_reference_of_point_times(time_ranges, unit.seconds);
+        const double sweep_s = std::max({span * unit.seconds, cloud_interval_s, kLeastSweep_s});
+        units.zero = find_reference_of_point_times(time_ranges, unit.seconds, sweep_s);
         if (units.zero == PointTimeReference::sensor_clock &&
-            find_reference_of_point_times(signed_ranges, unit.seconds) == PointTimeReference::stamp)
+            find_reference_of_point_times(signed_ranges, unit.seconds, sweep_s) == PointTimeReference::stamp)
             units.zero = PointTimeReference::stamp;
         units.time_unit_s = unit.seconds;
         units.about = fmt::format(
@@ -149,11 +165,13 @@ PointCloudUnits estimate_time_and_intensity_units(const std::vector<folder::Poin
                                                   const std::vector<double>& cloud_stamps_s,
                                                   double cloud_interval_s) {
     PointCloudUnits units;
-    std::vector<folder::PointTable> signed_clouds = clouds;
+    std::vector<folder::PointTable> continuous_clouds = clouds;
+    for (folder::PointTable& cloud : continuous_clouds) folder::unwrap_point_times(cloud, false);
+    std::vector<folder::PointTable> signed_clouds = continuous_clouds;
     std::ranges::for_each(signed_clouds, folder::restore_negative_offsets);
-    set_point_time_unit_from_ranges(units, list_point_time_ranges(clouds, cloud_stamps_s),
+    set_point_time_unit_from_ranges(units, list_point_time_ranges(continuous_clouds, cloud_stamps_s),
                                     list_point_time_ranges(signed_clouds, cloud_stamps_s), cloud_interval_s);
-    units.meaning = folder::interpret_point_fields(clouds);
+    units.meaning = folder::interpret_point_fields(continuous_clouds);
     return units;
 }
 

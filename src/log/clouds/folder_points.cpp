@@ -119,6 +119,7 @@ struct PointFieldConverter {
 /// @throws DataError otherwise, and MostTimesWrong if most times are wrong
 void convert_times(LidarPoints& points, const PointFieldConverter& convert, PointTable table,
                    const PointFileUnits& units, double frame_time_s) {
+    unwrap_point_times(table, !units.absolute_times);
     if (!units.absolute_times) restore_negative_offsets(table);
     std::size_t n_wrong = 0;
     std::string first_error;

@@ -77,7 +77,8 @@ void ignore_coarse_times(SequenceHeader& head, const std::vector<PointTable>& sa
 
 void estimate_missing_point_units(SequenceHeader& sequence_header, const std::vector<fs::path>& scan_files,
                                   std::vector<std::string>& notes) {
-    const std::vector<PointTable> samples = read_sample_tables(scan_files, sequence_header.units.columns);
+    std::vector<PointTable> samples = read_sample_tables(scan_files, sequence_header.units.columns);
+    for (PointTable& cloud : samples) unwrap_point_times(cloud, !sequence_header.units.absolute_times);
     PointFieldSemantics meaning = interpret_point_fields(samples);
     ignore_coarse_times(sequence_header, samples, notes);
     if (samples.empty()) {

@@ -413,9 +413,7 @@ bool has_npz_points(const std::vector<fs::path>& scan_files) {
 }
 
 PointTable read_point_file(const fs::path& file, const std::vector<std::string>& column_names) {
-    PointTable table = read_points_of_format(file, column_names);
-    unwrap_point_times(table);
-    return table;
+    return read_points_of_format(file, column_names);
 }
 
 }  // namespace relidar::folder

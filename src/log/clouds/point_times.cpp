@@ -18,10 +18,12 @@
 namespace relidar::folder {
 namespace {
 
-// Periods of counters: 16 and 32 bits, a second, an hour and a week. A program may have
-// multiplied the counter by a power of 1000.
-constexpr std::array kPeriods = {65536.0, 4294967296.0, 4294967.296, 4294.967296, 4.294967296, 1.0,     1e3,
-                                 1e6,     1e9,          3600.0,      3.6e6,       3.6e9,       604800.0};
+// Periods of counters of 16 and 32 bits. A program may have divided them by a power of
+// 1000.
+constexpr std::array kPeriods = {65536.0, 4294967296.0, 4294967.296, 4294.967296, 4.294967296};
+// Periods of clocks in seconds: a second, a minute, an hour, a day and a week.
+constexpr std::array kClockPeriods_s = {1.0, 60.0, 3600.0, 86400.0, 604800.0};
+constexpr std::array kUnitsOfSecond = {1.0, 1e3, 1e6, 1e9};
 constexpr std::array kFloatPeriods = {4294967296.0, 4294967.296, 4294.967296, 4.294967296};
 // A counter overflows in a cloud if its times span nearly a period, and if they leave out
 // more than half of the period.
@@ -96,18 +98,28 @@ std::optional<std::array<double, 2>> find_time_range(const PointTable& table) {
         *std::prev(std::ranges::upper_bound(times, times[times.size() - 1 - outer] + kFar * span))};
 }
 
-void unwrap_point_times(PointTable& table) {
+void unwrap_point_times(PointTable& table, bool are_offsets) {
     const PointFieldView* times = table.find_field(PointAttribute::time);
     std::vector<double> unwrapped;
     if (times)
         times->call_with_value_reader([&](const auto& time_at) {
             const std::array<double, 2> range = find_value_range(time_at, table.n);
-            double limit = 0.0;
-            const auto* const period = std::ranges::find_if(kPeriods, [&](double candidate) {
-                return is_period_of_times(time_at, table.n, range, candidate, limit);
-            });
-            for (std::size_t i = 0; period != kPeriods.end() && i < table.n; ++i)
-                unwrapped.push_back(double(time_at(i)) - (double(time_at(i)) >= limit ? *period : 0.0));
+            double limit = 0.0, period = 0.0;
+            // The shortest possible period is right: times span nearly all of it.
+            const auto test = [&](double candidate) {
+                if ((period == 0.0 || candidate < period) &&
+                    is_period_of_times(time_at, table.n, range, candidate, limit))
+                    period = candidate;
+            };
+            std::ranges::for_each(kPeriods, test);
+            for (const double period_s : kClockPeriods_s)
+                for (const double unit : kUnitsOfSecond)
+                    // Clocks can repeat a second or an hour without being 0 there.
+                    if (!are_offsets && (period_s == 1.0 || period_s == 3600.0 ||
+                                         (range[0] >= 0.0 && range[1] <= period_s * unit)))
+                        test(period_s * unit);
+            for (std::size_t i = 0; period > 0.0 && i < table.n; ++i)
+                unwrapped.push_back(double(time_at(i)) - (double(time_at(i)) >= limit ? period : 0.0));
         });
     replace_times(table, std::move(unwrapped));
 }

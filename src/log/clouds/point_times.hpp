@@ -20,7 +20,9 @@ std::optional<std::array<double, 2>> find_time_range(const PointTable& table);
 
 /// Makes the times of a cloud continuous if their counter overflows in this cloud.
 /// Subtracts the period of the counter from the times before the overflow.
-void unwrap_point_times(PointTable& table);
+/// @param are_offsets  true: times are relative to the scan, so they have no period of a
+/// clock, such as a second or a day
+void unwrap_point_times(PointTable& table, bool are_offsets);
 
 /// Makes offsets negative if the file stores small negative offsets of all points of a
 /// cloud as large unsigned numbers.

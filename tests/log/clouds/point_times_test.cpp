@@ -26,7 +26,7 @@ std::vector<folder::PointTable> make_clouds(folder::ScalarType type,
         std::vector<Number> times;
         for (std::size_t i = 0; i < kPoints; ++i) times.push_back(Number(value(1e-4 * double(i), double(k))));
         clouds.emplace_back(kPoints).add_value_field("t", type, std::move(times), "test");
-        folder::unwrap_point_times(clouds.back());
+        folder::unwrap_point_times(clouds.back(), false);
     }
     return clouds;
 }
@@ -66,7 +66,22 @@ TEST(PointTimes, CountersThatOverflowInACloudContinue) {
     };
     expect_sweeps(make_f8(with_period(1.0, 1e-9 * kCounter)), 1.0);
     expect_sweeps(make_f8(with_period(1e6, 3600.0)), 1e-6);
+    for (const double period_s : {1.0, 60.0, 3600.0, 86400.0, 604800.0})
+        for (const double unit : {1.0, 1e3, 1e6, 1e9})
+            expect_sweeps(make_f8(with_period(unit, period_s)), 1.0 / unit);
     EXPECT_EQ(estimate_units(make_u4(late(1e-9))).zero, PointTimeReference::sensor_clock);
+}
+
+TEST(PointTimes, LateOffsetsAreNoOverflow) {
+    for (const double late : {0.9, 59.95, 3599.95}) {
+        folder::PointTable cloud(kPoints);
+        std::vector<double> times;
+        for (std::size_t i = 0; i < kPoints; ++i) times.push_back(1e-4 * double(i) + (i < 900 ? 0.0 : late));
+        cloud.add_value_field("t", folder::ScalarType::f8, times, "test");
+        folder::unwrap_point_times(cloud, true);
+        for (std::size_t i = 0; i < kPoints; ++i)
+            EXPECT_EQ((*cloud.find_field(folder::PointAttribute::time))[i], times[i]);
+    }
 }
 
 TEST(PointTimes, NegativeOffsetsWithoutASignAreRestored) {
@@ -109,6 +124,13 @@ TEST(PointTimes, SomeWrongTimesDoNotChangeTheUnit) {
 TEST(PointTimes, OfAClockThatStartsNearZeroAreNoOffsets) {
     EXPECT_EQ(estimate_units(make_f8([](double t_s, double k) { return 0.3 + 0.1 * k + t_s; })).zero,
               PointTimeReference::sensor_clock);
+    // The times are within a second, and the clouds are 0.7 s apart.
+    EXPECT_EQ(
+        estimate_units(make_f8([](double t_s, double k) { return std::fmod(0.7 * k + t_s, 1.0); })).zero,
+        PointTimeReference::sensor_clock);
+    // One late cloud of six does not turn offsets into a clock.
+    EXPECT_EQ(estimate_units(make_f8([](double t_s, double k) { return t_s + (k == 2.0 ? 1.5 : 0.0); })).zero,
+              PointTimeReference::stamp);
 }
 
 TEST(PointTimes, LostPrecisionIsReported) {

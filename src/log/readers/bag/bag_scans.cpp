@@ -20,9 +20,7 @@ folder::PointTable read_cloud_as_point_table(const BagRecording& bag, const Clou
                                              const MessagePosition& location) {
     const BagTopic& topic = bag.topics()[cloud_topic.topic];
     const SharedBytes message = bag.read_message_bytes(topic, location);
-    folder::PointTable table = make_point_table(read_cloud_of_message(topic, message.bytes), message);
-    folder::unwrap_point_times(table);
-    return table;
+    return make_point_table(read_cloud_of_message(topic, message.bytes), message);
 }
 
 }  // namespace
@@ -88,22 +86,25 @@ LidarPoints BagScanProvider::read_points_of_cloud(std::size_t frame_index, const
     folder::PointTable table = read_or_reuse_point_table(frame_index, cloud.message_position);
     if (units.zero == PointTimeReference::none)
         table.remove_fields_with_attribute(folder::PointAttribute::time);
-    if (units.zero == PointTimeReference::stamp) folder::restore_negative_offsets(table);
     // zero_s: time of the frame in seconds, on the clock that the point times use. It is
     // (time of the frame - time of the cloud) + time of the cloud on that clock.
     double zero_s = at.time_s - cloud_time_s;
     if (units.zero == PointTimeReference::epoch)
         zero_s += 1e-9 * double(cloud.stamp_ns + cloud.correction_ns);
-    if (units.zero == PointTimeReference::sensor_clock)
+    if (units.zero == PointTimeReference::sensor_clock) {
+        folder::unwrap_point_times(table, false);
         zero_s += units.time_unit_s * folder::find_time_range(table).value_or(std::array{0.0, 0.0})[0];
+    }
+    const bool are_offsets = units.zero == PointTimeReference::stamp;
     const folder::PointFileUnits point_units{.columns = {},
                                              .intensity_max = units.meaning.scale.max,
                                              .time_unit_s = units.time_unit_s,
-                                             .absolute_times = true,
+                                             .absolute_times = !are_offsets,
                                              .intensity_field = units.meaning.intensity_field,
                                              .no_return = units.meaning.no_return,
                                              .returns = units.meaning.returns,
-                                             .skip_wrong_times = true};
+                                             .skip_wrong_times = true,
+                                             .time_zero = are_offsets ? zero_s / units.time_unit_s : 0.0};
     LidarPoints points =
         folder::convert_table_to_points(table, point_units, zero_s, get_frame_name(frame_index));
     if (!deskewed_by_) return points;
