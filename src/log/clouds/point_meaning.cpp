@@ -161,8 +161,7 @@ PointFieldSemantics interpret_point_fields(const std::vector<PointTable>& sample
         if (const PointFieldView* values = cloud.find_field(meaning.intensity_field))
             for_each_value(*values, cloud.n, [&](double value) { intensities.push_back(value); });
     meaning.scale = estimate_intensity_scale(intensities);
-    for (const PointTable& cloud : sample_clouds)  // in some clouds, all rays can have one return
-        if (!meaning.returns.exist) meaning.returns = find_unnumbered_returns(cloud);
+    meaning.returns = find_unnumbered_returns(sample_clouds);
     for (const std::string& text :
          {meaning.scale.about, describe_negative_intensities(sample_clouds, meaning.intensity_field),
           meaning.returns.exist ? meaning.returns.about : "", describe_reversed_times(sample_clouds[0])})

@@ -82,12 +82,25 @@ std::vector<std::array<std::size_t, 2>> find_repeated_points(const std::vector<g
     return pairs;
 }
 
-/// Returns true if some points share ring and time with another point, and if these pairs
-/// are on the same ray. If most points are such pairs, they must be on exactly one ray.
-bool are_all_pairs_second_returns(const std::vector<glm::vec3>& points, const std::vector<RayKey>& keys,
-                                  std::vector<std::size_t> indices) {
-    std::ranges::stable_sort(indices, {}, [&](std::size_t i) { return keys[i]; });
+/// Counts groups of points with equal ring and time.
+struct PairCounts {
     std::size_t n_groups = 0, n_pairs = 0, n_large = 0, n_on_ray = 0, n_exact = 0;
+
+    /// Returns true if some points share ring and time with another point, and if these
+    /// pairs are on the same ray. If most points are pairs, they must be on exactly one
+    /// ray.
+    bool are_second_returns() const {
+        const bool are_exact = double(n_exact) >= kRegular * double(n_pairs);
+        return n_pairs >= kFewestPairs && (2 * n_pairs <= n_groups || are_exact) &&
+               double(n_large) <= kMostLargeGroups * double(n_groups) &&
+               double(n_on_ray) >= kLeastOnRay * double(n_pairs);
+    }
+};
+
+void add_pairs_of_cloud(PairCounts& counts, const std::vector<glm::vec3>& points,
+                        const std::vector<RayKey>& keys, std::vector<std::size_t> indices) {
+    auto& [n_groups, n_pairs, n_large, n_on_ray, n_exact] = counts;
+    std::ranges::stable_sort(indices, {}, [&](std::size_t i) { return keys[i]; });
     for (std::size_t k = 0, next = 0; k < indices.size(); k = next, ++n_groups) {
         while (next < indices.size() && keys[indices[next]] == keys[indices[k]]) ++next;
         n_large += next > k + 2;
@@ -96,10 +109,6 @@ bool are_all_pairs_second_returns(const std::vector<glm::vec3>& points, const st
         n_on_ray += are_on_same_ray(points[indices[k]], points[indices[k + 1]]);
         n_exact += are_on_same_ray(points[indices[k]], points[indices[k + 1]], kSameRay_rad);
     }
-    const bool are_exact = double(n_exact) >= kRegular * double(n_pairs);
-    return n_pairs >= kFewestPairs && (2 * n_pairs <= n_groups || are_exact) &&
-           double(n_large) <= kMostLargeGroups * double(n_groups) &&
-           double(n_on_ray) >= kLeastOnRay * double(n_pairs);
 }
 
 /// Returns for each selected point the other return of its ray, or kNone. Each pair
@@ -134,9 +143,8 @@ std::vector<std::size_t> find_partners(const PointTable& table, const Unnumbered
     return partner;
 }
 
-}  // namespace
-
-UnnumberedReturns find_unnumbered_returns(const PointTable& cloud) {
+/// Finds returns from the repeated points of a cloud. Otherwise counts its pairs.
+UnnumberedReturns find_repeated_returns(const PointTable& cloud, PairCounts& counts) {
     if (cloud.find_field(PointAttribute::return_number) || cloud.find_field(PointAttribute::return_type))
         return {};
     const std::vector<glm::vec3> points = read_positions(cloud);
@@ -149,7 +157,7 @@ UnnumberedReturns find_unnumbered_returns(const PointTable& cloud) {
                                   "the points have two returns of each ray without numbers; equal returns "
                                   "are read as one return, and of two other returns the stronger is first"};
     if (2.0 * double(repeated.size()) < kLeastRepeated * double(valid.size())) {
-        returns.exist = !keys.empty() && are_all_pairs_second_returns(points, keys, valid);
+        if (!keys.empty()) add_pairs_of_cloud(counts, points, keys, valid);
         return returns;
     }
     std::map<std::size_t, std::size_t> n_of_distance;
@@ -163,6 +171,17 @@ UnnumberedReturns find_unnumbered_returns(const PointTable& cloud) {
         if (double(n) >= least && cloud.n % (2 * distance) == 0) returns.distance = distance;
     returns.are_halves = 2 * returns.distance == cloud.n;
     returns.exist = returns.distance > 0 || double(n_of_ray) >= least;
+    return returns;
+}
+
+}  // namespace
+
+UnnumberedReturns find_unnumbered_returns(const std::vector<PointTable>& clouds) {
+    UnnumberedReturns returns;
+    PairCounts counts;
+    for (const PointTable& cloud : clouds)  // in some clouds, all rays can have one return
+        if (!returns.exist) returns = find_repeated_returns(cloud, counts);
+    returns.exist = returns.exist || counts.are_second_returns();
     return returns;
 }
 

@@ -24,8 +24,8 @@ struct UnnumberedReturns {
     std::string about;        ///< note for the user
 };
 
-/// Finds out whether a cloud has two returns of each ray without return numbers.
-UnnumberedReturns find_unnumbered_returns(const PointTable& cloud);
+/// Finds out whether clouds have two returns of each ray without return numbers.
+UnnumberedReturns find_unnumbered_returns(const std::vector<PointTable>& clouds);
 
 /// Returns the number of each selected point: 1 for the stronger return of a ray, 2 for
 /// the other. Sorts the points so that a second return follows its first return. Removes

@@ -281,10 +281,13 @@ PointTable make_pairs(double share, double step_rad) {
 
 TEST(PointTable, FrequentAndRareSecondReturnsAreFound) {
     for (const double share : {0.1, 0.6, 0.95, 1.0}) {
-        EXPECT_TRUE(find_unnumbered_returns(make_pairs(share, 0.0)).exist) << share;
+        EXPECT_TRUE(find_unnumbered_returns({make_pairs(share, 0.0)}).exist) << share;
         EXPECT_TRUE(interpret_point_fields({make_pairs(0.0, 0.0), make_pairs(share, 0.0)}).returns.exist);
-        EXPECT_FALSE(find_unnumbered_returns(make_pairs(share, 0.0035)).exist);  // two columns of one time
+        EXPECT_FALSE(find_unnumbered_returns({make_pairs(share, 0.0035)}).exist);  // two columns of one time
     }
+    const PointTable rare = make_pairs(0.01, 0.0);  // ten pairs: too few in one cloud
+    EXPECT_FALSE(find_unnumbered_returns({rare}).exist);
+    EXPECT_TRUE(find_unnumbered_returns({rare, make_pairs(0.0, 0.0), rare}).exist);
 }
 
 }  // namespace
