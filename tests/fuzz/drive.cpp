@@ -93,8 +93,9 @@ void read_texts(const Drive& drive, unsigned options) {
     const PoseTrack track{{0.0, 0.1, 0.2}, std::vector<Pose>(3)};
     attempt_all({[&] { kitti::read_median_sweep_duration_s(drive.folder()); },
                  [&] {
+                     std::string conventions;
                      kitti::read_relative_frame_times_s(drive.folder() / "velodyne_points/timestamps.txt",
-                                                        frames);
+                                                        frames, conventions);
                  },
                  [&] {
                      if (options & kPosesFile) kitti::read_pose_matrices(drive.poses(), frames);
