@@ -24,7 +24,6 @@ constexpr std::array kPeriods = {65536.0, 4294967296.0, 4294967.296, 4294.967296
 // Periods of clocks in seconds: a second, a minute, an hour, a day and a week.
 constexpr std::array kClockPeriods_s = {1.0, 60.0, 3600.0, 86400.0, 604800.0};
 constexpr std::array kUnitsOfSecond = {1.0, 1e3, 1e6, 1e9};
-constexpr std::array kFloatPeriods = {4294967296.0, 4294967.296, 4294.967296, 4.294967296};
 // A counter overflows in a cloud if its times span nearly a period, and if they leave out
 // more than half of the period.
 constexpr double kLeastSpan = 0.9, kLeastPause = 0.5;
@@ -133,7 +132,7 @@ void restore_negative_offsets(PointTable& table) {
             const auto [first, last] = find_value_range(time_at, table.n);
             for (const double period : kPeriods) {
                 const bool is_counter = std::is_floating_point_v<Number>
-                                            ? std::ranges::find(kFloatPeriods, period) != kFloatPeriods.end()
+                                            ? period != kPeriods[0]  // floats come from counters of 32 bits
                                             : period == std::ldexp(1.0, 8 * sizeof(Number));
                 if (!offsets.empty() || !is_counter || first < kLastPart * period || last >= period) continue;
                 for (std::size_t i = 0; i < table.n; ++i) offsets.push_back(double(time_at(i)) - period);
