@@ -80,6 +80,8 @@ struct WeatherSensorProperties {
     /// Power of the weakest surface in the range specification of a data sheet:
     /// reflectivity / range^2. 0 = no such limit.
     double min_specified_power = 0.0;
+    /// Power of the weakest stray light around a reflector. 0 = no such limit.
+    double min_stray_power = 0.0;
 
     /// Returns the minimum power of noise and stray light that is detected: the power of
     /// the darkest surface at the maximum range.

@@ -36,9 +36,10 @@ constexpr double kSpecifiedReflectivity = 0.8;
 // Lowest reflectivity that is visible at short range. The value is an assumption. It
 // corresponds to receivers that collect a constant share of light within 6 to 8 m.
 constexpr double kNearReflectivity = 0.0025;
-// Power of the weakest noise and stray light that a sensor detects. It belongs to the
-// constants of blooming, which were fitted to KITTI's intensities.
-constexpr double kNoisePower = 0.5 / 255.0 / (80.0 * 80.0);
+// Power of the weakest noise that a sensor detects: half a step of an 8-bit intensity at
+// 80 m. The limit of stray light belongs to the constants of bloom, which were fitted to
+// KITTI's intensities.
+constexpr double kNoisePower = 0.5 / 255.0 / (80.0 * 80.0), kStrayPower = 0.005 / (80.0 * 80.0);
 
 void require_normals_for_channel(const Config& config, const ChannelInfo& channel, const char* error_prefix) {
     if (!channel.needs_normals || get_primitive_properties(config.image.primitive).has_normals) return;
@@ -97,6 +98,7 @@ WeatherSensorProperties make_sensor_properties_for_weather(const Config& config,
     result.min_range_m = limits.min_m;
     result.max_range_m = limits.max_m;
     result.darkest = kNoisePower * limits.max_m * limits.max_m;
+    result.min_stray_power = kStrayPower;
     return result;
 }
 

@@ -93,7 +93,7 @@ void append_echo_if_detectable(EchoCandidates& candidates, LidarEcho echo,
     echo.reflectivity *= transmission;
     const double power = echo.reflectivity / (echo.range_m * echo.range_m);
     const double weakest = echo.source == ReturnCause::blooming
-                               ? sensor.compute_min_detectable_power()
+                               ? std::max(sensor.compute_min_detectable_power(), sensor.min_stray_power)
                                : sensor.compute_min_detected_power_at_range(echo.range_m);
     if (power >= weakest) candidates.push_back({echo, power});
 }
