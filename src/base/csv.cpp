@@ -7,6 +7,7 @@
 #include <fmt/ranges.h>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar {
@@ -29,14 +30,12 @@ std::vector<int> find_column_indices(const std::vector<std::string_view>& header
         const auto f = static_cast<std::size_t>(
             std::find(known_columns.begin(), known_columns.end(), header_cells[c]) - known_columns.begin());
         if (f == known_columns.size()) {
-            throw DataError(fmt::format("{}: column '{}' is unknown{} (known: {})", location_for_errors,
-                                        shorten_for_error_message(header_cells[c]),
-                                        format_name_suggestion(header_cells[c], known_columns, "'"),
-                                        fmt::join(known_columns, ", ")));
+            fail("{}: column '{}' is unknown{} (known: {})", location_for_errors,
+                 shorten_for_error_message(header_cells[c]),
+                 format_name_suggestion(header_cells[c], known_columns, "'"), fmt::join(known_columns, ", "));
         }
         if (at[f] >= 0)
-            throw DataError(fmt::format("{}: column '{}' occurs twice, expected it once", location_for_errors,
-                                        header_cells[c]));
+            fail("{}: column '{}' occurs twice, expected it once", location_for_errors, header_cells[c]);
         at[f] = static_cast<int>(c);
     }
     return at;

@@ -13,6 +13,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 
 namespace fs = std::filesystem;
@@ -36,9 +38,8 @@ fs::file_status get_file_status_or_throw(const fs::path& path) {
 
 std::string read_file(const fs::path& path) {
     const fs::file_status status = get_file_status_or_throw(path);
-    if (!fs::exists(status)) throw DataError(fmt::format("{}: no such file", path.string()));
-    if (!fs::is_regular_file(status))
-        throw DataError(fmt::format("{}: the path is not a regular file", path.string()));
+    if (!fs::exists(status)) fail("{}: no such file", path.string());
+    if (!fs::is_regular_file(status)) fail("{}: the path is not a regular file", path.string());
     std::ifstream in(path, std::ios::binary);
     if (!in) throw make_unreadable_error(path, {errno, std::generic_category()});
     std::error_code failed;
@@ -47,8 +48,7 @@ std::string read_file(const fs::path& path) {
     std::string text(n_bytes, '\0');
     in.read(text.data(), static_cast<std::streamsize>(text.size()));
     if (in.gcount() != static_cast<std::streamsize>(text.size())) {
-        throw DataError(fmt::format("cannot read {}: only {} of {} bytes could be read", path.string(),
-                                    in.gcount(), text.size()));
+        fail("cannot read {}: only {} of {} bytes could be read", path.string(), in.gcount(), text.size());
     }
     return text;
 }
@@ -57,7 +57,7 @@ std::string read_text_file(const fs::path& path) {
     std::string text = read_file(path);
     if (text.starts_with("\xEF\xBB\xBF")) text.erase(0, 3);
     if (text.starts_with("\xFF\xFE") || text.starts_with("\xFE\xFF"))
-        throw DataError(fmt::format("{}: found text in UTF-16, expected UTF-8", path.string()));
+        fail("{}: found text in UTF-16, expected UTF-8", path.string());
     return text;
 }
 
@@ -66,16 +66,14 @@ bool does_path_exist(const fs::path& path) { return fs::exists(get_file_status_o
 void require_existing_folder(const fs::path& path, const std::string& expected_description) {
     const fs::file_status status = get_file_status_or_throw(path);
     if (!fs::is_directory(status))
-        throw DataError(fmt::format("{}: {}, expected {}", path.string(),
-                                    fs::exists(status) ? "the path is not a folder" : "no such folder",
-                                    expected_description));
+        fail("{}: {}, expected {}", path.string(),
+             fs::exists(status) ? "the path is not a folder" : "no such folder", expected_description);
 }
 
 std::vector<fs::path> list_folder_entries(const fs::path& folder) {
     std::error_code failed;
     std::vector<fs::path> paths;
-    if (!fs::is_directory(get_file_status_or_throw(folder)))
-        throw DataError(fmt::format("{}: no such folder", folder.string()));
+    if (!fs::is_directory(get_file_status_or_throw(folder))) fail("{}: no such folder", folder.string());
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed))
         paths.push_back(entry->path());
     if (failed) throw make_unreadable_error(folder, failed);

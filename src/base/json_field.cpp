@@ -11,6 +11,7 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar {
@@ -46,7 +47,7 @@ std::string JsonField::get_location_for_errors() const {
 }
 
 void JsonField::throw_field_error(const std::string& found_value, const std::string& expected) const {
-    throw DataError(fmt::format("{}: {}, {}", get_location_for_errors(), found_value, expected));
+    fail("{}: {}, {}", get_location_for_errors(), found_value, expected);
 }
 
 bool JsonField::has_member(const std::string& member_name) const {
@@ -57,7 +58,7 @@ JsonField JsonField::at(const std::string& key) const {
     if (!value_->is_object()) throw_field_error(describe_json_value_for_error(*value_), "expected an object");
     const auto it = value_->find(key);
     const std::string name = name_.empty() ? key : name_ + "." + key;
-    if (it == value_->end()) throw DataError(fmt::format("{}: the key {} is missing", *file_, name));
+    if (it == value_->end()) fail("{}: the key {} is missing", *file_, name);
     return {*it, *file_, name};
 }
 
@@ -155,8 +156,7 @@ nlohmann::json parse_json(const std::string& text, const std::string& file_name)
         // file and can be very long.
         why = why.substr(0, why.find("; last read"));
         for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
-        throw DataError(
-            fmt::format("{}: the file is not valid JSON, or it is truncated or damaged: {}", file_name, why));
+        fail("{}: the file is not valid JSON, or it is truncated or damaged: {}", file_name, why);
     }
 }
 

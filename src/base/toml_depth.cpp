@@ -9,6 +9,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 namespace {
 
@@ -47,15 +49,15 @@ void require_toml_nesting_within_limit(std::string_view toml_text, const std::st
         if (c == '{' || c == '[') ++depth;
         if (c == '}' || c == ']') depth = std::max(depth - 1, 0);
         if (parts > kMostParts)
-            throw DataError(
-                fmt::format("{}:{}: found a key with more than {} parts, expected keys with two parts such "
-                            "as train.iterations",
-                            file_name, line, kMostParts));
+            fail(
+                "{}:{}: found a key with more than {} parts, expected keys with two parts such as "
+                "train.iterations",
+                file_name, line, kMostParts);
         if (depth > kDeepest)
-            throw DataError(
-                fmt::format("{}:{}: found more than {} brackets inside each other, expected at most {}; a "
-                            "closing bracket may be missing",
-                            file_name, line, kDeepest, kDeepest));
+            fail(
+                "{}:{}: found more than {} brackets inside each other, expected at most {}; a closing "
+                "bracket may be missing",
+                file_name, line, kDeepest, kDeepest);
         line += c == '\n';
         ++at;
     }

@@ -50,11 +50,11 @@ void throw_if_over_memory_budget(const Device::Impl& device, std::size_t size_by
                                  const std::string& description) {
     constexpr std::size_t kLarge = gpu::DeviceMemoryAllocator::kBlockBytes / 2;
     if (device.memory_limit_bytes != 0 && device.allocated + size_bytes > device.memory_limit_bytes)
-        throw OutOfDeviceMemory(fmt::format(
-            "cannot allocate {:.1f} MiB for {}: relidar uses {:.1f} MiB, and its memory limit is {:.1f} MiB "
-            "(environment variable RELIDAR_MEMORY_LIMIT_MIB)",
-            bytes_to_mib(size_bytes), description, bytes_to_mib(device.allocated),
-            bytes_to_mib(device.memory_limit_bytes)));
+        throw OutOfDeviceMemory(
+            fmt::format("cannot allocate {:.1f} MiB for {}: relidar uses {:.1f} MiB, and its memory limit is "
+                        "{:.1f} MiB (environment variable RELIDAR_MEMORY_LIMIT_MIB)",
+                        bytes_to_mib(size_bytes), description, bytes_to_mib(device.allocated),
+                        bytes_to_mib(device.memory_limit_bytes)));
     if (size_bytes < kLarge) return;
     gpu::MemoryBudget budget = gpu::query_memory_budget(device.physical);
     // Without VK_EXT_memory_budget, the driver does not report the used memory, so n_used

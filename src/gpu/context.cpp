@@ -13,6 +13,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/out_of_memory.hpp>
 
+#include "base/fail.hpp"
 #include "gpu/memory.hpp"
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/swiftshader.hpp"
@@ -124,8 +125,8 @@ VulkanInstance::VulkanInstance(bool validation) {
             "software driver of Mesa; VK_DRIVER_FILES can also select a driver");
     if (result == VK_ERROR_LAYER_NOT_PRESENT)
         throw DeviceError(
-            "cannot enable Vulkan validation: VK_LAYER_KHRONOS_validation is not installed; install "
-            "the package vulkan-validationlayers");
+            "cannot enable Vulkan validation: VK_LAYER_KHRONOS_validation is not installed; install the "
+            "package vulkan-validationlayers");
     throw_unless_vulkan_success(result, "vkCreateInstance");
     volkLoadInstance(handle);
     if (!validation) return;
@@ -167,13 +168,13 @@ std::vector<DeviceInfo> describe_physical_devices(const std::vector<VkPhysicalDe
 int choose_device_index(const std::vector<DeviceInfo>& device_infos, const DeviceOptions& options) {
     if (device_infos.empty())
         throw DeviceError(
-            "cannot open a device: this machine has no Vulkan device, expected at least one; install "
-            "a GPU driver or the software driver of Mesa");
+            "cannot open a device: this machine has no Vulkan device, expected at least one; install a GPU "
+            "driver or the software driver of Mesa");
     const int n = static_cast<int>(device_infos.size());
     if (options.index >= n)
-        throw DeviceError(
-            fmt::format("cannot open device {}: this machine has {} devices, expected a number from 0 to {}",
-                        options.index, n, n - 1));
+        fail<DeviceError>(
+            "cannot open device {}: this machine has {} devices, expected a number from 0 to {}",
+            options.index, n, n - 1);
     if (options.index >= 0) return options.index;
     int best = 0, best_score = -1;
     for (const DeviceInfo& d : device_infos) {
@@ -193,27 +194,27 @@ int choose_device_index(const std::vector<DeviceInfo>& device_infos, const Devic
 
 void throw_if_backend_unsupported(const DeviceInfo& info, RayTracingBackend requested_backend) {
     if (!info.why_not_usable.empty())
-        throw DeviceError(fmt::format("cannot open device {} ({}): it lacks these required features: {}",
-                                      info.index, info.name, info.why_not_usable));
+        fail<DeviceError>("cannot open device {} ({}): it lacks these required features: {}", info.index,
+                          info.name, info.why_not_usable);
     if (requested_backend == RayTracingBackend::ray_query && !info.ray_query)
-        throw DeviceError(fmt::format(
+        fail<DeviceError>(
             "cannot open device {} ({}) with ray query: it lacks these required features: {}; use "
             "--traversal auto",
-            info.index, info.name, info.why_not_ray_query));
+            info.index, info.name, info.why_not_ray_query);
     if (requested_backend == RayTracingBackend::software && !info.software)
-        throw DeviceError(fmt::format(
-            "cannot open device {} ({}) with software traversal: it lacks these required features: "
-            "{}; use --traversal auto",
-            info.index, info.name, info.why_not_software));
+        fail<DeviceError>(
+            "cannot open device {} ({}) with software traversal: it lacks these required features: {}; use "
+            "--traversal auto",
+            info.index, info.name, info.why_not_software);
     // SwiftShader cannot run the tracing kernels. It is accepted anyway, because tests
     // run all other kernels on it.
     const bool runs_the_rest = gpu::is_swiftshader(info);
     if (requested_backend == RayTracingBackend::automatic &&
         choose_best_ray_tracing_backend(info) == RayTracingBackend::automatic && !runs_the_rest)
-        throw DeviceError(fmt::format(
-            "cannot open device {} ({}): for ray query it lacks {}, and for software traversal it "
-            "lacks {}; expected support for one of the two",
-            info.index, info.name, info.why_not_ray_query, info.why_not_software));
+        fail<DeviceError>(
+            "cannot open device {} ({}): for ray query it lacks {}, and for software traversal it lacks {}; "
+            "expected support for one of the two",
+            info.index, info.name, info.why_not_ray_query, info.why_not_software);
 }
 
 }  // namespace
@@ -227,8 +228,8 @@ RayTracingBackend parse_ray_tracing_backend(const std::string& name) {
     const std::optional<std::string> matching_name =
         find_name_ignoring_case(name, {"auto", "ray_query", "software"});
     if (!matching_name)
-        throw UsageError(fmt::format(
-            "cannot select the traversal: found \"{}\", expected auto, ray_query or software", name));
+        fail<UsageError>("cannot select the traversal: found \"{}\", expected auto, ray_query or software",
+                         name);
     if (matching_name == "auto") return RayTracingBackend::automatic;
     return matching_name == "software" ? RayTracingBackend::software : RayTracingBackend::ray_query;
 }

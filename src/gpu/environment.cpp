@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "gpu/trust.hpp"
 
 namespace relidar {
@@ -32,9 +33,9 @@ std::uint64_t parse_memory_limit_bytes(const std::string& mib_text) {
     const char* end = mib_text.data() + mib_text.size();
     const auto [parsed, failed] = std::from_chars(mib_text.data(), end, mib);
     if (failed != std::errc() || parsed != end || mib == 0 || mib > (1u << 30)) {
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "environment variable RELIDAR_MEMORY_LIMIT_MIB: found '{}', expected a number of MiB above 0",
-            mib_text));
+            mib_text);
     }
     return mib << 20;
 }

@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/pipeline_statistics.hpp"
 #include "gpu/spirv.hpp"
@@ -256,10 +257,10 @@ std::string list_missing_neural_network_features(const Device& device) {
 KernelVariant choose_atomic_float_add_kernel_variant(const Device& device,
                                                      const KernelVariant& base_variant) {
     if (device.impl().wrong_sums)
-        throw DeviceError(
-            fmt::format("cannot add gradients on {}: the device computes wrong sums of floating-point "
-                        "numbers; `relidar check` shows details",
-                        device.info().name));
+        fail<DeviceError>(
+            "cannot add gradients on {}: the device computes wrong sums of floating-point numbers; `relidar "
+            "check` shows details",
+            device.info().name);
     return KernelVariant(base_variant.suffix + (device.info().float_atomics ? "_atomics" : "_swap"));
 }
 

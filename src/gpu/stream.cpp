@@ -412,11 +412,10 @@ ConcurrentSequenceScope::~ConcurrentSequenceScope() {
 void ConcurrentSequenceScope::select_command_sequence(std::size_t sequence_index) {
     Stream::Impl& s = stream_.impl();
     if (sequence_index >= s.lanes.size() || s.n_concurrent > 0)
-        throw Error(
-            ExitCode::bug,
-            fmt::format("cannot select the lane with index {}: expected an index below {}, the number of "
-                        "lanes, and no open ConcurrentLaunchScope",
-                        sequence_index, s.lanes.size()));
+        throw Error(ExitCode::bug,
+                    fmt::format("cannot select the lane with index {}: expected an index below {}, the "
+                                "number of lanes, and no open ConcurrentLaunchScope",
+                                sequence_index, s.lanes.size()));
     s.lane = sequence_index;
 }
 

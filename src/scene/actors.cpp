@@ -16,6 +16,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/list_text.hpp"
 #include "base/progress_blocks.hpp"
 #include "base/random.hpp"
@@ -112,14 +113,12 @@ ObjectKind guess_object_kind(const BoxTrack& box) {
 void require_valid_box_size_and_poses(const BoxTrack& box) {
     const glm::dvec3& s = box.size_m;
     if (!(s.x > 0.0 && s.y > 0.0 && s.z > 0.0) || !std::isfinite(s.x + s.y + s.z))
-        throw DataError(fmt::format("box {} has the size {} x {} x {} m, expected three lengths above 0",
-                                    box.id, s.x, s.y, s.z));
+        fail("box {} has the size {} x {} x {} m, expected three lengths above 0", box.id, s.x, s.y, s.z);
     for (std::size_t i = 0; i < box.world_from_box.pose.size(); ++i) {
         const Pose& pose = box.world_from_box.pose[i];
         if (!std::isfinite(glm::dot(pose.translation, glm::dvec3(1.0)) +
                            glm::dot(pose.rotation, pose.rotation)))
-            throw DataError(fmt::format(
-                "box {}: the pose of observation {} is not finite, expected a finite pose", box.id, i));
+            fail("box {}: the pose of observation {} is not finite, expected a finite pose", box.id, i);
     }
 }
 
@@ -128,9 +127,8 @@ void require_track_names_exist(const LidarSequence& sequence, const std::string&
     for (const BoxTrack& box : sequence.boxes) box_ids.push_back(box.id);
     for (const std::string& track : split_comma_separated_list(track_names))
         if (std::find(box_ids.begin(), box_ids.end(), track) == box_ids.end())
-            throw UsageError(fmt::format("setting init.actor_tracks: found \"{}\"{} (tracks: {})", track,
-                                         format_name_suggestion(track, box_ids, "\""),
-                                         fmt::join(box_ids, ", ")));
+            fail<UsageError>("setting init.actor_tracks: found \"{}\"{} (tracks: {})", track,
+                             format_name_suggestion(track, box_ids, "\""), fmt::join(box_ids, ", "));
 }
 
 /// Adds random points inside the box until there are `min_count` samples. The new points
@@ -318,11 +316,11 @@ std::vector<InstancePose> compute_instance_poses(const Scene& scene, const Lidar
         if (!instance.track.empty()) tracks.push_back(instance.track);
     for (const auto& [track, poses] : world_from_actor)
         if (std::find(tracks.begin(), tracks.end(), track) == tracks.end())
-            throw UsageError(fmt::format(
+            fail<UsageError>(
                 "cannot place actors: found a pose of track \"{}\", expected the name of a track of the "
                 "scene{}",
                 track,
-                tracks.empty() ? ", which has no actors" : format_name_suggestion(track, tracks, "\"")));
+                tracks.empty() ? ", which has no actors" : format_name_suggestion(track, tracks, "\""));
     return compute_instance_poses_in_sweep(scene, sequence, sweep, [&](const std::string& name) {
         const auto track = world_from_actor.find(name);
         return track == world_from_actor.end() ? nullptr : &track->second;

@@ -14,6 +14,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/assert.hpp"
+#include "base/fail.hpp"
 #include "gpu/stream.hpp"
 #include "scene/shared/scene.h"
 
@@ -31,22 +32,21 @@ void require_valid_scene_layout(const Scene& scene) {
     std::size_t next = 0;
     for (const SurfelModel& model : scene.models) {
         if (model.first != next)
-            throw DataError(fmt::format(
-                "cannot load the scene: model {} starts at surfel {}, expected {}, which is the end of "
-                "the previous model",
-                model.name, model.first, next));
+            fail(
+                "cannot load the scene: model {} starts at surfel {}, expected {}, which is the end of the "
+                "previous model",
+                model.name, model.first, next);
         next += model.count;
     }
     if (next != scene.surfels.size())
-        throw DataError(
-            fmt::format("cannot load the scene: its models have {} surfels in total, but the scene has {}; "
-                        "expected equal numbers",
-                        next, scene.surfels.size()));
+        fail(
+            "cannot load the scene: its models have {} surfels in total, but the scene has {}; expected "
+            "equal numbers",
+            next, scene.surfels.size());
     for (const ModelInstance& instance : scene.instances)
         if (instance.model >= scene.models.size())
-            throw DataError(fmt::format(
-                "cannot load the scene: an instance uses model {}, expected the index of one of {} models",
-                instance.model, scene.models.size()));
+            fail("cannot load the scene: an instance uses model {}, expected the index of one of {} models",
+                 instance.model, scene.models.size());
 }
 
 std::vector<SpecialisationConstant> make_activation_kernel_constants(bool stage_sh_in_shared_memory) {
@@ -153,9 +153,8 @@ struct DeviceScene::Impl {
     std::vector<shared::InstanceEntry> store_poses_and_make_instance_table(
         const std::vector<InstancePose>& instance_poses) {
         if (instance_poses.size() != layout.instances.size())
-            throw DataError(
-                fmt::format("cannot place the instances: found {} poses, expected {}, one for each instance",
-                            instance_poses.size(), layout.instances.size()));
+            fail("cannot place the instances: found {} poses, expected {}, one for each instance",
+                 instance_poses.size(), layout.instances.size());
         poses = instance_poses;
         std::vector<shared::InstanceEntry> entries;
         for (std::size_t i = 0; i < instance_poses.size(); ++i) {
@@ -241,11 +240,11 @@ void DeviceScene::record_activation_of_surfel_parameters(Stream& stream, const I
     impl_->alpha_min = model.alpha_min;
     if (size() == 0) return;
     if (primitive() != model.primitive)
-        throw UsageError(fmt::format(
-            "cannot use image.primitive={}: the scene consists of {}; use image.primitive={}, "
-            "because the primitive cannot change after training",
+        fail<UsageError>(
+            "cannot use image.primitive={}: the scene consists of {}; use image.primitive={}, because the "
+            "primitive cannot change after training",
             get_primitive_properties(model.primitive).name, get_primitive_properties(primitive()).label,
-            get_primitive_properties(primitive()).name));
+            get_primitive_properties(primitive()).name);
     run(stream, impl_->activate, size(),
         {.surfels = get_surfel_pointers(impl_->parameters),
          .records = impl_->records.address(),

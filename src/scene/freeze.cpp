@@ -10,6 +10,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/parallel.hpp"
 
 namespace relidar {
@@ -115,10 +116,10 @@ void transform_surfels_to_world(Surfels& surfels, const Pose& world_from_model) 
 
 Surfels transform_all_surfels_to_world(const Scene& scene, const std::vector<InstancePose>& instance_poses) {
     if (instance_poses.size() != scene.instances.size())
-        throw DataError(
-            fmt::format("cannot convert the surfels of the scene to world coordinates: found {} poses, "
-                        "expected {}, one for the background and one for each actor",
-                        instance_poses.size(), scene.instances.size()));
+        fail(
+            "cannot convert the surfels of the scene to world coordinates: found {} poses, expected {}, one "
+            "for the background and one for each actor",
+            instance_poses.size(), scene.instances.size());
     Surfels all;
     all.primitive = scene.surfels.primitive;
     for (std::size_t k = 0; k < instance_poses.size(); ++k) {

@@ -15,6 +15,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/nearest_place.hpp"
 #include "base/parallel.hpp"
 #include "base/parallel_sort.hpp"
@@ -219,10 +220,10 @@ Surfels initialise_background(const LidarSequence& sequence, const std::vector<i
     if (options.unlabelled_movers != UnlabelledMoverPolicy::background)
         samples = remove_moving_samples(samples, sequence, train_frame_indices, progress);
     if (samples.empty())
-        throw DataError(fmt::format(
-            "cannot initialise the background of {}: no LiDAR return in its {} training frames lies "
-            "on a static surface (outside the boxes of moving objects), expected at least one",
-            sequence.name, train_frame_indices.size()));
+        fail(
+            "cannot initialise the background of {}: no LiDAR return in its {} training frames lies on a "
+            "static surface (outside the boxes of moving objects), expected at least one",
+            sequence.name, train_frame_indices.size());
     return make_surfels_from_points(samples, options, sequence.intensity_response.incidence, progress);
 }
 

@@ -9,6 +9,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 
 std::uint32_t append_model(Scene& scene, const Scene& source_scene, std::uint32_t model_index) {
@@ -41,9 +43,8 @@ std::vector<bool> mark_instances_with_names(const Scene& scene,
         if (!instance.track.empty()) part_names.push_back(instance.track);
     for (const std::string& name : instance_names) {
         if (std::find(part_names.begin(), part_names.end(), name) == part_names.end())
-            throw UsageError(fmt::format("cannot select the part \"{}\" of the scene{} (known parts: {})",
-                                         name, format_name_suggestion(name, part_names, "\""),
-                                         fmt::join(part_names, ", ")));
+            fail<UsageError>("cannot select the part \"{}\" of the scene{} (known parts: {})", name,
+                             format_name_suggestion(name, part_names, "\""), fmt::join(part_names, ", "));
         for (std::size_t i = 0; i < selected.size(); ++i) {
             const std::string& track = scene.instances[i].track;
             if (track.empty() ? name == "background" : name == "actors" || name == track) selected[i] = true;

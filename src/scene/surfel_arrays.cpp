@@ -11,6 +11,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "scene/shared/scene.h"
 
 namespace relidar {
@@ -31,12 +32,12 @@ SurfelParameterSet read_surfel_parameter_set(const std::string& error_location,
     for (const PrimitiveProperties& kind : kPrimitives) names.emplace_back(kind.name);
     const auto text = metadata.find(primitive_key);
     if (text == metadata.end())
-        throw DataError(fmt::format("{}: the metadata key \"{}\" is missing; its value must be one of {}",
-                                    error_location, primitive_key, fmt::join(names, ", ")));
+        fail("{}: the metadata key \"{}\" is missing; its value must be one of {}", error_location,
+             primitive_key, fmt::join(names, ", "));
     for (const PrimitiveProperties& kind : kPrimitives)
         if (kind.name == text->second) return {kind.primitive, has_array(kParameterGroups.front().name)};
-    throw DataError(fmt::format("{}: {}: found \"{}\", expected one of {}", error_location, primitive_key,
-                                text->second.substr(0, 40), fmt::join(names, ", ")));
+    fail("{}: {}: found \"{}\", expected one of {}", error_location, primitive_key,
+         text->second.substr(0, 40), fmt::join(names, ", "));
 }
 
 SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& description,
@@ -50,15 +51,15 @@ SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::strin
 void SurfelArrays::upload(const Surfels& surfels) {
     surfels.require_equal_array_lengths();
     if (surfels.size() > 0 && surfels.primitive != primitive)
-        throw DataError(fmt::format(
-            "cannot copy the scene to the device: it consists of {}, but the arrays on the "
-            "device were created for {}",
-            get_primitive_properties(surfels.primitive).label, get_primitive_properties(primitive).label));
+        fail(
+            "cannot copy the scene to the device: it consists of {}, but the arrays on the device were "
+            "created for {}",
+            get_primitive_properties(surfels.primitive).label, get_primitive_properties(primitive).label);
     if (surfels.size() > 0 && surfels.bends != bends)
-        throw DataError(
-            fmt::format("cannot copy the scene to the device: its surfels have {}, but the arrays on the "
-                        "device were created for surfels with {}",
-                        surfels.bends ? "a gait" : "no gait", bends ? "a gait" : "no gait"));
+        fail(
+            "cannot copy the scene to the device: its surfels have {}, but the arrays on the device were "
+            "created for surfels with {}",
+            surfels.bends ? "a gait" : "no gait", bends ? "a gait" : "no gait");
     for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set()))
         group.mutable_device(*this).upload(group.values(surfels));
 }

@@ -26,6 +26,7 @@
 #include <relidar/scene/scene.hpp>
 #include "base/cell_key.hpp"
 #include "base/codecs/file_io.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar {
@@ -129,17 +130,15 @@ std::size_t get_ply_type_size_bytes(const std::string& type_name) {
         if (type_name == t) return 4;
     for (const char* t : {"double", "float64"})
         if (type_name == t) return 8;
-    throw DataError(
-        fmt::format("found a property of type \"{}\", expected a number type (lists are not supported)",
-                    shorten_for_error_message(type_name)));
+    fail("found a property of type \"{}\", expected a number type (lists are not supported)",
+         shorten_for_error_message(type_name));
 }
 
 void append_record_field(PlyRecordLayout& layout, const std::string& type_name,
                          const std::string& field_name) {
     if (std::any_of(layout.fields.begin(), layout.fields.end(),
                     [&](const PlyRecordLayout::Field& f) { return f.name == field_name; }))
-        throw DataError(
-            fmt::format("property {} occurs twice, expected it once", shorten_for_error_message(field_name)));
+        fail("property {} occurs twice, expected it once", shorten_for_error_message(field_name));
     layout.fields.push_back({field_name, type_name == "float" || type_name == "float32", layout.stride});
     layout.stride += get_ply_type_size_bytes(type_name);
 }
@@ -158,26 +157,24 @@ PlyRecordLayout parse_ply_header(const std::string& header) {
         if (what == "format") {
             has_format = true;
             if (first != "binary_little_endian")
-                throw DataError(
-                    fmt::format("found format {}, expected binary_little_endian (export as binary PLY)",
-                                shorten_for_error_message(first)));
+                fail("found format {}, expected binary_little_endian (export as binary PLY)",
+                     shorten_for_error_message(first));
         } else if (what == "element") {
             if (first != "vertex" || has_vertex)
-                throw DataError(
-                    fmt::format("found the PLY element {}, expected only one element, vertex "
-                                "(export as uncompressed PLY)",
-                                shorten_for_error_message(first)));
+                fail(
+                    "found the PLY element {}, expected only one element, vertex (export as uncompressed "
+                    "PLY)",
+                    shorten_for_error_message(first));
             has_vertex = true;
             const char* const end = second.data() + second.size();
             const auto [stop, error] = std::from_chars(second.data(), end, layout.count);
             if (error != std::errc() || stop != end || layout.count > kMaxSurfels)
-                throw DataError(fmt::format("found \"element vertex {}\", expected a count of at most {}",
-                                            shorten_for_error_message(second), kMaxSurfels));
+                fail("found \"element vertex {}\", expected a count of at most {}",
+                     shorten_for_error_message(second), kMaxSurfels);
         } else if (what == "property") {
             if (!has_vertex)
-                throw DataError(
-                    fmt::format("the PLY property {} comes before the element vertex, expected after it",
-                                shorten_for_error_message(second)));
+                fail("the PLY property {} comes before the element vertex, expected after it",
+                     shorten_for_error_message(second));
             append_record_field(layout, first, second);
         }
     }
@@ -212,8 +209,7 @@ PlyColumns find_ply_properties(const PlyRecordLayout& layout, SurfelParameterSet
             columns.missing.push_back(p);
             continue;
         }
-        if (!it->is_float)
-            throw DataError(fmt::format("property {} has another type, expected float", p.name));
+        if (!it->is_float) fail("property {} has another type, expected float", p.name);
         columns.property.push_back(p);
         columns.offset.push_back(it->offset);
     }
@@ -226,21 +222,19 @@ void require_restorable(const PlyColumns& columns, const Scene& run_scene, Surfe
     for (const PlyProperty& p : columns.missing)
         if (p.group == &kMean || columns.missing.front().kind == PlyProperty::model ||
             run_scene.surfels.size() == 0 || run_scene.surfels.get_parameter_set() != parameter_set)
-            throw DataError(fmt::format(
-                "property {} is missing, expected all properties that `relidar export` writes", p.name));
+            fail("property {} is missing, expected all properties that `relidar export` writes", p.name);
 }
 
 void require_valid_property_value(float value, const PlyProperty& property, std::size_t vertex_index,
                                   std::size_t n_models) {
     if (!std::isfinite(value))
-        throw DataError(
-            fmt::format("vertex {}: {} is {}, expected a finite number", vertex_index, property.name, value));
+        fail("vertex {}: {} is {}, expected a finite number", vertex_index, property.name, value);
     if (property.kind == PlyProperty::model &&
         (value < 0.0f || value != std::floor(value) || value >= float(n_models)))
-        throw DataError(
-            fmt::format("vertex {}: the property \"model\" is {}, expected a whole number of at least 0 and "
-                        "below {}, the number of models in the run",
-                        vertex_index, value, n_models));
+        fail(
+            "vertex {}: the property \"model\" is {}, expected a whole number of at least 0 and below {}, "
+            "the number of models in the run",
+            vertex_index, value, n_models);
 }
 
 std::vector<std::uint32_t> list_model_of_each_surfel(const Scene& scene) {
@@ -313,11 +307,11 @@ private:
     for (const glm::vec3& mean : run_scene.surfels.mean)
         nearest_m = std::min(nearest_m, glm::distance(mean, surfels.mean[i]));
     const glm::vec3& at = surfels.mean[i];
-    throw DataError(fmt::format(
+    fail(
         "the property {} is missing, and {} of {} surfels are not at the position of a surfel of the run, "
         "which has this property (vertex {} is at {} {} {}, {:.3g} m from the nearest one); expected surfels "
         "that were not moved, rotated, scaled or added, or all properties that `relidar export` writes",
-        columns.missing.front().name, n_moved, surfels.size(), i, at.x, at.y, at.z, nearest_m));
+        columns.missing.front().name, n_moved, surfels.size(), i, at.x, at.y, at.z, nearest_m);
 }
 
 /// Copies the missing properties from the surfels of the run at the same positions.
@@ -341,14 +335,13 @@ std::string restore_missing_properties(Surfels& surfels, std::vector<std::uint32
     if (n_moved > 0) throw_moved_surfels_error(surfels, first_moved, n_moved, columns, run_scene);
     if (columns.missing.back().kind == PlyProperty::model && matcher.count_twins() > 0 &&
         matcher.count_unused() > 0)
-        throw DataError(fmt::format(
+        fail(
             "the property model is missing, {} surfels fit several models of the run, and {} surfels of the "
-            "run "
-            "are not in the file; expected the property model, which shows whose surfels are deleted",
-            matcher.count_twins(), matcher.count_unused()));
+            "run are not in the file; expected the property model, which shows whose surfels are deleted",
+            matcher.count_twins(), matcher.count_unused());
     return fmt::format(
-        "the file lacks {} properties, such as {}; they are those of the run's surfels at the "
-        "same positions; {} of {} surfels of the run are not in the file",
+        "the file lacks {} properties, such as {}; they are those of the run's surfels at the same "
+        "positions; {} of {} surfels of the run are not in the file",
         columns.missing.size(), columns.missing.front().name, matcher.count_unused(),
         run_scene.surfels.size());
 }
@@ -392,15 +385,14 @@ Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& s
                             std::min(file_bytes.size(), kMaxPlyHeader));
     const std::size_t end = find_newline_before_end_header(start);
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
-    if (end == std::string::npos)
-        throw DataError(fmt::format("end_header is missing in the first {} bytes", start.size()));
+    if (end == std::string::npos) fail("end_header is missing in the first {} bytes", start.size());
     const PlyRecordLayout layout = parse_ply_header(start.substr(0, end));
     const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = file_bytes.size() - data;
     const PlyColumns columns = find_ply_properties(layout, parameter_set);
     require_restorable(columns, scene_layout, parameter_set);
     if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
-        throw DataError(fmt::format("found {} bytes of data, expected {} vertices of {} bytes", n_bytes,
-                                    layout.count, layout.stride));
+        fail("found {} bytes of data, expected {} vertices of {} bytes", n_bytes, layout.count,
+             layout.stride);
     Surfels surfels;
     surfels.resize(layout.count, parameter_set);
     std::vector<std::uint32_t> model(layout.count);
@@ -450,17 +442,17 @@ void require_contiguous_model_ranges(const Scene& scene) {
     std::size_t next = 0;
     for (const SurfelModel& m : scene.models) {
         if (m.first != next)
-            throw DataError(
-                fmt::format("cannot export the scene: the surfels of model {} start at index {}, expected "
-                            "index {}, directly after the surfels of the previous model",
-                            m.name, m.first, next));
+            fail(
+                "cannot export the scene: the surfels of model {} start at index {}, expected index {}, "
+                "directly after the surfels of the previous model",
+                m.name, m.first, next);
         next += m.count;
     }
     if (next != scene.surfels.size() || scene.models.size() > kMaxModels)
-        throw DataError(
-            fmt::format("cannot export the scene: its {} models have {} surfels in total, expected at most "
-                        "{} models that together have all {} surfels of the scene",
-                        scene.models.size(), next, kMaxModels, scene.surfels.size()));
+        fail(
+            "cannot export the scene: its {} models have {} surfels in total, expected at most {} models "
+            "that together have all {} surfels of the scene",
+            scene.models.size(), next, kMaxModels, scene.surfels.size());
 }
 
 }  // namespace
@@ -500,7 +492,7 @@ Scene read_surfel_ply(const std::filesystem::path& path, const Scene& scene_layo
             scene_layout.models, [](const SurfelModel& model) { return model.stride_m > 0.0f; });
         return parse_ply_surfels(file, scene_layout, {primitive, walks}, note ? *note : ignored_note);
     } catch (const DataError& error) {
-        throw DataError(fmt::format("cannot read PLY '{}': {}", path.string(), error.what()));
+        fail("cannot read PLY '{}': {}", path.string(), error.what());
     }
 }
 

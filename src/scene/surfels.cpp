@@ -12,6 +12,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/scene/device_scene.hpp>
 
+#include "base/fail.hpp"
 #include "base/longest_axis.hpp"
 
 namespace relidar {
@@ -58,21 +59,21 @@ void Surfels::require_equal_array_lengths() const {
         const std::size_t n_values = group.values(*this).size(),
                           n_expected_values = is_there ? size() * group.count_floats() : 0;
         if (n_values != n_expected_values)
-            throw DataError(
-                fmt::format("cannot use {0}: the array {1} has {2} values, expected {3}, which is {4} for "
-                            "each of the {5} {0}",
-                            get_primitive_properties(primitive).label, group.name, n_values,
-                            n_expected_values, is_there ? group.count_floats() : 0, size()));
+            fail(
+                "cannot use {0}: the array {1} has {2} values, expected {3}, which is {4} for each of the "
+                "{5} {0}",
+                get_primitive_properties(primitive).label, group.name, n_values, n_expected_values,
+                is_there ? group.count_floats() : 0, size());
     }
 }
 
 void Surfels::append_surfels(const Surfels& other) {
     if (size() > 0 && other.size() > 0 && primitive != other.primitive)
-        throw DataError(fmt::format(
+        fail(
             "cannot join {} {} with {} {}, expected two sets of the same kind; use runs that were trained "
             "with the same setting image.primitive",
             size(), get_primitive_properties(primitive).label, other.size(),
-            get_primitive_properties(other.primitive).label));
+            get_primitive_properties(other.primitive).label);
     if (other.size() > 0) primitive = other.primitive;
     if (other.bends) add_motionless_gait();
     const std::size_t n = size() + other.size();

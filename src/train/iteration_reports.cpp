@@ -8,6 +8,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "train/readback_lag.hpp"
 
 namespace relidar {
@@ -66,9 +67,8 @@ void IterationReports::add_group_loss_terms_to_sums(const ClosedIterationGroup& 
         for (std::size_t k = 0; k < kLossTerms; ++k) {
             const float term = *loss_terms++;
             if (!std::isfinite(term))
-                throw DataError(fmt::format(
-                    "training failed at iteration {}, frame {}: the {} loss is {}, expected a finite number",
-                    step, frame, kLossTermNames[k], term));
+                fail("training failed at iteration {}, frame {}: the {} loss is {}, expected a finite number",
+                     step, frame, kLossTermNames[k], term);
             sums_[k] += term;
         }
     }

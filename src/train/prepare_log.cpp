@@ -15,6 +15,7 @@
 #include <relidar/log/dataset.hpp>
 #include <relidar/log/registration.hpp>
 
+#include "base/fail.hpp"
 #include "base/list_text.hpp"
 #include "train/poses/register_options.hpp"
 
@@ -86,10 +87,10 @@ struct PoseCorrectionStatistics {
         constexpr double kLarge_m = 0.5, kLarge_deg = 5.0;
         if (most_m <= kLarge_m && most_deg <= kLarge_deg) return "";
         return fmt::format(
-            "warning: the log's poses do not fit its scans: {}. Usual reasons: quaternions in x y z "
-            "w order instead of w x y z, poses of another frame, a missing lever arm between the "
-            "vehicle and the LiDAR, drifting GNSS, or wrong times. Use dataset.poses=none to "
-            "estimate the poses from the scans only",
+            "warning: the log's poses do not fit its scans: {}. Usual reasons: quaternions in x y z w order "
+            "instead of w x y z, poses of another frame, a missing lever arm between the vehicle and the "
+            "LiDAR, drifting GNSS, or wrong times. Use dataset.poses=none to estimate the poses from the "
+            "scans only",
             describe_corrections());
     }
 };
@@ -122,11 +123,11 @@ void report_or_reject_unregistered_scans(const LidarSequence& sequence,
         fmt::format("{} of {} scans could not be registered to their neighbours (frames {})", frames.size(),
                     n, format_number_list(frames));
     if (double(frames.size()) > std::max(1.0, kMostLost * double(n)) && !config.train.allow_lost_scans)
-        throw DataError(fmt::format(
-            "cannot estimate the poses of {} from its scans: {}; expected that this happens for at "
-            "most {:.0f} % of the scans. Set train.allow_lost_scans=true to interpolate the poses "
-            "of these scans, or train.refine_poses=none to keep the poses of the log",
-            sequence.name, text, 100.0 * kMostLost));
+        fail(
+            "cannot estimate the poses of {} from its scans: {}; expected that this happens for at most "
+            "{:.0f} % of the scans. Set train.allow_lost_scans=true to interpolate the poses of these scans, "
+            "or train.refine_poses=none to keep the poses of the log",
+            sequence.name, text, 100.0 * kMostLost);
     session.report_line(text + "; their poses are interpolated from their neighbours");
 }
 
@@ -158,8 +159,8 @@ RegistrationResult register_log_scans(LidarSequence& sequence, const TrainTestSp
             "poses by up to {:.2f} m",
             registration.n_loop_closures, registration.largest_loop_error_m);
     session.report_line(fmt::format(
-        "scans registered: {:.0f} % of the points are on planes that several scans have "
-        "observed, with a mean distance of {:.3f} m from these planes; {}{}",
+        "scans registered: {:.0f} % of the points are on planes that several scans have observed, with a "
+        "mean distance of {:.3f} m from these planes; {}{}",
         100.0 * registration.on_planes, registration.rounds.back().residual_m,
         has_usable_vehicle_poses(sequence, config) ? corrections.describe_corrections()
                                                    : describe_path_length(registration.world_from_vehicle),
@@ -201,13 +202,13 @@ void calibrate_intensities(LidarSequence& sequence, const TrainTestSplit& split,
     const IntensityCalibrationResult calibration = fit_and_set_intensity_calibration(sequence, split.train);
     const IntensityResponse& r = sequence.intensity_response;
     const std::string fall = fmt::format(
-        "the intensity decreases to a factor of {:.2f} at 40 m and {:.2f} at an incidence angle "
-        "of 60 degrees, relative to 10 m and 0 degrees",
+        "the intensity decreases to a factor of {:.2f} at 40 m and {:.2f} at an incidence angle of 60 "
+        "degrees, relative to 10 m and 0 degrees",
         r.compute_intensity_factor_at_range(40.0) / r.compute_intensity_factor_at_range(10.0),
         r.compute_intensity_factor_at_incidence(0.5));
     const std::string start = fmt::format(
-        "intensity calibration ({:.1f} million returns): intensities of the same surface differ "
-        "by {:.3f} (RMS)",
+        "intensity calibration ({:.1f} million returns): intensities of the same surface differ by {:.3f} "
+        "(RMS)",
         double(calibration.returns) * 1e-6, calibration.rms_before);
     session.report_line(
         !calibration.shared && !calibration.beams
@@ -221,12 +222,12 @@ void calibrate_intensities(LidarSequence& sequence, const TrainTestSplit& split,
 void report_range_noise(const LidarSequence& sequence, const LogPreparationCallbacks& session) {
     for (const Lidar& lidar : sequence.lidars)
         if (!lidar.range_noise.sigma_m.empty())
-            session.report_line(fmt::format(
-                "range noise{}: {:.0f} mm at 10 m and {:.0f} mm at 40 m (standard deviation on surfaces "
-                "perpendicular to the beam)",
-                lidar.name.empty() ? "" : " of " + lidar.name,
-                1e3 * lidar.range_noise.get_range_noise_sigma_m(10.0, 1.0),
-                1e3 * lidar.range_noise.get_range_noise_sigma_m(40.0, 1.0)));
+            session.report_line(
+                fmt::format("range noise{}: {:.0f} mm at 10 m and {:.0f} mm at 40 m (standard deviation on "
+                            "surfaces perpendicular to the beam)",
+                            lidar.name.empty() ? "" : " of " + lidar.name,
+                            1e3 * lidar.range_noise.get_range_noise_sigma_m(10.0, 1.0),
+                            1e3 * lidar.range_noise.get_range_noise_sigma_m(40.0, 1.0)));
 }
 
 /// Throws an error if the user has interrupted the program.
@@ -346,8 +347,8 @@ void prepare_log_for_training(LidarSequence& sequence, const TrainTestSplit& spl
         callbacks.report_line = [](const std::string&) {};
     if (!has_usable_vehicle_poses(sequence, config) && !should_register_sensor_poses(config.train))
         throw UsageError(
-            "the log has no poses, or dataset.poses=none is set, so the poses must be estimated from "
-            "the scans; use train.refine_poses=sensor");
+            "the log has no poses, or dataset.poses=none is set, so the poses must be estimated from the "
+            "scans; use train.refine_poses=sensor");
     begin_timed_stage_if_enabled(callbacks.stages, "register");
     if (should_register_sensor_poses(config.train))
         register_and_set_vehicle_poses(sequence, split, config, callbacks);

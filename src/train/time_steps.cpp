@@ -9,6 +9,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "train/train_loop.hpp"
 
 namespace relidar {
@@ -21,13 +22,13 @@ constexpr int kWarmUp = 5;
 TrainingStepTimes measure_step_times(Device& device, const TrainedRun& run, int n_steps,
                                      const std::function<bool()>& should_stop) {
     if (!run.scene.blocks.empty())
-        throw UsageError(fmt::format(
-            "cannot measure the training speed of {}: the run is divided into blocks; use a run that "
-            "was trained without blocks",
-            run.folder.string()));
+        fail<UsageError>(
+            "cannot measure the training speed of {}: the run is divided into blocks; use a run that was "
+            "trained without blocks",
+            run.folder.string());
     if (n_steps < 1 || n_steps > kMostTimedSteps)
-        throw UsageError(fmt::format("cannot measure the training speed: found {} steps, expected 1 to {}",
-                                     n_steps, kMostTimedSteps));
+        fail<UsageError>("cannot measure the training speed: found {} steps, expected 1 to {}", n_steps,
+                         kMostTimedSteps);
     TrainLoop loop(device, run.sequence, run.split, run.scene, run.config);
     const int first = std::max(1, run.config.train.iterations - n_steps - kWarmUp + 1);
     for (int k = 0; k < kWarmUp; ++k) loop.run_iteration(first + k);

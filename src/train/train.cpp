@@ -13,6 +13,7 @@
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
 
+#include "base/fail.hpp"
 #include "train/checkpoints/checkpoint_keeper.hpp"
 #include "train/checkpoints/resume.hpp"
 #include "train/train_loop.hpp"
@@ -60,8 +61,8 @@ void report_frames_not_kept_on_device(const TrainingFrames& frames, const Config
                                       const TrainSession& session) {
     if (frames.count_resident_frames() == frames.get_all_frames().size() || !session.note) return;
     session.note(fmt::format(
-        "{} of {} training frames fit into the device memory for frames "
-        "(train.frame_memory_mib={}); the others are uploaded whenever a step uses them",
+        "{} of {} training frames fit into the device memory for frames (train.frame_memory_mib={}); the "
+        "others are uploaded whenever a step uses them",
         frames.count_resident_frames(), frames.get_all_frames().size(), config.train.frame_memory_mib));
 }
 
@@ -80,8 +81,8 @@ Config disable_useless_pose_refinement(Config config, const LidarSequence& seque
         std::ranges::all_of(split.train, is_in_first_sweep)) {
         config.train.refine_poses = config.train.is_pose_refinement_enabled_for("actors") ? "actors" : "none";
         report(
-            "train.refine_poses=sensor has no effect, because training uses only one sweep, whose "
-            "pose is fixed");
+            "train.refine_poses=sensor has no effect, because training uses only one sweep, whose pose is "
+            "fixed");
     }
     if (config.train.refine_poses == "actors" && initial.instances.size() < 2)
         report("train.refine_poses=actors has no effect, because the scene has no actors");
@@ -112,8 +113,7 @@ void fill_training_result(TrainLoop& loop, Device& device, const LidarSequence& 
 TrainResult train(Device& device, const LidarSequence& sequence, const TrainTestSplit& split,
                   const Config& config, const TrainProgressCallback& progress, const TrainSession& session) {
     if (split.train.empty())
-        throw DataError(fmt::format("cannot train on {}: it has no training frames; expected at least one",
-                                    sequence.name));
+        fail("cannot train on {}: it has no training frames; expected at least one", sequence.name);
     if (session.start) require_training_is_resumable(*session.start, sequence, split, config);
     TrainResult result;
     const Clock::time_point begin = Clock::now();

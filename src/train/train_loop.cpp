@@ -17,6 +17,7 @@
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
 
+#include "base/fail.hpp"
 #include "train/readback_lag.hpp"
 
 namespace relidar {
@@ -163,10 +164,10 @@ std::optional<RangeImageGrid> find_training_range_grid(const Config& config) {
         {config.train.sensor_drop, "train.sensor_drop"}, {config.blocks.length_m > 0.0, "blocks.length_m"}};
     for (const auto& [is_set, setting] : needs_sensor_rays)
         if (is_set)
-            throw UsageError(fmt::format(
-                "the setting train.grid={} cannot be combined with {}, which needs the rays of the "
-                "sensor (train.grid=native)",
-                config.train.grid, setting));
+            fail<UsageError>(
+                "the setting train.grid={} cannot be combined with {}, which needs the rays of the sensor "
+                "(train.grid=native)",
+                config.train.grid, setting);
     return get_range_image_grid_by_name(config.train.grid);
 }
 
@@ -315,11 +316,10 @@ void TrainLoop::check_iteration_reports_until(int last_step) {
     while (const std::optional<IterationReports::IterationGroupReport> report =
                reports_.take_oldest_report_until_step(stream_, last_step)) {
         if (report->pass_cap > 0)
-            throw DeviceError(fmt::format(
+            fail<DeviceError>(
                 "training failed in iterations {} to {}: the search for surfels stopped {} times at its "
-                "limit "
-                "of passes or with a full stack; the scene probably has too many overlapping surfels",
-                report->first_step, report->last_step, report->pass_cap));
+                "limit of passes or with a full stack; the scene probably has too many overlapping surfels",
+                report->first_step, report->last_step, report->pass_cap);
         increase_hit_capacity_if_needed(*report);
         increase_stored_hits_per_ray_if_needed(*report);
     }
@@ -327,10 +327,10 @@ void TrainLoop::check_iteration_reports_until(int last_step) {
 
 void TrainLoop::increase_hit_capacity_if_needed(const IterationReports::IterationGroupReport& report) {
     if (report.most_hits > report.hit_capacity)
-        throw DeviceError(fmt::format(
-            "training failed in iterations {} to {} with train.deterministic=true: one iteration has "
-            "{} hits, expected at most {}; use fewer rays per iteration (train.rays_per_iteration)",
-            report.first_step, report.last_step, report.most_hits, report.hit_capacity));
+        fail<DeviceError>(
+            "training failed in iterations {} to {} with train.deterministic=true: one iteration has {} "
+            "hits, expected at most {}; use fewer rays per iteration (train.rays_per_iteration)",
+            report.first_step, report.last_step, report.most_hits, report.hit_capacity);
     if (report.most_hits <= differentiable_.backward_pass().get_hit_capacity() / 2) return;
     // The value of `hit_capacity` changes below, but a report can contain only one value.
     // Therefore requests a report of the steps so far before the change.
@@ -382,11 +382,10 @@ void TrainLoop::restore_training_state_from_checkpoint(const Checkpoint& checkpo
     last_step_ = checkpoint.iteration;
     if (!sampler_.is_restored_frame_order_valid(frames_.get_all_frames().size()) ||
         !reports_.is_restored_report_state_valid())
-        throw DataError(fmt::format(
-            "cannot resume from iteration {}: the checkpoint's order of frames or its sums of the "
-            "losses do not match the {} training frames and {} loss terms of this training; train "
-            "again",
-            checkpoint.iteration, frames_.get_all_frames().size(), kLossTerms));
+        fail(
+            "cannot resume from iteration {}: the checkpoint's order of frames or its sums of the losses do "
+            "not match the {} training frames and {} loss terms of this training; train again",
+            checkpoint.iteration, frames_.get_all_frames().size(), kLossTerms);
     refiner_.update_poses_after_restore();
 }
 

@@ -102,11 +102,10 @@ TEST(TomlDepth, DeepKeysAndBracketsAreRefused) {
     EXPECT_THAT(refused("a.\"b.\".'c'.d . e.f.g.h.i = 1\n"), test::Names("key"));
     EXPECT_THAT(refused("a = " + std::string(9, '[')), test::Names("f.toml:1 ... brackets"));
     EXPECT_THAT(refused("a = {b = [\n{c = [\n{d = [\n{e = [\n{f = 1"), test::Names("f.toml:5 ... brackets"));
-    EXPECT_NO_THROW(
-        require_toml_nesting_within_limit("# ........................\na = \"..........\\\"..........\"\nb = "
-                                          "'..........'\nc.d.e.f.g.h.i.j = 1.5\n[k]\nl = "
-                                          "[1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5]\n",
-                                          "f.toml"));
+    EXPECT_NO_THROW(require_toml_nesting_within_limit(
+        "# ........................\na = \"..........\\\"..........\"\nb = '..........'\nc.d.e.f.g.h.i.j = "
+        "1.5\n[k]\nl = [1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5]\n",
+        "f.toml"));
 }
 
 }  // namespace

@@ -239,10 +239,10 @@ std::vector<std::string> make_db3_seeds(const fs::path& folder) {
     sqlite3_open(file.c_str(), &base);
     sqlite3_exec(base,
                  "CREATE TABLE topics(id INTEGER PRIMARY KEY,name TEXT,type TEXT,serialization_format "
-                 "TEXT,offered_qos_profiles TEXT);"
-                 "CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER,timestamp INTEGER,data BLOB);"
-                 "INSERT INTO topics VALUES (0,'/points','sensor_msgs/msg/PointCloud2','cdr','');"
-                 "INSERT INTO topics VALUES (1,'/tf','tf2_msgs/msg/TFMessage','cdr','')",
+                 "TEXT,offered_qos_profiles TEXT);CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id "
+                 "INTEGER,timestamp INTEGER,data BLOB);INSERT INTO topics VALUES "
+                 "(0,'/points','sensor_msgs/msg/PointCloud2','cdr','');INSERT INTO topics VALUES "
+                 "(1,'/tf','tf2_msgs/msg/TFMessage','cdr','')",
                  nullptr, nullptr, nullptr);
     for (const SeedMessage& m : make_seed_messages(false)) {
         sqlite3_stmt* row = nullptr;

@@ -53,8 +53,7 @@ std::vector<std::string> make_point_seeds(const fs::path&) {
     add(3, test::npy(some));
     std::string fields =
         "{'descr': [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('', '|V2'), ('ring', '<u2'), ('n', '<f4', "
-        "(3,))], "
-        "'fortran_order': False, 'shape': (2,), }";
+        "(3,))], 'fortran_order': False, 'shape': (2,), }";
     fields.resize(166, ' ');
     add(3, std::string("\x93NUMPY\x01\x00\xA6\x00", 10) + fields + std::string(2 * 28, '\1'));
     add(4, "//X;Y;Z;scalar_intensity\n1;2;3;4\n5;6;7;8\n");

@@ -215,8 +215,7 @@ std::vector<Harness> list_text_harnesses() {
          [](const fs::path&) {
              return std::vector<std::string>{
                  "elevation_deg,azimuth_offset_deg,origin_offset_m,origin_up_m,origin_left_m\n2.0,-1.5,0.01,"
-                 "0.2,0.026\n-3,0.5,0,0.12,-0."
-                 "026\n"};
+                 "0.2,0.026\n-3,0.5,0,0.12,-0.026\n"};
          },
          read_sensor},
         {"trajectory",

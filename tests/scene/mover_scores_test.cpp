@@ -106,8 +106,7 @@ struct Score {
     void expect_good() const {
         std::printf(
             "movers: %zu of %zu discovered are right (precision %.3f), %zu of %zu seen in %zu frames or more "
-            "are discovered "
-            "(recall %.3f)\n",
+            "are discovered (recall %.3f)\n",
             right, discovered, precision(), recalled, present, kMinVisibleFrames, recall());
         EXPECT_GE(precision(), 0.95);
         EXPECT_GE(recall(), 0.95);

@@ -127,8 +127,7 @@ TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {
     Parts file(read_contents(folder / "a.ply"));
     std::string expected =
         "ply\nformat binary_little_endian 1.0\ncomment relidar surfels: metres, frame of each model; scale_2 "
-        "only makes them flat\nelement "
-        "vertex 7\n";
+        "only makes them flat\nelement vertex 7\n";
     const auto add = [&](const std::string& name) { expected += "property float " + name + "\n"; };
     for (const char* name : {"x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"}) add(name);
     for (int k = 0; k < 45; ++k) add(fmt::format("f_rest_{}", k));

@@ -125,7 +125,8 @@ def judge(source, target):
     if source.startswith(library):
         return judge_library(source, target) if target.startswith(library) else "the library includes only itself"
     top, part = source.split("/")[:2]
-    is_public, street = target.startswith("include/relidar/"), target == "src/scene/benchmark_street.hpp"
+    is_public, street = (target.startswith("include/relidar/"),
+                         target in ("src/scene/benchmark_street.hpp", "src/base/fail.hpp"))
     if top == "tools":
         allowed = [f"tools/{part}/", "tools/network/"]
         if part == "relidar":

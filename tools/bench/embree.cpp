@@ -292,9 +292,7 @@ RayTable make_named_benchmark_rays(const std::string& rays_name) {
 int main(int argc, char** argv) {
     CLI::App app(
         "renders a benchmark street with Embree and prints one line: Mrays/s by wall time, Mrays/s by "
-        "processor time, "
-        "blended hits per ray, mean "
-        "depth");
+        "processor time, blended hits per ray, mean depth");
     std::string scene = "A", rays_name = "64x1024";
     unsigned n_surfels = 100000;
     int chunk = 16, repeat = 10, n_threads = 2;

@@ -161,10 +161,10 @@ void print_rig_scores(const std::string& run_folder, int device_index, float lat
     const SyntheticOptions street = read_street_options_of_run(run);
     const auto rig = read_sensor_rig(street.rig);
     if (!rig)
-        throw UsageError(fmt::format(
-            "cannot use the run {}: its synthetic street was recorded without a sensor rig; expected "
-            "a run of a street whose street.toml has an entry rig = FILE",
-            run_folder));
+        throw UsageError(
+            fmt::format("cannot use the run {}: its synthetic street was recorded without a sensor rig; "
+                        "expected a run of a street whose street.toml has an entry rig = FILE",
+                        run_folder));
     Device device(apply_environment_variables({.index = device_index}));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     std::vector<RigScanScore> scores(run.sequence.lidars.size()), beside(scores.size());
@@ -199,8 +199,7 @@ void print_rig_scores(const std::string& run_folder, int device_index, float lat
     if (!other_sensor_names.empty())
         fmt::print(
             "\n| sensor instead of {} | rays | returns | missed | more than {} m too far | median range "
-            "error | RMSE "
-            "| correct drops |\n"
+            "error | RMSE | correct drops |\n"
             "|---|--:|--:|--:|--:|--:|--:|--:|\n",
             run.sequence.lidars[0].name, kOnSurface_m);
     for (const std::string& other : other_sensor_names)

@@ -106,8 +106,7 @@ void bind_config_class(py::module_& module) {
         .def(
             "copy", [](const Config& config) { return config; }, "Returns a copy of the settings.")
         .def("to_toml", &to_toml,
-             "Returns all values as TOML text, with descriptions as comments. load() can read this "
-             "text.");
+             "Returns all values as TOML text, with descriptions as comments. load() can read this text.");
 }
 
 }  // namespace relidar::python

@@ -84,13 +84,13 @@ void bind_device_class(py::module_& module) {
         .def_readonly("why_not_usable", &DeviceInfo::why_not_usable,
                       "Missing features. Empty if relidar can use the device.");
     module.def("devices", &list_devices, py::call_guard<py::gil_scoped_release>(),
-               "Returns all Vulkan devices, in the order of the Vulkan loader. Raises DeviceError if "
-               "Vulkan is not available.");
+               "Returns all Vulkan devices, in the order of the Vulkan loader. Raises DeviceError if Vulkan "
+               "is not available.");
 
     py::class_<LockableDevice, SharedDevice>(
         module, "Device",
-        "An open Vulkan device. It stays open as long as objects that were made with it exist. "
-        "It can be used by one thread at a time.")
+        "An open Vulkan device. It stays open as long as objects that were made with it exist. It can be "
+        "used by one thread at a time.")
         .def(py::init(&open_device), py::arg("index") = -1, py::arg("traversal") = "auto", py::kw_only(),
              py::arg("memory_limit_bytes") = 0, py::arg("validation") = false,
              "Opens a device.\n\n"
@@ -99,8 +99,8 @@ void bind_device_class(py::module_& module) {
              "traversal: method to trace rays: \"auto\", \"ray_query\" or \"software\"\n"
              "memory_limit_bytes: maximum device memory to allocate; 0: no limit\n"
              "validation: enable the Khronos validation layer\n"
-             "These environment variables also have an effect: RELIDAR_VALIDATION, "
-             "RELIDAR_MEMORY_LIMIT_MIB, RELIDAR_PIPELINE_CACHE.\n\n"
+             "These environment variables also have an effect: RELIDAR_VALIDATION, RELIDAR_MEMORY_LIMIT_MIB, "
+             "RELIDAR_PIPELINE_CACHE.\n\n"
              "Raises DeviceError that names the missing feature.")
         .def_property_readonly("info", [](const LockableDevice& open) { return open.device.info(); })
         .def_property_readonly(

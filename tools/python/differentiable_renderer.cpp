@@ -175,28 +175,20 @@ py::dict download_surfels(PythonDifferentiableRenderer& renderer) {
 
 void bind_differentiable_renderer(py::module_& module) {
     py::class_<PythonDifferentiableRenderer>(module, "DifferentiableRenderer",
-                             "Renders rays and computes gradients for custom losses: forward() returns "
-                             "rendered values, and backward() converts their gradients to gradients of all "
-                             "parameters.\n"
-                             "Call place(), forward() and backward(). After a change of parameters, call "
-                             "upload() and place() again. Scales, opacities and channels are\n"
-                             "stored before their activation: scale = exp(log_scale), opacity = "
-                             "sigmoid(opacity_logit), channel = 0.5 + SH basis . sh.")
+                             "Renders rays and computes gradients for custom losses: forward() returns rendered values, and backward() converts their gradients to gradients of all parameters.\n"
+                             "Call place(), forward() and backward(). After a change of parameters, call upload() and place() again. Scales, opacities and channels are\n"
+                             "stored before their activation: scale = exp(log_scale), opacity = sigmoid(opacity_logit), channel = 0.5 + SH basis . sh.")
         .def(py::init(&make_differentiable_renderer), py::arg("scene"), py::arg("config") = py::none(),
              py::kw_only(), py::arg("poses") = false, py::arg("rays") = false, py::arg("device") = py::none(),
              "scene: copied to the device\n"
-             "config: its settings image.*, trace.* and train.deterministic define how rays are "
-             "rendered and gradients are summed; None: preset \"default\"\n"
+             "config: its settings image.*, trace.* and train.deterministic define how rays are rendered and gradients are summed; None: preset \"default\"\n"
              "poses, rays: if True, backward() also returns the gradients of poses and rays\n\n"
              "Raises DataError if models or instances of the scene are out of range.")
         .def("place", &set_instance_poses, py::arg("poses") = py::none(), py::arg("view_origin") = py::none(),
              py::arg("present") = py::none(),
-             "Sets all poses. Call it before forward(), and again after poses, view_origin or "
-             "parameters have changed.\n\n"
-             "poses: [instances,4,4] float64, world from model, metres; None: unchanged, initially "
-             "all at the origin\n"
-             "view_origin: [3] float64, the sensor's position, from which SH directions start with "
-             "image.sh_direction=surfel;\n"
+             "Sets all poses. Call it before forward(), and again after poses, view_origin or parameters have changed.\n\n"
+             "poses: [instances,4,4] float64, world from model, metres; None: unchanged, initially all at the origin\n"
+             "view_origin: [3] float64, the sensor's position, from which SH directions start with image.sh_direction=surfel;\n"
              "    None: unchanged, initially the origin\n"
              "present: one bool per instance; None: unchanged, initially all are present")
         .def("forward", &run_forward_pass, py::arg("origins"), py::arg("directions"),
@@ -208,24 +200,18 @@ void bind_differentiable_renderer(py::module_& module) {
                                   "hits uint32 (blended surfels); instance int32 (-1: none).\n"
                                   "Raises UsageError if place() was not called.")
         .def("backward", &run_backward_pass, py::arg("d_rendered"),
-             "Computes gradients of a loss of the last forward pass. Poses, view_origin and "
-             "parameters must be unchanged since then.\n\n"
+             "Computes gradients of a loss of the last forward pass. Poses, view_origin and parameters must be unchanged since then.\n\n"
              "d_rendered: dict of dL/d(value), [n] float32 each, for any of " RELIDAR_IMAGE_VALUES(
                  RELIDAR_NAME) "where missing gradients count as 0\n\n"
-                               "Returns a dict of gradients dL/d(parameter), float32, where s is the number "
-                               "of surfels:\n"
-                               "    mean [s,3], rotation [s,4], log_scale [s,2], opacity_logit [s], sh "
-                               "[s,3,16]\n"
+                               "Returns a dict of gradients dL/d(parameter), float32, where s is the number of surfels:\n"
+                               "    mean [s,3], rotation [s,4], log_scale [s,2], opacity_logit [s], sh [s,3,16]\n"
                                "    log_scale_w [s]: only for 3D Gaussians\n"
                                "    touched [s] uint32: 1 if a surfel has a gradient\n"
-                               "    poses [instances,6], sensor [6], if enabled by `poses`: dL/d(v, w) of "
-                               "small motions along the world's axes. v: shift in metres,\n"
-                               "        w: rotation in radians about the origin of the model (poses) or "
-                               "about view_origin (sensor)\n"
+                               "    poses [instances,6], sensor [6], if enabled by `poses`: dL/d(v, w) of small motions along the world's axes. v: shift in metres,\n"
+                               "        w: rotation in radians about the origin of the model (poses) or about view_origin (sensor)\n"
                                "    rays [n,6], if enabled by `rays`: dL/d(origin, direction)")
         .def("upload", &upload_surfels, py::arg("surfels"),
-             "Replaces the values of all parameters. The number of surfels must be the same. Call "
-             "place() afterwards.")
+             "Replaces the values of all parameters. The number of surfels must be the same. Call place() afterwards.")
         .def("download", &download_surfels,
              "Returns the current parameters as a dict of float32 arrays that relidar.Scene accepts.");
 }

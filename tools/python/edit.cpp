@@ -129,9 +129,8 @@ void bind_edit_class(py::module_& module) {
     const auto same = py::return_value_policy::reference;
     py::class_<RunBeingEdited>(
         module, "Edit",
-        "A copy of a run that is being edited. Each edit returns the same object, so that calls "
-        "can be chained. run() or save() finishes the edits. Raises UsageError for an unknown "
-        "track.")
+        "A copy of a run that is being edited. Each edit returns the same object, so that calls can be "
+        "chained. run() or save() finishes the edits. Raises UsageError for an unknown track.")
         .def(
             "remove",
             [](RunBeingEdited& edits, const std::string& track) -> RunBeingEdited& {
@@ -156,12 +155,11 @@ void bind_edit_class(py::module_& module) {
             "Delays all motion of an actor by this time in seconds.")
         .def("follow", &replace_actor_trajectory, py::arg("track"), py::arg("trajectory"), same,
              "Replaces the trajectory of an actor.\n\n"
-             "trajectory: (times [n], poses [n,4,4]) of the centre of its box in the dataset's world, "
-             "n >= 2")
+             "trajectory: (times [n], poses [n,4,4]) of the centre of its box in the dataset's world, n >= 2")
         .def("copy", &copy_actor, py::arg("track"), py::arg("pose"), py::arg("speed_mps") = 0.0, same,
              "Adds a copy of an actor with the name TRACK-copy-1.\n\n"
-             "pose: pose of the centre of its box in the dataset's world at the first frame; from "
-             "there it drives straight ahead")
+             "pose: pose of the centre of its box in the dataset's world at the first frame; from there it "
+             "drives straight ahead")
         .def("insert", &insert_actor_of_other_run, py::arg("other"), py::arg("track"), py::arg("pose"),
              py::arg("speed_mps") = 0.0, same, "Adds a copy of an actor of another run, like copy().")
         .def("keep", &remove_all_except_part, py::arg("what"), same,

@@ -55,22 +55,20 @@ void raise_as_python_exception(std::exception_ptr exception) {
 void bind_error_types(py::module_& module) {
     const auto builtin = [](PyObject* type) { return py::reinterpret_borrow<py::object>(type); };
     PythonErrorTypes& all = get_exception_types();
-    all.error = add_exception_type(
-        module, "Error",
-        "Base class of all errors of relidar. `code` is the corresponding exit code of the "
-        "command line tool.",
-        py::make_tuple(builtin(PyExc_Exception)), ExitCode::bug);
+    all.error = add_exception_type(module, "Error",
+                                   "Base class of all errors of relidar. `code` is the corresponding exit "
+                                   "code of the command line tool.",
+                                   py::make_tuple(builtin(PyExc_Exception)), ExitCode::bug);
     all.usage =
         add_exception_type(module, "UsageError", "A name, a setting or a combination of arguments is wrong.",
                            py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::usage);
     all.data = add_exception_type(module, "DataError",
                                   "A file or array is missing or invalid, or output cannot be written.",
                                   py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::data);
-    all.device = add_exception_type(
-        module, "DeviceError",
-        "No device is available, a feature is missing, a Vulkan call failed, or the device "
-        "memory is exhausted.",
-        py::make_tuple(all.error, builtin(PyExc_RuntimeError)), ExitCode::device);
+    all.device = add_exception_type(module, "DeviceError",
+                                    "No device is available, a feature is missing, a Vulkan call failed, or "
+                                    "the device memory is exhausted.",
+                                    py::make_tuple(all.error, builtin(PyExc_RuntimeError)), ExitCode::device);
     py::register_exception_translator(raise_as_python_exception);
 }
 

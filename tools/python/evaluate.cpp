@@ -56,12 +56,11 @@ void bind_evaluate_function(py::module_& module) {
                py::arg("baseline") = py::none(), py::arg("progress") = py::none(),
                "Scores the held-out frames of a run against its log, like `relidar eval`.\n\n"
                "sequence: the log; None: read it from the path that was used for training\n"
-               "baseline: \"nearest\" or \"nearest-actors\" scores the neighbouring real scans, moved "
-               "to the held-out pose, instead of rendered scans\n"
+               "baseline: \"nearest\" or \"nearest-actors\" scores the neighbouring real scans, moved to the "
+               "held-out pose, instead of rendered scans\n"
                "progress: called with the name of a step and its progress from 0 to 1\n\n"
-               "Returns mean (metric -> value; names carry protocol and unit, "
-               "\"strict/depth_medae_m\"), frames (frame, time_s and metrics of each) and trace_ms, "
-               "milliseconds per\n"
+               "Returns mean (metric -> value; names carry protocol and unit, \"strict/depth_medae_m\"), "
+               "frames (frame, time_s and metrics of each) and trace_ms, milliseconds per\n"
                "frame. Raises DataError if the log differs from that of the training.");
 }
 

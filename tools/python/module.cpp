@@ -6,8 +6,8 @@
 PYBIND11_MODULE(_relidar, module) {
     using namespace relidar::python;
     module.doc() =
-        "LiDAR re-simulation on any Vulkan device. Units are metres, seconds and radians. The "
-        "sensor frame has x forward, y left, z up.";
+        "LiDAR re-simulation on any Vulkan device. Units are metres, seconds and radians. The sensor frame "
+        "has x forward, y left, z up.";
     module.attr("__version__") = RELIDAR_VERSION;
     bind_error_types(module);
     bind_device_class(module);

@@ -51,10 +51,9 @@ void bind_picture_functions(py::module_& module) {
             write_png(path, draw_scan_picture(convert_dict_to_rendered_scan(scan)));
         },
         py::arg("path"), py::arg("scan"),
-        "Writes a PNG image of a scan: range in false colours, intensity and drop "
-        "probability below each other.\n\n"
-        "scan: range, intensity and drop_prob, [rows,columns] float32; a scan of a log needs no "
-        "drop_prob");
+        "Writes a PNG image of a scan: range in false colours, intensity and drop probability below each "
+        "other.\n\n"
+        "scan: range, intensity and drop_prob, [rows,columns] float32; a scan of a log needs no drop_prob");
 }
 
 }  // namespace relidar::python

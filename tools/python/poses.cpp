@@ -22,8 +22,7 @@ constexpr double kRigid = 1e-4;
 Pose convert_row_major_matrix_to_pose(const double* matrix, const std::string& name_for_errors) {
     const auto fail = [&](const std::string& found) {
         throw DataError(fmt::format(
-            "{}: found {}, expected a rigid pose: a rotation and a translation, with the last row 0 "
-            "0 0 1",
+            "{}: found {}, expected a rigid pose: a rotation and a translation, with the last row 0 0 0 1",
             name_for_errors, found));
     };
     if (!std::all_of(matrix, matrix + 16, [](double value) { return std::isfinite(value); }))
@@ -115,8 +114,8 @@ void bind_pose_functions(py::module_& module) {
         },
         py::arg("x"), py::arg("y"), py::arg("z"), py::arg("yaw_deg") = 0.0, py::arg("pitch_deg") = 0.0,
         py::arg("roll_deg") = 0.0,
-        "Returns a pose a_from_b as [4,4] float64: the origin of b is at x, y, z in a, in "
-        "metres, and its rotation is Rz(yaw) Ry(pitch) Rx(roll).");
+        "Returns a pose a_from_b as [4,4] float64: the origin of b is at x, y, z in a, in metres, and its "
+        "rotation is Rz(yaw) Ry(pitch) Rx(roll).");
 }
 
 }  // namespace relidar::python

@@ -186,48 +186,44 @@ std::unique_ptr<LoadedRun> copy_run_with_replaced_surfels(const LoadedRun& loade
 
 constexpr const char* kHelpBeforeWeather =
     "Renders a scan.\n\n"
-    "sensor: one of relidar.sensors(), \"native\" (the sensor of the log), \"kitti360\", a "
-    "CSV beam table, or a dict of rays like that of relidar.rays(); None: the sensor in the "
-    "settings of the run\n"
-    "pose: sensor to the dataset's world, [4,4] float64, metres; or (times [n], poses "
-    "[n,4,4]) that also cover the sweep, so that each ray is fired\n"
-    "    from the position of the sensor at its firing time; None: the pose of the log's "
-    "sensor\n"
-    "time: time of the log in seconds at which the head faces forward, within the times of "
-    "the poses; None: the time of the first frame.\n"
-    "    Without `pose`, at the time of a frame, the log's sensor has the same head angles "
-    "as in that sweep\n"
-    "actors: dict of track -> pose of the centre of its box, in the form of `pose`, at times "
-    "up to a second from `time`; other actors are absent.\n"
+    "sensor: one of relidar.sensors(), \"native\" (the sensor of the log), \"kitti360\", a CSV beam table, "
+    "or a dict of rays like that of relidar.rays(); None: the sensor in the settings of the run\n"
+    "pose: sensor to the dataset's world, [4,4] float64, metres; or (times [n], poses [n,4,4]) that also "
+    "cover the sweep, so that each ray is fired\n"
+    "    from the position of the sensor at its firing time; None: the pose of the log's sensor\n"
+    "time: time of the log in seconds at which the head faces forward, within the times of the poses; None: "
+    "the time of the first frame.\n"
+    "    Without `pose`, at the time of a frame, the log's sensor has the same head angles as in that sweep\n"
+    "actors: dict of track -> pose of the centre of its box, in the form of `pose`, at times up to a second "
+    "from `time`; other actors are absent.\n"
     "    None: all actors at the poses of their tracks\n"
     "lidar: name of the LiDAR of the log that is simulated or replaced; empty: the first\n"
     "only: render only these parts: \"background\", \"actors\" or tracks\n"
-    "sample: seed for random drops and noise with the statistics of the log; None: the most "
-    "likely scan, without noise\n"
-    "frame: frame of origin and directions: \"sensor\" (at the firing time of each ray) or "
-    "\"world\" (the dataset's)\n"
-    "deskew: use the sensor frame at `time` for all rays. This has no effect without a "
-    "rolling shutter, for example if the log is\n"
+    "sample: seed for random drops and noise with the statistics of the log; None: the most likely scan, "
+    "without noise\n"
+    "frame: frame of origin and directions: \"sensor\" (at the firing time of each ray) or \"world\" (the "
+    "dataset's)\n"
+    "deskew: use the sensor frame at `time` for all rays. This has no effect without a rolling shutter, for "
+    "example if the log is\n"
     "    motion-compensated: then `time` is 0 for all rays and `deskewed` is 1\n"
     "weather: text; ";
 constexpr const char* kHelpAfterWeather =
     "\n\n"
-    "Returns the same arrays as an npz file of `relidar render`: range, median_range (metres), "
-    "intensity, drop_prob, weight, time (seconds\n"
-    "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: no hit) "
-    "[rows,columns]; directions, origin, points (the ends of the rays)\n"
-    "[rows,columns,3] float32; pose [4,4] float64; time_s, frame_number (of the log's sweep "
-    "nearest in time), instance_names, frame,\n"
-    "deskewed, sensor, run, units; each channel of render.channels by its name, "
-    "[rows,columns] or\n"
-    "[rows,columns,3]; unseen, the share of rays that cross space that the log has not "
-    "observed, if the run has this information and the scan shows the background.\n"
-    "With `boxes`, also the dict boxes of the n actors that a ray would hit, each at the time "
-    "at which the sensor faces it: track and category [n] str,\n"
-    "size_m [n,3], time_s [n], pose of the centre [n,4,4], velocity_mps [n,3] float64, points "
-    "(first returns on it) [n] int32, visible_share [n].\n\n"
-    "Raises DataError for arrays of wrong shape, dtype or order and poses that are not "
-    "rigid, UsageError for unknown names and weather.";
+    "Returns the same arrays as an npz file of `relidar render`: range, median_range (metres), intensity, "
+    "drop_prob, weight, time (seconds\n"
+    "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: no hit) [rows,columns]; "
+    "directions, origin, points (the ends of the rays)\n"
+    "[rows,columns,3] float32; pose [4,4] float64; time_s, frame_number (of the log's sweep nearest in "
+    "time), instance_names, frame,\n"
+    "deskewed, sensor, run, units; each channel of render.channels by its name, [rows,columns] or\n"
+    "[rows,columns,3]; unseen, the share of rays that cross space that the log has not observed, if the run "
+    "has this information and the scan shows the background.\n"
+    "With `boxes`, also the dict boxes of the n actors that a ray would hit, each at the time at which the "
+    "sensor faces it: track and category [n] str,\n"
+    "size_m [n,3], time_s [n], pose of the centre [n,4,4], velocity_mps [n,3] float64, points (first returns "
+    "on it) [n] int32, visible_share [n].\n\n"
+    "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for "
+    "unknown names and weather.";
 
 /// Adds the methods of the Python class for runs.
 void bind_run_methods(py::class_<LoadedRun>& run_class) {
@@ -237,22 +233,22 @@ void bind_run_methods(py::class_<LoadedRun>& run_class) {
         kHelpBeforeWeather, make_weather_help(), parse_channel_names("source").front().meaning,
         kHelpAfterWeather);
     run_class
-        .def_static("load", &load_run_with_settings, py::arg("folder"), py::kw_only(),
-                    py::arg("settings") = py::dict(), py::arg("device") = py::none(),
-                    "Reads a run folder.\n\n"
-                    "settings: dict of settings that replace those of the run, such as {\"render.range\": "
-                    "\"median\"}\n"
-                    "device: device for rendering; None: the default device\n\n"
-                    "Raises DataError with the name of the file that is missing, damaged or of another "
-                    "format.")
+        .def_static(
+            "load", &load_run_with_settings, py::arg("folder"), py::kw_only(),
+            py::arg("settings") = py::dict(), py::arg("device") = py::none(),
+            "Reads a run folder.\n\n"
+            "settings: dict of settings that replace those of the run, such as {\"render.range\": "
+            "\"median\"}\n"
+            "device: device for rendering; None: the default device\n\n"
+            "Raises DataError with the name of the file that is missing, damaged or of another format.")
         .def(
             "save",
             [](LoadedRun& run, const fs::path& folder, bool overwrite) {
                 save_run_to_folder(run.run, folder, overwrite);
             },
             py::arg("folder"), py::kw_only(), py::arg("overwrite") = false,
-            "Writes config.toml, scene.json and model.safetensors. Incomplete files are never left "
-            "behind. Raises UsageError if the folder already contains a run.")
+            "Writes config.toml, scene.json and model.safetensors. Incomplete files are never left behind. "
+            "Raises UsageError if the folder already contains a run.")
         .def(
             "render",
             [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time,
@@ -280,8 +276,8 @@ void bind_run_methods(py::class_<LoadedRun>& run_class) {
             py::arg("sensor") = py::none(), py::arg("lidar") = "",
             "Returns the rays of a sensor. The arguments accept the same values as in render().")
         .def("with_surfels", &copy_run_with_replaced_surfels, py::arg("surfels"),
-             "Returns a copy of the run with other values of all surfels. Raises DataError if the "
-             "number of surfels differs.");
+             "Returns a copy of the run with other values of all surfels. Raises DataError if the number of "
+             "surfels differs.");
 }
 
 /// Adds the properties of the Python class for runs.
@@ -315,8 +311,8 @@ void bind_run_properties(py::class_<LoadedRun>& run_class) {
             "Indices of the held-out frames in `times`.")
         .def_property_readonly(
             "trajectory", [](const LoadedRun& run) { return make_vehicle_trajectory(run.run.sequence); },
-            "Trajectory of the log's vehicle in the dataset's world: (times [n], poses [n,4,4]), in the "
-            "form of render(). For a single LiDAR, it is the trajectory of the sensor.")
+            "Trajectory of the log's vehicle in the dataset's world: (times [n], poses [n,4,4]), in the form "
+            "of render(). For a single LiDAR, it is the trajectory of the sensor.")
         .def_property_readonly(
             "mountings", [](const LoadedRun& run) { return make_lidar_mounting_dict(run.run.sequence); },
             "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. The "
@@ -330,8 +326,8 @@ void bind_run_properties(py::class_<LoadedRun>& run_class) {
                     if (!instance.track.empty()) track_names.push_back(instance.track);
                 return make_actor_track_dict(run.run.sequence, track_names);
             },
-            "Trajectories of the actors in the dataset's world: dict of track -> (times [n], poses "
-            "[n,4,4]) of the centre of the box, in the form of render().")
+            "Trajectories of the actors in the dataset's world: dict of track -> (times [n], poses [n,4,4]) "
+            "of the centre of the box, in the form of render().")
         .def_property_readonly(
             "edits",
             [](const LoadedRun& run) {
@@ -374,10 +370,9 @@ DeviceObject<ScanRenderer>& LoadedRun::get_renderer() {
 }
 
 void bind_run_class(py::module_& module) {
-    py::class_<LoadedRun> type(
-        module, "Run",
-        "A trained scene with the sensor, poses and tracks of its log, as written by `relidar "
-        "train`. It is immutable.");
+    py::class_<LoadedRun> type(module, "Run",
+                               "A trained scene with the sensor, poses and tracks of its log, as written by "
+                               "`relidar train`. It is immutable.");
     bind_run_methods(type);
     bind_run_properties(type);
 }

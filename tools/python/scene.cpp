@@ -115,10 +115,10 @@ Surfels read_surfels_from_arrays(const py::dict& arrays) {
                 values = copy_checked_array_to_vector<float, Element>(
                     arrays[name], fmt::format("surfels: {}", name), make_array_shape(kAny, row));
             else if (name != kThirdScale && name != kGait)
-                throw DataError(fmt::format(
-                    "surfels: the array \"{}\" is missing, expected mean, rotation, log_scale, opacity_logit "
-                    "and sh",
-                    name));
+                throw DataError(
+                    fmt::format("surfels: the array \"{}\" is missing, expected mean, rotation, log_scale, "
+                                "opacity_logit and sh",
+                                name));
         });
     for (const auto& [name, array] : arrays) {
         const std::string text = py::str(name);
@@ -149,8 +149,7 @@ py::dict convert_to_array_dict(Surfels&& surfels) {
 void bind_scene_class(py::module_& module) {
     py::class_<Scene, std::shared_ptr<Scene>>(
         module, "Scene",
-        "Surfels, the models that they belong to, and the instances that place models. It is "
-        "immutable.")
+        "Surfels, the models that they belong to, and the instances that place models. It is immutable.")
         .def(py::init(&make_scene_from_dicts), py::arg("surfels"), py::arg("models") = py::none(),
              py::arg("instances") = py::none(),
              "surfels: dict of float32 arrays:\n"
@@ -160,15 +159,15 @@ void bind_scene_class(py::module_& module) {
              "    opacity_logit [n]\n"
              "    sh [n,3,16]: for intensity, hit logit and drop logit\n"
              "    log_scale_w [n]: ln metres, only for 3D Gaussians\n"
-             "    gait [n,5], only for models that deform while walking: phase in turns, sharpness, "
-             "swing x y z in metres\n"
-             "models: dicts of name, first, count and, for a model that deforms, stride_m: "
-             "consecutive ranges of surfels;\n"
+             "    gait [n,5], only for models that deform while walking: phase in turns, sharpness, swing x "
+             "y z in metres\n"
+             "models: dicts of name, first, count and, for a model that deforms, stride_m: consecutive "
+             "ranges of surfels;\n"
              "    None: one model with all surfels, the background\n"
-             "instances: dicts of model (its index) and track (\"\" for the background); None: one "
-             "instance of each model\n\n"
-             "Raises DataError for arrays of wrong shape, dtype or order. Whether models and "
-             "instances fit together is checked when the scene is rendered.")
+             "instances: dicts of model (its index) and track (\"\" for the background); None: one instance "
+             "of each model\n\n"
+             "Raises DataError for arrays of wrong shape, dtype or order. Whether models and instances fit "
+             "together is checked when the scene is rendered.")
         .def_property_readonly(
             "surfels", [](const py::object& scene) { return make_surfel_array_views(scene); },
             "The arrays, read-only and not copied.")

@@ -77,8 +77,8 @@ SimulatedSensor find_or_make_sensor_for_run(const py::handle& sensor_name_or_ray
                                    lidar_index);
     if (!py::isinstance<py::dict>(sensor_name_or_ray_dict))
         throw UsageError(
-            "sensor: found an unsupported type, expected a name from relidar.sensors(), the path of "
-            "a sensor file, or a dict with \"directions\"");
+            "sensor: found an unsupported type, expected a name from relidar.sensors(), the path of a sensor "
+            "file, or a dict with \"directions\"");
     SimulatedSensor choice;
     choice.rays = read_ray_table_from_dict(py::reinterpret_borrow<py::dict>(sensor_name_or_ray_dict));
     choice.limits =
@@ -108,13 +108,13 @@ void bind_sensor_functions(py::module_& module) {
             return convert_to_array_dict(make_rays(find_sensor(sensor), time));
         },
         py::arg("sensor"), py::arg("time") = 0.0,
-        "Returns the rays of one scan of a sensor. The sensor is a name or a file: a beam table "
-        "such as \"beams.csv:1024x10\", a ray table, or\n"
+        "Returns the rays of one scan of a sensor. The sensor is a name or a file: a beam table such as "
+        "\"beams.csv:1024x10\", a ray table, or\n"
         "Ouster metadata. The rays of a rosette sensor depend on the time, in seconds.\n\n"
-        "Returns a dict: directions, origin [rows,columns,3] float32 (unit; metres; sensor "
-        "frame), time [rows,columns] float32 (seconds after the head\n"
-        "faces forward), ring [rows,columns] uint16 (beam, 0 is the highest). Run.render() "
-        "accepts such a dict as its sensor.");
+        "Returns a dict: directions, origin [rows,columns,3] float32 (unit; metres; sensor frame), time "
+        "[rows,columns] float32 (seconds after the head\n"
+        "faces forward), ring [rows,columns] uint16 (beam, 0 is the highest). Run.render() accepts such a "
+        "dict as its sensor.");
 }
 
 }  // namespace relidar::python

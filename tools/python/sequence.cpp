@@ -115,8 +115,7 @@ namespace {
 void bind_sequence_class(py::module_& module) {
     py::class_<LoadedLog>(
         module, "Sequence",
-        "A LiDAR log with scans, rays, sensor poses and tracked boxes. load_sequence() creates "
-        "it.")
+        "A LiDAR log with scans, rays, sensor poses and tracked boxes. load_sequence() creates it.")
         .def(
             "__len__", [](const LoadedLog& log) { return log.sequence.frames.size(); }, "Number of frames.")
         .def_property_readonly("name", [](const LoadedLog& log) { return log.sequence.name; })
@@ -137,8 +136,8 @@ void bind_sequence_class(py::module_& module) {
             "Name of the LiDAR of each frame, [frames]. Empty if the log has a single LiDAR.")
         .def_property_readonly(
             "trajectory", [](const LoadedLog& log) { return make_vehicle_trajectory(log.sequence); },
-            "Trajectory of the vehicle in the dataset's world: (times [n], poses [n,4,4]), float64, "
-            "metres. For a single LiDAR, it is the trajectory of the sensor.")
+            "Trajectory of the vehicle in the dataset's world: (times [n], poses [n,4,4]), float64, metres. "
+            "For a single LiDAR, it is the trajectory of the sensor.")
         .def_property_readonly(
             "mountings", [](const LoadedLog& log) { return make_lidar_mounting_dict(log.sequence); },
             "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. A "
@@ -159,8 +158,8 @@ void bind_sequence_class(py::module_& module) {
                     log.sequence.lidars[std::size_t(find_lidar_index_by_name(log.sequence, lidar))].sensor));
             },
             py::arg("lidar") = "",
-            "Returns the rays of a LiDAR of the log, in the form of relidar.rays(). Empty name: the "
-            "first LiDAR.")
+            "Returns the rays of a LiDAR of the log, in the form of relidar.rays(). Empty name: the first "
+            "LiDAR.")
         .def("scan", &make_scan_dict, py::arg("position"),
              "Returns the scan of a frame: the arrays of relidar.rays(), range [rows,columns] float32 "
              "(metres along the ray, 0 if dropped) and intensity.\n\n"
@@ -177,10 +176,8 @@ void bind_loading_functions(py::module_& module) {
         },
         py::arg("dataset"), py::arg("config") = py::none(), py::arg("progress") = py::none(),
         "Reads a log.\n\n"
-        "dataset: a path whose format is recognised, or \"kind:path\" with kind kitti_raw or "
-        "synthetic\n"
-        "config: its settings dataset.* select frames, poses and ranges; None: preset "
-        "\"default\"\n"
+        "dataset: a path whose format is recognised, or \"kind:path\" with kind kitti_raw or synthetic\n"
+        "config: its settings dataset.* select frames, poses and ranges; None: preset \"default\"\n"
         "progress: called with the name of a step and its progress from 0 to 1\n\n"
         "Raises DataError with the name of the file and a description of the error.");
     module.def("save_street", &save_synthetic_street, py::arg("folder"), py::kw_only(), py::arg("seed") = 1,

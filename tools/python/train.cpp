@@ -46,8 +46,8 @@ std::optional<Checkpoint> load_newest_checkpoint_if_resuming(
     if (!arguments.resume) return std::nullopt;
     if (!arguments.checkpoints)
         throw UsageError(
-            "train: resume=True needs the argument checkpoints, which is the folder that contains "
-            "the checkpoints");
+            "train: resume=True needs the argument checkpoints, which is the folder that contains the "
+            "checkpoints");
     return load_newest_checkpoint(*arguments.checkpoints, print_note);
 }
 
@@ -182,21 +182,19 @@ void bind_train_function(py::module_& module) {
         py::arg("sequence"), py::arg("config") = py::none(), py::kw_only(), py::arg("callback") = py::none(),
         py::arg("note") = py::none(), py::arg("checkpoints") = py::none(), py::arg("resume") = false,
         py::arg("device") = py::none(),
-        "Trains a scene on the training frames of a log. With refine.enabled, it also trains the "
-        "network that corrects ray-drop.\n\n"
-        "config: settings; of dataset.*, only test_every and test_frames have an effect, because "
-        "the log is already read. None: the settings that the log was read with\n"
-        "callback: called with a TrainProgress every train.log_every iterations; if it returns "
-        "False, the training ends with the current scene. It must not use the same device\n"
-        "note: called with one line of text for each result that is estimated from the log, such as "
-        "poses, and for each problem that does not end the training\n"
+        "Trains a scene on the training frames of a log. With refine.enabled, it also trains the network "
+        "that corrects ray-drop.\n\n"
+        "config: settings; of dataset.*, only test_every and test_frames have an effect, because the log is "
+        "already read. None: the settings that the log was read with\n"
+        "callback: called with a TrainProgress every train.log_every iterations; if it returns False, the "
+        "training ends with the current scene. It must not use the same device\n"
+        "note: called with one line of text for each result that is estimated from the log, such as poses, "
+        "and for each problem that does not end the training\n"
         "checkpoints: folder for checkpoints of the scene; a checkpoint is also written if the training "
-        "stops early, for example by Ctrl-C. The subfolder drop_network has the checkpoints of the "
-        "network\n"
+        "stops early, for example by Ctrl-C. The subfolder drop_network has the checkpoints of the network\n"
         "resume: continue from the newest checkpoint in this folder, if there is one\n\n"
-        "Returns a Run that exists only in memory; call save() to store it. Raises "
-        "KeyboardInterrupt on Ctrl-C, the exceptions of the callback, and DataError if the log "
-        "cannot be used for training.");
+        "Returns a Run that exists only in memory; call save() to store it. Raises KeyboardInterrupt on "
+        "Ctrl-C, the exceptions of the callback, and DataError if the log cannot be used for training.");
 }
 
 }  // namespace relidar::python

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "options.hpp"
+#include "base/fail.hpp"
 
 #include <algorithm>
 #include <charconv>
@@ -56,8 +57,8 @@ void add_quiet_option(CLI::App& command, bool& quiet) {
 DeviceOptions convert_to_device_options(const DeviceCommandOptions& device_choice) {
     DeviceOptions options;
     if (device_choice.index < -1)
-        throw UsageError(fmt::format(
-            "--device: found {}; expected a device number from `relidar list devices`", device_choice.index));
+        fail<UsageError>("--device: found {}; expected a device number from `relidar list devices`",
+                         device_choice.index);
     options.index = device_choice.index;
     options.traversal = parse_ray_tracing_backend(device_choice.traversal);
     set_device_open_callbacks({test_device_capabilities, print_warning});
@@ -126,8 +127,7 @@ void parse_and_apply_setting_texts(Config& config, const std::vector<std::string
     for (const std::string& set : key_value_texts) {
         const std::size_t equals = set.find('=');
         if (equals == std::string::npos || equals == 0)
-            throw UsageError(
-                fmt::format("--set: found \"{}\"; expected KEY=VALUE, for example loss.depth=0.2", set));
+            fail<UsageError>("--set: found \"{}\"; expected KEY=VALUE, for example loss.depth=0.2", set);
         set_config_value(config, set.substr(0, equals), set.substr(equals + 1));
     }
 }
@@ -161,11 +161,11 @@ void require_settings_used_by_command(const std::vector<std::string>& setting_te
                 return name.ends_with('.') ? key.starts_with(name) : key == name;
             });
         if (is_used) continue;
-        throw UsageError(
-            fmt::format("--set: the setting {} has no effect in `relidar {}`; expected {}", key, command_name,
-                        names_and_prefixes_with_effect.empty()
-                            ? "no setting"
-                            : fmt::format("one of {}", fmt::join(names_and_prefixes_with_effect, ", "))));
+        fail<UsageError>("--set: the setting {} has no effect in `relidar {}`; expected {}", key,
+                         command_name,
+                         names_and_prefixes_with_effect.empty()
+                             ? "no setting"
+                             : fmt::format("one of {}", fmt::join(names_and_prefixes_with_effect, ", ")));
     }
 }
 
@@ -195,12 +195,11 @@ FrameRange parse_frame_range(const std::string& text) {
     const int first = begin.empty() ? 0 : parse_number_text<int>(begin).value_or(-1),
               last = end.empty() ? -1 : parse_number_text<int>(end).value_or(-1);
     if (colon == std::string::npos || first < 0 || (!end.empty() && last < 0)) {
-        throw UsageError(fmt::format(
-            "--frames: found \"{}\"; expected FIRST:END, for example 0:50 for the frames 0 to 49", text));
+        fail<UsageError>(
+            "--frames: found \"{}\"; expected FIRST:END, for example 0:50 for the frames 0 to 49", text);
     }
     if (last != -1 && first >= last)
-        throw UsageError(
-            fmt::format("--frames: found the empty range \"{}\"; expected FIRST:END with FIRST < END", text));
+        fail<UsageError>("--frames: found the empty range \"{}\"; expected FIRST:END with FIRST < END", text);
     return {first, last};
 }
 
@@ -222,9 +221,8 @@ std::vector<double> parse_number_list(const std::string& option_name, const std:
     for (const std::string& typed : split_text(text, ',')) {
         const std::optional<double> value = parse_finite_number(typed);
         if (!value)
-            throw UsageError(
-                fmt::format("{}: found \"{}\" in \"{}\", expected finite numbers separated by commas",
-                            option_name, trim_spaces_and_tabs(typed), text));
+            fail<UsageError>("{}: found \"{}\" in \"{}\", expected finite numbers separated by commas",
+                             option_name, trim_spaces_and_tabs(typed), text);
         numbers.push_back(*value);
     }
     return numbers;

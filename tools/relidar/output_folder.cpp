@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "output_folder.hpp"
+#include "base/fail.hpp"
 
 #include <algorithm>
 #include <cerrno>
@@ -62,17 +63,17 @@ bool is_folder_without_user_files(const fs::path& folder) {
 void require_free_folder_or_replaceable_run(const fs::path& folder, ExistingRunPolicy existing_run_policy) {
     if (is_folder_without_user_files(folder)) return;
     if (is_dataset(folder))
-        throw UsageError(fmt::format(
-            "--out {}: this folder contains a log; choose a different folder for the run", folder.string()));
+        fail<UsageError>("--out {}: this folder contains a log; choose a different folder for the run",
+                         folder.string());
     if (!contains_run(folder))
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "--out {}: the folder is not empty and contains no run; expected a new or empty folder",
-            folder.string()));
+            folder.string());
     if (existing_run_policy == ExistingRunPolicy::refuse)
-        throw UsageError(fmt::format(
-            "--out {}: the folder already contains a run; expected a new or empty folder; --force "
-            "overwrites the run",
-            folder.string()));
+        fail<UsageError>(
+            "--out {}: the folder already contains a run; expected a new or empty folder; --force overwrites "
+            "the run",
+            folder.string());
 }
 
 /// Removes the half-written files of a killed process from a folder and from its
@@ -98,9 +99,8 @@ const fs::path& reject_root_and_home_folder(const fs::path& folder) {
     std::error_code failed;
     for (const fs::path& other : {fs::path("/"), fs::path(home ? home : "/")})
         if (fs::equivalent(folder, other, failed))
-            throw UsageError(fmt::format("--out {}: this is {}; expected a folder for the output",
-                                         folder.string(),
-                                         other == "/" ? "the root folder" : "a home folder"));
+            fail<UsageError>("--out {}: this is {}; expected a folder for the output", folder.string(),
+                             other == "/" ? "the root folder" : "a home folder");
     return folder;
 }
 
@@ -116,8 +116,7 @@ std::optional<OpenLockFile> open_and_lock_file(const fs::path& file) {
     for (;;) {
         const int descriptor = ::open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
         if (descriptor < 0)
-            throw DataError(
-                fmt::format("cannot write {}: {}", file.string(), std::generic_category().message(errno)));
+            fail("cannot write {}: {}", file.string(), std::generic_category().message(errno));
         const bool locked = ::flock(descriptor, LOCK_EX | LOCK_NB) == 0;
         const bool held = !locked && errno == EWOULDBLOCK;
         if (!held && is_open_file_still_at_path(descriptor, file)) return OpenLockFile{descriptor, locked};
@@ -143,19 +142,19 @@ OutputFolder::~OutputFolder() {
 
 void require_folder_for_scans(const fs::path& folder, bool overwrite) {
     if (const fs::path foreign = find_foreign_scan_file(folder); !foreign.empty())
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "--out {}: the folder contains {}, which is not listed in a scans.json of relidar and could be "
             "replaced; choose a new folder",
-            folder.string(), foreign.filename().string()));
+            folder.string(), foreign.filename().string());
     const std::vector<fs::path> files = list_scan_files(folder);
     if (contains_run(folder) || (files.empty() && is_dataset(folder)))
-        throw UsageError(fmt::format("--out {}: this is a {}; choose a different folder for scans",
-                                     folder.string(), contains_run(folder) ? "run folder" : "log"));
+        fail<UsageError>("--out {}: this is a {}; choose a different folder for scans", folder.string(),
+                         contains_run(folder) ? "run folder" : "log");
     if (!files.empty() && !overwrite)
-        throw UsageError(fmt::format(
-            "--out {}: the folder already contains rendered scans ({} files, for example {}); choose "
-            "a new folder, or use --force to replace the files",
-            folder.string(), files.size(), files.front().filename().string()));
+        fail<UsageError>(
+            "--out {}: the folder already contains rendered scans ({} files, for example {}); choose a new "
+            "folder, or use --force to replace the files",
+            folder.string(), files.size(), files.front().filename().string());
 }
 
 LockedFolder::LockedFolder(const fs::path& path) : folder_(reject_root_and_home_folder(path)), lock_(path) {}
@@ -169,10 +168,10 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds max_wai
     for (; !lock && std::chrono::steady_clock::now() < end; lock = open_and_lock_file(file_))
         std::this_thread::sleep_for(kLockLook);
     if (!lock)
-        throw DataError(fmt::format(
-            "cannot write {}: another relidar process is writing this {}; wait until that process "
-            "has finished",
-            folder.string(), contains_run(folder) ? "run" : "folder"));
+        fail(
+            "cannot write {}: another relidar process is writing this {}; wait until that process has "
+            "finished",
+            folder.string(), contains_run(folder) ? "run" : "folder");
     descriptor_ = lock->descriptor;
     if (lock->exclusive) remove_temporary_files_of_run(folder);
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "program.hpp"
+#include "base/fail.hpp"
 
 #include <cstdio>
 #include <exception>
@@ -53,8 +54,7 @@ void parse_and_run_command(const ProgramDescription& program, int argc, char** a
         throw UsageError(make_usage_error_message(app, error.what()));
     }
     if (!call.run)
-        throw UsageError(
-            fmt::format("found no command; expected one; `{} --help` lists all commands", program.name));
+        fail<UsageError>("found no command; expected one; `{} --help` lists all commands", program.name);
     call.run();
     flush_stdout_or_throw();
 }

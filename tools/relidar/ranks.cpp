@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "ranks.hpp"
+#include "base/fail.hpp"
 
 #include <chrono>
 #include <exception>
@@ -48,10 +49,10 @@ void require_same_build_on_all_ranks(int rank) {
     unsigned long long first_build = build;
     MPI_Bcast(&first_build, 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD);
     if (build != first_build)
-        throw UsageError(fmt::format(
-            "MPI process {} runs a different build of relidar than the first process; all processes "
-            "must run the same build",
-            rank));
+        fail<UsageError>(
+            "MPI process {} runs a different build of relidar than the first process; all processes must run "
+            "the same build",
+            rank);
 }
 
 /// Concatenates the texts of all MPI processes. Every process receives the complete text.
@@ -65,9 +66,9 @@ std::string gather_and_concatenate_rank_texts(const std::string& text, int n_ran
     const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
     // MPI stores the number of bytes as int, so texts of more than 2 GiB are rejected.
     if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))
-        throw Error(ExitCode::bug,
-                    "cannot collect the results of the MPI processes: they exceed 2 GiB; expected at most 2 "
-                    "GiB");
+        throw Error(
+            ExitCode::bug,
+            "cannot collect the results of the MPI processes: they exceed 2 GiB; expected at most 2 GiB");
     std::vector<int> counts(sizes.begin(), sizes.end()), displacements(sizes.size());
     std::exclusive_scan(counts.begin(), counts.end(), displacements.begin(), 0);
     std::string all(total, '\0');

@@ -12,8 +12,8 @@ namespace relidar::cli {
 MpiProcessGroup::MpiProcessGroup() {
     if (is_launched_by_mpi())
         throw UsageError(
-            "mpirun has started this program, but it was built without MPI; install libopenmpi-dev "
-            "and build relidar again");
+            "mpirun has started this program, but it was built without MPI; install libopenmpi-dev and build "
+            "relidar again");
 }
 MpiProcessGroup::~MpiProcessGroup() = default;
 std::vector<std::string> MpiProcessGroup::gather_texts_on_first_rank(const std::string& text) const {

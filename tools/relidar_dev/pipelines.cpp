@@ -81,10 +81,9 @@ void print_pipeline_statistics(const PipelinesOptions& options) {
 }  // namespace
 
 void add_pipelines_command(CLI::App& app, ParsedCommand& selected_command) {
-    CLI::App* command =
-        app.add_subcommand("pipelines",
-                           "compile each kernel as relidar uses it and print statistics from the "
-                           "compiler of the driver: registers, spills, waves");
+    CLI::App* command = app.add_subcommand("pipelines",
+                                           "compile each kernel as relidar uses it and print statistics from "
+                                           "the compiler of the driver: registers, spills, waves");
     const auto options = std::make_shared<PipelinesOptions>();
     command->add_option("--device", options->device, "number of the device in `relidar list devices`");
     command
@@ -94,8 +93,7 @@ void add_pipelines_command(CLI::App& app, ParsedCommand& selected_command) {
     command->add_flag("--tsv", options->tsv, "print one line per pipeline, with columns separated by tabs");
     command->footer(
         "No kernel runs, so a driver without hardware is sufficient (tools/dev/gpu_report).\nExample: "
-        "relidar-dev "
-        "pipelines --kernel trace");
+        "relidar-dev pipelines --kernel trace");
     command->callback([&selected_command, options] {
         selected_command.run = [options] { print_pipeline_statistics(*options); };
     });

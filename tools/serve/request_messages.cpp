@@ -165,10 +165,9 @@ std::shared_ptr<const SimulatedSensor> RequestReader::find_requested_sensor(cons
         if (!sensor)
             throw RejectedRequest(
                 grpc::StatusCode::NOT_FOUND,
-                fmt::format(
-                    "cannot read {}.handle: found {}, which is unknown or expired, expected a handle from "
-                    "UploadSensor; upload the sensor again",
-                    request.field, shorten_and_quote_client_text(request.sensor.handle())));
+                fmt::format("cannot read {}.handle: found {}, which is unknown or expired, expected a handle "
+                            "from UploadSensor; upload the sensor again",
+                            request.field, shorten_and_quote_client_text(request.sensor.handle())));
     } else {
         sensor = find_built_in_sensor(request.sensor.name(), scene_index, lidar_index);
     }

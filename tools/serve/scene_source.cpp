@@ -42,10 +42,10 @@ std::vector<SceneSource> parse_named_run_folders(const std::vector<std::string>&
         if (added.name.empty())
             throw UsageError(fmt::format("cannot serve {}: it has no name, expected NAME=RUN", word));
         if (same != sources.end() - 1)
-            throw UsageError(fmt::format(
-                "cannot serve {} and {}: both have the name \"{}\"; use NAME=RUN to give one of them "
-                "another name",
-                same->folder.string(), folder, added.name));
+            throw UsageError(
+                fmt::format("cannot serve {} and {}: both have the name \"{}\"; use NAME=RUN to give one of "
+                            "them another name",
+                            same->folder.string(), folder, added.name));
     }
     return sources;
 }

@@ -54,10 +54,9 @@ void write_track(const PoseTrack& track, PoseTransformOrder pose_order, sensorsi
         if (!(track.time_s[i] >= 0.0))
             throw RejectedRequest(
                 grpc::StatusCode::FAILED_PRECONDITION,
-                fmt::format(
-                    "cannot write a trajectory: found a pose at {} s, expected times of at least 0, because "
-                    "the message format has no negative times",
-                    track.time_s[i]));
+                fmt::format("cannot write a trajectory: found a pose at {} s, expected times of at least 0, "
+                            "because the message format has no negative times",
+                            track.time_s[i]));
         sensorsim::PoseAtTime& pose = *message.add_poses();
         write_pose(track.pose[i], pose_order, *pose.mutable_pose());
         pose.set_timestamp_us(std::uint64_t(std::llround(track.time_s[i] / kMicrosecond)));

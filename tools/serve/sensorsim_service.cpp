@@ -23,8 +23,7 @@ constexpr int kMostScans = 64;
                                                  const std::string& found_request) {
     throw RejectedRequest(grpc::StatusCode::UNIMPLEMENTED,
                           fmt::format("cannot answer {}: found {}, expected only requests for LiDAR scans "
-                                      "(render_lidar), because relidar "
-                                      "renders no camera images",
+                                      "(render_lidar), because relidar renders no camera images",
                                       rpc_name, found_request));
 }
 

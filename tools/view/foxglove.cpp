@@ -131,8 +131,8 @@ void FoxglovePlayer::subscribe_or_unsubscribe_by_message(Client& client,
                                 topics_.size() - 1));
             if (client.subscriptions.contains(id) || std::ranges::any_of(client.subscriptions, is_of_topic))
                 throw UsageError(fmt::format(
-                    "cannot add subscription {} to channel {}: this subscription id is already in "
-                    "use, or the client has already subscribed to the channel; unsubscribe first",
+                    "cannot add subscription {} to channel {}: this subscription id is already in use, or "
+                    "the client has already subscribed to the channel; unsubscribe first",
                     id, topic));
             client.subscriptions.emplace(id, topic);
         }

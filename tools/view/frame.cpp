@@ -16,8 +16,7 @@ namespace relidar::view {
 namespace {
 
 static_assert(std::endian::native == std::endian::little,
-              "relidar sends arrays in the byte order of this "
-              "machine, which must be little-endian");
+              "relidar sends arrays in the byte order of this machine, which must be little-endian");
 
 using Json = nlohmann::json;
 

@@ -181,8 +181,7 @@ void HttpSession::send_error_response(Status status) {
     response_->body() = std::string(to_std_string_view(http::obsolete_reason(status))) + "\n";
     if (status == Status::unauthorized)
         response_->body() =
-            "The access token is wrong or missing. Open the full address that `relidar view` has "
-            "printed.\n";
+            "The access token is wrong or missing. Open the full address that `relidar view` has printed.\n";
     if (status == Status::method_not_allowed) response_->set(http::field::allow, "GET, HEAD");
     if (status == Status::upgrade_required) response_->set(http::field::upgrade, "websocket");
     response_->prepare_payload();

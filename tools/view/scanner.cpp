@@ -87,8 +87,7 @@ void require_ray_count_within_viewer_limit(const SimulatedSensor& sensor) {
     if (sensor.rays.size() > kMaxRays)
         throw UsageError(
             fmt::format("cannot show the sensor {}: found {} rays per scan, expected at most {}; use "
-                        "`relidar render` for "
-                        "this sensor",
+                        "`relidar render` for this sensor",
                         sensor.name, sensor.rays.size(), kMaxRays));
 }
 
@@ -182,11 +181,10 @@ Json BrowserScanRenderer::store_uploaded_sensor_and_describe_it(TabCache& tab_ca
     // Does not read the rig, because it can name files of the server.
     const Json json = ending == ".json" ? Json::parse(file.text, nullptr, false) : Json();
     if (json.is_object() && json.contains("sensors"))
-        throw UsageError(
-            fmt::format("cannot show {}: it describes a rig of several sensors, expected a single "
-                        "sensor; choose the file or the name of one of its sensors, or use "
-                        "`relidar render --sensor {}`",
-                        file.name, file.name));
+        throw UsageError(fmt::format(
+            "cannot show {}: it describes a rig of several sensors, expected a single sensor; choose the "
+            "file or the name of one of its sensors, or use `relidar render --sensor {}`",
+            file.name, file.name));
     const UploadedFile upload(file.text, ending);
     SimulatedSensor sensor;
     try {

@@ -34,8 +34,7 @@ boost::asio::ip::address parse_ip_address(const std::string& address_text) {
     const auto address = boost::asio::ip::make_address(address_text, failed);
     if (failed)
         throw UsageError(fmt::format(
-            "cannot listen on the address \"{}\", expected an IP address such as 127.0.0.1, 0.0.0.0 "
-            "or ::1",
+            "cannot listen on the address \"{}\", expected an IP address such as 127.0.0.1, 0.0.0.0 or ::1",
             address_text));
     return address;
 }
@@ -49,10 +48,9 @@ tcp::acceptor open_listening_acceptor(boost::asio::io_context& io_context, const
     if (!failed) acceptor.bind(endpoint, failed);
     if (!failed) acceptor.listen(tcp::acceptor::max_listen_connections, failed);
     if (failed)
-        throw UsageError(
-            fmt::format("cannot listen on port {} of {}: {}; use a free port, or port 0 to select one "
-                        "automatically",
-                        options.port, options.address, failed.message()));
+        throw UsageError(fmt::format(
+            "cannot listen on port {} of {}: {}; use a free port, or port 0 to select one automatically",
+            options.port, options.address, failed.message()));
     return acceptor;
 }
 

@@ -10,6 +10,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar::arrow {
 namespace {
 
@@ -23,9 +25,8 @@ constexpr std::uint8_t kHeaderDictionary = 2, kHeaderRecords = 3;
 constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
 
 [[noreturn]] void throw_malformed_arrow_error(const char* description) {
-    throw DataError(fmt::format(
-        "the Arrow metadata of the file are malformed: the {} is invalid; expected an Arrow IPC file",
-        description));
+    fail("the Arrow metadata of the file are malformed: the {} is invalid; expected an Arrow IPC file",
+         description);
 }
 
 /// Aligned copy of a flatbuffer. The flatbuffer verifier rejects unaligned data.
@@ -144,10 +145,8 @@ ArrowField parse_column_field(const FlatbufferTable& field_table) {
     else if (type == kTypeFloat)
         field.type = parse_float_type(field_table.read_required_table_field(3, "type"));
     else if (type != kTypeUtf8)
-        throw DataError(fmt::format(
-            "column '{}' has the Arrow type {}, expected integers, floating point numbers or utf8 "
-            "text",
-            field.name, type));
+        fail("column '{}' has the Arrow type {}, expected integers, floating point numbers or utf8 text",
+             field.name, type);
     if (const std::optional<FlatbufferTable> encoding = field_table.read_table_field(4)) {
         const std::optional<FlatbufferTable> index = encoding->read_table_field(1);
         field.dictionary = {
@@ -163,8 +162,7 @@ ArrowCompression parse_compression_codec(const FlatbufferTable& batch_table) {
     if (!compression) return ArrowCompression::none;
     const auto codec = compression->read_scalar_field<std::int8_t>(0, kCodecLz4);
     if (codec != kCodecLz4 && codec != kCodecZstd)
-        throw DataError(
-            fmt::format("the data are compressed with codec {}, expected lz4 frames or zstd", codec));
+        fail("the data are compressed with codec {}, expected lz4 frames or zstd", codec);
     return codec == kCodecLz4 ? ArrowCompression::lz4_frame : ArrowCompression::zstd;
 }
 

@@ -16,6 +16,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "file_io.hpp"
 
 namespace relidar {
@@ -28,7 +29,7 @@ using report_detail::get_system_error_message;
     // Replaces line breaks in the messages of libraries, because our error messages have
     // only one line.
     std::replace(why.begin(), why.end(), '\n', ' ');
-    throw DataError(fmt::format("cannot write '{}': {}", path.string(), why));
+    fail("cannot write '{}': {}", path.string(), why);
 }
 
 /// Removes the temporary file when the scope ends, if it was not renamed to its final

@@ -13,11 +13,12 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar::bag {
 
 static_assert(std::endian::native == std::endian::little,
-              "numbers are read with the byte order of this "
-              "machine, which must be little-endian");
+              "numbers are read with the byte order of this machine, which must be little-endian");
 
 /// Reads values from a byte string, one after another.
 /// @throws DataError if too few bytes are left for a value
@@ -33,8 +34,7 @@ public:
     }
     std::string_view read_bytes(std::uint64_t n_bytes) {
         if (n_bytes > bytes_.size() - at_)
-            throw DataError(fmt::format("the data are truncated: {} bytes are left, expected {}",
-                                        bytes_.size() - at_, n_bytes));
+            fail("the data are truncated: {} bytes are left, expected {}", bytes_.size() - at_, n_bytes);
         const std::string_view part = bytes_.substr(at_, std::size_t(n_bytes));
         at_ += std::size_t(n_bytes);
         return part;

@@ -13,6 +13,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 namespace {
 
@@ -58,9 +60,8 @@ Colour interpolate_colour(std::span<const Colour> stops, double fraction) {
 void require_pixel_value_count(const char* array_name_for_errors, std::size_t count,
                                std::size_t expected_count) {
     if (count != expected_count)
-        throw DataError(
-            fmt::format("cannot colour an image: {} has {} values, expected {} values, one for each pixel",
-                        array_name_for_errors, count, expected_count));
+        fail("cannot colour an image: {} has {} values, expected {} values, one for each pixel",
+             array_name_for_errors, count, expected_count);
 }
 
 }  // namespace
@@ -72,16 +73,13 @@ Image apply_colour_map(const std::vector<float>& values, int rows, int columns, 
     require_pixel_value_count("the image", values.size(), n);
     if (!valid_pixel_mask.empty()) require_pixel_value_count("the mask", valid_pixel_mask.size(), n);
     if (!std::isfinite(min_value) || !std::isfinite(max_value))
-        throw DataError(
-            fmt::format("cannot colour an image: the colour scale goes from {} to {}, expected finite limits",
-                        min_value, max_value));
+        fail("cannot colour an image: the colour scale goes from {} to {}, expected finite limits", min_value,
+             max_value);
     std::span<const Colour> stops;
     if (colour_map_name == "turbo") stops = kTurbo;
     else if (colour_map_name == "gray") stops = kGray;
     else if (colour_map_name == "heat") stops = kHeat;
-    else
-        throw UsageError(
-            fmt::format("the colour map '{}' is unknown, expected turbo, gray or heat", colour_map_name));
+    else fail<UsageError>("the colour map '{}' is unknown, expected turbo, gray or heat", colour_map_name);
     // Avoids a division by zero. A constant image gets the lowest colour.
     const double span = max_value > min_value ? double(max_value) - double(min_value) : 1.0;
 
@@ -101,17 +99,16 @@ Image apply_colour_map(const std::vector<float>& values, int rows, int columns, 
 
 Image stack_images_vertically(const std::vector<Image>& images, int vertical_scale) {
     if (vertical_scale < 1)
-        throw UsageError(
-            fmt::format("cannot stack images on top of each other: found {} as the factor that stretches "
-                        "their height, expected at least 1",
-                        vertical_scale));
+        fail<UsageError>(
+            "cannot stack images on top of each other: found {} as the factor that stretches their height, "
+            "expected at least 1",
+            vertical_scale);
     Image result;
     for (const Image& image : images) {
         if (result.columns == 0) result.columns = image.columns;
         if (image.columns != result.columns)
-            throw DataError(
-                fmt::format("cannot stack images: found the widths {} and {}, expected the same width",
-                            result.columns, image.columns));
+            fail("cannot stack images: found the widths {} and {}, expected the same width", result.columns,
+                 image.columns);
         const std::size_t width = std::size_t(image.columns) * 3;
         require_pixel_value_count("a stacked image", image.rgb.size(), width * std::size_t(image.rows));
         if (&image != &images.front()) {

@@ -17,6 +17,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "file_io.hpp"
 
 namespace relidar {
@@ -46,15 +47,13 @@ private:
 void require_channels_of_image_size(int rows, int columns,
                                     const std::map<std::string, std::vector<float>>& channels) {
     if (rows <= 0 || columns <= 0 || channels.empty())
-        throw DataError(fmt::format(
-            "cannot write an EXR image with {} x {} pixels and {} channels, expected at least one of "
-            "each",
-            rows, columns, channels.size()));
+        fail("cannot write an EXR image with {} x {} pixels and {} channels, expected at least one of each",
+             rows, columns, channels.size());
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     for (const auto& [name, values] : channels)
         if (values.size() != n)
-            throw DataError(fmt::format("cannot write an EXR image: channel '{}' has {} values, expected {}",
-                                        name, values.size(), n));
+            fail("cannot write an EXR image: channel '{}' has {} values, expected {}", name, values.size(),
+                 n);
 }
 
 }  // namespace
@@ -80,7 +79,7 @@ void write_exr(const std::filesystem::path& path, int rows, int columns,
         file.setFrameBuffer(buffer);
         file.writePixels(rows);
     } catch (const std::exception& error) {
-        throw DataError(fmt::format("cannot encode '{}' as EXR: {}", path.string(), error.what()));
+        fail("cannot encode '{}' as EXR: {}", path.string(), error.what());
     }
     report_detail::write_file(path, stream.content);
 }

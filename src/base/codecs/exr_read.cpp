@@ -18,6 +18,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar {
@@ -78,9 +79,8 @@ struct ImageHeader {
 
 void parse_data_window(std::string_view attribute_bytes, ImageHeader& image_header) {
     if (attribute_bytes.size() != 16)
-        throw DataError(fmt::format(
-            "the OpenEXR attribute dataWindow (the area of the image) has {} bytes, expected 16 bytes",
-            attribute_bytes.size()));
+        fail("the OpenEXR attribute dataWindow (the area of the image) has {} bytes, expected 16 bytes",
+             attribute_bytes.size());
     std::int32_t corner[4];
     std::memcpy(corner, attribute_bytes.data(), sizeof corner);
     image_header.columns = std::int64_t(corner[2]) - corner[0] + 1;
@@ -90,10 +90,10 @@ void parse_data_window(std::string_view attribute_bytes, ImageHeader& image_head
     constexpr std::int32_t kFarthest = 1 << 29;
     for (const std::int32_t c : corner)
         if (c < -kFarthest || c > kFarthest)
-            throw DataError(
-                fmt::format("the OpenEXR attribute dataWindow (the area of the image) has a corner with the "
-                            "coordinate {}, expected a coordinate from {} to {}",
-                            c, -kFarthest, kFarthest));
+            fail(
+                "the OpenEXR attribute dataWindow (the area of the image) has a corner with the coordinate "
+                "{}, expected a coordinate from {} to {}",
+                c, -kFarthest, kFarthest);
 }
 
 void parse_compression_method(std::string_view attribute_bytes, ImageHeader& image_header) {
@@ -114,18 +114,16 @@ void parse_channel_list(std::string_view attribute_bytes, ImageHeader& image_hea
         items.read_bytes(8);  // Skips type and linearity, because OpenEXR checks both.
         const std::int32_t x = items.read_int32(), y = items.read_int32();
         if (x != 1 || y != 1)
-            throw DataError(
-                fmt::format("channel '{}' is subsampled by {} x {}, so it has values for only some pixels; "
-                            "expected a value for every pixel",
-                            shorten_for_error_message(name), x, y));
+            fail(
+                "channel '{}' is subsampled by {} x {}, so it has values for only some pixels; expected a "
+                "value for every pixel",
+                shorten_for_error_message(name), x, y);
         if (std::find(image_header.channels.begin(), image_header.channels.end(), name) !=
             image_header.channels.end())
-            throw DataError(
-                fmt::format("channel '{}' occurs twice, expected it once", shorten_for_error_message(name)));
+            fail("channel '{}' occurs twice, expected it once", shorten_for_error_message(name));
         image_header.channels.push_back(name);
         if (image_header.channels.size() > kMostChannels)
-            throw DataError(
-                fmt::format("the image has too many channels, expected at most {}", kMostChannels));
+            fail("the image has too many channels, expected at most {}", kMostChannels);
     }
     if (!items.is_at_end())
         throw DataError(
@@ -162,9 +160,9 @@ void require_attribute_size_of_type(const std::string& attribute_name, const std
                                                                    {"v3i", 12}};
     if (const auto size_entry = kSizes.find(attribute_type);
         size_entry != kSizes.end() && size_entry->second != attribute_bytes.size())
-        throw DataError(fmt::format("attribute '{}' of type '{}' has {} bytes, expected {}",
-                                    shorten_for_error_message(attribute_name), attribute_type,
-                                    attribute_bytes.size(), size_entry->second));
+        fail("attribute '{}' of type '{}' has {} bytes, expected {}",
+             shorten_for_error_message(attribute_name), attribute_type, attribute_bytes.size(),
+             size_entry->second);
     if (attribute_type == "chlist") {
         ImageHeader of_others;
         parse_channel_list(attribute_bytes, of_others);
@@ -174,8 +172,8 @@ void require_attribute_size_of_type(const std::string& attribute_name, const std
         for (ExrHeaderReader items(list); !items.is_at_end();) {
             const std::int32_t size = items.read_int32();
             if (size < 0)
-                throw DataError(fmt::format("attribute '{}' has an invalid text length of {} bytes",
-                                            shorten_for_error_message(attribute_name), size));
+                fail("attribute '{}' has an invalid text length of {} bytes",
+                     shorten_for_error_message(attribute_name), size);
             items.read_bytes(std::size_t(size));
         }
     }
@@ -186,16 +184,15 @@ void read_and_require_magic_and_version(ExrHeaderReader& header_reader) {
         throw DataError("the file does not begin like an OpenEXR file, expected the format OpenEXR");
     const auto version = std::uint32_t(header_reader.read_int32());
     if ((version & kVersionBits) > 2)
-        throw DataError(
-            fmt::format("the file has version {} of the format, expected 2", version & kVersionBits));
+        fail("the file has version {} of the format, expected 2", version & kVersionBits);
     if (version & kTiles)
         throw DataError(
             "the OpenEXR image is stored in tiles, expected an image that is stored row by row (as scan "
             "lines)");
     if (version & kDeep)
         throw DataError(
-            "the OpenEXR image is a deep image with several values per pixel and channel, expected one "
-            "value per pixel and channel");
+            "the OpenEXR image is a deep image with several values per pixel and channel, expected one value "
+            "per pixel and channel");
     if (version & kParts) throw DataError("the file contains several images, expected one");
 }
 
@@ -209,17 +206,15 @@ ImageHeader parse_exr_header(const std::string& exr_file_bytes) {
         const std::string type = header.read_zero_terminated_name();
         const std::int32_t size = header.read_int32();
         if (size < 0)
-            throw DataError(fmt::format("attribute '{}' has an invalid size of {} bytes",
-                                        shorten_for_error_message(name), size));
+            fail("attribute '{}' has an invalid size of {} bytes", shorten_for_error_message(name), size);
         const std::string_view bytes = header.read_bytes(std::size_t(size));
         if (!attribute_names.insert(name).second)
-            throw DataError(fmt::format("attribute '{}' occurs twice, expected it once",
-                                        shorten_for_error_message(name)));
+            fail("attribute '{}' occurs twice, expected it once", shorten_for_error_message(name));
         // Values of these attribute types contain more sizes, for example of a preview
         // image. Nothing checks these inner sizes, so such attributes are rejected.
         if (type == "idmanifest" || type == "preview" || type == "bytes")
-            throw DataError(fmt::format("attribute '{}' has the type '{}', which is not supported",
-                                        shorten_for_error_message(name), type));
+            fail("attribute '{}' has the type '{}', which is not supported", shorten_for_error_message(name),
+                 type);
         require_attribute_size_of_type(name, type, bytes);
         if (name == "dataWindow") parse_data_window(bytes, image_header);
         if (name == "compression") parse_compression_method(bytes, image_header);
@@ -235,21 +230,18 @@ ImageHeader parse_exr_header(const std::string& exr_file_bytes) {
 void require_file_large_enough_for_image(const ImageHeader& image_header, std::size_t file_size_bytes) {
     const std::int64_t rows = image_header.rows, columns = image_header.columns;
     if (rows <= 0 || columns <= 0 || image_header.channels.empty())
-        throw DataError(
-            fmt::format("the image has {} x {} pixels and {} channels, expected at least one of each", rows,
-                        columns, image_header.channels.size()));
+        fail("the image has {} x {} pixels and {} channels, expected at least one of each", rows, columns,
+             image_header.channels.size());
     if (rows > std::int64_t(kMaxPixels) / columns)
-        throw DataError(fmt::format("the image has {} x {} pixels, expected at most {} pixels", rows, columns,
-                                    kMaxPixels));
+        fail("the image has {} x {} pixels, expected at most {} pixels", rows, columns, kMaxPixels);
     const std::int64_t unpacked =
         (rows + image_header.rows_at_once - 1) / image_header.rows_at_once * image_header.rows_at_once;
     // Minimum uncompressed size in bytes, assuming half-precision channels.
     const std::size_t least = std::size_t(unpacked * columns) * image_header.channels.size() * 2;
     if (least > std::max(kAlwaysFits, kMostInflated * file_size_bytes))
-        throw DataError(fmt::format(
-            "the header announces {} x {} pixels with {} channels, which is impossible in a file of "
-            "{} bytes",
-            rows, columns, image_header.channels.size(), file_size_bytes));
+        fail(
+            "the header announces {} x {} pixels with {} channels, which is impossible in a file of {} bytes",
+            rows, columns, image_header.channels.size(), file_size_bytes);
 }
 
 /// Memory buffer from which OpenEXR reads an image.
@@ -303,7 +295,7 @@ ExrImage read_exr(const std::filesystem::path& path) {
         throw DataError(message.starts_with(path.string()) ? message
                                                            : fmt::format("{}: {}", path.string(), message));
     } catch (const std::exception& error) {  // OpenEXR throws its own exceptions.
-        throw DataError(fmt::format("{}: {}", path.string(), shorten_for_error_message(error.what())));
+        fail("{}: {}", path.string(), shorten_for_error_message(error.what()));
     }
 }
 

@@ -13,6 +13,7 @@
 
 #include <relidar/base/error.hpp>
 #include "base/codecs/unpack.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar {
@@ -42,17 +43,16 @@ std::string_view get_byte_range_or_throw(std::string_view bytes, std::int64_t of
                                          const char* name_for_errors) {
     if (offset < 0 || n_bytes < 0 || std::uint64_t(offset) > bytes.size() ||
         std::uint64_t(n_bytes) > bytes.size() - std::uint64_t(offset))
-        throw DataError(fmt::format("{} should be at byte {} with {} bytes, but the file has only {} bytes",
-                                    name_for_errors, offset, n_bytes, bytes.size()));
+        fail("{} should be at byte {} with {} bytes, but the file has only {} bytes", name_for_errors, offset,
+             n_bytes, bytes.size());
     return bytes.substr(std::size_t(offset), std::size_t(n_bytes));
 }
 
 std::string_view find_arrow_footer(std::string_view file_bytes) {
     constexpr std::size_t kHeaderBytes = 8, kTrailerBytes = 4 + kMagic.size();
     if (file_bytes.size() < kHeaderBytes + kTrailerBytes || !file_bytes.starts_with(kMagic))
-        throw DataError(
-            fmt::format("the {} bytes of the file do not begin with ARROW1, expected a Feather V2 file",
-                        file_bytes.size()));
+        fail("the {} bytes of the file do not begin with ARROW1, expected a Feather V2 file",
+             file_bytes.size());
     if (!file_bytes.ends_with(kMagic))
         throw DataError("the file is truncated, because it does not end with ARROW1");
     const std::int64_t end = std::int64_t(file_bytes.size() - kTrailerBytes),
@@ -68,10 +68,10 @@ Batch read_record_batch(std::string_view file_bytes, const arrow::ArrowFileBlock
         get_byte_range_or_throw(file_bytes, block.offset, block.metadata_bytes, "a message");
     if (std::int64_t(message.size()) < kPrefix ||
         read_little_endian<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
-        throw DataError(
-            fmt::format("found no block of rows (Arrow record batch) at byte {}, expected a Feather file of "
-                        "Arrow 0.15 or later; the file is damaged or older",
-                        block.offset));
+        fail(
+            "found no block of rows (Arrow record batch) at byte {}, expected a Feather file of Arrow 0.15 "
+            "or later; the file is damaged or older",
+            block.offset);
     const auto n = read_little_endian<std::int32_t>(message, 4);
     return {arrow::parse_record_batch_message(get_byte_range_or_throw(message, kPrefix, n, "a message")),
             get_byte_range_or_throw(file_bytes, block.offset + block.metadata_bytes, block.body_bytes,
@@ -89,17 +89,17 @@ std::string decompress_buffer_of_batch(const Batch& batch, std::size_t buffer_in
     std::int64_t n = std::int64_t(stored.size());
     if (compressed) {
         if (stored.size() < 8)
-            throw DataError(
-                fmt::format("a block of compressed values has {} bytes, expected at least 8 bytes, so the "
-                            "file is damaged",
-                            stored.size()));
+            fail(
+                "a block of compressed values has {} bytes, expected at least 8 bytes, so the file is "
+                "damaged",
+                stored.size());
         n = read_little_endian<std::int64_t>(stored, 0);
         stored.remove_prefix(8);
         compressed = n != -1;
         if (!compressed) n = std::int64_t(stored.size());
     }
     if (n < std::int64_t(n_expected_bytes) || n > std::int64_t(n_expected_bytes + kPadding))
-        throw DataError(fmt::format("found a buffer of {} bytes, expected {} bytes", n, n_expected_bytes));
+        fail("found a buffer of {} bytes, expected {} bytes", n, n_expected_bytes);
     if (!compressed) return std::string(stored.substr(0, n_expected_bytes));
     std::string bytes(std::size_t(n), '\0');
     if (batch.layout.codec == ArrowCompression::lz4_frame) decompress_lz4(stored, bytes);
@@ -112,17 +112,16 @@ std::string decompress_buffer_of_batch(const Batch& batch, std::size_t buffer_in
 std::size_t require_no_nulls_and_get_row_count(const Batch& batch, std::size_t node_index,
                                                std::size_t last_buffer_index) {
     if (node_index >= batch.layout.nodes.size() || last_buffer_index >= batch.layout.buffers.size())
-        throw DataError(
-            fmt::format("found a record batch with {} columns and {} buffers, which is fewer than the schema "
-                        "of the file requires",
-                        batch.layout.nodes.size(), batch.layout.buffers.size()));
+        fail(
+            "found a record batch with {} columns and {} buffers, which is fewer than the schema of the file "
+            "requires",
+            batch.layout.nodes.size(), batch.layout.buffers.size());
     const arrow::ArrowFieldNode& field_node = batch.layout.nodes[node_index];
     if (field_node.length != batch.layout.length)
-        throw DataError(
-            fmt::format("the column has {} rows in a record batch of {} rows, expected the same number",
-                        field_node.length, batch.layout.length));
+        fail("the column has {} rows in a record batch of {} rows, expected the same number",
+             field_node.length, batch.layout.length);
     if (field_node.null_count != 0)
-        throw DataError(fmt::format("{} values are missing (null), expected none", field_node.null_count));
+        fail("{} values are missing (null), expected none", field_node.null_count);
     return std::size_t(field_node.length);
 }
 
@@ -160,7 +159,7 @@ void append_integer_column(std::vector<T>& values, const Batch& batch, const Fea
         return append_values_of_column_converted<std::int64_t>(values, batch, column, as);
     append_values_of_column_converted<std::uint64_t>(values, batch, column, [](std::uint64_t value) {
         if (value > std::uint64_t(std::numeric_limits<std::int64_t>::max()))
-            throw DataError(fmt::format("the integer {} is too large, expected at most 63 bits", value));
+            fail("the integer {} is too large, expected at most 63 bits", value);
         return T(value);
     });
 }
@@ -189,13 +188,12 @@ void append_text_column(std::vector<std::string>& values, const Batch& batch, st
     };
     for (std::size_t i = 0; i < n; ++i)
         if (offset(i) < 0 || offset(i + 1) < offset(i))
-            throw DataError(
-                fmt::format("text {} of the column starts at byte {} and ends at byte {}, expected a start "
-                            "of at least 0 and an end that is not before the start",
-                            i, offset(i), offset(i + 1)));
+            fail(
+                "text {} of the column starts at byte {} and ends at byte {}, expected a start of at least 0 "
+                "and an end that is not before the start",
+                i, offset(i), offset(i + 1));
     if (std::size_t(offset(n)) > max_text_bytes)
-        throw DataError(
-            fmt::format("found {} bytes of text, expected at most {}", offset(n), max_text_bytes));
+        fail("found {} bytes of text, expected at most {}", offset(n), max_text_bytes);
     const std::string characters =
         decompress_buffer_of_batch(batch, first_buffer_index + 2, std::size_t(offset(n)));
     for (std::size_t i = 0; i < n; ++i)
@@ -209,10 +207,9 @@ std::size_t count_rows_of_batches(const std::vector<Batch>& batches, std::size_t
     for (const Batch& batch : batches) {
         const std::int64_t n = batch.layout.length;
         if (n < 0 || std::uint64_t(n) > max_allowed_rows - rows)
-            throw DataError(
-                fmt::format("found a block of {} rows (Arrow record batch), expected 0 to {} rows in a file "
-                            "of this size",
-                            n, max_allowed_rows - rows));
+            fail(
+                "found a block of {} rows (Arrow record batch), expected 0 to {} rows in a file of this size",
+                n, max_allowed_rows - rows);
         rows += std::size_t(n);
     }
     return rows;
@@ -259,8 +256,7 @@ const Feather::Column& Feather::find_column(const std::string& column_name) cons
         if (column.field.name == column_name) return column;
         names += (names.empty() ? "" : ", ") + column.field.name;
     }
-    throw DataError(
-        fmt::format("the file has no such column, expected one of '{}'", shorten_for_error_message(names)));
+    fail("the file has no such column, expected one of '{}'", shorten_for_error_message(names));
 }
 
 template <class Task>
@@ -268,7 +264,7 @@ auto Feather::run_column_task_with_error_location(const std::string& column_name
     try {
         return task(find_column(column_name));
     } catch (const DataError& error) {
-        throw DataError(fmt::format("{}, column '{}': {}", name_, column_name, error.what()));
+        fail("{}, column '{}': {}", name_, column_name, error.what());
     }
 }
 
@@ -283,8 +279,7 @@ std::vector<double> Feather::read_number_column(const std::string& column_name) 
             else append_float_column(values, batch, column, type.bits);
         }
         for (std::size_t i = 0; i < values.size(); ++i)
-            if (!std::isfinite(values[i]))
-                throw DataError(fmt::format("row {} is {}, expected a finite number", i, values[i]));
+            if (!std::isfinite(values[i])) fail("row {} is {}, expected a finite number", i, values[i]);
         return values;
     });
 }
@@ -319,14 +314,12 @@ std::vector<std::string> Feather::read_text_column(const std::string& column_nam
         std::size_t length = 0;
         for (const std::int64_t index : indices) {
             if (index < 0 || std::uint64_t(index) >= words.size())
-                throw DataError(
-                    fmt::format("a row refers to text {} in the list of texts of this column (Arrow "
-                                "dictionary), but the list has only {} texts, counted from 0",
-                                index, words.size()));
+                fail(
+                    "a row refers to text {} in the list of texts of this column (Arrow dictionary), but the "
+                    "list has only {} texts, counted from 0",
+                    index, words.size());
             length += words[std::size_t(index)].size();
-            if (length > most)
-                throw DataError(
-                    fmt::format("found too much text in a column, expected at most {} bytes", most));
+            if (length > most) fail("found too much text in a column, expected at most {} bytes", most);
             values.push_back(words[std::size_t(index)]);
         }
         return values;

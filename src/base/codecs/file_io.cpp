@@ -2,6 +2,7 @@
 // Reads and writes the bytes of files. Uses C streams, because C++ streams do not report
 // the cause of an error (errno).
 #include "file_io.hpp"
+#include "base/fail.hpp"
 
 #include <algorithm>
 #include <cctype>
@@ -40,7 +41,7 @@ OutputFile::~OutputFile() {
 
 void OutputFile::write(const void* data, std::size_t n_bytes) {
     if (n_bytes > 0 && std::fwrite(data, 1, n_bytes, file_) != n_bytes)
-        throw DataError(fmt::format("cannot write {} bytes: {}", n_bytes, get_system_error_message(errno)));
+        fail("cannot write {} bytes: {}", n_bytes, get_system_error_message(errno));
 }
 
 void OutputFile::close() {
@@ -61,22 +62,20 @@ void write_file(const std::filesystem::path& path, std::string_view bytes) {
 }
 
 std::vector<std::byte> read_file(const std::filesystem::path& path) {
-    const auto fail = [&](const std::string& why) {
-        throw DataError(fmt::format("cannot read '{}': {}", path.string(), why));
-    };
+    const auto refuse = [&](const std::string& why) { fail("cannot read '{}': {}", path.string(), why); };
     std::error_code error;
     const auto status = std::filesystem::status(path, error);
-    if (!std::filesystem::exists(status)) fail(get_system_error_message(error ? error.value() : ENOENT));
-    if (!std::filesystem::is_regular_file(status)) fail("the path is not a regular file");
+    if (!std::filesystem::exists(status)) refuse(get_system_error_message(error ? error.value() : ENOENT));
+    if (!std::filesystem::is_regular_file(status)) refuse("the path is not a regular file");
     const auto size = std::filesystem::file_size(path, error);
-    if (error) fail(error.message());
+    if (error) refuse(error.message());
 
     std::FILE* file = std::fopen(path.c_str(), "rb");
-    if (!file) fail(get_system_error_message(errno));
+    if (!file) refuse(get_system_error_message(errno));
     const std::unique_ptr<std::FILE, int (*)(std::FILE*)> guard(file, std::fclose);
     std::vector<std::byte> bytes(size);
     if (size > 0 && std::fread(bytes.data(), 1, size, file) != size)
-        fail(std::ferror(file) ? get_system_error_message(errno)
+        refuse(std::ferror(file) ? get_system_error_message(errno)
                                : "the file became shorter while it was being read");
     return bytes;
 }

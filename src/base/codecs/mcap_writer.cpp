@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "mcap_writer.hpp"
+#include "base/fail.hpp"
 
 #include <algorithm>
 #include <bit>
@@ -71,9 +72,7 @@ McapWriter::McapWriter(std::filesystem::path path, std::string_view profile)
 void McapWriter::append_to_mcap_file(std::string_view bytes) {
     errno = 0;
     file_.write(bytes.data(), std::streamsize(bytes.size()));
-    if (!file_)
-        throw DataError(fmt::format("cannot write '{}': {}", path_.string(),
-                                    errno ? std::strerror(errno) : "unknown error"));
+    if (!file_) fail("cannot write '{}': {}", path_.string(), errno ? std::strerror(errno) : "unknown error");
     written_ += bytes.size();
 }
 
@@ -243,7 +242,7 @@ void McapWriter::write_summary_and_close() {
     append_to_mcap_file(encode_mcap_record(kFooter, footer));
     append_to_mcap_file(kMagic);
     file_.close();
-    if (!file_) throw DataError(fmt::format("cannot write '{}': the disk is probably full", path_.string()));
+    if (!file_) fail("cannot write '{}': the disk is probably full", path_.string());
 }
 
 }  // namespace relidar::scan_files

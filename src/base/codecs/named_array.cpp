@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks the names, types and shapes of arrays for the npz and safetensors codecs.
 #include "named_array.hpp"
+#include "base/fail.hpp"
 
 #include <algorithm>
 #include <array>
@@ -22,8 +23,8 @@ NamedArray make_typed_array(std::string name, std::vector<std::size_t> shape, co
                             const T* values, std::size_t count) {
     NamedArray array{std::move(name), dtype, std::move(shape), {}};
     if (array.count_array_elements() != count)
-        throw DataError(fmt::format("array '{}' has {} values, expected {} for the shape [{}]", array.name,
-                                    count, array.count_array_elements(), fmt::join(array.shape, ", ")));
+        fail("array '{}' has {} values, expected {} for the shape [{}]", array.name, count,
+             array.count_array_elements(), fmt::join(array.shape, ", "));
     array.bytes.resize(count * sizeof(T));
     if (count > 0) std::memcpy(array.bytes.data(), values, array.bytes.size());
     return array;
@@ -85,10 +86,10 @@ std::vector<Out> require_numeric_and_convert_elements(const NamedArray& array) {
     report_detail::require_valid_array_type_and_size(array);
     const Converter<Out> function = find_element_converter<Out>(array.dtype);
     if (!function)
-        throw DataError(
-            fmt::format("array '{}' has values of the type '{}', expected numbers, such as values of the "
-                        "type 'f4' (32-bit float) or 'i4' (32-bit integer)",
-                        array.name, array.dtype));
+        fail(
+            "array '{}' has values of the type '{}', expected numbers, such as values of the type 'f4' "
+            "(32-bit float) or 'i4' (32-bit integer)",
+            array.name, array.dtype);
     return function(array);
 }
 
@@ -156,23 +157,18 @@ std::optional<std::size_t> compute_array_size_bytes(const std::vector<std::size_
 void require_valid_array_type_and_size(const NamedArray& array) {
     if (array.name.empty()) throw DataError("an array has no name");
     const std::size_t size = get_element_size_bytes(array.dtype);
-    if (size == 0)
-        throw DataError(
-            fmt::format("array '{}' has the type '{}', which is not supported", array.name, array.dtype));
+    if (size == 0) fail("array '{}' has the type '{}', which is not supported", array.name, array.dtype);
     const auto expected = compute_array_size_bytes(array.shape, size);
     if (!expected || *expected != array.bytes.size())
-        throw DataError(
-            fmt::format("array '{}' has {} bytes, which do not fit the shape [{}] and the type {}",
-                        array.name, array.bytes.size(), fmt::join(array.shape, ", "), array.dtype));
+        fail("array '{}' has {} bytes, which do not fit the shape [{}] and the type {}", array.name,
+             array.bytes.size(), fmt::join(array.shape, ", "), array.dtype);
 }
 
 }  // namespace report_detail
 
 std::size_t NamedArray::count_array_elements() const {
     const auto n = report_detail::compute_array_size_bytes(shape, 1);
-    if (!n)
-        throw DataError(
-            fmt::format("array '{}' has the shape [{}], which is too large", name, fmt::join(shape, ", ")));
+    if (!n) fail("array '{}' has the shape [{}], which is too large", name, fmt::join(shape, ", "));
     return *n;
 }
 

@@ -5,6 +5,7 @@
 // Accepts only the types that NamedArray supports. Rejects big-endian numbers, structs
 // and objects, each with a separate message.
 #include "npy.hpp"
+#include "base/fail.hpp"
 
 #include <charconv>
 #include <cstring>
@@ -118,10 +119,9 @@ std::string parse_little_endian_numpy_type(const std::string& numpy_type_with_by
         std::string_view(numpy_type_with_byte_order).substr(numpy_type_with_byte_order.empty() ? 0 : 1);
     const char order = numpy_type_with_byte_order.empty() ? '?' : numpy_type_with_byte_order[0];
     const std::size_t size = get_element_size_bytes(type);
-    if (size == 0) throw DataError(fmt::format("type '{}' is not supported", numpy_type_with_byte_order));
+    if (size == 0) fail("type '{}' is not supported", numpy_type_with_byte_order);
     if (order != '<' && !(order == '|' && (size == 1 || type.starts_with('S'))))
-        throw DataError(
-            fmt::format("type '{}' is big-endian, expected little-endian", numpy_type_with_byte_order));
+        fail("type '{}' is big-endian, expected little-endian", numpy_type_with_byte_order);
     return std::string(type);
 }
 
@@ -156,8 +156,8 @@ std::string make_npy_header(const NamedArray& array) {
     dict.resize(total - kPrefix - 1, ' ');
     dict += '\n';
     if (dict.size() > 0xFFFF)
-        throw DataError(fmt::format("array '{}' has {} dimensions, which are more than an npy file can store",
-                                    array.name, array.shape.size()));
+        fail("array '{}' has {} dimensions, which are more than an npy file can store", array.name,
+             array.shape.size());
     std::string header(kNpyMagic);
     header += {'\x01', '\x00', char(dict.size() & 0xFF), char(dict.size() >> 8)};
     return header + dict;
@@ -167,14 +167,12 @@ NamedArray parse_npy(const std::string& array_name, const std::vector<std::byte>
     if (bytes.size() < 12 || std::memcmp(bytes.data(), kNpyMagic.data(), kNpyMagic.size()) != 0)
         throw DataError("the file does not begin like an .npy file, expected an array of NumPy");
     const auto version = std::to_integer<int>(bytes[6]);
-    if (version < 1 || version > 3)
-        throw DataError(fmt::format("the file has npy version {}, expected 1 to 3", version));
+    if (version < 1 || version > 3) fail("the file has npy version {}, expected 1 to 3", version);
     const std::size_t n_length = version == 1 ? 2 : 4, start = 8 + n_length;
     std::size_t length = 0;  // size of the header, stored in little-endian order
     std::memcpy(&length, bytes.data() + 8, n_length);
     if (length > bytes.size() - start)
-        throw DataError(fmt::format("the npy header should have {} bytes, but only {} bytes are left", length,
-                                    bytes.size() - start));
+        fail("the npy header should have {} bytes, but only {} bytes are left", length, bytes.size() - start);
 
     NpyHeaderParser header({reinterpret_cast<const char*>(bytes.data()) + start, length});
     header.parse_header();
@@ -182,8 +180,7 @@ NamedArray parse_npy(const std::string& array_name, const std::vector<std::byte>
     const auto n_expected_bytes = compute_array_size_bytes(array.shape, get_element_size_bytes(array.dtype));
     const std::size_t n_value_bytes = bytes.size() - start - length;
     if (!n_expected_bytes || *n_expected_bytes != n_value_bytes)
-        throw DataError(
-            fmt::format("the {} bytes of values do not fit the shape of the array", n_value_bytes));
+        fail("the {} bytes of values do not fit the shape of the array", n_value_bytes);
     array.bytes.assign(bytes.end() - std::ptrdiff_t(n_value_bytes), bytes.end());
     if (*header.fortran_order) convert_to_row_major_order(array);
     return array;

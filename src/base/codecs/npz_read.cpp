@@ -16,6 +16,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "file_io.hpp"
 #include "npy.hpp"
 
@@ -39,8 +40,8 @@ struct ZipArchiveBytes {
 
     std::span<const std::byte> get_byte_range(std::uint64_t offset, std::uint64_t n_bytes) const {
         if (offset > bytes.size() || n_bytes > bytes.size() - offset)
-            throw DataError(fmt::format("expected {} bytes at byte {}, but the file has only {} bytes",
-                                        n_bytes, offset, bytes.size()));
+            fail("expected {} bytes at byte {}, but the file has only {} bytes", n_bytes, offset,
+                 bytes.size());
         return std::span(bytes).subspan(offset, n_bytes);
     }
 };
@@ -62,8 +63,7 @@ struct ZipDirectoryLocation {
 /// exactly at the end of the file.
 std::size_t find_zip_end_record_offset(const ZipArchiveBytes& archive) {
     const std::size_t n = archive.bytes.size();
-    if (n < kEndSize)
-        throw DataError(fmt::format("the file has {} bytes, which are too few for a zip archive", n));
+    if (n < kEndSize) fail("the file has {} bytes, which are too few for a zip archive", n);
     for (std::size_t back = kEndSize; back <= std::min<std::size_t>(n, kEndSize + 0xFFFF); ++back) {
         const auto record = archive.get_byte_range(n - back, kEndSize);
         if (read_zip_field<std::uint32_t>(record, 0) == kEndSignature &&
@@ -94,8 +94,7 @@ ZipDirectoryLocation locate_zip_directory(const ZipArchiveBytes& archive) {
     if (directory.size > end || directory.offset > end - directory.size)
         throw DataError("the zip directory is outside the file, so the file is damaged");
     if (directory.n_entries > directory.size / kCentralSize)
-        throw DataError(fmt::format("{} zip entries do not fit into a directory of {} bytes",
-                                    directory.n_entries, directory.size));
+        fail("{} zip entries do not fit into a directory of {} bytes", directory.n_entries, directory.size);
     return directory;
 }
 
@@ -171,8 +170,7 @@ std::vector<std::byte> inflate_bytes(std::span<const std::byte> compressed_bytes
     }
     inflateEnd(&stream);
     if (status != Z_STREAM_END || produced != uncompressed_size)
-        throw DataError(
-            fmt::format("the compressed data unpack to {} bytes, expected {}", produced, uncompressed_size));
+        fail("the compressed data unpack to {} bytes, expected {}", produced, uncompressed_size);
     return result;
 }
 
@@ -187,21 +185,20 @@ std::vector<std::byte> decompress_zip_entry(const ZipArchiveBytes& archive, cons
     std::vector<std::byte> bytes;
     if (entry.method == 0) {
         if (entry.size != entry.packed_size)
-            throw DataError(
-                fmt::format("the entry is stored without compression, but has {} bytes in the file and {} "
-                            "bytes when unpacked, expected equal sizes; the file is damaged",
-                            entry.packed_size, entry.size));
+            fail(
+                "the entry is stored without compression, but has {} bytes in the file and {} bytes when "
+                "unpacked, expected equal sizes; the file is damaged",
+                entry.packed_size, entry.size);
         bytes.assign(packed.begin(), packed.end());
     } else if (entry.method == 8) {
         if (entry.size / kMaxExpansion > packed.size())
-            throw DataError(
-                fmt::format("the file says that {} bytes of compressed data unpack to {} bytes, which is "
-                            "impossible, so the file is damaged",
-                            packed.size(), entry.size));
+            fail(
+                "the file says that {} bytes of compressed data unpack to {} bytes, which is impossible, so "
+                "the file is damaged",
+                packed.size(), entry.size);
         bytes = inflate_bytes(packed, entry.size);
     } else {
-        throw DataError(fmt::format(
-            "the entry uses the compression method {}, expected 0 (stored) or 8 (deflated)", entry.method));
+        fail("the entry uses the compression method {}, expected 0 (stored) or 8 (deflated)", entry.method);
     }
     const auto crc = ::crc32_z(0, reinterpret_cast<const Bytef*>(bytes.data()), bytes.size());
     if (crc != entry.crc) throw DataError("the checksum of the data is wrong, so the file is damaged");
@@ -216,7 +213,7 @@ NamedArray read_array_from_zip_entry(const ZipArchiveBytes& archive, const NpzEn
         return report_detail::parse_npy(entry.name.substr(0, entry.name.size() - kSuffix.size()),
                                         decompress_zip_entry(archive, entry));
     } catch (const DataError& error) {
-        throw DataError(fmt::format("entry '{}': {}", entry.name, error.what()));
+        fail("entry '{}': {}", entry.name, error.what());
     }
 }
 
@@ -229,8 +226,7 @@ std::vector<NamedArray> parse_npz_arrays(const ZipArchiveBytes& archive) {
     std::size_t at = 0;
     for (std::uint64_t i = 0; i < directory.n_entries; ++i) {
         const NpzEntry entry = parse_next_zip_directory_entry(records, at);
-        if (!names.insert(entry.name).second)
-            throw DataError(fmt::format("entry '{}' occurs twice, expected it once", entry.name));
+        if (!names.insert(entry.name).second) fail("entry '{}' occurs twice, expected it once", entry.name);
         n_packed += std::min<std::uint64_t>(entry.packed_size, archive.bytes.size() + 1);
         // Rejects overlapping entries, which zip bombs use.
         if (n_packed > archive.bytes.size())
@@ -247,7 +243,7 @@ std::vector<NamedArray> read_npz(const std::filesystem::path& path) {
     try {
         return parse_npz_arrays(archive);
     } catch (const DataError& error) {
-        throw DataError(fmt::format("cannot read npz '{}': {}", path.string(), error.what()));
+        fail("cannot read npz '{}': {}", path.string(), error.what());
     }
 }
 
@@ -256,7 +252,7 @@ NamedArray read_npy(const std::filesystem::path& path) {
     try {
         return report_detail::parse_npy(path.stem().string(), bytes);
     } catch (const DataError& error) {
-        throw DataError(fmt::format("cannot read npy '{}': {}", path.string(), error.what()));
+        fail("cannot read npy '{}': {}", path.string(), error.what());
     }
 }
 

@@ -15,6 +15,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/bytes.hpp"
+#include "base/fail.hpp"
 #include "file_io.hpp"
 #include "named_array.hpp"
 #include "npy.hpp"
@@ -126,8 +127,7 @@ std::string make_zip_end_record(std::size_t n_entries, std::size_t directory_siz
 
 void require_size_within_npz_limit(const std::string& description, std::uint64_t n_bytes) {
     if (n_bytes >= kLimit)
-        throw DataError(fmt::format("{} has {} bytes, but npz files have at most 4 GiB; use safetensors",
-                                    description, n_bytes));
+        fail("{} has {} bytes, but npz files have at most 4 GiB; use safetensors", description, n_bytes);
 }
 
 /// Writes an array to the zip file at `file_offset`.
@@ -153,11 +153,9 @@ void require_arrays_valid_for_npz(const std::vector<NamedArray>& arrays) {
     for (const NamedArray& array : arrays) {
         report_detail::require_valid_array_type_and_size(array);
         if (array.name.size() > 0xFF00) throw DataError("an array name is too long");
-        if (!names.insert(array.name).second)
-            throw DataError(fmt::format("array name '{}' is used twice", array.name));
+        if (!names.insert(array.name).second) fail("array name '{}' is used twice", array.name);
     }
-    if (arrays.size() >= 0xFFFF)
-        throw DataError(fmt::format("found {} arrays, but npz files contain at most 65534", arrays.size()));
+    if (arrays.size() >= 0xFFFF) fail("found {} arrays, but npz files contain at most 65534", arrays.size());
 }
 
 }  // namespace

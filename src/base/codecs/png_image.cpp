@@ -13,6 +13,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "file_io.hpp"
 
 namespace relidar {
@@ -47,9 +48,8 @@ constexpr std::ptrdiff_t kAfterHeader = 8 + 25;
 std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& metadata) {
     const std::size_t n = std::size_t(std::max(image.rows, 0)) * std::size_t(std::max(image.columns, 0)) * 3;
     if (n == 0 || image.rgb.size() != n)
-        throw DataError(
-            fmt::format("cannot encode a PNG image of {} x {} pixels: found {} bytes, expected {}",
-                        image.rows, image.columns, image.rgb.size(), n));
+        fail("cannot encode a PNG image of {} x {} pixels: found {} bytes, expected {}", image.rows,
+             image.columns, image.rgb.size(), n);
     png_image description{};
     description.version = PNG_IMAGE_VERSION;
     description.width = png_uint_32(image.columns);

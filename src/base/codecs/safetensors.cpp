@@ -15,6 +15,7 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 #include "file_io.hpp"
@@ -53,8 +54,7 @@ constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypes{{
 std::string convert_numpy_to_safetensors_type(const std::string& numpy_type) {
     const auto it = std::find_if(kTypes.begin(), kTypes.end(),
                                  [&](const auto& type) { return type.second == numpy_type; });
-    if (it == kTypes.end())
-        throw DataError(fmt::format("the type '{}' is not supported by safetensors", numpy_type));
+    if (it == kTypes.end()) fail("the type '{}' is not supported by safetensors", numpy_type);
     return std::string(it->first);
 }
 
@@ -63,8 +63,8 @@ std::string convert_safetensors_to_numpy_type(const std::string& array_name_for_
     const auto it = std::find_if(kTypes.begin(), kTypes.end(),
                                  [&](const auto& known) { return known.first == safetensors_type; });
     if (it == kTypes.end())
-        throw DataError(fmt::format("array '{}' has the type '{}', which is not supported",
-                                    array_name_for_errors, shorten_for_error_message(safetensors_type)));
+        fail("array '{}' has the type '{}', which is not supported", array_name_for_errors,
+             shorten_for_error_message(safetensors_type));
     return std::string(it->second);
 }
 
@@ -78,7 +78,7 @@ std::string make_safetensors_header(const std::vector<NamedArray>& arrays,
     for (const NamedArray& array : arrays) {
         report_detail::require_valid_array_type_and_size(array);
         if (array.name == kMetadata || header.contains(array.name))
-            throw DataError(fmt::format("array name '{}' is reserved or used twice", array.name));
+            fail("array name '{}' is reserved or used twice", array.name);
         const std::size_t end = offset + array.bytes.size();
         header[array.name] = {{"dtype", convert_numpy_to_safetensors_type(array.dtype)},
                               {"shape", array.shape},
@@ -106,15 +106,13 @@ SafetensorsHeader parse_safetensors_header(const std::vector<std::byte>& file_by
     SafetensorsHeader header;
     std::uint64_t size = 0;
     if (file_bytes.size() < sizeof size)
-        throw DataError(fmt::format("the file has {} bytes, expected at least 8 bytes", file_bytes.size()));
+        fail("the file has {} bytes, expected at least 8 bytes", file_bytes.size());
     std::memcpy(&size, file_bytes.data(), sizeof size);
     if (size > kMaxHeader)
-        throw DataError(
-            fmt::format("the size of the header is {} bytes, expected at most {} bytes", size, kMaxHeader));
+        fail("the size of the header is {} bytes, expected at most {} bytes", size, kMaxHeader);
     if (size > file_bytes.size() - sizeof size)
-        throw DataError(
-            fmt::format("the header should have {} bytes, but the file ends after {} bytes of the header",
-                        size, file_bytes.size() - sizeof size));
+        fail("the header should have {} bytes, but the file ends after {} bytes of the header", size,
+             file_bytes.size() - sizeof size);
     header.data_start = sizeof size + size;
     const char* text = reinterpret_cast<const char*>(file_bytes.data()) + sizeof size;
     header.json = Json::parse(
@@ -131,8 +129,8 @@ SafetensorsHeader parse_safetensors_header(const std::vector<std::byte>& file_by
         throw DataError("the header contains an array twice, expected each array once");
     for (const std::string& name : header.names) {
         if (name.size() > kMaxName)
-            throw DataError(fmt::format("the name of array '{}' has {} bytes, expected at most {}",
-                                        shorten_for_error_message(name), name.size(), kMaxName));
+            fail("the name of array '{}' has {} bytes, expected at most {}", shorten_for_error_message(name),
+                 name.size(), kMaxName);
     }
     return header;
 }
@@ -141,21 +139,18 @@ SafetensorsHeader parse_safetensors_header(const std::vector<std::byte>& file_by
 std::vector<std::size_t> parse_integer_list(const std::string& array_name_for_errors, const Json& array_json,
                                             const char* member_name) {
     if (!array_json.is_object() || !array_json.contains(member_name) || !array_json[member_name].is_array())
-        throw DataError(
-            fmt::format("array '{}': the list '{}' is missing in the header of the file, expected a list of "
-                        "integers",
-                        array_name_for_errors, member_name));
+        fail("array '{}': the list '{}' is missing in the header of the file, expected a list of integers",
+             array_name_for_errors, member_name);
     if (array_json[member_name].size() > kMaxDimensions)
-        throw DataError(fmt::format("array '{}': '{}' contains {} numbers, expected at most {}",
-                                    array_name_for_errors, member_name, array_json[member_name].size(),
-                                    kMaxDimensions));
+        fail("array '{}': '{}' contains {} numbers, expected at most {}", array_name_for_errors, member_name,
+             array_json[member_name].size(), kMaxDimensions);
     std::vector<std::size_t> result;
     for (const Json& value : array_json[member_name]) {
         if (!value.is_number_unsigned())
-            throw DataError(fmt::format(
-                "array '{}': the list '{}' in the header of the file contains a value of type {}, "
-                "expected only integers of at least 0",
-                array_name_for_errors, member_name, value.type_name()));
+            fail(
+                "array '{}': the list '{}' in the header of the file contains a value of type {}, expected "
+                "only integers of at least 0",
+                array_name_for_errors, member_name, value.type_name());
         result.push_back(value.get<std::size_t>());
     }
     return result;
@@ -171,22 +166,21 @@ std::pair<NamedArray, DataByteRange> parse_array_description(const std::string& 
                                                              const Json& array_json,
                                                              std::size_t n_data_bytes) {
     if (!array_json.is_object() || !array_json.contains("dtype") || !array_json["dtype"].is_string())
-        throw DataError(
-            fmt::format("array '{}': the header of the file has no text with the key 'dtype' for this array, "
-                        "expected a data type such as 'F32'",
-                        array_name));
+        fail(
+            "array '{}': the header of the file has no text with the key 'dtype' for this array, expected a "
+            "data type such as 'F32'",
+            array_name);
     NamedArray array{array_name,
                      convert_safetensors_to_numpy_type(array_name, array_json["dtype"].get<std::string>()),
                      parse_integer_list(array_name, array_json, "shape"),
                      {}};
     const std::vector<std::size_t> offsets = parse_integer_list(array_name, array_json, "data_offsets");
     if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > n_data_bytes)
-        throw DataError(fmt::format("array '{}': data_offsets [{}] are outside the {} bytes of data",
-                                    array_name, fmt::join(offsets, ", "), n_data_bytes));
+        fail("array '{}': data_offsets [{}] are outside the {} bytes of data", array_name,
+             fmt::join(offsets, ", "), n_data_bytes);
     const auto expected = compute_array_size_bytes(array.shape, get_element_size_bytes(array.dtype));
     if (!expected || *expected != offsets[1] - offsets[0])
-        throw DataError(fmt::format("array '{}' has {} bytes, which do not fit its shape", array_name,
-                                    offsets[1] - offsets[0]));
+        fail("array '{}' has {} bytes, which do not fit its shape", array_name, offsets[1] - offsets[0]);
     return {std::move(array), DataByteRange{offsets[0], offsets[1]}};
 }
 
@@ -195,8 +189,7 @@ std::map<std::string, std::string> parse_safetensors_metadata(const Json& metada
     if (!metadata_json.is_object()) throw DataError("the header key __metadata__ is not a JSON object");
     for (const auto& [key, value] : metadata_json.items()) {
         if (!value.is_string())
-            throw DataError(fmt::format("the value of '{}' in __metadata__ is not a text",
-                                        shorten_for_error_message(key)));
+            fail("the value of '{}' in __metadata__ is not a text", shorten_for_error_message(key));
         result[key] = value.get<std::string>();
     }
     return result;
@@ -221,18 +214,17 @@ std::vector<NamedArray> parse_safetensors_file(const std::vector<std::byte>& fil
     std::vector<NamedArray> arrays;
     for (auto& [array, range] : entries) {
         if (range.begin != covered)
-            throw DataError(
-                fmt::format("array '{}' starts at byte {} of the data, expected byte {}, where the previous "
-                            "array ends; gaps and overlaps are not allowed",
-                            array.name, range.begin, covered));
+            fail(
+                "array '{}' starts at byte {} of the data, expected byte {}, where the previous array ends; "
+                "gaps and overlaps are not allowed",
+                array.name, range.begin, covered);
         const auto data = file_bytes.begin() + std::ptrdiff_t(header.data_start);
         array.bytes.assign(data + std::ptrdiff_t(range.begin), data + std::ptrdiff_t(range.end));
         covered = range.end;
         arrays.push_back(std::move(array));
     }
     if (covered != n_data)
-        throw DataError(
-            fmt::format("the file has {} bytes of data, but its header describes {} bytes", n_data, covered));
+        fail("the file has {} bytes of data, but its header describes {} bytes", n_data, covered);
     if (metadata) *metadata = std::move(file_metadata);
     return arrays;
 }
@@ -258,7 +250,7 @@ std::vector<NamedArray> read_safetensors(const std::filesystem::path& path,
     try {
         return parse_safetensors_file(file, metadata);
     } catch (const std::exception& error) {
-        throw DataError(fmt::format("cannot read safetensors '{}': {}", path.string(), error.what()));
+        fail("cannot read safetensors '{}': {}", path.string(), error.what());
     }
 }
 

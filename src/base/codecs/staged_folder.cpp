@@ -17,6 +17,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 namespace {
 
@@ -64,8 +66,7 @@ StagedFolder::StagedFolder(const fs::path& final_path)
     std::error_code failed;
     fs::remove_all(path_, failed);
     fs::create_directories(path_, failed);
-    if (failed)
-        throw DataError(fmt::format("cannot create the folder {}: {}", path_.string(), failed.message()));
+    if (failed) fail("cannot create the folder {}: {}", path_.string(), failed.message());
     marker_ = ::open((path_ / kMarker).c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
     if (marker_ >= 0) (void)::flock(marker_, LOCK_EX | LOCK_NB);
 }
@@ -103,8 +104,8 @@ void StagedFolder::move_folder_and_replace_existing() const {
     if (!failed) fs::rename(path_, final_path_, failed);
     if (failed) fs::rename(old, final_path_, ignored);
     if (failed)
-        throw DataError(fmt::format("cannot create {}: renaming the temporary folder failed: {}",
-                                    final_path_.string(), failed.message()));
+        fail("cannot create {}: renaming the temporary folder failed: {}", final_path_.string(),
+             failed.message());
     fs::remove_all(old, ignored);
 }
 

@@ -11,6 +11,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar {
@@ -47,36 +48,34 @@ std::uint32_t compute_masked_crc32c(std::string_view bytes) {
 }
 
 TfRecordReader::TfRecordReader(std::filesystem::path file) : file_(std::move(file)) {
-    if (!does_path_exist(file_)) throw DataError(fmt::format("{}: no such file", file_.string()));
+    if (!does_path_exist(file_)) fail("{}: no such file", file_.string());
     std::ifstream in(file_, std::ios::binary | std::ios::ate);
     const std::streamoff end = in ? std::streamoff(in.tellg()) : -1;
-    if (end < 0) throw DataError(fmt::format("cannot read {}", file_.string()));
+    if (end < 0) fail("cannot read {}", file_.string());
     for (std::uint64_t at = 0, left = std::uint64_t(end); left > 0;) {
         const std::string where = fmt::format("{}: record {}", file_.string(), records_.size());
         std::array<char, kHeader> header{};
         in.seekg(std::streamoff(at));
         if (left < kHeader || !in.read(header.data(), kHeader))
-            throw DataError(
-                fmt::format("{} is truncated: its header has {} bytes, expected {}", where, left, kHeader));
+            fail("{} is truncated: its header has {} bytes, expected {}", where, left, kHeader);
         if (read_unaligned_value<std::uint32_t>(&header[8]) != compute_masked_crc32c({header.data(), 8}))
-            throw DataError(
-                fmt::format("{}: the checksum (CRC) of the length of the record is wrong, so the file is "
-                            "damaged or is not a TFRecord file",
-                            where));
+            fail(
+                "{}: the checksum (CRC) of the length of the record is wrong, so the file is damaged or is "
+                "not a TFRecord file",
+                where);
         const auto size = read_unaligned_value<std::uint64_t>(header.data());
         left -= kHeader;
         if (left < kFooter || size > left - kFooter)
-            throw DataError(fmt::format(
+            fail(
                 "{} is truncated: its length should be {} bytes, followed by {} bytes of checksum, but the "
                 "file has only {} bytes left",
-                where, size, kFooter, left));
+                where, size, kFooter, left);
         records_.push_back({at + kHeader, size});
         at += kHeader + size + kFooter;
         left -= size + kFooter;
     }
     if (records_.empty())
-        throw DataError(
-            fmt::format("{} is empty, expected a TFRecord file with at least one record", file_.string()));
+        fail("{} is empty, expected a TFRecord file with at least one record", file_.string());
 }
 
 std::string TfRecordReader::read_record_data(std::size_t record_index) const {
@@ -85,14 +84,12 @@ std::string TfRecordReader::read_record_data(std::size_t record_index) const {
     std::ifstream in(file_, std::ios::binary);
     in.seekg(std::streamoff(byte_range.begin));
     if (!in.read(data.data(), std::streamsize(data.size())))
-        throw DataError(fmt::format("{}: record {}: cannot read its {} bytes", file_.string(), record_index,
-                                    data.size()));
+        fail("{}: record {}: cannot read its {} bytes", file_.string(), record_index, data.size());
     const auto crc = read_unaligned_value<std::uint32_t>(&data[byte_range.size]);
     data.resize(byte_range.size);
     if (crc != compute_masked_crc32c(data))
-        throw DataError(
-            fmt::format("{}: record {}: the checksum (CRC) of its data is wrong; the file is damaged",
-                        file_.string(), record_index));
+        fail("{}: record {}: the checksum (CRC) of its data is wrong; the file is damaged", file_.string(),
+             record_index);
     return data;
 }
 

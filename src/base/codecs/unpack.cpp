@@ -10,6 +10,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 
 void decompress_lz4(std::string_view compressed_bytes, std::span<char> uncompressed_bytes) {
@@ -27,16 +29,15 @@ void decompress_lz4(std::string_view compressed_bytes, std::span<char> uncompres
     } while (left != 0 || read < compressed_bytes.size());
     LZ4F_freeDecompressionContext(context);
     if (left != 0 || written != uncompressed_bytes.size())
-        throw DataError(fmt::format("lz4 data are damaged: they unpack to {} bytes, expected {}", written,
-                                    uncompressed_bytes.size()));
+        fail("lz4 data are damaged: they unpack to {} bytes, expected {}", written,
+             uncompressed_bytes.size());
 }
 
 void decompress_zstd(std::string_view compressed_bytes, std::span<char> uncompressed_bytes) {
     const std::size_t n = ZSTD_decompress(uncompressed_bytes.data(), uncompressed_bytes.size(),
                                           compressed_bytes.data(), compressed_bytes.size());
     if (ZSTD_isError(n) || n != uncompressed_bytes.size())
-        throw DataError(fmt::format("zstd data are damaged, expected {} bytes after decompression",
-                                    uncompressed_bytes.size()));
+        fail("zstd data are damaged, expected {} bytes after decompression", uncompressed_bytes.size());
 }
 
 bool stream_zstd(const std::function<std::string_view()>& read_block,
@@ -52,8 +53,7 @@ bool stream_zstd(const std::function<std::string_view()>& read_block,
         while (in.pos < in.size || out.pos == out.size) {
             out.pos = 0;
             left = ZSTD_decompressStream(context.get(), &out, &in);
-            if (ZSTD_isError(left))
-                throw DataError(fmt::format("zstd data are damaged: {}", ZSTD_getErrorName(left)));
+            if (ZSTD_isError(left)) fail("zstd data are damaged: {}", ZSTD_getErrorName(left));
             write_block({block.data(), out.pos});
         }
     }

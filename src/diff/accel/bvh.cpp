@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "diff/shared/accel.h"
 #include "diff/shared/bvh_build.h"
 #include "gpu/radix_sort.hpp"
@@ -45,8 +46,8 @@ std::uint32_t count_surfel_tiles(std::uint32_t n_surfels) {
 std::uint32_t get_subgroup_size(const Device& device) {
     const DeviceInfo& info = device.info();
     if (!info.software)
-        throw DeviceError(fmt::format("cannot trace rays in software on {}: the device lacks {}", info.name,
-                                      info.why_not_software));
+        fail<DeviceError>("cannot trace rays in software on {}: the device lacks {}", info.name,
+                          info.why_not_software);
     return static_cast<std::uint32_t>(info.subgroup_size);
 }
 

@@ -9,6 +9,7 @@
 #include <relidar/diff/forward.hpp>
 
 #include "base/assert.hpp"
+#include "base/fail.hpp"
 #include "diff/backward/hit_gather.hpp"
 #include "diff/backward/pose_gradients.hpp"
 #include "diff/traversal/trace_scene.hpp"
@@ -84,9 +85,8 @@ struct BackwardPass::Impl {
 BackwardPass::BackwardPass(Device& device, const ImageFormationModel& model, ProxyShape proxy,
                            const TraceOptions& options, const BackwardOptions& backward) {
     if (backward.hits_per_ray < 1 || backward.hits_per_ray > kMostHitsPerRay)
-        throw UsageError(
-            fmt::format("cannot create the backward pass: found {} hit records per ray, expected 1 to {}",
-                        backward.hits_per_ray, kMostHitsPerRay));
+        fail<UsageError>("cannot create the backward pass: found {} hit records per ray, expected 1 to {}",
+                         backward.hits_per_ray, kMostHitsPerRay);
     impl_ = std::make_unique<Impl>(device, model, proxy, options, backward);
 }
 

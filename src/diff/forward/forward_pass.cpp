@@ -9,6 +9,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/assert.hpp"
+#include "base/fail.hpp"
 #include "diff/forward/hit_lists.hpp"
 #include "diff/traversal/trace_scene.hpp"
 #include "gpu/stream.hpp"
@@ -40,10 +41,10 @@ struct ForwardPass::Impl {
 ForwardPass::ForwardPass(Device& device, const ImageFormationModel& model, ProxyShape proxy,
                          const TraceOptions& options) {
     if (options.chunk < 1 || options.chunk > 64)
-        throw UsageError(fmt::format("setting trace.chunk: found {}, expected 1 to 64", options.chunk));
+        fail<UsageError>("setting trace.chunk: found {}, expected 1 to 64", options.chunk);
     if (options.initial_list_capacity < 1 || options.initial_list_capacity > RELIDAR_MOST_ROOM)
-        throw UsageError(fmt::format("TraceOptions::initial_list_capacity: found {}, expected 1 to {}",
-                                     options.initial_list_capacity, RELIDAR_MOST_ROOM));
+        fail<UsageError>("TraceOptions::initial_list_capacity: found {}, expected 1 to {}",
+                         options.initial_list_capacity, RELIDAR_MOST_ROOM);
     impl_ = std::make_unique<Impl>(device, model, proxy, options);
 }
 

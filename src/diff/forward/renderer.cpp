@@ -11,6 +11,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/out_of_memory.hpp>
 
+#include "base/fail.hpp"
 #include "diff/shared/trace.h"
 #include "gpu/context.hpp"
 
@@ -153,11 +154,10 @@ void Renderer::require_rays_fully_traced() {
     Impl& r = *impl_;
     r.stream.submit_and_wait();
     if (const std::uint32_t capped = r.forward.read_and_reset_truncated_ray_count())
-        throw DeviceError(fmt::format(
-            "cannot trace {} rays: the search for surfels stopped {} times at its limit ({} passes "
-            "or a full stack), because too many surfels overlap; use a scene with smaller or "
-            "fewer surfels",
-            r.batch.rays.n_rays, capped, RELIDAR_MAX_PASSES));
+        fail<DeviceError>(
+            "cannot trace {} rays: the search for surfels stopped {} times at its limit ({} passes or a full "
+            "stack), because too many surfels overlap; use a scene with smaller or fewer surfels",
+            r.batch.rays.n_rays, capped, RELIDAR_MAX_PASSES);
 }
 
 RenderedRayValues Renderer::download_rendering() {
@@ -196,8 +196,8 @@ void Renderer::set_sh_degree(int degree) {
 
 void Renderer::upload_surfels(const Surfels& surfels) {
     if (surfels.size() != impl_->scene.size())
-        throw DataError(fmt::format("cannot upload surfels: found {} surfels, expected {} like in the scene",
-                                    surfels.size(), impl_->scene.size()));
+        fail("cannot upload surfels: found {} surfels, expected {} like in the scene", surfels.size(),
+             impl_->scene.size());
     impl_->stream.submit_and_wait();
     impl_->scene.get_surfel_parameters().upload(surfels);
 }

@@ -11,6 +11,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/assert.hpp"
+#include "base/fail.hpp"
 
 namespace relidar::refine {
 namespace {
@@ -32,10 +33,9 @@ std::uint32_t require_supported_convolution_taps(const Device& device, std::uint
     const DeviceInfo& info = device.info();
     const std::string missing = list_missing_neural_network_features(device);
     if (!missing.empty())
-        throw DeviceError(
-            fmt::format("cannot use the ray-drop network on {}: the device lacks {}; use --set "
-                        "refine.enabled=false",
-                        info.name, missing));
+        fail<DeviceError>(
+            "cannot use the ray-drop network on {}: the device lacks {}; use --set refine.enabled=false",
+            info.name, missing);
     return kernel_taps;
 }
 

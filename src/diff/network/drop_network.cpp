@@ -8,6 +8,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "diff/network/unet.hpp"
 
 namespace relidar {
@@ -37,8 +38,7 @@ const NetworkPreset& find_predefined_network(const std::string& name) {
     const auto match = std::find_if(std::begin(networks), std::end(networks),
                                     [&](const NetworkPreset& preset) { return name == preset.name; });
     if (match == std::end(networks))
-        throw UsageError(
-            fmt::format("setting refine.network: found \"{}\", expected small, paper or pixel", name));
+        fail<UsageError>("setting refine.network: found \"{}\", expected small, paper or pixel", name);
     return *match;
 }
 
@@ -63,10 +63,10 @@ RayDropNetwork make_network_architecture(const RayDropNetworkOptions& options) {
     const int width = options.width > 0 ? options.width : int(preset.width);
     const int levels = options.levels >= 0 ? options.levels : int(preset.factors.size()) - 1;
     if (width > kMostWidth || levels > kMostLevels)
-        throw UsageError(
-            fmt::format("cannot create the ray-drop network: found a width of {} channels and {} levels, "
-                        "expected at most {} channels and {} levels",
-                        width, levels, kMostWidth, kMostLevels));
+        fail<UsageError>(
+            "cannot create the ray-drop network: found a width of {} channels and {} levels, expected at "
+            "most {} channels and {} levels",
+            width, levels, kMostWidth, kMostLevels);
     RayDropNetwork network;
     network.inputs = list_network_input_channels(options);
     for (int l = 0; l <= levels; ++l)
@@ -74,11 +74,10 @@ RayDropNetwork make_network_architecture(const RayDropNetworkOptions& options) {
                                  preset.factors[std::min(std::size_t(l), preset.factors.size() - 1)]);
     network.heads = levels > 0 ? preset.heads : 0;
     if (network.heads > 0 && network.widths.back() % network.heads != 0)
-        throw UsageError(
-            fmt::format("cannot create the ray-drop network: with the width {}, its last level has {} "
-                        "channels, expected a multiple of {} (the number of attention heads); use a width "
-                        "that is a multiple of {}",
-                        width, network.widths.back(), network.heads, network.heads));
+        fail<UsageError>(
+            "cannot create the ray-drop network: with the width {}, its last level has {} channels, expected "
+            "a multiple of {} (the number of attention heads); use a width that is a multiple of {}",
+            width, network.widths.back(), network.heads, network.heads);
     network.taps = preset.taps;
     network.residual = preset.residual;
     return network;
@@ -107,24 +106,22 @@ void require_valid_network_image(const RayDropNetwork& network, const RayDropIma
                                  const std::string& description) {
     const int side = network.compute_min_image_rows_and_columns();
     if (image.rows < side || image.columns < side)
-        throw DataError(fmt::format(
-            "{}: found {} x {} pixels, expected at least {} x {} pixels for a network with {} levels",
-            description, image.rows, image.columns, side, side, network.widths.size() - 1));
+        fail("{}: found {} x {} pixels, expected at least {} x {} pixels for a network with {} levels",
+             description, image.rows, image.columns, side, side, network.widths.size() - 1);
     const std::size_t pixels = std::size_t(image.rows) * std::size_t(image.columns),
                       n = pixels * network.inputs.size();
     if (image.channels.size() != n || (!image.dropped.empty() && image.dropped.size() != pixels))
-        throw DataError(fmt::format(
-            "{}: found {} channel values and {} drop values, expected {} and {} for {} x {} pixels",
-            description, image.channels.size(), image.dropped.size(), n, pixels, image.rows, image.columns));
+        fail("{}: found {} channel values and {} drop values, expected {} and {} for {} x {} pixels",
+             description, image.channels.size(), image.dropped.size(), n, pixels, image.rows, image.columns);
     const auto bad = std::find_if(image.channels.begin(), image.channels.end(),
                                   [](float value) { return !std::isfinite(value); });
     if (bad != image.channels.end()) {
         const auto at = std::size_t(bad - image.channels.begin());
-        throw DataError(
-            fmt::format("{}: in the input channel '{}', the value at row {} and column {} is {}, expected a "
-                        "finite number",
-                        description, network.inputs[at / pixels], at % pixels / std::size_t(image.columns),
-                        at % std::size_t(image.columns), *bad));
+        fail(
+            "{}: in the input channel '{}', the value at row {} and column {} is {}, expected a finite "
+            "number",
+            description, network.inputs[at / pixels], at % pixels / std::size_t(image.columns),
+            at % std::size_t(image.columns), *bad);
     }
 }
 

@@ -11,6 +11,7 @@
 #include <relidar/diff/network_training.hpp>
 
 #include "base/assert.hpp"
+#include "base/fail.hpp"
 #include "diff/network/drop_inputs.hpp"
 #include "diff/network/drop_loss.hpp"
 #include "diff/network/drop_network.hpp"
@@ -21,17 +22,15 @@ namespace {
 
 const RayDropNetwork& require_valid_network(const RayDropNetwork& network) {
     if (network.widths.empty() || network.inputs.empty() || (network.taps != 1 && network.taps != 9))
-        throw DataError(
-            fmt::format("cannot use the ray-drop network: found {} levels, {} input channels and kernels of "
-                        "{} pixels, expected at least 1 level, at least 1 input channel, and kernels of 1 or "
-                        "9 pixels",
-                        network.widths.size(), network.inputs.size(), network.taps));
+        fail(
+            "cannot use the ray-drop network: found {} levels, {} input channels and kernels of {} pixels, "
+            "expected at least 1 level, at least 1 input channel, and kernels of 1 or 9 pixels",
+            network.widths.size(), network.inputs.size(), network.taps);
     const refine::UnetParameterLayout plan(network);
     const auto check = [](const char* description, std::size_t found, std::size_t expected) {
         if (found != expected)
-            throw DataError(
-                fmt::format("cannot use the ray-drop network: it has {} {}, but its architecture requires {}",
-                            found, description, expected));
+            fail("cannot use the ray-drop network: it has {} {}, but its architecture requires {}", found,
+                 description, expected);
     };
     check("parameters", network.parameters.size(), plan.n_parameters);
     check("running moments", network.running.size(), plan.n_running);
@@ -116,10 +115,10 @@ const Array<float, shared::DropProbabilities>& RayDropInference::record_network_
     const Array<float, shared::DropSamples>& input_channels) {
     Impl& r = *impl_;
     if (const int side = r.network.compute_min_image_rows_and_columns(); rows < side || columns < side)
-        throw DataError(fmt::format(
-            "cannot apply the ray-drop network: the image has {} x {} pixels, expected at least {} "
-            "rows and columns",
-            rows, columns, side));
+        fail(
+            "cannot apply the ray-drop network: the image has {} x {} pixels, expected at least {} rows and "
+            "columns",
+            rows, columns, side);
     const refine::ImageBatchSize grid{1, std::uint32_t(rows), std::uint32_t(columns), circular};
     RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.count_pixels_per_image(), input_channels.size());
     SizedRayDropNetwork& shaped = r.get_or_make_network_for_image_size(stream, grid);

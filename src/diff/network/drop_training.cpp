@@ -8,6 +8,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/diff/optimizer.hpp>
 
+#include "base/fail.hpp"
 #include "diff/network/drop_network.hpp"
 #include "diff/network/unet.hpp"
 
@@ -25,15 +26,15 @@ void require_valid_training_images(const RayDropNetwork& network, const std::vec
         require_valid_network_image(network, image,
                                     fmt::format("cannot train the ray-drop network with image {}", i));
         if (image.rows != images[0].rows || image.columns != images[0].columns)
-            throw DataError(fmt::format(
-                "cannot train the ray-drop network: image {} has {} x {} pixels, expected {} x {} like "
-                "the first image",
-                i, image.rows, image.columns, images[0].rows, images[0].columns));
+            fail(
+                "cannot train the ray-drop network: image {} has {} x {} pixels, expected {} x {} like the "
+                "first image",
+                i, image.rows, image.columns, images[0].rows, images[0].columns);
         if (image.dropped.empty())
-            throw DataError(
-                fmt::format("cannot train the ray-drop network: image {} does not say which measured "
-                            "rays had no return, expected one such value per pixel",
-                            i));
+            fail(
+                "cannot train the ray-drop network: image {} does not say which measured rays had no return, "
+                "expected one such value per pixel",
+                i);
         for (const float dropped : image.dropped) drops += dropped > 0.5f;
     }
     if (drops == 0.0)
@@ -141,9 +142,8 @@ RayDropTrainState RayDropTraining::download_training_state() const {
 void RayDropTraining::restore_training_state(const RayDropTrainState& state) {
     const auto check = [](const char* name, std::size_t found, std::size_t expected) {
         if (found != expected)
-            throw DataError(
-                fmt::format("cannot resume the ray-drop network: {}: found {} numbers, expected {}", name,
-                            found, expected));
+            fail("cannot resume the ray-drop network: {}: found {} numbers, expected {}", name, found,
+                 expected);
     };
     const RayDropNetwork& n = impl_->network;
     check("parameters", state.parameters.size(), n.parameters.size());

@@ -11,6 +11,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "diff/network/drop_network.hpp"
 #include "diff/network/drop_training.hpp"
 
@@ -52,10 +53,10 @@ struct TrainingRunState {
         report.n_epochs = options.epochs;
         report.n_steps = options.epochs * int(n_steps);
         if (report.step < 0 || report.step > report.n_steps)
-            throw DataError(
-                fmt::format("cannot resume the training of the ray-drop network: the saved training is at "
-                            "step {}, expected 0 to {}, the last step with {} epochs (refine.epochs)",
-                            report.step, report.n_steps, report.n_epochs));
+            fail(
+                "cannot resume the training of the ray-drop network: the saved training is at step {}, "
+                "expected 0 to {}, the last step with {} epochs (refine.epochs)",
+                report.step, report.n_steps, report.n_epochs);
     }
 
     int get_epoch_index() const { return int(std::size_t(report.step - 1) / n_steps); }
@@ -69,10 +70,10 @@ struct TrainingRunState {
         report.seconds =
             before_s + std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
         if (!std::isfinite(score.entropy))
-            throw DataError(
-                fmt::format("training the ray-drop network failed: the loss is {} in step {}, expected a "
-                            "finite number; use a smaller value of the setting refine.rate",
-                            score.entropy, report.step));
+            fail(
+                "training the ray-drop network failed: the loss is {} in step {}, expected a finite number; "
+                "use a smaller value of the setting refine.rate",
+                score.entropy, report.step);
     }
 };
 

@@ -9,6 +9,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 
 namespace {
@@ -35,10 +37,10 @@ std::vector<shared::RayGradient> make_ray_gradients(const RenderedGradients& gra
     for (const auto& [name, values, at] : lanes) {
         if (values.empty()) continue;
         if (values.size() != n_rays)
-            throw DataError(
-                fmt::format("cannot use the gradient array of the rendered value '{}': found {} values, "
-                            "expected {} values (one for each ray) or an empty array",
-                            name, values.size(), n_rays));
+            fail(
+                "cannot use the gradient array of the rendered value '{}': found {} values, expected {} "
+                "values (one for each ray) or an empty array",
+                name, values.size(), n_rays);
         for (std::size_t i = 0; i < n_rays; ++i) result[i].*at = values[i];
     }
     return result;

@@ -10,6 +10,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/diff/forward.hpp>
 
+#include "base/fail.hpp"
 #include "gpu/check_device.hpp"
 #include "gpu/forced.hpp"
 #include "gpu/trust.hpp"
@@ -77,10 +78,10 @@ int find_fallback_subgroup_size(const DeviceOptions& options, const Device& devi
         Device other(options);
         if (test_subgroups_and_describe_error(other).empty()) return *lanes;
     }
-    throw DeviceError(fmt::format(
+    fail<DeviceError>(
         "cannot use the device {} (driver {}): it gives wrong results with subgroups of {} lanes ({}) and "
         "with every other size of subgroups; update the driver or use another device",
-        device.info().name, device.info().driver, device.info().subgroup_size, error_with_default_size));
+        device.info().name, device.info().driver, device.info().subgroup_size, error_with_default_size);
 }
 
 }  // namespace

@@ -7,6 +7,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "diff/traversal/trace_scene.hpp"
 #include "gpu/stream.hpp"
 
@@ -43,11 +44,10 @@ CollectedHits collect_ray_hits(Device& device, const PosedScene& posed_scene, co
          .max_hits = max_hits_per_ray});
     stream.submit_and_wait();
     if (const std::uint32_t capped = pass_cap.download()[0])
-        throw DeviceError(
-            fmt::format("cannot collect the hits of {} rays: too many surfels overlap, so that the search "
-                        "stopped {} times at its limit of {} passes or at a full stack; use a scene with "
-                        "smaller or fewer surfels",
-                        n, capped, RELIDAR_MAX_PASSES));
+        fail<DeviceError>(
+            "cannot collect the hits of {} rays: too many surfels overlap, so that the search stopped {} "
+            "times at its limit of {} passes or at a full stack; use a scene with smaller or fewer surfels",
+            n, capped, RELIDAR_MAX_PASSES);
     return {max_hits_per_ray, counts.download(), t.download(), instance.download(), surfel.download()};
 }
 

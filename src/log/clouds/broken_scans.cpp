@@ -7,6 +7,8 @@
 
 #include <fmt/format.h>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 
 bool ScanErrorCollector::is_scan_broken(std::size_t scan_index) const {
@@ -22,8 +24,8 @@ void ScanErrorCollector::record_broken_scan(std::size_t scan_index, const std::s
 void ScanErrorCollector::note_broken_scans_or_throw_if_all_broken(LidarSequence& sequence,
                                                                   std::size_t n_scans) const {
     if (!reasons_.empty() && reasons_.size() == n_scans)
-        throw DataError(fmt::format("{}: none of the {} scans can be read; the first error is: {}",
-                                    sequence.source, n_scans, reasons_.begin()->second));
+        fail("{}: none of the {} scans can be read; the first error is: {}", sequence.source, n_scans,
+             reasons_.begin()->second);
     for (const auto& [i, reason] : reasons_)
         sequence.notes.push_back(fmt::format("a scan that cannot be read is skipped: {}", reason));
 }

@@ -16,6 +16,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 namespace {
 
@@ -99,12 +101,12 @@ int estimate_column_count(const LidarPoints& scan, const RingPointLists& rings) 
                 steps.push_back(step);
     }
     if (steps.size() < kFewestSteps)
-        throw DataError(
-            fmt::format("cannot estimate the beams of the spinning LiDAR from {} points in {} rings: only {} "
-                        "pairs of neighbouring points in a ring differ in azimuth by {:.2f} to {:.1f} "
-                        "degrees, expected at least {} pairs",
-                        scan.size(), rings.size(), steps.size(), kLeastStep_rad * 180.0 / kPi,
-                        kLargestStep_rad * 180.0 / kPi, kFewestSteps));
+        fail(
+            "cannot estimate the beams of the spinning LiDAR from {} points in {} rings: only {} pairs of "
+            "neighbouring points in a ring differ in azimuth by {:.2f} to {:.1f} degrees, expected at least "
+            "{} pairs",
+            scan.size(), rings.size(), steps.size(), kLeastStep_rad * 180.0 / kPi,
+            kLargestStep_rad * 180.0 / kPi, kFewestSteps);
     return int(std::lround(2.0 * kPi / compute_quantile_and_reorder(steps, 0.25)));
 }
 
@@ -205,10 +207,10 @@ FittedSensor estimate_spinning_sensor(const std::vector<LidarPoints>& scans, dou
     const LidarPoints* fullest = nullptr;
     for (const LidarPoints& scan : scans) {
         if (scan.ring.size() != scan.size())
-            throw UsageError(
-                fmt::format("cannot estimate the beams of the spinning LiDAR: found {} ring numbers for {} "
-                            "points, expected one per point",
-                            scan.ring.size(), scan.size()));
+            fail<UsageError>(
+                "cannot estimate the beams of the spinning LiDAR: found {} ring numbers for {} points, "
+                "expected one per point",
+                scan.ring.size(), scan.size());
         for (const std::uint16_t ring : scan.ring) n_rings = std::max(n_rings, std::size_t(ring) + 1);
         if (!fullest || scan.size() > fullest->size()) fullest = &scan;
     }
@@ -217,10 +219,10 @@ FittedSensor estimate_spinning_sensor(const std::vector<LidarPoints>& scans, dou
             "cannot estimate the beams of the spinning LiDAR: there are no points, expected the points of a "
             "few scans");
     if (n_rings > kMostRings)
-        throw DataError(
-            fmt::format("cannot estimate the beams of the spinning LiDAR: a point has the ring number {}, "
-                        "expected a ring number below {}",
-                        n_rings - 1, kMostRings));
+        fail(
+            "cannot estimate the beams of the spinning LiDAR: a point has the ring number {}, expected a "
+            "ring number below {}",
+            n_rings - 1, kMostRings);
     const RingPointLists rings = group_points_by_ring(*fullest, n_rings);
     const FiringColumnGrid lattice = estimate_columns_and_ring_offsets(*fullest, rings);
     const std::vector<std::optional<double>> elevations = estimate_ring_elevations(scans, n_rings);

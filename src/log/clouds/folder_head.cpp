@@ -16,6 +16,7 @@
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
 #include "log/clouds/other_formats.hpp"
@@ -79,10 +80,10 @@ Pose read_vehicle_from_sensor(const JsonField& field, const std::string& error_l
     if (field.is_array()) {
         const auto m = field.get_numbers<16>();
         if (std::max({std::abs(m[12]), std::abs(m[13]), std::abs(m[14]), std::abs(m[15] - 1.0)}) > 1e-6)
-            throw DataError(
-                fmt::format("{}: found a matrix with the last row {} {} {} {}, expected 0 0 0 1; "
-                            "the matrix may be transposed",
-                            error_location, m[12], m[13], m[14], m[15]));
+            fail(
+                "{}: found a matrix with the last row {} {} {} {}, expected 0 0 0 1; the matrix may be "
+                "transposed",
+                error_location, m[12], m[13], m[14], m[15]);
         return check_rotation_and_make_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]),
                                             {m[3], m[7], m[11]}, error_location);
     }
@@ -104,7 +105,7 @@ void read_sensor_by_name_into_lidar(const JsonField& field, const fs::path& log_
                 is_file(".csv") || is_file(".json") || is_file(".npz") ? (log_folder / name).string() : name,
                 {}, max_range_m);
         } catch (const UsageError& error) {  // The name is in a file, not on the command line.
-            throw DataError(fmt::format("{}: {}", (log_folder / kHeadFile).string(), error.what()));
+            fail("{}: {}", (log_folder / kHeadFile).string(), error.what());
         }
     };
     const SensorModel model = find_model();
@@ -235,10 +236,8 @@ std::vector<SequenceHeaderFrame> list_frames_in_scan_folders(double rate_hz,
                 if (is_hidden_file(file)) continue;
                 if (const auto [other, is_new] = scan_of_stem.try_emplace(file.stem().string(), file);
                     !is_new)
-                    throw DataError(
-                        fmt::format("{}: the scan {} has the same name, expected one file for "
-                                    "each scan",
-                                    file.string(), other->second.filename().string()));
+                    fail("{}: the scan {} has the same name, expected one file for each scan", file.string(),
+                         other->second.filename().string());
                 frames.push_back({number, number / rate_hz, int(l), file});
                 ++number;
             }
@@ -246,10 +245,10 @@ std::vector<SequenceHeaderFrame> list_frames_in_scan_folders(double rate_hz,
         const std::string other =
             number == 0 ? describe_unsupported_file_in(log_folder / lidars[l].scans) : "";
         if (number == 0)
-            throw DataError(fmt::format(
+            fail(
                 "{}: no scan was found{}{}, expected files that end in .npz, .exr, .pcd, .ply, .bin, .npy, "
                 ".csv, .xyz or .las",
-                (log_folder / lidars[l].scans).string(), other.empty() ? "" : ": ", other));
+                (log_folder / lidars[l].scans).string(), other.empty() ? "" : ": ", other);
     }
     return frames;
 }

@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/median.hpp"
 #include "log/clouds/dropped_ray.hpp"
 #include "log/clouds/point_times.hpp"
@@ -98,7 +99,7 @@ struct PointFieldConverter {
                 for (; k < selected_indices.size(); ++k)
                     store_value(k, convert_value(double(value_at(selected_indices[k]))));
             } catch (const DataError& error) {
-                throw DataError(fmt::format("{}: point {}{}", where, selected_indices[k], error.what()));
+                fail("{}: point {}{}", where, selected_indices[k], error.what());
             }
         });
     }
@@ -201,9 +202,7 @@ LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnit
     const auto *x = table.find_field(PointAttribute::x), *y = table.find_field(PointAttribute::y),
                *z = table.find_field(PointAttribute::z);
     for (const auto& [field, name] : {std::pair(x, "x"), std::pair(y, "y"), std::pair(z, "z")})
-        if (!field)
-            throw DataError(
-                fmt::format("{}: the field {} is missing, expected x, y and z", error_location, name));
+        if (!field) fail("{}: the field {} is missing, expected x, y and z", error_location, name);
     LidarPoints points;
     PointFieldConverter convert{{}, error_location};
     std::tie(convert.selected_indices, points.position_m) = select_return_points(table, {x, y, z}, units);
@@ -214,8 +213,8 @@ LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnit
         const glm::vec3 p = glm::abs(points.position_m[k]);
         if (std::max({p.x, p.y, p.z}) <= kFarthestCoordinate_m) continue;
         const std::size_t i = convert.selected_indices[k];
-        throw DataError(fmt::format("{}: point {} is ({}, {}, {}), expected coordinates of at most {} m",
-                                    error_location, i, (*x)[i], (*y)[i], (*z)[i], kFarthestCoordinate_m));
+        fail("{}: point {} is ({}, {}, {}), expected coordinates of at most {} m", error_location, i, (*x)[i],
+             (*y)[i], (*z)[i], kFarthestCoordinate_m);
     }
     const std::string of_point;  // Conversion adds the point's number
     const auto* intensity = table.find_field(units.intensity_field);
@@ -234,9 +233,8 @@ LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnit
         convert.convert_field_into(points.return_number, number, [&](double value) {
             const double return_number = value - first;
             if (!(return_number >= 0.0 && return_number < 8.0))
-                throw DataError(
-                    fmt::format("{}: the return number is {}, expected 0 (the strongest return) to 7",
-                                of_point, return_number));
+                fail("{}: the return number is {}, expected 0 (the strongest return) to 7", of_point,
+                     return_number);
             return std::uint8_t(1 + int(return_number));
         });
     } else if (type && !points.ring.empty() && !points.time_offset_s.empty()) {

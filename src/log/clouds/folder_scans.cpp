@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/median.hpp"
 #include "base/progress_blocks.hpp"
 #include "log/clouds/broken_scans.hpp"
@@ -159,11 +160,11 @@ public:
         const bool has_points = points.size() > 0;
         if (has_points &&
             (plan.has_rings == points.ring.empty() || plan.has_times == points.time_offset_s.empty()))
-            throw DataError(fmt::format(
+            fail(
                 "{}: its points have {} and {}, unlike the points of other scans of this LiDAR; expected the "
                 "same fields in all scans",
                 source_.get_frame_name(frame_index), points.ring.empty() ? "no rings" : "rings",
-                points.time_offset_s.empty() ? "no times" : "times"));
+                points.time_offset_s.empty() ? "no times" : "times");
         if (!plan.ordered) {
             frame.scan = make_scan_with_one_ray_per_point(points);
             return;
@@ -183,12 +184,12 @@ public:
             add_note_once(fmt::format(
                 "{} points are skipped, because the fitted sensor has no beam for their rings", n));
         if (const auto worst = std::ranges::max_element(n_late_); worst != n_late_.end() && *worst > 0)
-            add_note_once(fmt::format(
-                "{} points of {} scans are skipped, because their times are outside the sweep of their scan, "
-                "most of them in frame {}",
-                std::reduce(n_late_.begin(), n_late_.end()),
-                std::ranges::count_if(n_late_, [](std::size_t n) { return n > 0; }),
-                sequence_.frames[std::size_t(worst - n_late_.begin())].index));
+            add_note_once(
+                fmt::format("{} points of {} scans are skipped, because their times are outside the sweep of "
+                            "their scan, most of them in frame {}",
+                            std::reduce(n_late_.begin(), n_late_.end()),
+                            std::ranges::count_if(n_late_, [](std::size_t n) { return n > 0; }),
+                            sequence_.frames[std::size_t(worst - n_late_.begin())].index));
         for (std::size_t l = 0; l < plans_.size(); ++l) {
             std::size_t n = 0, all = 0;
             for (std::size_t i = 0; i < behind_.size(); ++i) {
@@ -197,16 +198,15 @@ public:
                 all += n_first_[i];
             }
             const SequenceHeaderLidar& lidar = head_.lidars[l];
-            const char* cause = lidar.has_beams && !lidar.is_guessed
-                                    ? "; the usual cause is a sensor in sequence.json that did not measure "
-                                      "these points"
-                                    : "; the usual cause is several returns of each ray without numbers";
+            const char* cause =
+                lidar.has_beams && !lidar.is_guessed
+                    ? "; the usual cause is a sensor in sequence.json that did not measure these points"
+                    : "; the usual cause is several returns of each ray without numbers";
             if (n > 0)
-                add_note_once(
-                    l, fmt::format("{} of {} points ({:.2g} %) are skipped, because their ray has a nearer "
-                                   "point and no neighbouring ray is free{}",
-                                   n, all, 100.0 * double(n) / double(all),
-                                   double(n) > kMostSkipped * double(all) ? cause : ""));
+                add_note_once(l, fmt::format("{} of {} points ({:.2g} %) are skipped, because their ray has "
+                                             "a nearer point and no neighbouring ray is free{}",
+                                             n, all, 100.0 * double(n) / double(all),
+                                             double(n) > kMostSkipped * double(all) ? cause : ""));
         }
     }
 
@@ -278,11 +278,10 @@ private:
         if (2 * n_late > n)
             broken_.record_broken_scan(
                 frame_index,
-                fmt::format(
-                    "{}: {} of {} points have times outside the sweep, such as {:.6g} s after the time of "
-                    "the frame; expected at most {:.3g} s from {:.3g} s, as in other scans",
-                    source_.get_frame_name(frame_index), n_late, n, worst_s, plan.longest_offset_s,
-                    middle_s));
+                fmt::format("{}: {} of {} points have times outside the sweep, such as {:.6g} s after the "
+                            "time of the frame; expected at most {:.3g} s from {:.3g} s, as in other scans",
+                            source_.get_frame_name(frame_index), n_late, n, worst_s, plan.longest_offset_s,
+                            middle_s));
         else n_late_[frame_index] += n_late;
         return !broken_.is_scan_broken(frame_index);
     }
@@ -344,11 +343,12 @@ private:
             fit_spinning_sensor_or_note_why_not(lidar_index, samples);
         if (!plan.ordered) sensor.period_s = 0.0;
         if (plan.ordered && !plan.has_times && !head_.motion_compensated)
-            add_note_once(lidar_index,
-                          fmt::format("the points have no times; relidar computes them from the azimuths and "
-                                      "assumes that a sweep takes {:.3g} s and that the LiDAR's head faces "
-                                      "forward at the time of the frame",
-                                      sensor.period_s));
+            add_note_once(
+                lidar_index,
+                fmt::format(
+                    "the points have no times; relidar computes them from the azimuths and assumes that a "
+                    "sweep takes {:.3g} s and that the LiDAR's head faces forward at the time of the frame",
+                    sensor.period_s));
         // add_notes_about_implausible_values() reports scans that are much farther apart.
         const double step_s = find_median_frame_step_s(lidar_index).value_or(INFINITY);
         if (!head_.motion_compensated && step_s <= kLongestFrameStep_s)
@@ -374,9 +374,9 @@ private:
             plan.beam_of_ring.push_back(
                 std::uint16_t(head_.lidars[lidar_index].lowest_first ? n - 1 - k : k));
         if (!plan.has_rings)
-            add_note_once(lidar_index,
-                          "the points have no rings; each point is assigned to the beam with the nearest "
-                          "elevation");
+            add_note_once(
+                lidar_index,
+                "the points have no rings; each point is assigned to the beam with the nearest elevation");
     }
 
     void fit_spinning_sensor_or_note_why_not(std::size_t lidar_index,
@@ -384,11 +384,10 @@ private:
         ScanConversionPlan& plan = plans_[lidar_index];
         SpinningSensor& sensor = sequence_.lidars[lidar_index].sensor;
         if (!plan.has_rings && !try_to_assign_ring_numbers(lidar_index, sample_scans)) {
-            add_note_once(
-                lidar_index,
-                "the points have no rings, and neither their order nor their elevations show the rings; "
-                "therefore dropped rays and the order of the rays in an image are unknown" +
-                    format_hint_to_set_sensor(lidar_index));
+            add_note_once(lidar_index,
+                          "the points have no rings, and neither their order nor their elevations show the "
+                          "rings; therefore dropped rays and the order of the rays in an image are unknown" +
+                              format_hint_to_set_sensor(lidar_index));
             return;
         }
         const double step_s = sensor.period_s;
@@ -400,8 +399,8 @@ private:
         if (!why.empty()) {
             add_note_once(
                 lidar_index,
-                fmt::format("{}; therefore the LiDAR is not modelled as a spinning sensor: each "
-                            "point becomes one ray, and dropped rays (rays without return) are unknown{}",
+                fmt::format("{}; therefore the LiDAR is not modelled as a spinning sensor: each point "
+                            "becomes one ray, and dropped rays (rays without return) are unknown{}",
                             why, plan.has_rings ? "" : format_hint_to_set_sensor(lidar_index)));
             fitted_sensor = std::nullopt;
         }
@@ -451,10 +450,8 @@ private:
         try {
             const FittedSensor fit = estimate_spinning_sensor(sample_scans, period_s);
             if (fit.sensor.beams.size() * std::size_t(fit.sensor.columns) > kMaxRays)
-                throw DataError(
-                    fmt::format("the fitted sensor has {} beams and {} columns, expected at "
-                                "most {} rays",
-                                fit.sensor.beams.size(), fit.sensor.columns, kMaxRays));
+                fail("the fitted sensor has {} beams and {} columns, expected at most {} rays",
+                     fit.sensor.beams.size(), fit.sensor.columns, kMaxRays);
             plans_[lidar_index].beam_of_ring = fit.beam_of_ring;
             return fit.sensor;
         } catch (const DataError& error) {
@@ -464,10 +461,8 @@ private:
                                                        error.what()));
                 return std::nullopt;
             }
-            throw DataError(
-                fmt::format("{}: LiDAR '{}': {}; use \"spins\": false in sequence.json to read each point "
-                            "as one ray",
-                            sequence_.source, sequence_.lidars[lidar_index].name, error.what()));
+            fail("{}: LiDAR '{}': {}; use \"spins\": false in sequence.json to read each point as one ray",
+                 sequence_.source, sequence_.lidars[lidar_index].name, error.what());
         }
     }
 
@@ -480,11 +475,11 @@ private:
             const std::uint16_t ring = points.ring[p],
                                 beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
             if (beam == kNoBeam && head_.lidars[std::size_t(sequence_.frames[frame_index].lidar)].has_beams)
-                throw DataError(fmt::format(
-                    "{}: a point has the ring number {}, expected a ring number below {}, because "
-                    "the sensor of the LiDAR has {} beams",
+                fail(
+                    "{}: a point has the ring number {}, expected a ring number below {}, because the sensor "
+                    "of the LiDAR has {} beams",
                     source_.get_frame_name(frame_index), ring, plan.beam_of_ring.size(),
-                    plan.beam_of_ring.size()));
+                    plan.beam_of_ring.size());
             if (beam == kNoBeam) {
                 ++left_out_[frame_index];
                 continue;

@@ -10,6 +10,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 
 Pose check_rotation_and_make_pose(const glm::dmat3& rotation, const glm::dvec3& translation,
@@ -20,10 +22,10 @@ Pose check_rotation_and_make_pose(const glm::dmat3& rotation, const glm::dvec3& 
         for (int r = 0; r < 3; ++r) worst = std::max(worst, std::abs(excess[c][r]));
     }
     if (!(worst <= 1e-3) || glm::determinant(rotation) < 0.0) {
-        throw DataError(fmt::format(
+        fail(
             "{}: the 3x3 block is not a rotation: R^T R differs from the identity by {:.3g} and the "
             "determinant is {:.3g}, expected an orthonormal matrix within 0.001",
-            error_location, worst, glm::determinant(rotation)));
+            error_location, worst, glm::determinant(rotation));
     }
     return {glm::normalize(glm::quat_cast(rotation)), translation};
 }

@@ -82,13 +82,13 @@ void add_note_if_vehicle_is_too_fast(LidarSequence& sequence) {
         fastest_step = k;
     }
     if (n_too_fast == 0) return;
-    sequence.notes.push_back(kSpeedNote +
-                             fmt::format("the vehicle moves faster than {} m/s in {} of {} steps between "
-                                         "frames, and at {:.0f} m/s from frame {} to frame {}; expected "
-                                         "positions in metres and times in seconds",
-                                         kFastest_mps, n_too_fast, track.pose.size() - 1, fastest_mps,
-                                         find_frame_number_at(sequence, track.time_s[fastest_step - 1]),
-                                         find_frame_number_at(sequence, track.time_s[fastest_step])));
+    sequence.notes.push_back(
+        kSpeedNote +
+        fmt::format("the vehicle moves faster than {} m/s in {} of {} steps between frames, and at {:.0f} "
+                    "m/s from frame {} to frame {}; expected positions in metres and times in seconds",
+                    kFastest_mps, n_too_fast, track.pose.size() - 1, fastest_mps,
+                    find_frame_number_at(sequence, track.time_s[fastest_step - 1]),
+                    find_frame_number_at(sequence, track.time_s[fastest_step])));
 }
 
 /// Returns the duration of a sweep. Without a known period, returns the time between the
@@ -115,11 +115,10 @@ void add_time_unit_note(LidarSequence& sequence) {
         if (n_sweeps < kLeastSweeps ||
             n_sweeps > (per_second > 1000.0 ? kMostSweepsOfLongSteps : kMostSweeps))
             continue;
-        sequence.notes.push_back(
-            kUnitNote +
-            fmt::format("frames are {:.6g} s apart, but a sweep takes {:.3g} s; the times of frames "
-                        "seem to be in {}, expected seconds",
-                        step_s, sweep_s, unit));
+        sequence.notes.push_back(kUnitNote +
+                                 fmt::format("frames are {:.6g} s apart, but a sweep takes {:.3g} s; the "
+                                             "times of frames seem to be in {}, expected seconds",
+                                             step_s, sweep_s, unit));
         return;
     }
 }
@@ -137,10 +136,10 @@ void add_overlap_note(LidarSequence& sequence, std::size_t lidar) {
     if (times_s.size() < 2) return;
     const double step_s = compute_median_interval_s(times_s);
     if (step_s >= kLeastStepSweeps * sweep_s) return;
-    sequence.notes.push_back(
-        kUnitNote + fmt::format("scans{} are {:.3g} s apart, but the rays of a scan take {:.3g} s; expected "
-                                "times of frames in seconds, or the rate of the scans",
-                                format_of_lidar(sequence.lidars[lidar]), step_s, sweep_s));
+    sequence.notes.push_back(kUnitNote +
+                             fmt::format("scans{} are {:.3g} s apart, but the rays of a scan take {:.3g} s; "
+                                         "expected times of frames in seconds, or the rate of the scans",
+                                         format_of_lidar(sequence.lidars[lidar]), step_s, sweep_s));
 }
 
 void add_rounding_note(LidarSequence& sequence) {
@@ -157,11 +156,10 @@ void add_rounding_note(LidarSequence& sequence) {
             different_m.insert(std::round(n_steps) * step_m);
         }
         if (!is_rounded || different_m.size() < kFewestCoordinates) continue;
-        sequence.notes.push_back(
-            kFloatNote +
-            fmt::format("all {} coordinates are multiples of {:.3g} m, which is the precision of "
-                        "float32 at {:.0f} m; expected double precision",
-                        axis == 0 ? "x" : "y", step_m, *different_m.rbegin()));
+        sequence.notes.push_back(kFloatNote +
+                                 fmt::format("all {} coordinates are multiples of {:.3g} m, which is the "
+                                             "precision of float32 at {:.0f} m; expected double precision",
+                                             axis == 0 ? "x" : "y", step_m, *different_m.rbegin()));
         return;
     }
 }
@@ -291,12 +289,12 @@ void add_note_about_rotation(LidarSequence& sequence, std::size_t lidar_index) {
     }
     if (n_scans == 0 || fit[1] < kLeastFit * n_scans || fit[0] > kLargestMisfit * n_scans) return;
     const char *clockwise = "clockwise", *counterclockwise = "counterclockwise";
-    sequence.notes.push_back(
-        kRotationNote +
-        fmt::format("by the times of the points, the head{} turns {}, but its sensor turns {}; check the "
-                    "sign of the times and of y",
-                    format_of_lidar(lidar), lidar.sensor.clockwise ? counterclockwise : clockwise,
-                    lidar.sensor.clockwise ? clockwise : counterclockwise));
+    sequence.notes.push_back(kRotationNote +
+                             fmt::format("by the times of the points, the head{} turns {}, but its sensor "
+                                         "turns {}; check the sign of the times and of y",
+                                         format_of_lidar(lidar),
+                                         lidar.sensor.clockwise ? counterclockwise : clockwise,
+                                         lidar.sensor.clockwise ? clockwise : counterclockwise));
 }
 
 void add_notes_about_boxes(LidarSequence& sequence) {
@@ -313,11 +311,10 @@ void add_notes_about_boxes(LidarSequence& sequence) {
             largest = &box;
     }
     if (n_far_in_time > 0)
-        sequence.notes.push_back(
-            kBoxNote +
-            fmt::format("the times of {} of {} boxes are more than an hour before or after the log; "
-                        "expected seconds on the clock of the scans",
-                        n_far_in_time, sequence.boxes.size()));
+        sequence.notes.push_back(kBoxNote +
+                                 fmt::format("the times of {} of {} boxes are more than an hour before or "
+                                             "after the log; expected seconds on the clock of the scans",
+                                             n_far_in_time, sequence.boxes.size()));
     if (largest)
         sequence.notes.push_back(kBoxNote + fmt::format("the box '{}' is {:.0f} m long; expected metres",
                                                         largest->id, get_length_m(*largest)));

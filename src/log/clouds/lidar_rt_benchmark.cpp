@@ -8,6 +8,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 
 RequestedDriveFrames find_requested_drive_and_frames(const DatasetOptions& options,
@@ -18,9 +20,8 @@ RequestedDriveFrames find_requested_drive_and_frames(const DatasetOptions& optio
     const int begin = std::max(options.frames.begin, part->first);
     const int end = options.frames.end < 0 ? part->last + 1 : std::min(options.frames.end, part->last + 1);
     if (begin >= end)
-        throw UsageError(fmt::format("frames {}:{} contain no frame of {}, which has the frames {} to {}",
-                                     options.frames.begin, options.frames.end, part->name, part->first,
-                                     part->last));
+        fail<UsageError>("frames {}:{} contain no frame of {}, which has the frames {} to {}",
+                         options.frames.begin, options.frames.end, part->name, part->first, part->last);
     std::vector<int> test_frames;
     for (int k = 0, frame = part->test_first; k < kBenchmarkTestFrames; ++k, frame += part->test_every)
         if (frame >= begin && frame < end) test_frames.push_back(frame);

@@ -10,6 +10,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/classes/dataset_classes.hpp"
 #include "log/clouds/dropped_ray.hpp"
@@ -25,9 +26,8 @@ constexpr double kFarthestReturn_m = 1e4;
 std::vector<SurfaceClass> read_semantic_kitti_classes(const fs::path& label_file, std::size_t n_points) {
     const std::string bytes = read_file(label_file);
     if (bytes.size() != 4 * n_points)
-        throw DataError(
-            fmt::format("file {} has {} bytes, expected 4 bytes for each of the {} points of the scan",
-                        label_file.string(), bytes.size(), n_points));
+        fail("file {} has {} bytes, expected 4 bytes for each of the {} points of the scan",
+             label_file.string(), bytes.size(), n_points);
     std::vector<SurfaceClass> classes;
     for (std::size_t i = 0; i < n_points; ++i) {
         std::uint32_t label;
@@ -60,10 +60,8 @@ std::string describe_mistaken_kitti_folder(const fs::path& folder, const std::st
         if (n++ == 0 || name < first) first = name;
     }
     return n == 0 ? ""
-                  : fmt::format(
-                        "the folder contains {} dataset{}; use the folder of one of them, such as "
-                        "{}",
-                        n, n == 1 ? "" : "s", (folder / first).string());
+                  : fmt::format("the folder contains {} dataset{}; use the folder of one of them, such as {}",
+                                n, n == 1 ? "" : "s", (folder / first).string());
 }
 
 std::string describe_or_reject_missing_scan_files(const fs::path& folder,
@@ -80,8 +78,7 @@ std::string describe_or_reject_missing_scan_files(const fs::path& folder,
     const std::string gaps =
         fmt::format("{} of the scans with numbers {} to {} are missing ({}{})", n, frame_numbers.front(),
                     frame_numbers.back(), fmt::join(shown, ", "), n > kShown ? ", ..." : "");
-    if (!allow_missing)
-        throw DataError(fmt::format("{}: {}, expected one file for each scan number", folder.string(), gaps));
+    if (!allow_missing) fail("{}: {}, expected one file for each scan number", folder.string(), gaps);
     return gaps;
 }
 
@@ -94,29 +91,22 @@ std::vector<int> list_scan_numbers(const fs::path& folder, int begin_number, int
         if (file.extension() == ".bin" && number) all.push_back(*number);
         else if (file.extension() == ".bin" &&
                  file.stem().string().find_first_not_of("0123456789") == std::string::npos)
-            throw DataError(
-                fmt::format("{}: the number of a scan is too large, expected a number below "
-                            "100000000",
-                            file.string()));
+            fail("{}: the number of a scan is too large, expected a number below 100000000", file.string());
         text_scans = text_scans || file.extension() == ".txt";
     }
     if (all.empty() && text_scans)
-        throw DataError(
-            fmt::format("{}: the scans are text files, so this is an unsynced drive (_extract); expected "
-                        "the synced drive (_sync) with files like 0000000000.bin",
-                        folder.string()));
-    if (all.empty())
-        throw DataError(
-            fmt::format("{}: no scans were found, expected files like "
-                        "0000000000.bin",
-                        folder.string()));
+        fail(
+            "{}: the scans are text files, so this is an unsynced drive (_extract); expected the synced "
+            "drive (_sync) with files like 0000000000.bin",
+            folder.string());
+    if (all.empty()) fail("{}: no scans were found, expected files like 0000000000.bin", folder.string());
     std::sort(all.begin(), all.end());
     std::copy_if(all.begin(), all.end(), std::back_inserter(frames),
                  [&](int f) { return f >= begin_number && (end_number < 0 || f < end_number); });
     if (frames.empty()) {
-        throw UsageError(fmt::format("frames {}:{} select no scan of {}, expected numbers in [{}, {}]",
-                                     begin_number, end_number < 0 ? "" : std::to_string(end_number),
-                                     folder.string(), all.front(), all.back()));
+        fail<UsageError>("frames {}:{} select no scan of {}, expected numbers in [{}, {}]", begin_number,
+                         end_number < 0 ? "" : std::to_string(end_number), folder.string(), all.front(),
+                         all.back());
     }
     return frames;
 }
@@ -125,13 +115,10 @@ ScanPoints read_kitti_scan_points(const fs::path& scan_file, const fs::path& lab
     const std::string bytes = read_file(scan_file);
     static_assert(sizeof(glm::vec4) == 16);
     if (bytes.empty())
-        throw DataError(fmt::format("{}: the file is empty, expected at least one point of 16 bytes",
-                                    scan_file.string()));
+        fail("{}: the file is empty, expected at least one point of 16 bytes", scan_file.string());
     if (bytes.size() % 16 != 0) {
-        throw DataError(
-            fmt::format("{}: the file is truncated: it has {} bytes, which are {} points of 16 bytes and "
-                        "{} more bytes",
-                        scan_file.string(), bytes.size(), bytes.size() / 16, bytes.size() % 16));
+        fail("{}: the file is truncated: it has {} bytes, which are {} points of 16 bytes and {} more bytes",
+             scan_file.string(), bytes.size(), bytes.size() / 16, bytes.size() % 16);
     }
     ScanPoints scan;
     std::vector<glm::vec4>& points = scan.points;
@@ -141,10 +128,10 @@ ScanPoints read_kitti_scan_points(const fs::path& scan_file, const fs::path& lab
         const glm::vec4& p = points[i];
         const double largest = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
         if (!is_valid_return_point(p) || (std::isfinite(p.w) && largest <= kFarthestReturn_m)) continue;
-        throw DataError(
-            fmt::format("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values and "
-                        "coordinates of at most {} m",
-                        scan_file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m));
+        fail(
+            "{}: point {} is ({}, {}, {}) with intensity {}, expected finite values and coordinates of at "
+            "most {} m",
+            scan_file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m);
     }
     if (!label_file.empty() && does_path_exist(label_file))
         scan.classes = read_semantic_kitti_classes(label_file, points.size());

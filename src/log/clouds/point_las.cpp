@@ -11,6 +11,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "log/clouds/point_table.hpp"
 
 namespace relidar::folder {
@@ -44,17 +45,16 @@ struct LasHeader {
 
 LasHeader parse_las_header(std::string_view bytes, const std::string& error_location) {
     if (bytes.size() < kHeaderBytes || !bytes.starts_with("LASF"))
-        throw DataError(fmt::format("{}: found {} bytes that do not begin with LASF, expected a LAS file",
-                                    error_location, bytes.size()));
+        fail("{}: found {} bytes that do not begin with LASF, expected a LAS file", error_location,
+             bytes.size());
     LasHeader header;
     header.format = read_unaligned<std::uint8_t>(bytes, kFormatAt);
     if (header.format >= kPacked)
-        throw DataError(fmt::format(
-            "{}: found compressed points (LAZ), expected LAS; 'laszip IN.laz OUT.las' unpacks them",
-            error_location));
+        fail("{}: found compressed points (LAZ), expected LAS; 'laszip IN.laz OUT.las' unpacks them",
+             error_location);
     if (header.format > kMostFormat)
-        throw DataError(fmt::format("{}: found the point format {}, expected a format from 0 to {}",
-                                    error_location, header.format, kMostFormat));
+        fail("{}: found the point format {}, expected a format from 0 to {}", error_location, header.format,
+             kMostFormat);
     header.begin = read_unaligned<std::uint32_t>(bytes, kPointsAt);
     header.record = read_unaligned<std::uint16_t>(bytes, kRecordAt);
     header.n = read_unaligned<std::uint32_t>(bytes, kCountAt);
@@ -68,9 +68,8 @@ LasHeader parse_las_header(std::string_view bytes, const std::string& error_loca
         header.get_gps_time_byte_offset() + (header.has_gps_time_per_point() ? 8 : 0);
     if (header.record < min_record_bytes || header.begin > bytes.size() ||
         header.n > (bytes.size() - header.begin) / header.record)
-        throw DataError(fmt::format(
-            "{}: the file is truncated: found {} bytes, expected {} points of {} bytes from byte {}",
-            error_location, bytes.size(), header.n, header.record, header.begin));
+        fail("{}: the file is truncated: found {} bytes, expected {} points of {} bytes from byte {}",
+             error_location, bytes.size(), header.n, header.record, header.begin);
     return header;
 }
 
@@ -82,10 +81,10 @@ void require_points_near_origin(const std::array<std::vector<double>, 3>& coordi
     for (std::size_t axis = 0; axis < 2; ++axis) {
         const auto [least, most] = std::ranges::minmax(coordinates_m[axis]);
         if (least <= kMostAway_m && most >= -kMostAway_m) continue;
-        throw DataError(
-            fmt::format("{}: the {} coordinates are from {:.6g} to {:.6g} m, so the points are probably a "
-                        "map or in survey coordinates; expected one scan with the sensor at the origin",
-                        error_location, axis == 0 ? "x" : "y", least, most));
+        fail(
+            "{}: the {} coordinates are from {:.6g} to {:.6g} m, so the points are probably a map or in "
+            "survey coordinates; expected one scan with the sensor at the origin",
+            error_location, axis == 0 ? "x" : "y", least, most);
     }
 }
 

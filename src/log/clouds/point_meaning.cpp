@@ -169,10 +169,9 @@ PointFieldSemantics interpret_point_fields(const std::vector<PointTable>& sample
     for (const PointTable& cloud : sample_clouds)
         if (!meaning.no_return) meaning.no_return = find_position_that_marks_dropped_rays(cloud);
     if (meaning.no_return)
-        meaning.notes.push_back(
-            fmt::format("many points have exactly the position ({}, {}, {}); they are read as rays without "
-                        "return",
-                        meaning.no_return->x, meaning.no_return->y, meaning.no_return->z));
+        meaning.notes.push_back(fmt::format(
+            "many points have exactly the position ({}, {}, {}); they are read as rays without return",
+            meaning.no_return->x, meaning.no_return->y, meaning.no_return->z));
     return meaning;
 }
 

@@ -8,6 +8,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/clouds/point_table.hpp"
 
@@ -44,13 +45,12 @@ std::vector<double> parse_numbers_after_keyword(const std::vector<std::string>& 
     for (std::size_t i = 1; i < words.size(); ++i) {
         const auto number = parse_number(words[i]);
         if (!number || !(*number >= 0.0 && *number <= 1e9) || *number != double(std::int64_t(*number)))
-            throw DataError(fmt::format("{}: found {} '{}', expected a whole number", error_location,
-                                        words[0], shorten_for_error_message(words[i])));
+            fail("{}: found {} '{}', expected a whole number", error_location, words[0],
+                 shorten_for_error_message(words[i]));
         numbers.push_back(*number);
     }
     if (numbers.empty())
-        throw DataError(
-            fmt::format("{}: the line {} has no number, expected at least one", error_location, words[0]));
+        fail("{}: the line {} has no number, expected at least one", error_location, words[0]);
     return numbers;
 }
 
@@ -59,8 +59,7 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& error_loca
     while (header.data.empty()) {
         const std::size_t end = bytes.find('\n', header.length);
         if (end == std::string_view::npos)
-            throw DataError(fmt::format("{}: the line DATA is missing, expected the header of a PCD file",
-                                        error_location));
+            fail("{}: the line DATA is missing, expected the header of a PCD file", error_location);
         const std::vector<std::string> words = split_words(bytes.substr(header.length, end - header.length));
         header.length = end + 1;
         if (words.empty() || words[0].front() == '#') continue;
@@ -74,10 +73,8 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& error_loca
             for (std::size_t i = 1; i < words.size(); ++i) header.types += words[i].front();
         else if (words[0] == "DATA") header.data = words.size() == 2 ? words[1] : "?";
         else if (words[0] != "VERSION" && words[0] != "VIEWPOINT")
-            throw DataError(
-                fmt::format("{}: found a line that starts with '{}', expected the header of a "
-                            "PCD file",
-                            error_location, shorten_for_error_message(words[0])));
+            fail("{}: found a line that starts with '{}', expected the header of a PCD file", error_location,
+                 shorten_for_error_message(words[0]));
     }
     if (header.points < 0.0) header.points = header.width * header.height;
     if (header.counts.empty()) header.counts.assign(header.names.size(), 1.0);
@@ -88,24 +85,22 @@ std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::stri
     const std::size_t n = header.names.size();
     if (n == 0 || n > kMostPcdFields || header.sizes.size() != n || header.types.size() != n ||
         header.counts.size() != n)
-        throw DataError(
-            fmt::format("{}: found {} FIELDS, {} SIZE, {} TYPE and {} COUNT, expected the same "
-                        "number of each, 1 to {}",
-                        error_location, n, header.sizes.size(), header.types.size(), header.counts.size(),
-                        kMostPcdFields));
+        fail("{}: found {} FIELDS, {} SIZE, {} TYPE and {} COUNT, expected the same number of each, 1 to {}",
+             error_location, n, header.sizes.size(), header.types.size(), header.counts.size(),
+             kMostPcdFields);
     std::vector<PointField> fields;
     double record = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
         if (header.counts[i] < 1.0 && is_known_point_field(header.names[i]))
-            throw DataError(fmt::format("{}: COUNT of the field '{}' is 0, expected at least 1",
-                                        error_location, shorten_for_error_message(header.names[i])));
+            fail("{}: COUNT of the field '{}' is 0, expected at least 1", error_location,
+                 shorten_for_error_message(header.names[i]));
         record += header.sizes[i] * header.counts[i];
         fields.push_back(
             {header.names[i], header.types[i], std::size_t(header.sizes[i]), std::size_t(header.counts[i])});
     }
     if (record > double(kMostBytes))
-        throw DataError(fmt::format("{}: a point has {} bytes (SIZE and COUNT), expected at most {}",
-                                    error_location, record, kMostBytes));
+        fail("{}: a point has {} bytes (SIZE and COUNT), expected at most {}", error_location, record,
+             kMostBytes);
     return fields;
 }
 
@@ -123,10 +118,10 @@ void resolve_empty_fields(std::vector<PointField>& fields, std::size_t record, b
     const std::size_t more = record - std::min(known, record), missing = more > kMostPadding ? 0 : more;
     const bool has_one_value_each = missing == of_empty;
     if (n_empty > 1 && missing > 0 && !has_one_value_each)
-        throw DataError(
-            fmt::format("{}: {} fields have COUNT 0, and a point has {} more {} than the other fields, "
-                        "expected 0 or {} more",
-                        error_location, n_empty, missing, is_text ? "values" : "bytes", of_empty));
+        fail(
+            "{}: {} fields have COUNT 0, and a point has {} more {} than the other fields, expected 0 or {} "
+            "more",
+            error_location, n_empty, missing, is_text ? "values" : "bytes", of_empty);
     std::erase_if(fields, [&](PointField& field) {
         if (field.count > 0) return false;
         if (has_one_value_each) field.count = 1;
@@ -136,8 +131,7 @@ void resolve_empty_fields(std::vector<PointField>& fields, std::size_t record, b
 }
 
 [[noreturn]] void throw_damaged_lzf_error(const std::string& error_location) {
-    throw DataError(fmt::format(
-        "{}: the compressed data is damaged, expected LZF data of the size in the file", error_location));
+    fail("{}: the compressed data is damaged, expected LZF data of the size in the file", error_location);
 }
 
 /// Decompresses LZF data. A byte b below 32 precedes b + 1 bytes that are copied. A
@@ -179,19 +173,19 @@ std::string decompress_lzf(std::string_view compressed_data, std::size_t decompr
 /// the decompressed size, and LZF data. The result stores one field after another.
 std::string decompress_pcd_points(std::string_view compressed_data, const std::string& error_location) {
     if (compressed_data.size() < 8)
-        throw DataError(
-            fmt::format("{}: the file is truncated: found {} bytes after the header, expected "
-                        "at least 8 with the sizes of the data",
-                        error_location, compressed_data.size()));
+        fail(
+            "{}: the file is truncated: found {} bytes after the header, expected at least 8 with the sizes "
+            "of the data",
+            error_location, compressed_data.size());
     std::uint32_t packed = 0, size = 0;
     std::memcpy(&packed, compressed_data.data(), 4);
     std::memcpy(&size, compressed_data.data() + 4, 4);
     compressed_data.remove_prefix(8);
     if (packed > compressed_data.size() || size / kMostExpansion > packed)
-        throw DataError(
-            fmt::format("{}: the file says that {} bytes of compressed data unpack to {} bytes, which is "
-                        "impossible with the {} bytes of data that it has, so it is damaged",
-                        error_location, packed, size, compressed_data.size()));
+        fail(
+            "{}: the file says that {} bytes of compressed data unpack to {} bytes, which is impossible with "
+            "the {} bytes of data that it has, so it is damaged",
+            error_location, packed, size, compressed_data.size());
     return decompress_lzf(compressed_data.substr(0, packed), size, error_location);
 }
 
@@ -218,8 +212,8 @@ PointTable parse_pcd_points(const SharedBytes& file, const std::string& error_lo
         resolve_empty_fields(fields, points.bytes.size() / n, false, error_location);
         return make_table_of_binary_points(points, fields, n, PointMemoryLayout::by_field, error_location);
     }
-    throw DataError(fmt::format("{}: found DATA '{}', expected ascii, binary or binary_compressed",
-                                error_location, shorten_for_error_message(header.data)));
+    fail("{}: found DATA '{}', expected ascii, binary or binary_compressed", error_location,
+         shorten_for_error_message(header.data));
 }
 
 }  // namespace relidar::folder

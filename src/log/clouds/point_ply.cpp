@@ -8,6 +8,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/clouds/point_table.hpp"
 
@@ -29,10 +30,8 @@ PointField make_ply_field(const std::string& type_name, const std::string& name,
                                                {"ushort", "uint16", 'U', 2}, {"uint", "uint32", 'U', 4}};
     for (const PlyScalarType& row : kTypes)
         if (type_name == row.name || type_name == row.other) return {name, row.kind, row.size};
-    throw DataError(
-        fmt::format("{}: the property '{}' has the type '{}', expected a number type (lists "
-                    "are not supported)",
-                    error_location, shorten_for_error_message(name), shorten_for_error_message(type_name)));
+    fail("{}: the property '{}' has the type '{}', expected a number type (lists are not supported)",
+         error_location, shorten_for_error_message(name), shorten_for_error_message(type_name));
 }
 
 struct PlyHeader {
@@ -52,13 +51,13 @@ void parse_ply_header_line(const std::string& line, PlyHeader& header, int& n_el
     } else if (keyword == "element") {
         const auto n = parse_number(b);
         if (++n_elements == 1 && (a != "vertex" || !n || !(*n >= 0.0 && *n <= 1e9)))
-            throw DataError(fmt::format("{}: found '{}', expected 'element vertex N' as the first element",
-                                        error_location, shorten_for_error_message(line)));
+            fail("{}: found '{}', expected 'element vertex N' as the first element", error_location,
+                 shorten_for_error_message(line));
         if (n_elements == 1) header.n = std::size_t(*n);
     } else if (keyword == "property" && n_elements == 1) {
         if (header.fields.size() >= kMostPlyFields)
-            throw DataError(fmt::format("{}: found too many properties of a vertex, expected at most {}",
-                                        error_location, kMostPlyFields));
+            fail("{}: found too many properties of a vertex, expected at most {}", error_location,
+                 kMostPlyFields);
         header.fields.push_back(make_ply_field(a, b, error_location));
     }
 }
@@ -67,15 +66,11 @@ PlyHeader parse_ply_header(std::string_view bytes, const std::string& error_loca
     PlyHeader header;
     int elements = 0;
     if (!bytes.starts_with("ply"))
-        throw DataError(
-            fmt::format("{}: the file does not begin with 'ply', expected a PLY file", error_location));
+        fail("{}: the file does not begin with 'ply', expected a PLY file", error_location);
     for (std::string_view line; line != "end_header";) {
         const std::size_t end = bytes.find('\n', header.length);
         if (end == std::string_view::npos)
-            throw DataError(
-                fmt::format("{}: the line end_header is missing, expected the header of a PLY "
-                            "file",
-                            error_location));
+            fail("{}: the line end_header is missing, expected the header of a PLY file", error_location);
         line = trim_blanks_at_both_ends(bytes.substr(header.length, end - header.length));
         header.length = end + 1;
         parse_ply_header_line(std::string(line), header, elements, error_location);
@@ -92,8 +87,8 @@ PointTable parse_ply_points(const SharedBytes& file, const std::string& error_lo
     if (header.format == "binary_little_endian")
         return make_table_of_binary_points(file.make_shared_subview(data), header.fields, header.n,
                                            PointMemoryLayout::by_point, error_location);
-    throw DataError(fmt::format("{}: found the format '{}', expected ascii or binary_little_endian",
-                                error_location, shorten_for_error_message(header.format)));
+    fail("{}: found the format '{}', expected ascii or binary_little_endian", error_location,
+         shorten_for_error_message(header.format));
 }
 
 }  // namespace relidar::folder

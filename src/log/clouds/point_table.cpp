@@ -14,6 +14,7 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/clouds/other_formats.hpp"
 #include "log/clouds/point_times.hpp"
@@ -109,11 +110,9 @@ constexpr ScalarTypeEntry kNumberTypes[] = {{'F', 4, ScalarType::f4, "f4"}, {'F'
 ScalarType get_field_number_type(const PointField& field, const std::string& error_location) {
     for (const ScalarTypeEntry& row : kNumberTypes)
         if (row.kind == field.kind && row.size == field.size) return row.type;
-    throw DataError(
-        fmt::format("{}: the field '{}' has the type {}{}, expected F4, F8, or I or U with 1, 2, 4 or 8 "
-                    "bytes",
-                    error_location, shorten_for_error_message(field.name),
-                    shorten_for_error_message(std::string(1, field.kind)), field.size));
+    fail("{}: the field '{}' has the type {}{}, expected F4, F8, or I or U with 1, 2, 4 or 8 bytes",
+         error_location, shorten_for_error_message(field.name),
+         shorten_for_error_message(std::string(1, field.kind)), field.size);
 }
 
 /// Returns true if a file contains the points of an HDL-32E as the dataset NCLT stores
@@ -136,19 +135,18 @@ PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::
     std::vector<PointField> fields;
     for (const std::string& column : column_names) fields.push_back({column, 'F', sizeof(float)});
     if (is_nclt_packed_file(data.bytes))
-        throw DataError(fmt::format(
+        fail(
             "{}: found points of the dataset NCLT (velodyne_sync): uint16 x, y, z, uint8 intensity, uint8 "
             "laser; expected float32 values; convert x, y and z to metres (value * 0.005 - 100), negate y "
-            "and "
-            "z, and name the columns in sequence.json: \"columns\": [\"x\", \"y\", \"z\", \"intensity\", "
+            "and z, and name the columns in sequence.json: \"columns\": [\"x\", \"y\", \"z\", \"intensity\", "
             "\"ring\"]",
-            bin_file.string()));
+            bin_file.string());
     const std::size_t record = fields.size() * sizeof(float);
     if (n_bytes % record != 0)
-        throw DataError(
-            fmt::format("{}: found {} bytes, expected a multiple of {} bytes for points of {} float32 "
-                        "values (\"columns\" in sequence.json)",
-                        bin_file.string(), n_bytes, record, fields.size()));
+        fail(
+            "{}: found {} bytes, expected a multiple of {} bytes for points of {} float32 values "
+            "(\"columns\" in sequence.json)",
+            bin_file.string(), n_bytes, record, fields.size());
     PointTable table = make_table_of_binary_points(data, fields, n_bytes / record,
                                                    PointMemoryLayout::by_point, bin_file.string());
     // Clears the list of unread columns, because the user already got a note about them
@@ -182,12 +180,12 @@ void add_array_columns(PointTable& table, NamedArray array, const std::vector<st
 PointTable make_table_of_array(NamedArray array, const std::vector<std::string>& column_names,
                                const std::string& error_location) {
     if (array.shape.size() != 2 || array.shape[1] != column_names.size())
-        throw DataError(fmt::format(
+        fail(
             "{}: found an array of {} dimensions{}, expected the shape [points, {}] with the columns {}; set "
             "\"columns\" in sequence.json to the columns of the array",
             error_location, array.shape.size(),
             array.shape.empty() ? "" : fmt::format(", whose last dimension is {}", array.shape.back()),
-            column_names.size(), fmt::join(column_names, ", ")));
+            column_names.size(), fmt::join(column_names, ", "));
     require_valid_point_count(array.shape[0], error_location);
     PointTable table(array.shape[0]);
     add_array_columns(table, std::move(array), column_names, error_location);
@@ -212,9 +210,7 @@ const NamedArray* find_point_array(const std::vector<NamedArray>& arrays) {
 PointTable read_npz_points(const fs::path& file, const std::vector<std::string>& column_names) {
     const std::vector<NamedArray> arrays = read_npz(file);
     const NamedArray* found = find_point_array(arrays);
-    if (!found)
-        throw DataError(
-            fmt::format("{}: the array 'points' is missing, expected it in every scan file", file.string()));
+    if (!found) fail("{}: the array 'points' is missing, expected it in every scan file", file.string());
     NamedArray points = *found;
     const std::size_t width = points.shape.back();
     points.shape = {width == 0 ? 0 : points.count_array_elements() / width, width};
@@ -253,8 +249,7 @@ std::vector<std::string> PointTable::list_fields_with_attribute(PointAttribute a
 
 void require_valid_point_count(std::size_t n_points, const std::string& error_location) {
     if (n_points == 0 || n_points > kMostPoints)
-        throw DataError(
-            fmt::format("{}: found {} points, expected 1 to {}", error_location, n_points, kMostPoints));
+        fail("{}: found {} points, expected 1 to {}", error_location, n_points, kMostPoints);
 }
 
 const PointFieldView* PointTable::find_field(const std::string& field_name) const {
@@ -270,8 +265,7 @@ const PointFieldView* PointTable::find_field(PointAttribute attribute) const {
 void PointTable::add_value_field(const std::string& field_name, const PointFieldView& values,
                                  const std::string& error_location) {
     if (!fields_.emplace(field_name, values).second)
-        throw DataError(
-            fmt::format("{}: the field '{}' occurs twice, expected it once", error_location, field_name));
+        fail("{}: the field '{}' occurs twice, expected it once", error_location, field_name);
 }
 
 void PointTable::remove_fields_with_attribute(PointAttribute attribute) {
@@ -286,15 +280,13 @@ PointTable make_table_of_binary_points(const SharedBytes& data, const std::vecto
     std::size_t record = 0;
     for (const PointField& field : fields) {
         if (field.size == 0 || field.count == 0)
-            throw DataError(fmt::format("{}: field '{}' has no values, expected at least one per point",
-                                        error_location, shorten_for_error_message(field.name)));
+            fail("{}: field '{}' has no values, expected at least one per point", error_location,
+                 shorten_for_error_message(field.name));
         record += field.size * field.count;
     }
     if (data.bytes.size() / n_points < record)
-        throw DataError(
-            fmt::format("{}: the file is truncated: found {} bytes of points, expected {} "
-                        "points of {} bytes",
-                        error_location, data.bytes.size(), n_points, record));
+        fail("{}: the file is truncated: found {} bytes of points, expected {} points of {} bytes",
+             error_location, data.bytes.size(), n_points, record);
     PointTable table(n_points);
     table.keep_memory_alive(data.memory);
     std::size_t before = 0;  // number of bytes of the previous fields in a point
@@ -319,8 +311,8 @@ PointTable parse_point_lines(std::string_view text, const std::vector<PointField
                              std::size_t n_points, const std::string& error_location) {
     require_valid_point_count(n_points, error_location);
     if (n_points > text.size())
-        throw DataError(fmt::format("{}: the file is truncated: found {} bytes of text, expected {} points",
-                                    error_location, text.size(), n_points));
+        fail("{}: the file is truncated: found {} bytes of text, expected {} points", error_location,
+             text.size(), n_points);
     struct Column {
         std::size_t index_in_line;  ///< index in the line
         const std::string& name;
@@ -337,8 +329,8 @@ PointTable parse_point_lines(std::string_view text, const std::vector<PointField
         const std::size_t end = std::min(text.find('\n'), text.size());
         const auto numbers = parse_numbers(text.substr(0, end));
         if (!numbers || numbers->size() != width)
-            throw DataError(fmt::format("{}: point {} is '{}', expected {} numbers", error_location, i,
-                                        shorten_for_error_message(text.substr(0, end)), width));
+            fail("{}: point {} is '{}', expected {} numbers", error_location, i,
+                 shorten_for_error_message(text.substr(0, end)), width);
         for (Column& column : point_columns) column.values[i] = (*numbers)[column.index_in_line];
         text.remove_prefix(std::min(end + 1, text.size()));
     }
@@ -386,11 +378,11 @@ PointTable read_points_of_format(const fs::path& file, const std::vector<std::st
     if (ending == ".csv" || ending == ".xyz")
         return parse_text_points(make_shared_bytes(read_file(file)), column_names, file.string());
     if (const std::string other = describe_unsupported_format(file); !other.empty())
-        throw DataError(fmt::format("{}: {}", file.string(), other));
-    throw DataError(
-        fmt::format("{}: found the file name ending '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, "
-                    ".las, .csv or .xyz",
-                    file.string(), shorten_for_error_message(ending)));
+        fail("{}: {}", file.string(), other);
+    fail(
+        "{}: found the file name ending '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, .las, .csv or "
+        ".xyz",
+        file.string(), shorten_for_error_message(ending));
 }
 
 }  // namespace
@@ -407,9 +399,8 @@ bool has_npz_points(const std::vector<fs::path>& scan_files) {
     if (find_point_array(arrays)) return true;
     std::vector<std::string> names;
     for (const NamedArray& array : arrays) names.push_back(array.name);
-    throw DataError(
-        fmt::format("{}: found the arrays {}; expected 'range' and 'directions' (rays), or 'points'",
-                    file->string(), fmt::join(names, ", ")));
+    fail("{}: found the arrays {}; expected 'range' and 'directions' (rays), or 'points'", file->string(),
+         fmt::join(names, ", "));
 }
 
 PointTable read_point_file(const fs::path& file, const std::vector<std::string>& column_names) {

@@ -9,6 +9,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/clouds/point_table.hpp"
 
@@ -45,10 +46,10 @@ std::vector<PointField> make_default_fields(std::size_t n_values_per_line,
     if (column_names.empty() && n_values_per_line == 3) return make_named_fields({"x", "y", "z"});
     if (column_names.empty() && n_values_per_line == 4)
         return make_named_fields({"x", "y", "z", "intensity"});
-    throw DataError(
-        fmt::format("{}: found {} numbers per line and no header, expected names in the first line, or "
-                    "\"columns\" in sequence.json",
-                    error_location, n_values_per_line));
+    fail(
+        "{}: found {} numbers per line and no header, expected names in the first line, or \"columns\" in "
+        "sequence.json",
+        error_location, n_values_per_line);
 }
 
 /// Parses the list of fields in the header of a structured numpy array: [('x', '<f4'),
@@ -69,8 +70,8 @@ public:
             if (consume_character_if_next(',') && is_next_nonblank_character('('))
                 fields.back().count *= parse_shape_and_count_elements();
             require_next_character(')');
-            if (!consume_character_if_next(',') && !is_next_nonblank_character(']')) fail();
-            if (fields.size() > kMostTextFields) fail();
+            if (!consume_character_if_next(',') && !is_next_nonblank_character(']')) fail_header();
+            if (fields.size() > kMostTextFields) fail_header();
         }
         return fields;
     }
@@ -86,11 +87,11 @@ public:
                 value = 10 * value + std::size_t(text_[0] - '0');
                 text_.remove_prefix(1);
             }
-            if (n_digits == 0 || n_digits > 8) fail();
+            if (n_digits == 0 || n_digits > 8) fail_header();
             n *= value;
             if (n > std::size_t(1) << 32 ||
                 (!consume_character_if_next(',') && !is_next_nonblank_character(')')))
-                fail();
+                fail_header();
         }
         return n;
     }
@@ -99,11 +100,11 @@ private:
     std::string_view text_;
     const std::string& where_;
 
-    [[noreturn]] void fail() const {
-        throw DataError(
-            fmt::format("{}: cannot read the list of fields in the header of the npy file, expected a list "
-                        "such as [('x', '<f4'), ('y', '<f4')]",
-                        where_));
+    [[noreturn]] void fail_header() const {
+        fail(
+            "{}: cannot read the list of fields in the header of the npy file, expected a list such as "
+            "[('x', '<f4'), ('y', '<f4')]",
+            where_);
     }
     bool is_next_nonblank_character(char expected_character) {
         while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n')) text_.remove_prefix(1);
@@ -115,7 +116,7 @@ private:
         return true;
     }
     void require_next_character(char expected_character) {
-        if (!consume_character_if_next(expected_character)) fail();
+        if (!consume_character_if_next(expected_character)) fail_header();
     }
     std::string parse_quoted_text() {
         require_next_character('\'');
@@ -130,10 +131,10 @@ private:
     PointField parse_numpy_field(const std::string& field_name, const std::string& type_code) const {
         const auto size =
             parse_number(std::string_view(type_code).substr(std::min<std::size_t>(2, type_code.size())));
-        if (type_code.size() < 3 || !size || !(*size >= 1.0 && *size <= 65536.0)) fail();
+        if (type_code.size() < 3 || !size || !(*size >= 1.0 && *size <= 65536.0)) fail_header();
         if (type_code[0] == '>')
-            throw DataError(fmt::format("{}: the field '{}' is big-endian, expected little-endian", where_,
-                                        shorten_for_error_message(field_name)));
+            fail("{}: the field '{}' is big-endian, expected little-endian", where_,
+                 shorten_for_error_message(field_name));
         if (type_code[1] == 'V' || field_name.empty())
             return {std::string(kPadding), 'U', 1, std::size_t(*size)};
         char kind = 'U';
@@ -168,8 +169,7 @@ PointTable parse_text_points(const SharedBytes& file, const std::vector<std::str
         skip_line();
     }
     if (fields.size() > kMostTextFields)
-        throw DataError(fmt::format("{}: found {} fields, expected at most {}", error_location, fields.size(),
-                                    kMostTextFields));
+        fail("{}: found {} fields, expected at most {}", error_location, fields.size(), kMostTextFields);
     const auto n = rest.empty() ? 0 : std::size_t(std::ranges::count(rest, '\n')) + 1;
     return parse_point_lines(rest, fields, n, error_location);
 }
@@ -184,18 +184,15 @@ bool is_structured_npy(std::string_view bytes) {
 PointTable parse_structured_npy_points(const SharedBytes& file, const std::string& error_location) {
     const std::string_view bytes = file.bytes;
     const std::size_t n_length = bytes.size() > kNpyPrefix && bytes[6] == 1 ? 2 : 4;
-    if (bytes.size() < kNpyPrefix + n_length)
-        throw DataError(fmt::format("{}: the npy header is truncated", error_location));
+    if (bytes.size() < kNpyPrefix + n_length) fail("{}: the npy header is truncated", error_location);
     std::uint32_t length = 0;
     std::memcpy(&length, bytes.data() + kNpyPrefix, n_length);
     const std::size_t start = kNpyPrefix + n_length;
-    if (length > bytes.size() - start)
-        throw DataError(fmt::format("{}: the npy header is truncated", error_location));
+    if (length > bytes.size() - start) fail("{}: the npy header is truncated", error_location);
     const std::string_view header = bytes.substr(start, length);
     const std::size_t fields_at = header.find("'descr':"), shape_at = header.find("'shape':");
     if (fields_at == header.npos || shape_at == header.npos)
-        throw DataError(
-            fmt::format("{}: the npy header has no descr or no shape, expected both", error_location));
+        fail("{}: the npy header has no descr or no shape, expected both", error_location);
     const std::vector<PointField> fields =
         NumpyFieldListParser(header.substr(fields_at + 8), error_location).parse_field_list();
     const std::size_t n =

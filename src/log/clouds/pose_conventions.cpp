@@ -146,20 +146,19 @@ std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& in
         }
     }
     if (best > 0)
-        notes.push_back(fmt::format(
-            "{}: poses are read as {}, because the vehicle then moves {:.2f} m {} per metre of its "
-            "path{}, but {:.2f} m forward if poses are read as {}",
-            error_location, interpretations[best].about, std::abs(forward[best]),
-            forward[best] < 0.0 ? "backward" : "forward",
-            scans.empty() ? "" : " and consecutive scans overlap better", forward[0],
-            interpretations[0].about));
-    else if (undecided > 0)
         notes.push_back(
-            fmt::format("{}{}the vehicle moves {:.2f} m forward per metre of its path with poses "
-                        "that are read as {}, but {:.2f} m with {}; if these poses are wrong, add "
-                        "a first line with the names of the columns",
-                        error_location, kUndecidedNote, forward[0], interpretations[0].about,
-                        forward[undecided], interpretations[undecided].about));
+            fmt::format("{}: poses are read as {}, because the vehicle then moves {:.2f} m {} per metre of "
+                        "its path{}, but {:.2f} m forward if poses are read as {}",
+                        error_location, interpretations[best].about, std::abs(forward[best]),
+                        forward[best] < 0.0 ? "backward" : "forward",
+                        scans.empty() ? "" : " and consecutive scans overlap better", forward[0],
+                        interpretations[0].about));
+    else if (undecided > 0)
+        notes.push_back(fmt::format(
+            "{}{}the vehicle moves {:.2f} m forward per metre of its path with poses that are read as {}, "
+            "but {:.2f} m with {}; if these poses are wrong, add a first line with the names of the columns",
+            error_location, kUndecidedNote, forward[0], interpretations[0].about, forward[undecided],
+            interpretations[undecided].about));
     return best;
 }
 

@@ -9,6 +9,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/clouds/scan_npz.hpp"
 
@@ -32,10 +33,8 @@ void append_xyz_channels_as_array(const ExrImage& image, const std::string& chan
     }
     if (n_axes_found == 0) return;
     if (n_axes_found < 3)
-        throw DataError(
-            fmt::format("{}: found only {} of the channels {}.x, .y and .z, expected all three "
-                        "or none",
-                        error_location, n_axes_found, channel_prefix));
+        fail("{}: found only {} of the channels {}.x, .y and .z, expected all three or none", error_location,
+             n_axes_found, channel_prefix);
     std::vector<float> values;
     values.reserve(axis[0]->size() * 3);
     for (std::size_t i = 0; i < axis[0]->size(); ++i)
@@ -49,9 +48,8 @@ std::vector<NamedArray> convert_channels_to_arrays(const ExrImage& image, const 
         std::vector<std::string> names;
         for (const auto& [name, values] : image.channels)
             if (names.size() < 8) names.push_back(shorten_for_error_message(name));
-        throw DataError(
-            fmt::format("{}: the channel 'range' is missing, expected it among the channels of the image: {}",
-                        error_location, fmt::join(names, ", ")));
+        fail("{}: the channel 'range' is missing, expected it among the channels of the image: {}",
+             error_location, fmt::join(names, ", "));
     }
     std::vector<NamedArray> arrays;
     for (const auto& [name, values] : image.channels)

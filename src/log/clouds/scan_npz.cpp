@@ -10,6 +10,7 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "log/clouds/dropped_ray.hpp"
 
 namespace relidar::folder {
@@ -25,10 +26,10 @@ public:
         const std::vector<std::size_t>& shape = get_required_array("range").shape;
         if (shape.empty() || shape.size() > 2 ||
             get_required_array("range").count_array_elements() > kMaxRays)
-            throw DataError(
-                fmt::format("{}: the array range has the shape [{}], expected [rows, columns] or [rays] "
-                            "with at most {} rays",
-                            where_, fmt::join(shape, ", "), kMaxRays));
+            fail(
+                "{}: the array range has the shape [{}], expected [rows, columns] or [rays] with at most {} "
+                "rays",
+                where_, fmt::join(shape, ", "), kMaxRays);
         rows = shape.size() == 2 ? shape[0] : 1;
         columns = shape.back();
     }
@@ -39,14 +40,13 @@ public:
     }
     const NamedArray& get_required_array(const std::string& array_name) const {
         if (const NamedArray* array = find_optional_array(array_name)) return *array;
-        throw DataError(
-            fmt::format("{}: the array '{}' is missing, expected it in every scan file", where_, array_name));
+        fail("{}: the array '{}' is missing, expected it in every scan file", where_, array_name);
     }
     /// Returns the value of an array that contains a single number.
     double get_single_number(const std::string& array_name) const {
         if (get_required_array(array_name).count_array_elements() != 1)
-            throw DataError(fmt::format("{}: the array {} has the shape [{}], expected one number", where_,
-                                        array_name, fmt::join(get_required_array(array_name).shape, ", ")));
+            fail("{}: the array {} has the shape [{}], expected one number", where_, array_name,
+                 fmt::join(get_required_array(array_name).shape, ", "));
         return get_required_array(array_name).convert_to_doubles()[0];
     }
     /// Returns the values of an array with one number per ray.
@@ -59,9 +59,8 @@ public:
     /// @throws DataError if the file does not contain the array
     std::vector<double> get_ray_values(const std::string& array_name, std::size_t n_values_per_ray) const {
         if (get_required_array(array_name).count_array_elements() != rows * columns * n_values_per_ray)
-            throw DataError(fmt::format(
-                "{}: the array {} has the shape [{}], expected {} x {} x {} values", where_, array_name,
-                fmt::join(get_required_array(array_name).shape, ", "), rows, columns, n_values_per_ray));
+            fail("{}: the array {} has the shape [{}], expected {} x {} x {} values", where_, array_name,
+                 fmt::join(get_required_array(array_name).shape, ", "), rows, columns, n_values_per_ray);
         return get_required_array(array_name).convert_to_doubles();
     }
     std::vector<glm::vec3> get_ray_vectors(const std::string& array_name) const {
@@ -87,9 +86,8 @@ std::vector<float> read_ranges(const ScanNpzArrays& arrays, const std::string& a
     for (std::size_t i = 0; i < file_ranges_m.size(); ++i) {
         const bool has_return = is_valid_return_range(file_ranges_m[i]) && drop[i] < 0.5;
         if (has_return && file_ranges_m[i] > 1e6)
-            throw DataError(
-                fmt::format("{} has the value {}, expected a range in metres, or 0 for a ray without return",
-                            arrays.format_ray_location(array_name.c_str(), i), file_ranges_m[i]));
+            fail("{} has the value {}, expected a range in metres, or 0 for a ray without return",
+                 arrays.format_ray_location(array_name.c_str(), i), file_ranges_m[i]);
         range_m.push_back(has_return ? float(file_ranges_m[i]) : 0.0f);
     }
     return range_m;
@@ -116,8 +114,8 @@ std::vector<SurfaceClass> read_ray_classes(const ScanNpzArrays& arrays, const st
     for (std::size_t i = 0; i < numbers.size(); ++i) {
         const double number = range_m[i] > 0.0f ? numbers[i] : 0.0;
         if (!(number >= 0.0 && number < double(kSurfaceClasses)) || number != std::floor(number))
-            throw DataError(fmt::format("{} has the value {}, expected a whole number below {}",
-                                        arrays.format_ray_location("class", i), number, kSurfaceClasses));
+            fail("{} has the value {}, expected a whole number below {}",
+                 arrays.format_ray_location("class", i), number, kSurfaceClasses);
         classes.push_back(SurfaceClass(int(number)));
     }
     return classes;
@@ -129,15 +127,15 @@ RayTable make_sensor_rays_matching_scan_arrays(const ScanNpzArrays& arrays,
                                                const ScanImageContext& image_context) {
     RayTable rays = make_nominal_rays(image_context.lidar, image_context.time_s);
     if (rays.size() == 0)
-        throw DataError(fmt::format(
+        fail(
             "{}: the array of ray directions is missing; add it, or set the sensor of the LiDAR in "
             "sequence.json",
-            arrays.get_error_location()));
+            arrays.get_error_location());
     if (std::size_t(rays.rows) != arrays.rows || std::size_t(rays.columns) != arrays.columns)
-        throw DataError(
-            fmt::format("{}: the array range has {} x {} values, expected {} x {} values (beams x columns of "
-                        "the sensor of the LiDAR), because the array of ray directions is missing",
-                        arrays.get_error_location(), arrays.rows, arrays.columns, rays.rows, rays.columns));
+        fail(
+            "{}: the array range has {} x {} values, expected {} x {} values (beams x columns of the sensor "
+            "of the LiDAR), because the array of ray directions is missing",
+            arrays.get_error_location(), arrays.rows, arrays.columns, rays.rows, rays.columns);
     return rays;
 }
 
@@ -200,24 +198,21 @@ RayTable make_rays_from_stored_directions(const ScanNpzArrays& arrays) {
 void require_deskewing_declared_in_header(bool are_points_deskewed, const SequenceHeader& sequence_header,
                                           const std::string& error_location) {
     if (are_points_deskewed && !sequence_header.motion_compensated)
-        throw DataError(
-            fmt::format("{}: the points are motion-compensated or in the world frame, but sequence.json does "
-                        "not say so; set \"motion_compensated\": true in sequence.json, or render the scans "
-                        "again without --deskew and without --frame world",
-                        error_location));
+        fail(
+            "{}: the points are motion-compensated or in the world frame, but sequence.json does not say so; "
+            "set \"motion_compensated\": true in sequence.json, or render the scans again without --deskew "
+            "and without --frame world",
+            error_location);
 }
 
 float normalise_file_intensity(double file_value, const PointFileUnits& units,
                                const std::string& error_location) {
     if (!std::isfinite(file_value))
-        throw DataError(
-            fmt::format("{}: the intensity is {}, expected a finite number", error_location, file_value));
+        fail("{}: the intensity is {}, expected a finite number", error_location, file_value);
     if (units.intensity_max) return float(std::clamp(file_value / *units.intensity_max, 0.0, 1.0));
     if (file_value < 0.0 || file_value > 1.0)
-        throw DataError(
-            fmt::format("{}: the intensity is {}, expected 0 to 1, or \"intensity_max\" in "
-                        "sequence.json",
-                        error_location, file_value));
+        fail("{}: the intensity is {}, expected 0 to 1, or \"intensity_max\" in sequence.json",
+             error_location, file_value);
     return float(file_value);
 }
 
@@ -226,18 +221,16 @@ float convert_point_time_to_frame_offset_s(double file_value, const PointFileUni
     const double offset_s =
         (file_value - units.time_zero) * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
     if (!(std::abs(offset_s) <= kMaxTimeOffset_s))
-        throw DataError(
-            fmt::format("{}: the time {} is {} s away from the time of the frame, expected at most {} s; "
-                        "check the unit and the start of the times of points (\"time_unit\" and "
-                        "\"point_times\" in sequence.json)",
-                        error_location, file_value, offset_s, kMaxTimeOffset_s));
+        fail(
+            "{}: the time {} is {} s away from the time of the frame, expected at most {} s; check the unit "
+            "and the start of the times of points (\"time_unit\" and \"point_times\" in sequence.json)",
+            error_location, file_value, offset_s, kMaxTimeOffset_s);
     return float(offset_s);
 }
 
 std::uint16_t convert_ring_number(double file_value, const std::string& error_location) {
     if (!(file_value >= 0.0 && file_value < kNoBeam) || file_value != std::floor(file_value))
-        throw DataError(fmt::format("{}: the ring is {}, expected a whole number below {}", error_location,
-                                    file_value, kNoBeam));
+        fail("{}: the ring is {}, expected a whole number below {}", error_location, file_value, kNoBeam);
     return std::uint16_t(file_value);
 }
 

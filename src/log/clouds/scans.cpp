@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "log/sensor/beam_geometry.hpp"
 
 namespace relidar {
@@ -41,10 +42,9 @@ std::size_t get_zero_based_return_number(const LidarPoints& points, std::size_t 
 void require_valid_point_arrays(const LidarPoints& points, std::size_t n_beams) {
     const auto check = [&](const char* field, std::size_t count, bool may_be_empty) {
         if (count != points.size() && !(may_be_empty && count == 0))
-            throw UsageError(
-                fmt::format("cannot make a scan: found {} values of {} for the points, expected {}, one for "
-                            "each point",
-                            count, field, points.size()));
+            fail<UsageError>(
+                "cannot make a scan: found {} values of {} for the points, expected {}, one for each point",
+                count, field, points.size());
     };
     check("intensity", points.intensity.size(), false);
     check("ring", points.ring.size(), n_beams == 0);
@@ -54,15 +54,12 @@ void require_valid_point_arrays(const LidarPoints& points, std::size_t n_beams) 
     check("classes", points.classes.size(), true);
     for (std::size_t i = 0; i < points.size(); ++i) {
         if (n_beams > 0 && points.ring[i] >= n_beams)
-            throw UsageError(
-                fmt::format("cannot make a scan: point {} has ring {}, expected the index of "
-                            "one of {} beams",
-                            i, points.ring[i], n_beams));
+            fail<UsageError>(
+                "cannot make a scan: point {} has ring {}, expected the index of one of {} beams", i,
+                points.ring[i], n_beams);
         if (get_zero_based_return_number(points, i) >= kMostReturns)
-            throw UsageError(
-                fmt::format("cannot make a scan: point {} has return number {}, expected 1 to "
-                            "{}",
-                            i, points.return_number[i], kMostReturns));
+            fail<UsageError>("cannot make a scan: point {} has return number {}, expected 1 to {}", i,
+                             points.return_number[i], kMostReturns);
     }
 }
 
@@ -302,21 +299,20 @@ Scan assign_points_to_rays_of_spinning_scan(const LidarPoints& points, const Spi
     require_valid_point_arrays(points, sensor.beams.size());
     if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
         sweep_firings.lattice.n_ticks > kMostTicks)
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "cannot make a scan: the sensor has {} beams and {} columns, and its azimuth has {} steps per "
             "sweep; expected 1 to {} rays (beams times columns) and at most {} azimuth steps",
-            sensor.beams.size(), sensor.columns, sweep_firings.lattice.n_ticks, kMaxRays, kMostTicks));
+            sensor.beams.size(), sensor.columns, sweep_firings.lattice.n_ticks, kMaxRays, kMostTicks);
     if (sweep_firings.firings.empty())
-        throw UsageError(fmt::format(
-            "cannot make a scan of {} points: the list of azimuth steps at which the lasers fired "
-            "is empty, expected at least one step",
-            points.size()));
+        fail<UsageError>(
+            "cannot make a scan of {} points: the list of azimuth steps at which the lasers fired is empty, "
+            "expected at least one step",
+            points.size());
     for (const std::uint32_t firing : points.firing)
         if (firing >= sweep_firings.firings.size())
-            throw UsageError(
-                fmt::format("cannot make a scan: a point has firing {}, expected the index of "
-                            "one of {} firings",
-                            firing, sweep_firings.firings.size()));
+            fail<UsageError>(
+                "cannot make a scan: a point has firing {}, expected the index of one of {} firings", firing,
+                sweep_firings.firings.size());
     const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
     std::vector<double> head_rad(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
@@ -357,8 +353,7 @@ Scan make_scan_with_one_ray_per_point(const LidarPoints& points) {
     std::vector<std::size_t> first;  // [rays] index of the point that is the first return of each ray
     std::size_t n_second_returns = 0;
     if (points.size() > kMaxRays)
-        throw UsageError(
-            fmt::format("cannot make a scan: found {} points, expected at most {}", points.size(), kMaxRays));
+        fail<UsageError>("cannot make a scan: found {} points, expected at most {}", points.size(), kMaxRays);
     for (std::size_t i = 0; i < points.size(); ++i) {
         n_second_returns = std::max(n_second_returns, get_zero_based_return_number(points, i));
         if (get_zero_based_return_number(points, i) == 0 &&

@@ -13,6 +13,7 @@
 #include <relidar/log/log_time.hpp>
 
 #include "base/csv.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/median.hpp"
 #include "log/clouds/folder_points.hpp"
@@ -47,20 +48,16 @@ StampedPoseRow parse_stamped_row(const std::vector<std::string_view>& cells, std
         const std::optional<double> number = parse_number(cells[0]);
         if (number && *number >= 0.0 && *number < 9e18) stamp = std::int64_t(std::llround(*number));
     }
-    if (!stamp)
-        throw DataError(fmt::format("{}: found '{}', expected a time", error_location,
-                                    shorten_for_error_message(cells[0])));
+    if (!stamp) fail("{}: found '{}', expected a time", error_location, shorten_for_error_message(cells[0]));
     row.stamp = *stamp;
     if (cells.size() < n_values + 1)
-        throw DataError(
-            fmt::format("{}: found {} cells in the line, expected a time and {} numbers, separated by commas",
-                        error_location, cells.size(), n_values));
+        fail("{}: found {} cells in the line, expected a time and {} numbers, separated by commas",
+             error_location, cells.size(), n_values);
     for (std::size_t c = 1; c <= n_values; ++c) {
         const std::optional<double> number = parse_number(cells[c]);
         if (!number || !(std::abs(*number) <= kLargestCoordinate_m))
-            throw DataError(fmt::format("{}: cell {} is '{}', expected a number from {:g} to {:g}",
-                                        error_location, c + 1, shorten_for_error_message(cells[c]),
-                                        -kLargestCoordinate_m, kLargestCoordinate_m));
+            fail("{}: cell {} is '{}', expected a number from {:g} to {:g}", error_location, c + 1,
+                 shorten_for_error_message(cells[c]), -kLargestCoordinate_m, kLargestCoordinate_m);
         row.values.push_back(*number);
     }
     return row;
@@ -102,8 +99,7 @@ public:
         return points;
     }
     Scan read_rays_of_frame(std::size_t index) const override {
-        throw DataError(
-            fmt::format("{}: the scan has no points, expected at least one", get_frame_name(index)));
+        fail("{}: the scan has no points, expected at least one", get_frame_name(index));
     }
 
 private:
@@ -198,10 +194,8 @@ std::vector<StampedScanFile> list_timestamped_scan_files(const fs::path& folder)
             stamp && file.extension() == ".bin")
             scans.push_back({0, *stamp, file});
     if (scans.empty())
-        throw DataError(
-            fmt::format("{}: no scan was found, expected files named by their times, such as "
-                        "1598990189106857.bin",
-                        folder.string()));
+        fail("{}: no scan was found, expected files named by their times, such as 1598990189106857.bin",
+             folder.string());
     // Sorts by the number, because sorting by name would put "10" before "9".
     std::ranges::sort(scans, {}, &StampedScanFile::stamp);
     for (std::size_t i = 0; i < scans.size(); ++i) scans[i].number = int(i);
@@ -220,20 +214,20 @@ std::vector<StampedPoseRow> read_timestamped_number_rows(const fs::path& file,
         StampedPoseRow row =
             parse_stamped_row(cells, min_values_per_row, fmt::format("{} line {}", file.string(), l + 1));
         if (cells.size() < n_cells)
-            throw DataError(
-                fmt::format("{}: found {} cells in the line, expected {} as in the line before; the "
-                            "file may be truncated",
-                            row.where, cells.size(), n_cells));
+            fail(
+                "{}: found {} cells in the line, expected {} as in the line before; the file may be "
+                "truncated",
+                row.where, cells.size(), n_cells);
         n_cells = cells.size();
         if (!rows.empty() && row.stamp == rows.back().stamp) continue;
         if (!rows.empty() && row.stamp < rows.back().stamp)
-            throw DataError(fmt::format("{}: found the time {} after {}, expected increasing times",
-                                        row.where, row.stamp, rows.back().stamp));
+            fail("{}: found the time {} after {}, expected increasing times", row.where, row.stamp,
+                 rows.back().stamp);
         rows.push_back(std::move(row));
     }
     if (rows.empty())
-        throw DataError(fmt::format("{}: no pose was found, expected lines with a time and {} numbers",
-                                    file.string(), min_values_per_row));
+        fail("{}: no pose was found, expected lines with a time and {} numbers", file.string(),
+             min_values_per_row);
     return rows;
 }
 
@@ -292,23 +286,22 @@ std::vector<fs::path> add_frames_and_get_scan_files(LidarSequence& sequence, con
         files.push_back(scan.file);
     }
     if (files.empty() && without.empty())
-        throw UsageError(fmt::format("frames {}:{} select no scan of {}, expected numbers in [{}, {}]",
-                                     range.begin, range.end, sequence.name, log.scans.front().number,
-                                     log.scans.back().number));
+        fail<UsageError>("frames {}:{} select no scan of {}, expected numbers in [{}, {}]", range.begin,
+                         range.end, sequence.name, log.scans.front().number, log.scans.back().number);
     if (files.empty())
-        throw DataError(fmt::format(
+        fail(
             "{}: found poses from {:.3f} to {:.3f} s, expected poses near the times of frames {} to {}, "
             "which are {:.3f} to {:.3f} s",
             log.poses_file.string(), log.world_from_vehicle.time_s.front(),
             log.world_from_vehicle.time_s.back(), without.front()->number, without.back()->number,
             log.convert_stamp_to_seconds(without.front()->stamp),
-            log.convert_stamp_to_seconds(without.back()->stamp)));
+            log.convert_stamp_to_seconds(without.back()->stamp));
     if (!without.empty())
-        sequence.notes.push_back(fmt::format(
-            "{} of {} scans are skipped (the first is frame {}, the last frame {}), because {} has no "
-            "poses near their times",
-            without.size(), without.size() + files.size(), without.front()->number, without.back()->number,
-            log.poses_file.filename().string()));
+        sequence.notes.push_back(
+            fmt::format("{} of {} scans are skipped (the first is frame {}, the last frame {}), because {} "
+                        "has no poses near their times",
+                        without.size(), without.size() + files.size(), without.front()->number,
+                        without.back()->number, log.poses_file.filename().string()));
     sequence.conventions += " " + format_log_start(log.scans[0].stamp * std::llround(1e9 * log.unit_s),
                                                    "on the clock of the files");
     kitti::replace_vehicle_poses_from_file(sequence, options.poses_file);
@@ -318,10 +311,10 @@ std::vector<fs::path> add_frames_and_get_scan_files(LidarSequence& sequence, con
 
 void require_pose_file_or_poses_option(const fs::path& pose_file, const DatasetOptions& options) {
     if (!options.poses_file.empty() || does_path_exist(pose_file)) return;
-    throw DataError(
-        fmt::format("{}: no such file; expected poses; use dataset.poses=FILE to name another file, or "
-                    "dataset.poses=none to estimate the poses from the scans",
-                    pose_file.string()));
+    fail(
+        "{}: no such file; expected poses; use dataset.poses=FILE to name another file, or "
+        "dataset.poses=none to estimate the poses from the scans",
+        pose_file.string());
 }
 
 void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& scan_files,
@@ -336,10 +329,10 @@ void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& 
             fitted->max_range_m = sensor.max_range_m;
             sensor = std::move(*fitted);
             of_head.has_beams = true;
-            sequence.notes.push_back(fmt::format(
-                "a sensor with {} beams and {} columns was fitted to the points, which have no rings; each "
-                "point is assigned to the nominal beam with the nearest elevation",
-                sensor.beams.size(), sensor.columns));
+            sequence.notes.push_back(
+                fmt::format("a sensor with {} beams and {} columns was fitted to the points, which have no "
+                            "rings; each point is assigned to the nominal beam with the nearest elevation",
+                            sensor.beams.size(), sensor.columns));
         } else {
             // The beams (laser angles) of the data sheet do not match this LiDAR. Without
             // them, points are read without ring numbers (laser rows).

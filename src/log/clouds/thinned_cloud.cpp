@@ -48,8 +48,8 @@ std::string explain_removed_points(const std::vector<LidarPoints>& scans,
         double(fullest->size()) / (double(fitted_sensor.beams.size()) * fitted_sensor.columns);
     if (filled < kFewFilled)
         return fmt::format(
-            "the points fill only {:.0f} % of the rays of {} beams and {} columns, so "
-            "points were probably removed from the cloud",
+            "the points fill only {:.0f} % of the rays of {} beams and {} columns, so points were probably "
+            "removed from the cloud",
             100.0 * filled, fitted_sensor.beams.size(), fitted_sensor.columns);
     if (const double share = compute_fraction_of_regular_azimuth_steps(*fullest); share < kFewRegular)
         return fmt::format(

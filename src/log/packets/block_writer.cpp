@@ -13,6 +13,7 @@
 #include <relidar/log/sensor_pattern.hpp>
 
 #include "base/bytes.hpp"
+#include "base/fail.hpp"
 #include "log/packets/packet_format.hpp"
 
 namespace relidar::packets {
@@ -36,15 +37,15 @@ void require_beams_of_product(const PacketLayout& layout, const std::vector<Pack
             return std::abs(nominal.beams[first.line].elevation_rad - second.elevation_rad) < kMostAngle_rad;
         });
     if (!fits)
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "cannot write packets of {}: found {} beams whose elevations differ from the data sheet, "
             "expected the {} beams of this sensor",
-            layout.sensor, sensor.beams.size(), nominal.beams.size()));
+            layout.sensor, sensor.beams.size(), nominal.beams.size());
     if (!sensor.clockwise)
-        throw UsageError(
-            fmt::format("cannot write packets of {}: the sensor turns counter-clockwise, expected a sensor "
-                        "that turns clockwise",
-                        layout.sensor));
+        fail<UsageError>(
+            "cannot write packets of {}: the sensor turns counter-clockwise, expected a sensor that turns "
+            "clockwise",
+            layout.sensor);
 }
 
 }  // namespace
@@ -83,8 +84,8 @@ BlockWriter::BlockWriter(const PacketLayout& layout, const SpinningSensor& senso
     if (columns_per_firing_ > 1) fired.erase(std::unique(fired.begin(), fired.end(), is_repeat), fired.end());
     require_beams_of_product(layout, fired, sensor);
     if (layout.n_blocks % (layout.banks * std::size_t(returns_)) != 0)
-        throw UsageError(fmt::format("cannot write packets of {}: found {} returns per ray, expected 1",
-                                     layout.sensor, options.returns));
+        fail<UsageError>("cannot write packets of {}: found {} returns per ray, expected 1", layout.sensor,
+                         options.returns);
     ring_of_.assign(layout.count_firing_sequences(),
                     std::vector<std::size_t>(layout.count_lasers_per_firing(), kNoRing));
     for (std::size_t ring = 0; ring < beams_.size(); ++ring)

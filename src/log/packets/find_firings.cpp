@@ -10,6 +10,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
+#include "base/fail.hpp"
 #include "log/packets/packet_format.hpp"
 #include "log/sensor/beam_geometry.hpp"
 
@@ -25,10 +26,9 @@ class FiringRayTable {
 public:
     FiringRayTable(const Scan& scan, const SpinningSensor& sensor) : columns_(scan.rays.columns) {
         if (scan.rays.rows != int(sensor.beams.size()) || columns_ < 1)
-            throw UsageError(fmt::format(
-                "cannot write packets of {}: the scan has {} rows, expected one row for each of the {} "
-                "beams",
-                sensor.name, scan.rays.rows, sensor.beams.size()));
+            fail<UsageError>(
+                "cannot write packets of {}: the scan has {} rows, expected one row for each of the {} beams",
+                sensor.name, scan.rays.rows, sensor.beams.size());
         for (const Beam& beam : sensor.beams)
             shift_.push_back(compute_beam_azimuth_offset_columns(beam, columns_));
     }
@@ -131,10 +131,10 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
     const FiringRayTable image(scan, sensor);
     const auto [first, last] = std::ranges::minmax(scan.rays.time_offset_s);
     if (!(double(last - first) > kMinRevolutionFraction * sensor.period_s))
-        throw UsageError(
-            fmt::format("cannot write packets of {}: the rays of a scan were fired within {:.3g} s, expected "
-                        "the {:.3g} s of one revolution; motion-compensated scans have no firing times",
-                        sensor.name, last - first, sensor.period_s));
+        fail<UsageError>(
+            "cannot write packets of {}: the rays of a scan were fired within {:.3g} s, expected the {:.3g} "
+            "s of one revolution; motion-compensated scans have no firing times",
+            sensor.name, last - first, sensor.period_s);
     // In a recorded scan, ray times include the firing delay of each laser. In a rendered
     // scan, all lasers fire simultaneously. Checks which case fits this scan better.
     const std::vector<double> no_offset(beam_delays_us.size(), 0.0);

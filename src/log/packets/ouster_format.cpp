@@ -14,6 +14,7 @@
 #include <relidar/base/math.hpp>
 
 #include "base/bytes.hpp"
+#include "base/fail.hpp"
 #include "log/packets/packet_format.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
 
@@ -89,10 +90,10 @@ public:
               make_ouster_metadata(sensor, choose_packet_profile(options), {0, sensor.columns - 1}),
               sensor.name)) {
         if (format_->profile->returns < options.returns)
-            throw UsageError(fmt::format(
-                "cannot write packets of {0}: the packet format {1} has only one return per ray, expected "
-                "a format with two returns",
-                sensor.name, format_->profile->name));
+            fail<UsageError>(
+                "cannot write packets of {0}: the packet format {1} has only one return per ray, expected a "
+                "format with two returns",
+                sensor.name, format_->profile->name);
     }
 
     int get_udp_port() const override { return kOusterPort; }

@@ -16,6 +16,7 @@
 
 #include "base/bytes.hpp"
 #include "base/csv.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
 
@@ -57,7 +58,7 @@ std::string wrap_in_ethernet_frame(const std::string& payload, int udp_port, uns
 }
 
 void require_successful_write(const std::ofstream& stream, const fs::path& file) {
-    if (!stream) throw DataError(fmt::format("cannot write '{}'; the disk may be full", file.string()));
+    if (!stream) fail("cannot write '{}'; the disk may be full", file.string());
 }
 
 }  // namespace
@@ -107,10 +108,10 @@ std::size_t save_packets(const LidarSequence& sequence, const fs::path& file,
                          const ProgressReporter& progress,
                          const std::function<void(const std::vector<SensorPacket>&)>& packet_callback) {
     if (sequence.lidars.size() != 1)
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "cannot write '{}': the log has {} LiDARs, but a capture can only contain one; select it with "
             "dataset.lidars",
-            file.string(), sequence.lidars.size()));
+            file.string(), sequence.lidars.size());
     PacketOptions options;
     options.start_ns = compute_time_shift_ns(sequence);
     options.times_jitter = true;

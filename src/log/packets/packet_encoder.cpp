@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "log/packets/packet_format.hpp"
 
 namespace relidar {
@@ -67,10 +68,10 @@ struct PacketEncoder::Impl {
         const double step_us = 1e6 * sensor.period_s / sensor.columns;
         const double expected_us = format->get_firing_period_us() / format->get_scan_columns_per_firing();
         if (has_fixed_column_azimuths() || std::abs(step_us / expected_us - 1.0) < kMostStepError) return;
-        throw UsageError(fmt::format(
-            "cannot write packets of {}: found {} columns in {} s, expected {:.0f} columns, "
-            "because this sensor fires every {} us",
-            sensor.name, sensor.columns, sensor.period_s, 1e6 * sensor.period_s / expected_us, expected_us));
+        fail<UsageError>(
+            "cannot write packets of {}: found {} columns in {} s, expected {:.0f} columns, because this "
+            "sensor fires every {} us",
+            sensor.name, sensor.columns, sensor.period_s, 1e6 * sensor.period_s / expected_us, expected_us);
     }
 
     /// Returns the column of a firing, for a sensor that fires at fixed azimuths.
@@ -78,10 +79,10 @@ struct PacketEncoder::Impl {
         const double fractional_column =
             (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * format->get_fixed_columns_per_revolution();
         if (std::abs(fractional_column - std::round(fractional_column)) > kMostColumnError)
-            throw UsageError(fmt::format(
+            fail<UsageError>(
                 "cannot write packets of {}: found a column at an azimuth of {:.3f} degrees, expected a "
                 "multiple of {:.3f} degrees, because an Ouster fires at fixed azimuths",
-                sensor.name, firing.azimuth_deg, 360.0 / format->get_fixed_columns_per_revolution()));
+                sensor.name, firing.azimuth_deg, 360.0 / format->get_fixed_columns_per_revolution());
         return (std::llround(fractional_column) + format->get_fixed_columns_per_revolution()) %
                format->get_fixed_columns_per_revolution();
     }
@@ -110,10 +111,10 @@ struct PacketEncoder::Impl {
         const double steps = count_firing_steps_between(*last, firing);
         if (steps < 1.0 && !firing.has_returns) return 0;
         if (steps < 1.0)
-            throw UsageError(fmt::format(
+            fail<UsageError>(
                 "cannot write packets of {}: a scan starts {:.3g} s before the end of the previous scan, "
                 "expected scans that do not overlap; one revolution of the sensor takes {:.3g} s",
-                sensor.name, last->time_s - firing.time_s, sensor.period_s));
+                sensor.name, last->time_s - firing.time_s, sensor.period_s);
         return std::int64_t(steps);
     }
 
@@ -260,8 +261,8 @@ PacketEncoder::PacketEncoder(const SpinningSensor& sensor, const PacketOptions& 
          {packets::make_velodyne_format, packets::make_hesai_format, packets::make_ouster_format})
         if (!impl_->format) impl_->format = make(sensor, options);
     if (!impl_->format)
-        throw UsageError(fmt::format("cannot write packets of the sensor \"{}\", expected one of {}",
-                                     sensor.name, format_packet_sensor_names()));
+        fail<UsageError>("cannot write packets of the sensor \"{}\", expected one of {}", sensor.name,
+                         format_packet_sensor_names());
     impl_->offsets_us = impl_->format->get_beam_delays_us();
     impl_->fired.resize(std::size_t(impl_->format->get_fixed_columns_per_revolution()));
     impl_->require_expected_firing_period();

@@ -11,6 +11,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/parallel.hpp"
 #include "log/clouds/box_conventions.hpp"
@@ -80,9 +81,9 @@ const DatasetKind& find_dataset_kind(const std::string& kind_name) {
     for (const DatasetKind& kind : kKinds) {
         if (kind_name == kind.name) return kind;
     }
-    throw UsageError(fmt::format("the dataset kind '{}' is unknown{} (known: {})", kind_name,
-                                 format_name_suggestion(kind_name, list_dataset_kind_names(), "'"),
-                                 fmt::join(list_dataset_kind_names(), ", ")));
+    fail<UsageError>("the dataset kind '{}' is unknown{} (known: {})", kind_name,
+                     format_name_suggestion(kind_name, list_dataset_kind_names(), "'"),
+                     fmt::join(list_dataset_kind_names(), ", "));
 }
 
 bool contains_file_identifying_dataset(const fs::path& path, std::string_view file_name_pattern) {
@@ -123,11 +124,10 @@ void throw_if_scans_lack_sequence_json(const fs::path& path) {
         if (n < 2) continue;
         const std::string lidars =
             scans == std::string(".") ? R"(, "lidars": [{"name": "lidar", "scans": "."}])" : "";
-        throw DataError(
-            fmt::format(R"({} contains {} scans but no sequence.json; write one next to {}, for example )"
-                        R"({{"format": "relidar log", "version": 1, "rate_hz": 10{}}})"
-                        R"(, and add poses.txt or use dataset.poses=none; see docs/datasets.md)",
-                        path.string(), n, lidars.empty() ? "the folder of the scans" : "them", lidars));
+        fail(R"({} contains {} scans but no sequence.json; write one next to {}, for example )"
+             R"({{"format": "relidar log", "version": 1, "rate_hz": 10{}}})"
+             R"(, and add poses.txt or use dataset.poses=none; see docs/datasets.md)",
+             path.string(), n, lidars.empty() ? "the folder of the scans" : "them", lidars);
     }
 }
 
@@ -213,16 +213,15 @@ void add_notes_about_dropped_returns(LidarSequence& sequence,
             parts += fmt::format("{}{} returns are nearer than {} m", parts.empty() ? "" : " and ",
                                  sum.n_below_min, lidar.sensor.min_range_m);
         sequence.notes.push_back(fmt::format(
-            "range{}: {} of {} returns ({:.3g} %) are read as dropped "
-            "rays: {}",
+            "range{}: {} of {} returns ({:.3g} %) are read as dropped rays: {}",
             lidar.name.empty() ? "" : " of " + lidar.name, sum.n_below_min + sum.n_above_max, sum.n_returns,
             100.0 * double(sum.n_below_min + sum.n_above_max) / double(sum.n_returns), parts));
     }
     if (n_all > 0 && n_within_limits == 0)
-        throw DataError(
-            fmt::format("{}: none of its {} returns is within the range limits; change dataset.min_range_m "
-                        "or dataset.max_range_m ({})",
-                        sequence.source, n_all, sequence.notes.back()));
+        fail(
+            "{}: none of its {} returns is within the range limits; change dataset.min_range_m or "
+            "dataset.max_range_m ({})",
+            sequence.source, n_all, sequence.notes.back());
 }
 
 /// Sets the range limits that the user requested for all LiDARs. Turns returns outside
@@ -270,9 +269,9 @@ void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<s
     std::erase_if(sequence.frames,
                   [&](const LidarFrame& frame) { return new_index_of_lidar[std::size_t(frame.lidar)] < 0; });
     if (sequence.frames.empty())
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "dataset.lidars: the selected frames contain no scan of {}; select another LiDAR or other frames",
-            fmt::join(lidar_names, ", ")));
+            fmt::join(lidar_names, ", "));
     PoseTrack track;
     for (LidarFrame& frame : sequence.frames) {
         frame.lidar = new_index_of_lidar[std::size_t(frame.lidar)];
@@ -307,9 +306,9 @@ const DatasetKind& find_dataset_kind_of_path(const std::string& dataset, const s
     const std::string name = kind.empty() ? detect_dataset_kind(path) : kind;
     const DatasetKind& reader = find_dataset_kind(name);
     if (!requested_drive.empty() && !reader.holds_drives)
-        throw UsageError(
-            fmt::format("dataset.sequence: found '{}', but {} is a single drive; do not set dataset.sequence",
-                        shorten_for_error_message(requested_drive), reader.describe));
+        fail<UsageError>(
+            "dataset.sequence: found '{}', but {} is a single drive; do not set dataset.sequence",
+            shorten_for_error_message(requested_drive), reader.describe);
     return reader;
 }
 
@@ -349,16 +348,14 @@ std::string detect_dataset_kind(const fs::path& path) {
     }
     throw_if_scans_lack_sequence_json(path);
     if (const std::string other = describe_unsupported_format(path); !other.empty())
-        throw DataError(fmt::format("{}: {}", path.string(), other));
+        fail("{}: {}", path.string(), other);
     if (const std::string other = describe_unsupported_file_in(path); !other.empty())
-        throw DataError(fmt::format("{} is not a dataset: {}", path.string(), other));
+        fail("{} is not a dataset: {}", path.string(), other);
     for (const DatasetKind& kind : kKinds) {
         const std::string stranger = kitti::describe_mistaken_kitti_folder(path, kind.marker);
-        if (!stranger.empty())
-            throw DataError(fmt::format("{} is not a dataset: {}", path.string(), stranger));
+        if (!stranger.empty()) fail("{} is not a dataset: {}", path.string(), stranger);
     }
-    throw DataError(fmt::format("{} is not a dataset of a known format, expected one of: {}", path.string(),
-                                supported_formats));
+    fail("{} is not a dataset of a known format, expected one of: {}", path.string(), supported_formats);
 }
 
 std::string make_dataset_path_absolute(const std::string& dataset) {
@@ -372,13 +369,13 @@ std::string make_dataset_path_absolute(const std::string& dataset) {
 LidarSequence load_sequence(const std::string& dataset, const DatasetOptions& options) {
     const FrameRange& range = options.frames;
     if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end)) {
-        throw UsageError(fmt::format("the frame range {}:{} is empty, expected a:b with 0 <= a < b",
-                                     range.begin, range.end));
+        fail<UsageError>("the frame range {}:{} is empty, expected a:b with 0 <= a < b", range.begin,
+                         range.end);
     }
     if (!(options.min_range_m >= 0.0 && options.max_range_m > options.min_range_m)) {
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "the range limits are {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m",
-            options.min_range_m, options.max_range_m));
+            options.min_range_m, options.max_range_m);
     }
     LidarSequence sequence = find_dataset_kind_of_path(dataset, options.sequence)
                                  .load(split_kind_and_path(dataset).second, options);

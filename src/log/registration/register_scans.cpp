@@ -10,6 +10,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/median.hpp"
 #include "base/parallel.hpp"
 #include "log/registration/loops.hpp"
@@ -151,10 +152,10 @@ RegistrationResult register_scans(const LidarSequence& sequence, const TrainTest
     result.rounds = adjustment.adjust_poses_in_rounds(first, kLast, proceed("registering all scans jointly"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)
-        throw DataError(fmt::format(
-            "cannot register the scans of {}: no two of its {} training scans show the same surface; "
-            "use train.refine_poses=none to keep the poses of the log",
-            sequence.name, split.train.size()));
+        fail(
+            "cannot register the scans of {}: no two of its {} training scans show the same surface; use "
+            "train.refine_poses=none to keep the poses of the log",
+            sequence.name, split.train.size());
     const PlaneMap map = adjustment.fit_planes_to_all_points(kLast);
     result.on_planes = compute_median_fraction_on_planes(adjustment, map, scans, is_train);
     result.lost =

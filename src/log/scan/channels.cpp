@@ -10,6 +10,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/bytes.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/list_text.hpp"
 
@@ -73,8 +74,8 @@ const std::vector<ChannelInfo>& get_optional_channels() {
          .meaning = "rate at which the range of the surface grows, from the motion of sensor and actor"},
         {.name = "class",
          .meaning = "kind of the surface: 0 unknown, 1 vehicle, 2 cyclist, 3 person, 4 other actor, 5 road, "
-                    "6 sidewalk, 7 terrain, 8 other ground, 9 building, 10 fence, 11 vegetation, 12 pole, "
-                    "13 sign, 14 structure, 15 object, -1 no hit",
+                    "6 sidewalk, 7 terrain, 8 other ground, 9 building, 10 fence, 11 vegetation, 12 pole, 13 "
+                    "sign, 14 structure, 15 object, -1 no hit",
          .none = -1.0},
         {.name = "spread", .unit = "m", .meaning = "distance between mean and median range"},
         {.name = "seen",
@@ -104,9 +105,9 @@ std::vector<ChannelInfo> parse_channel_names(const std::string& comma_separated_
         const auto matching_channel = std::ranges::find(get_optional_channels(), name, &ChannelInfo::name);
         if (matching_channel == get_optional_channels().end()) {
             const std::vector<std::string> channel_names = list_optional_channel_names();
-            throw UsageError(fmt::format(
-                "the channel \"{}\" is unknown{}, expected some of {}", shorten_for_error_message(name),
-                format_name_suggestion(name, channel_names), fmt::join(channel_names, ", ")));
+            fail<UsageError>("the channel \"{}\" is unknown{}, expected some of {}",
+                             shorten_for_error_message(name), format_name_suggestion(name, channel_names),
+                             fmt::join(channel_names, ", "));
         }
         if (std::ranges::find(requested_channels, name, &ChannelInfo::name) == requested_channels.end())
             requested_channels.push_back(*matching_channel);
@@ -172,28 +173,26 @@ void require_valid_channel_names_and_sizes(const std::vector<ScanChannel>& chann
                    (character >= '0' && character <= '9');
         });
         if (!is_word)
-            throw DataError(fmt::format(
-                "channels of {}: the name \"{}\" is invalid, expected lower case letters, digits and _",
-                element_name_for_errors, shorten_for_error_message(info.name)));
+            fail("channels of {}: the name \"{}\" is invalid, expected lower case letters, digits and _",
+                 element_name_for_errors, shorten_for_error_message(info.name));
         if (!used_names.insert(info.name).second)
-            throw DataError(fmt::format("channels of {}: the name {} occurs twice, expected different names",
-                                        element_name_for_errors, info.name));
+            fail("channels of {}: the name {} occurs twice, expected different names",
+                 element_name_for_errors, info.name);
         if (count_channel_values(second) > 0 && !used_names.insert(info.name + "_2").second)
-            throw DataError(
-                fmt::format("channels of {0}: the name {1}_2 occurs twice, because the second returns of the "
-                            "channel {1} are stored under this name; rename one of the two channels",
-                            element_name_for_errors, info.name));
+            fail(
+                "channels of {0}: the name {1}_2 occurs twice, because the second returns of the channel {1} "
+                "are stored under this name; rename one of the two channels",
+                element_name_for_errors, info.name);
         if (count_channel_values(values) != expected_size)
-            throw DataError(fmt::format(
-                "channels of {}: the channel {} has {} values, expected {}, one for each ray or point",
-                element_name_for_errors, info.name, count_channel_values(values), expected_size));
+            fail("channels of {}: the channel {} has {} values, expected {}, one for each ray or point",
+                 element_name_for_errors, info.name, count_channel_values(values), expected_size);
         if (count_channel_values(second) > 0 &&
             (count_channel_values(second) != expected_size || second.index() != values.index()))
-            throw DataError(
-                fmt::format("channels of {}: the channel {} has {} values{} for second returns, expected {} "
-                            "values of the same type as its values for first returns",
-                            element_name_for_errors, info.name, count_channel_values(second),
-                            second.index() == values.index() ? "" : " of another type", expected_size));
+            fail(
+                "channels of {}: the channel {} has {} values{} for second returns, expected {} values of "
+                "the same type as its values for first returns",
+                element_name_for_errors, info.name, count_channel_values(second),
+                second.index() == values.index() ? "" : " of another type", expected_size);
     }
 }
 

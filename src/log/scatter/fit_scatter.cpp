@@ -14,6 +14,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/log/scatter.hpp>
 
+#include "base/fail.hpp"
 #include "base/joined.hpp"
 #include "base/parallel.hpp"
 #include "base/parallel_sort.hpp"
@@ -292,10 +293,10 @@ void require_equal_image_array_sizes(std::span<const PairedIntensities> images) 
         for (const std::size_t size : {r.intensity.size(), r.range_m.size(), r.spread_m.size(),
                                        r.cosine.size(), r.elevation_rad.size(), measured.size()})
             if (size != n)
-                throw DataError(
-                    fmt::format("cannot fit the model of the random intensity scatter: found an array of {} "
-                                "values, expected {} x {}, one value per ray",
-                                size, r.rows, r.columns));
+                fail(
+                    "cannot fit the model of the random intensity scatter: found an array of {} values, "
+                    "expected {} x {}, one value per ray",
+                    size, r.rows, r.columns);
     }
 }
 

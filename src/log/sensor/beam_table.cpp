@@ -13,6 +13,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 #include "base/csv.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar {
@@ -61,8 +62,8 @@ BeamTableRow parse_beam_cells(const std::vector<std::string_view>& cells,
         const std::string_view cell = cells[static_cast<std::size_t>(column_of_field[f])];
         const auto number = parse_number(cell);
         if (!number || !(*number >= rule.low && *number <= rule.high)) {
-            throw DataError(fmt::format("{}: {} is '{}', expected a number in [{}, {}]", error_location,
-                                        rule.name, cell, rule.low, rule.high));
+            fail("{}: {} is '{}', expected a number in [{}, {}]", error_location, rule.name, cell, rule.low,
+                 rule.high);
         }
         value[f] = *number;
     }
@@ -83,21 +84,19 @@ void append_beam(SpinningSensor& sensor, const BeamTableRow& row_values, const s
         sensor.max_range_m = row_values[kMaxRange];
     }
     if (row_values[kMinRange] != sensor.min_range_m || row_values[kMaxRange] != sensor.max_range_m) {
-        throw DataError(
-            fmt::format("{}: found range limits of {} to {} m, expected {} to {} m like in the first line, "
-                        "because all beams have the same limits",
-                        error_location, row_values[kMinRange], row_values[kMaxRange], sensor.min_range_m,
-                        sensor.max_range_m));
+        fail(
+            "{}: found range limits of {} to {} m, expected {} to {} m like in the first line, because all "
+            "beams have the same limits",
+            error_location, row_values[kMinRange], row_values[kMaxRange], sensor.min_range_m,
+            sensor.max_range_m);
     }
     if (!(row_values[kMinRange] < row_values[kMaxRange])) {
-        throw DataError(
-            fmt::format("{}: found range limits of {} to {} m, expected min_range_m below max_range_m",
-                        error_location, row_values[kMinRange], row_values[kMaxRange]));
+        fail("{}: found range limits of {} to {} m, expected min_range_m below max_range_m", error_location,
+             row_values[kMinRange], row_values[kMaxRange]);
     }
     if (!sensor.beams.empty() && beam.elevation_rad > sensor.beams.back().elevation_rad) {
-        throw DataError(
-            fmt::format("{}: elevation_deg increases, expected rows from the highest beam to the lowest",
-                        error_location));
+        fail("{}: elevation_deg increases, expected rows from the highest beam to the lowest",
+             error_location);
     }
     sensor.beams.push_back(beam);
 }
@@ -118,8 +117,7 @@ SpinningSensor parse_beam_table(const std::string& text, const std::string& erro
     const std::vector<int> at =
         find_column_indices(header, column_names, fmt::format("{} line {}", error_location, first + 1));
     if (at[kElevation] < 0)
-        throw DataError(fmt::format(
-            "{}: the first line has no column 'elevation_deg', expected a CSV beam table", error_location));
+        fail("{}: the first line has no column 'elevation_deg', expected a CSV beam table", error_location);
 
     SpinningSensor sensor;
     sensor.columns = n_columns;
@@ -130,14 +128,12 @@ SpinningSensor parse_beam_table(const std::string& text, const std::string& erro
         const std::string line = fmt::format("{} line {}", error_location, l + 1);
         const auto cells = split_csv_cells(lines[l]);
         if (cells.size() != header.size()) {
-            throw DataError(fmt::format("{}: found {} values, expected {} like in the header", line,
-                                        cells.size(), header.size()));
+            fail("{}: found {} values, expected {} like in the header", line, cells.size(), header.size());
         }
         append_beam(sensor, parse_beam_cells(cells, at, line), line);
     }
     if (sensor.beams.empty())
-        throw DataError(
-            fmt::format("{}: found no beams after the header, expected at least one", error_location));
+        fail("{}: found no beams after the header, expected at least one", error_location);
     return sensor;
 }
 

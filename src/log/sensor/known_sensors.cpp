@@ -18,6 +18,7 @@
 
 #include "base/assert.hpp"
 #include "base/csv.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar {
@@ -105,8 +106,7 @@ SensorModel make_waymo_side_sensor(int columns_or_zero, double rate_hz) {
     sensor.max_range_m = 20.0;
     return make_sensor_model(
         std::move(sensor),
-        "short-range LiDARs of the Waymo Open Dataset: 200 evenly spaced beams from +30 to -90 "
-        "degrees");
+        "short-range LiDARs of the Waymo Open Dataset: 200 evenly spaced beams from +30 to -90 degrees");
 }
 
 /// Returns a spinning sensor whose rays are the pixels of the KITTI-360 range images that
@@ -183,8 +183,8 @@ SensorModel make_at128_sensor() {
 /// rows, 120 x 25.4 degrees, 0.1 degrees per column, 10 Hz.
 SensorModel make_scanning_window_sensor_of_128_rows() {
     return {"window-128",
-            "hybrid solid-state LiDAR similar to the AT128: mirrors scan 120 x 25.4 degrees, 1200 "
-            "columns of 128 rows",
+            "hybrid solid-state LiDAR similar to the AT128: mirrors scan 120 x 25.4 degrees, 1200 columns of "
+            "128 rows",
             {0.5, 200.0},
             WindowScanSensor{.name = "window-128",
                              .rows = 128,
@@ -200,8 +200,8 @@ SensorModel make_scanning_window_sensor_of_128_rows() {
 /// a Mid-40.
 SensorModel make_rosette_sensor() {
     return {"rosette",
-            "non-repetitive LiDAR similar to the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 "
-            "rays per second",
+            "non-repetitive LiDAR similar to the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 rays "
+            "per second",
             {1.0, 260.0},
             RosetteSensor{.name = "rosette",
                           .deflection_rad = 9.6 * kDegree,
@@ -247,8 +247,8 @@ std::optional<SensorModel> find_built_in_sensor(const std::string& name, int col
     const double rate = rate_hz > 0.0 ? rate_hz : 10.0;
     const bool spins = *sensor_name != "AT128" && *sensor_name != "window-128" && *sensor_name != "rosette";
     if (!spins && (columns > 0 || rate_hz > 0.0)) {
-        throw UsageError(fmt::format(
-            "sensor '{}': found columns and a rate, but this sensor does not spin; use only its name", name));
+        fail<UsageError>(
+            "sensor '{}': found columns and a rate, but this sensor does not spin; use only its name", name);
     }
     if (*sensor_name == "kitti360") return make_kitti360_sensor(columns, rate);
     if (*sensor_name == "HDL-64E") return make_hdl64e_sensor(columns, rate);

@@ -11,6 +11,8 @@
 #include <relidar/base/math.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 
 // Defined in src/log/sensor/kinds.
@@ -157,18 +159,17 @@ void append_ray_from_sensor_origin(RayTable& rays, const glm::dvec3& direction, 
 
 void require_allowed_ray_count(const std::string& sensor_name, double n_rays) {
     if (!(n_rays >= 1.0 && n_rays <= double(kMaxRays)))
-        throw UsageError(fmt::format("sensor '{}': found {} rays per scan, expected 1 to {}", sensor_name,
-                                     n_rays, kMaxRays));
+        fail<UsageError>("sensor '{}': found {} rays per scan, expected 1 to {}", sensor_name, n_rays,
+                         kMaxRays);
 }
 
 void require_finite_sum_and_valid_period(const std::string& sensor_name, double sum_of_values,
                                          double period_s) {
     if (!std::isfinite(sum_of_values))
-        throw UsageError(
-            fmt::format("sensor '{}': an angle or rate is not finite, expected finite numbers", sensor_name));
+        fail<UsageError>("sensor '{}': an angle or rate is not finite, expected finite numbers", sensor_name);
     if (!(period_s > 0.0) || !std::isfinite(period_s))
-        throw UsageError(fmt::format("sensor '{}': found a period of {} s, expected a positive number",
-                                     sensor_name, period_s));
+        fail<UsageError>("sensor '{}': found a period of {} s, expected a positive number", sensor_name,
+                         period_s);
 }
 
 }  // namespace pattern_detail

@@ -13,6 +13,8 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 
 RangeImageGrid make_kitti360_grid() {
@@ -26,7 +28,7 @@ RangeImageGrid make_kitti360_grid() {
 
 RangeImageGrid get_range_image_grid_by_name(const std::string& name) {
     if (find_name_ignoring_case(name, {"kitti360"})) return make_kitti360_grid();
-    throw UsageError(fmt::format("the range image grid '{}' is unknown, expected kitti360", name));
+    fail<UsageError>("the range image grid '{}' is unknown, expected kitti360", name);
 }
 
 std::optional<int> project_to_pixel_index(const RangeImageGrid& grid, const glm::dvec3& point_m) {
@@ -43,8 +45,8 @@ std::optional<int> project_to_pixel_index(const RangeImageGrid& grid, const glm:
 ProjectedRangeImage project_points(const RangeImageGrid& grid, const std::vector<glm::vec3>& points_m,
                                    const std::vector<float>& intensity) {
     if (points_m.size() != intensity.size()) {
-        throw UsageError(fmt::format("project_points: intensity has {} entries, expected {} like points_m",
-                                     intensity.size(), points_m.size()));
+        fail<UsageError>("project_points: intensity has {} entries, expected {} like points_m",
+                         intensity.size(), points_m.size());
     }
     ProjectedRangeImage image;
     image.rows = grid.rows;

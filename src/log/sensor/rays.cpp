@@ -13,6 +13,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
+#include "base/fail.hpp"
 #include "base/parallel.hpp"
 #include "log/sensor/beam_geometry.hpp"
 
@@ -33,28 +34,29 @@ RayTable make_empty_ray_table(int rows, int columns, double divergence_rad) {
 }
 
 void require_valid_spinning_sensor(const SpinningSensor& sensor) {
-    const auto fail = [&](const std::string& description) {
-        throw UsageError(fmt::format("sensor '{}': found {}", sensor.name, description));
+    const auto refuse = [&](const std::string& description) {
+        fail<UsageError>("sensor '{}': found {}", sensor.name, description);
     };
-    if (sensor.beams.empty()) fail("no beams, expected at least one");
+    if (sensor.beams.empty()) refuse("no beams, expected at least one");
     if (sensor.beams.size() > 65535)
-        fail(fmt::format("{} beams, expected at most 65535", sensor.beams.size()));
-    if (sensor.columns <= 0) fail(fmt::format("{} columns per sweep, expected at least one", sensor.columns));
+        refuse(fmt::format("{} beams, expected at most 65535", sensor.beams.size()));
+    if (sensor.columns <= 0)
+        refuse(fmt::format("{} columns per sweep, expected at least one", sensor.columns));
     if (sensor.beams.size() * static_cast<std::size_t>(sensor.columns) > kMaxRays) {
-        fail(fmt::format("{} beams and {} columns, which are {} rays per sweep; expected at most {} rays",
-                         sensor.beams.size(), sensor.columns,
-                         sensor.beams.size() * static_cast<std::size_t>(sensor.columns), kMaxRays));
+        refuse(fmt::format("{} beams and {} columns, which are {} rays per sweep; expected at most {} rays",
+                           sensor.beams.size(), sensor.columns,
+                           sensor.beams.size() * static_cast<std::size_t>(sensor.columns), kMaxRays));
     }
     if (!(sensor.min_range_m >= 0.0 && sensor.max_range_m > sensor.min_range_m)) {
-        fail(fmt::format("range limits of {} to {} m, expected 0 <= min_range_m < max_range_m",
-                         sensor.min_range_m, sensor.max_range_m));
+        refuse(fmt::format("range limits of {} to {} m, expected 0 <= min_range_m < max_range_m",
+                           sensor.min_range_m, sensor.max_range_m));
     }
     if (!(sensor.period_s > 0.0) || !std::isfinite(sensor.period_s)) {
-        fail(fmt::format("a period of {} s, expected a positive number", sensor.period_s));
+        refuse(fmt::format("a period of {} s, expected a positive number", sensor.period_s));
     }
     if (!std::isfinite(sensor.first_azimuth_rad) || !std::isfinite(sensor.divergence_rad)) {
-        fail(fmt::format("first_azimuth_rad = {} and divergence_rad = {}, expected finite numbers",
-                         sensor.first_azimuth_rad, sensor.divergence_rad));
+        refuse(fmt::format("first_azimuth_rad = {} and divergence_rad = {}, expected finite numbers",
+                           sensor.first_azimuth_rad, sensor.divergence_rad));
     }
     for (std::size_t b = 0; b < sensor.beams.size(); ++b) {
         const Beam& beam = sensor.beams[b];
@@ -62,10 +64,8 @@ void require_valid_spinning_sensor(const SpinningSensor& sensor) {
                            beam.origin_up_m + beam.origin_left_m + beam.intensity_gain +
                            beam.intensity_offset + beam.range_offset_m;
         if (!std::isfinite(sum))
-            fail(
-                fmt::format("an angle, an offset or a gain of beam {} that is not finite, expected finite "
-                            "numbers",
-                            b));
+            refuse(fmt::format(
+                "an angle, an offset or a gain of beam {} that is not finite, expected finite numbers", b));
     }
 }
 
@@ -74,11 +74,11 @@ void require_valid_spinning_sensor(const SpinningSensor& sensor) {
 RangeLimits intersect_range_limits(const RangeLimits& first, const RangeLimits& second) {
     const RangeLimits both{std::max(first.min_m, second.min_m), std::min(first.max_m, second.max_m)};
     if (!(both.max_m > both.min_m))
-        throw UsageError(fmt::format(
-            "no range is within all limits: the largest minimum is {} m and the smallest maximum "
-            "is {} m; expected dataset.min_range_m below dataset.max_range_m and below the maximum "
-            "range of the sensor",
-            both.min_m, both.max_m));
+        fail<UsageError>(
+            "no range is within all limits: the largest minimum is {} m and the smallest maximum is {} m; "
+            "expected dataset.min_range_m below dataset.max_range_m and below the maximum range of the "
+            "sensor",
+            both.min_m, both.max_m);
     return both;
 }
 

@@ -26,6 +26,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 namespace {
 
@@ -42,12 +44,12 @@ std::size_t round_up_to_page_size(std::size_t bytes) {
 }
 
 [[noreturn]] void throw_scan_storage_error(const fs::path& folder, std::size_t missing_bytes, int error) {
-    throw DataError(
-        fmt::format("the scans do not fit into memory, and relidar cannot store the remainder in the folder "
-                    "'{}': {} ({}set TMPDIR to a folder with enough space, or increase dataset.memory_mib to "
-                    "keep more scans in memory)",
-                    folder.string(), std::generic_category().message(error),
-                    missing_bytes > 0 ? fmt::format("{} more bytes are needed; ", missing_bytes) : ""));
+    fail(
+        "the scans do not fit into memory, and relidar cannot store the remainder in the folder '{}': {} "
+        "({}set TMPDIR to a folder with enough space, or increase dataset.memory_mib to keep more scans in "
+        "memory)",
+        folder.string(), std::generic_category().message(error),
+        missing_bytes > 0 ? fmt::format("{} more bytes are needed; ", missing_bytes) : "");
 }
 
 /// Memory-mapped file without a name. Its parts are used as memory for arrays.

@@ -8,6 +8,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_pattern.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/sensor_files/ray_arrays.hpp"
 
@@ -44,10 +45,10 @@ SensorSpecifier parse_sensor_name_columns_and_rate(const std::string& specifier_
     if (!columns || !rate_hz) return {specifier_text};
     if (!(*columns >= 1.0 && *columns <= kMaxColumns) || *columns != std::floor(*columns) ||
         !(*rate_hz > 0.0 && *rate_hz <= kMaxRate_hz)) {
-        throw UsageError(fmt::format(
-            "sensor '{}': found {} columns at {} Hz, expected 1 to {} columns and a rate above 0 and "
-            "up to {} Hz",
-            specifier_text, *columns, *rate_hz, kMaxColumns, kMaxRate_hz));
+        fail<UsageError>(
+            "sensor '{}': found {} columns at {} Hz, expected 1 to {} columns and a rate above 0 and up to "
+            "{} Hz",
+            specifier_text, *columns, *rate_hz, kMaxColumns, kMaxRate_hz);
     }
     return {specifier_text.substr(0, colon), static_cast<int>(*columns), *rate_hz};
 }
@@ -77,10 +78,10 @@ SensorModel read_sensor_file(const SensorSpecifier& sensor_specifier, double def
                             : parse_beam_table_sensor(text, sensor_specifier);
     }();
     if (sensor_specifier.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
-        throw UsageError(
-            fmt::format("sensor '{}:{}': the file describes a sensor that does not spin, so it accepts no "
-                        "number of columns; use only the file name",
-                        sensor_specifier.name, sensor_specifier.columns));
+        fail<UsageError>(
+            "sensor '{}:{}': the file describes a sensor that does not spin, so it accepts no number of "
+            "columns; use only the file name",
+            sensor_specifier.name, sensor_specifier.columns);
     sensor_files::set_max_range_if_missing(sensor, default_max_range_m, sensor_specifier.name);
     return sensor;
 }
@@ -91,10 +92,10 @@ void sensor_files::set_max_range_if_missing(SensorModel& sensor, double max_rang
                                             const std::string& error_location) {
     if (!std::isinf(sensor.limits.max_m)) return;
     if (!(sensor.limits.min_m < max_range_m))
-        throw DataError(fmt::format(
+        fail(
             "{}: min_range_m is {} m, but max_range_m is not given and has the default value of {} m; "
             "expected min_range_m < max_range_m; give a larger max_range_m",
-            error_location, sensor.limits.min_m, max_range_m));
+            error_location, sensor.limits.min_m, max_range_m);
     sensor.limits.max_m = max_range_m;
     if (auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) spinning->max_range_m = max_range_m;
 }
@@ -114,43 +115,43 @@ SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::
         return read_sensor_file(name, default_max_range_m);
     std::vector<std::string> known_names = other_known_names;
     for (const std::string& sensor : list_sensor_names()) known_names.push_back(sensor);
-    throw UsageError(fmt::format(
-        "the sensor '{}' is unknown{} (known: {}; or the path of a file, such as "
-        "beams.csv:1024x10, rays.npz or the metadata.json of an Ouster sensor)",
-        name_or_file, format_name_suggestion(name_or_file, known_names, "'"), fmt::join(known_names, ", ")));
+    fail<UsageError>(
+        "the sensor '{}' is unknown{} (known: {}; or the path of a file, such as beams.csv:1024x10, rays.npz "
+        "or the metadata.json of an Ouster sensor)",
+        name_or_file, format_name_suggestion(name_or_file, known_names, "'"), fmt::join(known_names, ", "));
 }
 
 std::string make_sensor_file_help() {
     return "NAME is one of `relidar list sensors`. A FILE contains a custom sensor:\n"
-           "  beams.csv   a spinning sensor: a header line, then one line per beam, from the "
-           "highest to the lowest. Columns: elevation_deg\n"
-           "              (required; up is positive), azimuth_offset_deg (relative to the head, "
-           "positive to the left), origin_offset_m\n"
-           "              (start of the beam along the head direction), origin_up_m (perpendicular "
-           "to the beam, upwards), origin_left_m,\n"
-           "              firing_offset_us, min_range_m and max_range_m (same for all beams; "
-           "default 0 and 80), channel (ignored).\n"
-           "              Missing columns are 0; unknown columns are an error. beams.csv:1024x10 "
-           "means 1024 columns per sweep at 10 Hz\n"
-           "              (default: 1800x10). The names of spinning sensors accept the same suffix, "
-           "for example VLP-16:900x20.\n"
-           "  rays.csv    any other sensor: one line per ray with azimuth_deg, elevation_deg, and "
-           "optionally origin_x_m, origin_y_m,\n"
-           "              origin_z_m, time_s, channel, divergence_mrad (full angle of the beam), "
-           "min_range_m and max_range_m (the\n"
+           "  beams.csv   a spinning sensor: a header line, then one line per beam, from the highest to the "
+           "lowest. Columns: elevation_deg\n"
+           "              (required; up is positive), azimuth_offset_deg (relative to the head, positive to "
+           "the left), origin_offset_m\n"
+           "              (start of the beam along the head direction), origin_up_m (perpendicular to the "
+           "beam, upwards), origin_left_m,\n"
+           "              firing_offset_us, min_range_m and max_range_m (same for all beams; default 0 and "
+           "80), channel (ignored).\n"
+           "              Missing columns are 0; unknown columns are an error. beams.csv:1024x10 means 1024 "
+           "columns per sweep at 10 Hz\n"
+           "              (default: 1800x10). The names of spinning sensors accept the same suffix, for "
+           "example VLP-16:900x20.\n"
+           "  rays.csv    any other sensor: one line per ray with azimuth_deg, elevation_deg, and optionally "
+           "origin_x_m, origin_y_m,\n"
+           "              origin_z_m, time_s, channel, divergence_mrad (full angle of the beam), min_range_m "
+           "and max_range_m (the\n"
            "              same in each line).\n"
-           "  rays.npz    directions [n,3] or [rows,columns,3], origin, time, ring, like in a "
-           "rendered scan; divergence (radians,\n"
+           "  rays.npz    directions [n,3] or [rows,columns,3], origin, time, ring, like in a rendered scan; "
+           "divergence (radians,\n"
            "              one value per ray) or divergence_mrad (one value for all rays).\n"
            "  FILE.json   lists with the same names, the metadata of an Ouster sensor, or one of\n" +
            format_pattern_kinds_help() +
-           "              each with name, period_s (0.1), divergence_mrad (0), min_range_m (0), "
-           "max_range_m (80); defaults in parentheses.\n"
+           "              each with name, period_s (0.1), divergence_mrad (0), min_range_m (0), max_range_m "
+           "(80); defaults in parentheses.\n"
            "              NAME_rad can be used instead of NAME_deg.\n"
-           "  rig.json    several sensors: {\"sensors\": [{\"name\": \"front\", \"sensor\": "
-           "\"VLP-16\", \"translation_m\": [1,0,2],\n"
-           "              \"yaw_pitch_roll_deg\": [90,0,0], \"returns\": 1}, ...]}, mounted in the "
-           "frame of the sensor that the rig replaces.";
+           "  rig.json    several sensors: {\"sensors\": [{\"name\": \"front\", \"sensor\": \"VLP-16\", "
+           "\"translation_m\": [1,0,2],\n"
+           "              \"yaw_pitch_roll_deg\": [90,0,0], \"returns\": 1}, ...]}, mounted in the frame of "
+           "the sensor that the rig replaces.";
 }
 
 }  // namespace relidar

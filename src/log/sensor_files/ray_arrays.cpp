@@ -11,6 +11,7 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar::sensor_files {
@@ -23,8 +24,8 @@ constexpr double kFarthestOrigin_m = 100.0, kLongestScan_s = 100.0, kMostRange_m
 void require_empty_or_length(const std::vector<double>& values, std::size_t expected_length,
                              const char* description, const std::string& error_location) {
     if (!values.empty() && values.size() != expected_length)
-        throw DataError(fmt::format("{}: {} has {} numbers, expected {}", error_location, description,
-                                    values.size(), expected_length));
+        fail("{}: {} has {} numbers, expected {}", error_location, description, values.size(),
+             expected_length);
 }
 
 void require_values_in_range(const std::vector<double>& values, double min_value, double max_value,
@@ -32,9 +33,8 @@ void require_values_in_range(const std::vector<double>& values, double min_value
     const auto bad = std::find_if(values.begin(), values.end(),
                                   [&](double value) { return !(value >= min_value && value <= max_value); });
     if (bad != values.end()) {
-        throw DataError(fmt::format("{0}: entry {2} of {1} is {3}, expected a number in [{4}, {5}]",
-                                    error_location, description, bad - values.begin(), *bad, min_value,
-                                    max_value));
+        fail("{0}: entry {2} of {1} is {3}, expected a number in [{4}, {5}]", error_location, description,
+             bad - values.begin(), *bad, min_value, max_value);
     }
 }
 
@@ -46,11 +46,11 @@ glm::dvec3 get_xyz_or_zero_if_empty(const std::vector<double>& values, std::size
 void require_valid_ray_arrays(const RayFileArrays& ray_arrays, const std::string& error_location) {
     const std::size_t n = ray_arrays.direction.size() / 3;
     if (n == 0 || n > kMaxRays || n * 3 != ray_arrays.direction.size())
-        throw DataError(fmt::format("{}: found {} rays, expected 1 to {}", error_location, n, kMaxRays));
+        fail("{}: found {} rays, expected 1 to {}", error_location, n, kMaxRays);
     if (ray_arrays.rows < 1 || ray_arrays.columns < 1 ||
         std::size_t(ray_arrays.rows) * std::size_t(ray_arrays.columns) != n)
-        throw DataError(fmt::format("{}: found {} rays, expected {} rows of {} rays", error_location, n,
-                                    ray_arrays.rows, ray_arrays.columns));
+        fail("{}: found {} rays, expected {} rows of {} rays", error_location, n, ray_arrays.rows,
+             ray_arrays.columns);
     require_empty_or_length(ray_arrays.origin, 3 * n, "origin", error_location);
     require_empty_or_length(ray_arrays.time_s, n, "time", error_location);
     require_empty_or_length(ray_arrays.channel, n, "ring", error_location);
@@ -66,9 +66,8 @@ void require_valid_ray_arrays(const RayFileArrays& ray_arrays, const std::string
                              std::isinf(ray_arrays.limits.max_m) ? kMostRange_m : ray_arrays.limits.max_m},
                             0.0, kMostRange_m, "range limits", error_location);
     if (!(ray_arrays.limits.min_m < ray_arrays.limits.max_m))
-        throw DataError(
-            fmt::format("{}: found range limits of {} to {} m, expected min_range_m below max_range_m",
-                        error_location, ray_arrays.limits.min_m, ray_arrays.limits.max_m));
+        fail("{}: found range limits of {} to {} m, expected min_range_m below max_range_m", error_location,
+             ray_arrays.limits.min_m, ray_arrays.limits.max_m);
 }
 
 }  // namespace
@@ -77,8 +76,7 @@ std::vector<double> select_per_ray_or_common_divergence(std::vector<double> ray_
                                                         std::optional<double> common_divergence_mrad,
                                                         const std::string& error_location) {
     if (!ray_divergence_rad.empty() && common_divergence_mrad)
-        throw DataError(fmt::format("{}: found both divergence and divergence_mrad, expected one of them",
-                                    error_location));
+        fail("{}: found both divergence and divergence_mrad, expected one of them", error_location);
     if (common_divergence_mrad) return {1e-3 * *common_divergence_mrad};
     return ray_divergence_rad;
 }
@@ -99,8 +97,7 @@ SensorModel make_sensor_from_ray_arrays(const RayFileArrays& ray_arrays, const s
         const glm::dvec3 direction = get_xyz_or_zero_if_empty(ray_arrays.direction, i);
         const double length = glm::length(direction);
         if (!(std::abs(length - 1.0) <= kUnit))
-            throw DataError(fmt::format("{}: entry {} of directions has length {}, expected 1",
-                                        error_location, i, length));
+            fail("{}: entry {} of directions has length {}, expected 1", error_location, i, length);
         const bool is_exact = ray_arrays.keeps_floats && std::abs(length - 1.0) < 1e-6 &&
                               glm::dvec3(glm::vec3(direction)) == direction;
         rays.direction.emplace_back(is_exact ? direction : direction / length);
@@ -123,19 +120,17 @@ SensorModel read_ray_npz(const std::string& path, const std::string& sensor_name
     const auto one = [&](const std::string& array_name) -> std::optional<double> {
         const std::vector<double> numbers = values(array_name);
         if (numbers.size() > 1)
-            throw DataError(fmt::format("{}: the array \"{}\" has {} numbers, expected one number", path,
-                                        array_name, numbers.size()));
+            fail("{}: the array \"{}\" has {} numbers, expected one number", path, array_name,
+                 numbers.size());
         return numbers.empty() ? std::nullopt : std::optional(numbers[0]);
     };
     const NamedArray* directions = find_array(arrays, "directions");
-    if (!directions)
-        throw DataError(
-            fmt::format("{}: the array \"directions\" is missing, expected the rays of a sensor", path));
+    if (!directions) fail("{}: the array \"directions\" is missing, expected the rays of a sensor", path);
     const std::vector<std::size_t>& shape = directions->shape;
     if ((shape.size() != 2 && shape.size() != 3) || shape.back() != 3 || shape[0] > kMaxRays ||
         shape[1] > kMaxRays) {
-        throw DataError(fmt::format("{}: directions has shape [{}], expected [n,3] or [rows,columns,3]", path,
-                                    fmt::join(shape, ",")));
+        fail("{}: directions has shape [{}], expected [n,3] or [rows,columns,3]", path,
+             fmt::join(shape, ","));
     }
     RayFileArrays c{.direction = values("directions"),
                     .origin = values("origin"),

@@ -10,6 +10,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 #include "base/csv.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/sensor_files/ray_arrays.hpp"
 
@@ -43,8 +44,7 @@ RayCsvRow parse_ray_line(const std::string& line, const std::vector<int>& column
                          std::size_t n_cells, const std::string& error_location) {
     const std::vector<std::string_view> cells = split_csv_cells(line);
     if (cells.size() != n_cells)
-        throw DataError(fmt::format("{}: found {} values, expected {} like in the header", error_location,
-                                    cells.size(), n_cells));
+        fail("{}: found {} values, expected {} like in the header", error_location, cells.size(), n_cells);
     RayCsvRow value{};
     value[kMaxRange] = RayFileArrays{}.limits.max_m;
     for (std::size_t f = 0; f < kFieldCount; ++f) {
@@ -52,8 +52,8 @@ RayCsvRow parse_ray_line(const std::string& line, const std::vector<int>& column
         const std::string_view cell = cells[static_cast<std::size_t>(column_of_field[f])];
         const auto number = parse_number(cell);
         if (!number || !std::isfinite(*number))
-            throw DataError(fmt::format("{}: {} is '{}', expected a number", error_location, kNames[f],
-                                        shorten_for_error_message(cell)));
+            fail("{}: {} is '{}', expected a number", error_location, kNames[f],
+                 shorten_for_error_message(cell));
         value[f] = *number;
     }
     return value;
@@ -79,10 +79,8 @@ SensorModel parse_ray_csv(const std::string& csv_text, const std::string& sensor
         lines.empty() ? std::vector<std::string_view>{} : split_csv_cells(lines[0]);
     const std::vector<int> at = find_column_indices(header, kNames, error_location + " line 1");
     if (at[kAzimuth] < 0 || at[kElevation] < 0)
-        throw DataError(fmt::format(
-            "{} line 1: the column azimuth_deg or elevation_deg is missing, expected both in a ray "
-            "table",
-            error_location));
+        fail("{} line 1: the column azimuth_deg or elevation_deg is missing, expected both in a ray table",
+             error_location);
     RayFileArrays rays;
     RayCsvRow first{};
     for (std::size_t l = 1; l < lines.size(); ++l) {
@@ -92,10 +90,10 @@ SensorModel parse_ray_csv(const std::string& csv_text, const std::string& sensor
         if (rays.time_s.empty()) first = v;
         for (const RayCsvField f : kOfSensor) {
             if (v[f] != first[f])
-                throw DataError(
-                    fmt::format("{}: {} is {}, expected {} like in the first line; this column needs one "
-                                "value for all rays",
-                                line, kNames[f], v[f], first[f]));
+                fail(
+                    "{}: {} is {}, expected {} like in the first line; this column needs one value for all "
+                    "rays",
+                    line, kNames[f], v[f], first[f]);
         }
         append_ray_row(rays, v);
     }

@@ -11,6 +11,7 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/sensor_files/ray_arrays.hpp"
 
@@ -34,15 +35,14 @@ glm::dvec3 read_vector_or_zero(const Json& sensor_json, const char* key, double 
     for (int k = 0; numbers && k < 3; ++k) v[k] = list[std::size_t(k)].get<double>();
     if (!numbers ||
         !(std::abs(v.x) <= max_abs_value && std::abs(v.y) <= max_abs_value && std::abs(v.z) <= max_abs_value))
-        throw DataError(fmt::format("{}: the value of {} is invalid, expected three numbers of at most {}",
-                                    error_location, key, max_abs_value));
+        fail("{}: the value of {} is invalid, expected three numbers of at most {}", error_location, key,
+             max_abs_value);
     return v;
 }
 
 std::string read_required_text(const Json& sensor_json, const char* key, const std::string& error_location) {
     if (!sensor_json.is_object() || !sensor_json.contains(key) || !sensor_json.at(key).is_string())
-        throw DataError(fmt::format("{}: the value of {} is missing or is not a text, expected a text",
-                                    error_location, key));
+        fail("{}: the value of {} is missing or is not a text, expected a text", error_location, key);
     return sensor_json.at(key).get<std::string>();
 }
 
@@ -73,10 +73,10 @@ void require_valid_new_sensor_name(const std::string& name, const std::set<std::
     };
     if (name.empty() || name.size() > 64 || name.starts_with('.') ||
         !std::all_of(name.begin(), name.end(), allowed))
-        throw DataError(fmt::format("{}: name: found \"{}\", expected letters, digits, -, _ and .",
-                                    error_location, shorten_for_error_message(name)));
+        fail("{}: name: found \"{}\", expected letters, digits, -, _ and .", error_location,
+             shorten_for_error_message(name));
     if (used_names.contains(name))
-        throw DataError(fmt::format("{}: name: \"{}\" occurs twice, expected it once", error_location, name));
+        fail("{}: name: \"{}\" occurs twice, expected it once", error_location, name);
 }
 
 /// Throws for unknown keys. Otherwise a misspelt "translation" would mount the sensor at
@@ -85,9 +85,8 @@ void require_only_known_json_keys(const Json& object, const std::vector<std::str
                                   const std::string& error_location) {
     for (const auto& [key, value] : object.items())
         if (std::find(known_keys.begin(), known_keys.end(), key) == known_keys.end())
-            throw DataError(fmt::format(
-                "{}: unknown key '{}'{} (known: {})", error_location, shorten_for_error_message(key),
-                format_name_suggestion(key, known_keys, "'"), fmt::join(known_keys, ", ")));
+            fail("{}: unknown key '{}'{} (known: {})", error_location, shorten_for_error_message(key),
+                 format_name_suggestion(key, known_keys, "'"), fmt::join(known_keys, ", "));
 }
 
 }  // namespace
@@ -105,8 +104,7 @@ std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& pat
     require_only_known_json_keys(json, {"sensors"}, path);
     if (!json.at("sensors").is_array() || json.at("sensors").empty() ||
         json.at("sensors").size() > kMostSensors)
-        throw DataError(fmt::format(
-            "{}: the key \"sensors\" is invalid, expected a list with 1 to {} entries", path, kMostSensors));
+        fail("{}: the key \"sensors\" is invalid, expected a list with 1 to {} entries", path, kMostSensors);
     std::vector<MountedSensor> rig;
     std::set<std::string> names;
     for (const Json& sensor : json.at("sensors")) {
@@ -122,8 +120,7 @@ std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& pat
         const Pose rig_from_sensor{make_rotation(angle_rad.x, angle_rad.y, angle_rad.z),
                                    read_vector_or_zero(sensor, "translation_m", kFarthest_m, where)};
         const Json returns = sensor.contains("returns") ? sensor.at("returns") : Json(1);
-        if (returns != 1 && returns != 2)
-            throw DataError(fmt::format("{}: the value of returns is invalid, expected 1 or 2", where));
+        if (returns != 1 && returns != 2) fail("{}: the value of returns is invalid, expected 1 or 2", where);
         rig.push_back({name, std::move(model), rig_from_sensor, returns.get<int>()});
     }
     return rig;

@@ -15,6 +15,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 #include <relidar/log/sensor_pattern.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
 #include "log/sensor/pattern_kinds.hpp"
@@ -58,9 +59,8 @@ std::pair<int, double> parse_ouster_columns_and_rate(const Json& metadata,
     const auto rate =
         x == std::string::npos ? std::nullopt : parse_number(std::string_view(text).substr(x + 1));
     if (!columns || !rate || !(*columns >= 1 && *columns <= 65536) || !(*rate > 0.0 && *rate <= 1000.0))
-        throw DataError(
-            fmt::format("{}: lidar_mode is \"{}\", expected columns and rate, for example \"1024x10\"",
-                        error_location, shorten_for_error_message(text)));
+        fail("{}: lidar_mode is \"{}\", expected columns and rate, for example \"1024x10\"", error_location,
+             shorten_for_error_message(text));
     return {static_cast<int>(*columns), *rate};
 }
 
@@ -75,16 +75,15 @@ SensorModel parse_ouster_sensor(const Json& metadata, const std::string& name,
     };
     const std::vector<double> altitude = list("beam_altitude_angles"), azimuth = list("beam_azimuth_angles");
     if (altitude.empty() || altitude.size() > kMostBeams || azimuth.size() != altitude.size()) {
-        throw DataError(fmt::format(
-            "{}: found {} beam_altitude_angles and {} beam_azimuth_angles, expected the same number "
-            "of both and at most {}",
-            error_location, altitude.size(), azimuth.size(), kMostBeams));
+        fail(
+            "{}: found {} beam_altitude_angles and {} beam_azimuth_angles, expected the same number of both "
+            "and at most {}",
+            error_location, altitude.size(), azimuth.size(), kMostBeams);
     }
     const Json* offset_mm = find_json_value(metadata, "lidar_origin_to_beam_origin_mm", {"beam_intrinsics"});
     if (offset_mm && (!offset_mm->is_number() || !std::isfinite(offset_mm->get<double>())))
-        throw DataError(fmt::format(
-            "{}: lidar_origin_to_beam_origin_mm: the value is not a number, expected a finite number",
-            error_location));
+        fail("{}: lidar_origin_to_beam_origin_mm: the value is not a number, expected a finite number",
+             error_location);
     const double offset_m = offset_mm ? 1e-3 * offset_mm->get<double>() : 0.0;
     SpinningSensor sensor;
     const auto [mode_columns, mode_rate_hz] = columns_or_zero > 0
@@ -99,10 +98,10 @@ SensorModel parse_ouster_sensor(const Json& metadata, const std::string& name,
     sensor.max_range_m = limits.max_m;
     for (std::size_t b = 0; b < altitude.size(); ++b) {
         if (!(std::abs(altitude[b]) <= 90.0 && std::abs(azimuth[b]) <= 180.0 && std::abs(offset_m) < 1.0))
-            throw DataError(fmt::format(
-                "{}: beam {} has altitude {} and azimuth {} and starts {} m from the axis, expected "
-                "angles in degrees and less than 1 m",
-                error_location, b, altitude[b], azimuth[b], offset_m));
+            fail(
+                "{}: beam {} has altitude {} and azimuth {} and starts {} m from the axis, expected angles "
+                "in degrees and less than 1 m",
+                error_location, b, altitude[b], azimuth[b], offset_m);
         sensor.beams.push_back({.elevation_rad = altitude[b] * kPi / 180.0,
                                 .azimuth_offset_rad = -azimuth[b] * kPi / 180.0,
                                 .origin_offset_m = offset_m});
@@ -120,8 +119,8 @@ SensorModel parse_sensor_json(const std::string& json_text, const std::string& s
     try {
         json = Json::parse(json_text);
     } catch (const Json::exception& error) {
-        throw DataError(fmt::format("{} is not valid JSON ({}), expected a sensor", error_location,
-                                    shorten_for_error_message(error.what())));
+        fail("{} is not valid JSON ({}), expected a sensor", error_location,
+             shorten_for_error_message(error.what()));
     }
     const JsonField root(json, error_location, "");
     // An object with "directions" is a sensor of the kind "rays", although it does not
@@ -138,10 +137,10 @@ SensorModel parse_sensor_json(const std::string& json_text, const std::string& s
         return parse_ouster_sensor(json, sensor_name, error_location, columns_or_zero, rate_hz_or_zero);
     std::string kinds;
     for (const PatternKind& kind : list_pattern_kinds()) kinds += fmt::format("\"{}\", ", kind.name);
-    throw DataError(
-        fmt::format("{}: found no sensor; expected a JSON object with one of the keys {}\"directions\" (a "
-                    "table of rays) or \"beam_altitude_angles\" (metadata of an Ouster)",
-                    error_location, kinds));
+    fail(
+        "{}: found no sensor; expected a JSON object with one of the keys {}\"directions\" (a table of rays) "
+        "or \"beam_altitude_angles\" (metadata of an Ouster)",
+        error_location, kinds);
 }
 
 }  // namespace relidar::sensor_files

@@ -14,6 +14,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/parallel.hpp"
 
 namespace relidar {
@@ -66,10 +67,9 @@ bool BoxTrack::contains_point(const glm::dvec3& point_m, double t_s, double marg
 
 TrackInterpolation PoseTrack::find_poses_before_and_after_time(double t_s) const {
     if (pose.empty() || pose.size() != time_s.size()) {
-        throw DataError(
-            fmt::format("found a pose track with {} poses at {} times, expected at least one of each and the "
-                        "same number",
-                        pose.size(), time_s.size()));
+        fail(
+            "found a pose track with {} poses at {} times, expected at least one of each and the same number",
+            pose.size(), time_s.size());
     }
     return pose.size() == 1 ? TrackInterpolation{} : find_pose_segment_at_time(time_s, t_s);
 }
@@ -107,9 +107,8 @@ std::size_t LidarSequence::get_vehicle_pose_index_of_frame(const LidarFrame& fra
     const std::vector<double>& times = world_from_vehicle.time_s;
     const auto at = std::ranges::lower_bound(times, frame.time_s);
     if (at == times.end() || *at != frame.time_s || times.size() != world_from_vehicle.pose.size())
-        throw DataError(
-            fmt::format("{}: found {} poses of the vehicle at {} times, but no pose for frame {} at {} s",
-                        name, world_from_vehicle.pose.size(), times.size(), frame.index, frame.time_s));
+        fail("{}: found {} poses of the vehicle at {} times, but no pose for frame {} at {} s", name,
+             world_from_vehicle.pose.size(), times.size(), frame.index, frame.time_s);
     return std::size_t(at - times.begin());
 }
 
@@ -125,7 +124,7 @@ int find_lidar_index_by_name(const LidarSequence& sequence, const std::string& n
         const std::string expected = lidar_names.size() == 1
                                          ? "none, because the log has a single LiDAR"
                                          : fmt::format("one of {}", fmt::join(lidar_names, ", "));
-        throw UsageError(fmt::format("lidar: found \"{}\", expected {}", name, expected));
+        fail<UsageError>("lidar: found \"{}\", expected {}", name, expected);
     }
     return name.empty() ? 0 : static_cast<int>(it - lidar_names.begin());
 }

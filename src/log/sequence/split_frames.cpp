@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 #include "base/csv.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/list_text.hpp"
 
@@ -37,10 +38,9 @@ IndexRange parse_frame_range(std::string_view text) {
                                        ? first.value_or(0) + 1
                                        : parse_file_stem_as_number(std::string(text.substr(colon + 1)));
     if (!first || !end || *first >= *end)
-        throw UsageError(
-            fmt::format("{}: found \"{}\", expected frame numbers or FIRST:END with FIRST < END, for example "
-                        "13,26,40:45",
-                        kSetting, shorten_for_error_message(text)));
+        fail<UsageError>(
+            "{}: found \"{}\", expected frame numbers or FIRST:END with FIRST < END, for example 13,26,40:45",
+            kSetting, shorten_for_error_message(text));
     return {*first, *end};
 }
 
@@ -48,8 +48,8 @@ IndexRange parse_frame_range(std::string_view text) {
 /// @throws UsageError if `test_every_nth_frame` is 1 or negative
 std::set<int> select_every_nth_frame(int test_every, const std::vector<int>& frame_numbers) {
     if (test_every < 0 || test_every == 1)
-        throw UsageError(fmt::format(
-            "dataset.test_every is {}, expected 0 (no frame is held out) or at least 2", test_every));
+        fail<UsageError>("dataset.test_every is {}, expected 0 (no frame is held out) or at least 2",
+                         test_every);
     std::set<int> held_out;
     for (auto i = std::size_t(test_every); test_every > 0 && i < frame_numbers.size();
          i += std::size_t(test_every))
@@ -67,17 +67,17 @@ std::set<int> parse_test_frame_list(const std::string& frame_list_text,
         const IndexRange range = parse_frame_range(cell);
         for (int index = range.first; index < range.end; ++index) {
             if (!log_frames.contains(index))
-                throw UsageError(fmt::format(
+                fail<UsageError>(
                     "{}: found frame {}, which is not read from the log; choose from the frames {}", kSetting,
-                    index, format_number_list(log_frame_numbers)));
+                    index, format_number_list(log_frame_numbers));
             if (!held_out.insert(index).second)
-                throw UsageError(fmt::format("{}: frame {} occurs twice, expected it once", kSetting, index));
+                fail<UsageError>("{}: frame {} occurs twice, expected it once", kSetting, index);
         }
     }
     if (held_out.size() == log_frames.size())
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "{}: all frames of the log are held out, expected at least one frame for training: {}", kSetting,
-            format_number_list(log_frame_numbers)));
+            format_number_list(log_frame_numbers));
     return held_out;
 }
 

@@ -9,6 +9,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "run/blocks/frame_places.hpp"
 
 namespace relidar {
@@ -75,10 +76,10 @@ void keep_most_observed_actor_models(const TrainedRun& block_run, const LidarSeq
         if (instance.track.empty()) continue;
         const BoxTrack* box = find_box_track_by_id(block_run.sequence, instance.track);
         if (!box)
-            throw DataError(
-                fmt::format("{}: the trained scene has an actor with the track id \"{}\", but the log has no "
-                            "box with this track id; expected the log that was used for training",
-                            block_run.folder.string(), instance.track));
+            fail(
+                "{}: the trained scene has an actor with the track id \"{}\", but the log has no box with "
+                "this track id; expected the log that was used for training",
+                block_run.folder.string(), instance.track);
         const auto sightings =
             std::size_t(std::count_if(block.train.begin(), block.train.end(), [&](int position) {
                 return is_box_within_distance_of_vehicle(*box, full_sequence, position, kMaxActorDistance_m);

@@ -10,6 +10,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/nearest_place.hpp"
 #include "run/blocks/frame_places.hpp"
 
@@ -59,11 +60,11 @@ std::vector<TrajectoryBlock> plan_training_blocks(const LidarSequence& sequence,
                                      block.recorded_frames, options.halo_m))
                 block.train.push_back(position);
         if (block.train.empty())
-            throw DataError(fmt::format(
+            fail(
                 "cannot divide {} into blocks: within {:g} m of the block that covers metres {:.0f} to "
                 "{:.0f} of the trajectory, no frame is used for training; hold out fewer frames there "
                 "(settings dataset.test_every and dataset.test_frames)",
-                sequence.name, options.halo_m, block.begin_m, block.end_m));
+                sequence.name, options.halo_m, block.begin_m, block.end_m);
     }
     return blocks;
 }

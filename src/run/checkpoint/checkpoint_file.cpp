@@ -12,6 +12,7 @@
 #include <zlib.h>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar {
@@ -59,8 +60,7 @@ std::string compute_checksum(const Texts& metadata, const std::vector<NamedArray
 std::string pop_metadata_value(Texts& metadata, const std::string& key) {
     const auto it = metadata.find(key);
     if (it == metadata.end())
-        throw DataError(
-            fmt::format("the metadata key \"{}\" is missing, expected a checkpoint of relidar", key));
+        fail("the metadata key \"{}\" is missing, expected a checkpoint of relidar", key);
     std::string value = std::move(it->second);
     metadata.erase(it);
     return value;
@@ -69,17 +69,16 @@ std::string pop_metadata_value(Texts& metadata, const std::string& key) {
 void require_equal_text(const std::string& description, const std::string& found_value,
                         const std::string& expected_value) {
     if (found_value != expected_value)
-        throw DataError(fmt::format("{}: found \"{}\", expected \"{}\"", description,
-                                    shorten_for_error_message(found_value), expected_value));
+        fail("{}: found \"{}\", expected \"{}\"", description, shorten_for_error_message(found_value),
+             expected_value);
 }
 
 int parse_iteration_number(const std::string& text) {
     int iteration = -1;
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), iteration);
     if (error != std::errc() || stop != text.data() + text.size() || iteration < 0)
-        throw DataError(
-            fmt::format("the metadata key \"iteration\" is \"{}\", expected an integer of at least 0",
-                        shorten_for_error_message(text)));
+        fail("the metadata key \"iteration\" is \"{}\", expected an integer of at least 0",
+             shorten_for_error_message(text));
     return iteration;
 }
 
@@ -129,7 +128,7 @@ Checkpoint read_checkpoint(const std::filesystem::path& path) {
     try {
         return parse_checkpoint(std::move(texts), std::move(arrays));
     } catch (const DataError& error) {
-        throw DataError(fmt::format("cannot read checkpoint '{}': {}", path.string(), error.what()));
+        fail("cannot read checkpoint '{}': {}", path.string(), error.what());
     }
 }
 
@@ -173,9 +172,8 @@ std::optional<Checkpoint> load_newest_checkpoint(
         }
     }
     if (!paths.empty())
-        throw DataError(
-            fmt::format("cannot resume from {}: it contains {} checkpoints, but none of them can be read",
-                        folder.string(), paths.size()));
+        fail("cannot resume from {}: it contains {} checkpoints, but none of them can be read",
+             folder.string(), paths.size());
     return std::nullopt;
 }
 

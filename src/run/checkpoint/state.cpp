@@ -12,6 +12,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 namespace {
 
@@ -23,8 +25,8 @@ void require_finite_array_values(const NamedArray& array) {
         std::memcpy(&value, array.bytes.data() + i * sizeof(T), sizeof(T));
         if (std::isfinite(value)) continue;
         const std::size_t rows = array.shape.empty() ? 1 : array.shape[0];
-        throw DataError(fmt::format("row {1} of array \"{0}\" contains {2}, expected finite numbers",
-                                    array.name, i / (n / rows), value));
+        fail("row {1} of array \"{0}\" contains {2}, expected finite numbers", array.name, i / (n / rows),
+             value);
     }
 }
 
@@ -33,20 +35,20 @@ void require_finite_array_values(const NamedArray& array) {
 const NamedArray& Checkpoint::get_array(const std::string& name) const {
     const NamedArray* match = find_array(arrays, name);
     if (!match)
-        throw DataError(
-            fmt::format("the checkpoint of iteration {} has no array \"{}\"; it was probably written by "
-                        "another version of relidar and cannot be resumed; train again",
-                        iteration, name));
+        fail(
+            "the checkpoint of iteration {} has no array \"{}\"; it was probably written by another version "
+            "of relidar and cannot be resumed; train again",
+            iteration, name);
     return *match;
 }
 
 const std::string& Checkpoint::get_text(const std::string& name) const {
     const auto it = texts.find(name);
     if (it == texts.end())
-        throw DataError(
-            fmt::format("the checkpoint of iteration {} has no metadata key \"{}\", expected a checkpoint of "
-                        "the same version of relidar",
-                        iteration, name));
+        fail(
+            "the checkpoint of iteration {} has no metadata key \"{}\", expected a checkpoint of the same "
+            "version of relidar",
+            iteration, name);
     return it->second;
 }
 
@@ -69,11 +71,11 @@ const NamedArray& CheckpointReader::get_array_of_type_and_shape(const std::strin
                                                                 const std::vector<std::size_t>& shape) const {
     const NamedArray& array = checkpoint_.get_array(name);
     if (array.dtype != dtype || array.shape != shape)
-        throw DataError(
-            fmt::format("checkpoint of iteration {}: the array {} has the type {} and the shape [{}], "
-                        "expected the type {} and the shape [{}]",
-                        checkpoint_.iteration, name, array.dtype, fmt::join(array.shape, ", "), dtype,
-                        fmt::join(shape, ", ")));
+        fail(
+            "checkpoint of iteration {}: the array {} has the type {} and the shape [{}], expected the type "
+            "{} and the shape [{}]",
+            checkpoint_.iteration, name, array.dtype, fmt::join(array.shape, ", "), dtype,
+            fmt::join(shape, ", "));
     return array;
 }
 

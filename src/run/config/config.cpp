@@ -17,6 +17,7 @@
 #include <toml++/toml.h>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/number_text.hpp"
 #include "base/toml_depth.hpp"
@@ -66,9 +67,9 @@ void assign_setting_value(T& field, const std::string& key, const SettingValueRa
     if (wrong_kind || !parsed) {
         const char* hint = "";
         if (wrong_kind) hint = is_text<T> ? " in quotes" : " without quotes";
-        throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key,
-                                     shorten_for_error_message(parsed_value.text),
-                                     describe_accepted_values<T>(accepted_values), hint));
+        fail<UsageError>("setting {}: found \"{}\", expected {}{}", key,
+                         shorten_for_error_message(parsed_value.text),
+                         describe_accepted_values<T>(accepted_values), hint);
     }
     field = *parsed;
 }
@@ -96,8 +97,8 @@ ParsedValue convert_toml_scalar_to_text(const toml::node& node, const std::strin
         return {boolean->get() ? "true" : "false", ParsedValue::QuotedState::no};
     std::ostringstream kind;
     kind << node.type();
-    throw UsageError(fmt::format("setting {}: found a TOML {}, expected a single value",
-                                 shorten_for_error_message(key), kind.str()));
+    fail<UsageError>("setting {}: found a TOML {}, expected a single value", shorten_for_error_message(key),
+                     kind.str());
 }
 
 /// Adds all values of a TOML table and its nested tables to `settings`. The keys are full
@@ -120,11 +121,11 @@ void require_complete_and_known_settings(const std::map<std::string, ParsedValue
     const std::vector<std::string> keys = list_all_setting_keys();
     for (const auto& [key, found] : settings)
         if (std::ranges::find(keys, key) == keys.end())
-            throw UsageError(fmt::format("{}; {}", make_unknown_key_message(key), kAdvice));
+            fail<UsageError>("{}; {}", make_unknown_key_message(key), kAdvice);
     for (const std::string& key : keys)
         if (!settings.contains(key))
-            throw UsageError(fmt::format(
-                "the setting {} is missing, but the file must contain all settings; {}", key, kAdvice));
+            fail<UsageError>("the setting {} is missing, but the file must contain all settings; {}", key,
+                             kAdvice);
 }
 
 /// Returns text as a TOML string, with quotes and escaped characters.
@@ -175,10 +176,10 @@ void read_config_file(Config& config, const std::filesystem::path& path, const C
         if (const auto preset = settings.extract("preset")) apply_setting(result, "preset", preset.mapped());
         for (const auto& [key, found] : settings) apply_setting(result, key, found);
     } catch (const toml::parse_error& error) {
-        throw DataError(fmt::format("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line,
-                                    shorten_for_error_message(error.description())));
+        fail("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line,
+             shorten_for_error_message(error.description()));
     } catch (const UsageError& error) {
-        throw UsageError(fmt::format("{}: {}", path.string(), error.what()));
+        fail<UsageError>("{}: {}", path.string(), error.what());
     }
     config = std::move(result);
 }
@@ -237,8 +238,8 @@ std::string to_toml_without_defaults(const Config& config) {
     return format_config_as_toml(config, [&](const std::string& key) { return !left_out.contains(key); }) +
            fmt::format(
                "\n"
-               "# {} expert settings with the values of the preset are not shown; `relidar list "
-               "settings --all` shows them\n",
+               "# {} expert settings with the values of the preset are not shown; `relidar list settings "
+               "--all` shows them\n",
                left_out.size());
 }
 

@@ -83,34 +83,32 @@ void visit_dataset_settings(C& config, Visitor&& visitor) {
     visitor("dataset.test_every", config.dataset.test_every, accept_between(0, kMaxCount),
             "N: every Nth frame is held out for testing; 0: no frame is held out");
     visitor("dataset.test_frames", config.dataset.test_frames, accept_anything(),
-            "frames that are held out for testing, in the numbering of the dataset, for example "
-            "13,26,40:45, where 40:45 excludes 45; empty: use dataset.test_every");
+            "frames that are held out for testing, in the numbering of the dataset, for example 13,26,40:45, "
+            "where 40:45 excludes 45; empty: use dataset.test_every");
     visitor(
         "dataset.poses", config.dataset.poses, accept_anything(),
         "text file with the poses of the vehicle, or of the LiDAR if the log has no mounting. Each line has "
         "12 numbers (a 3 x 4 matrix by rows), or time_s x y z qw qx qy qz, or time_s x y z roll pitch yaw in "
         "radians; empty: use the poses of the dataset; none: estimate the poses from the scans");
     visitor("dataset.poses_from", config.dataset.poses_from, accept_anything(),
-            "for a ROS bag, the source of the LiDAR's poses: a frame of /tf, such as map or odom, or "
-            "a topic with odometry or poses; empty: chosen automatically, and `relidar info` prints "
-            "the choice");
-    visitor("dataset.skip_broken", config.dataset.skip_broken, accept_anything(),
-            "skip scans that cannot be read, and print a note for each; false: the first such scan "
-            "is an error");
-    visitor("dataset.min_range_m", config.dataset.min_range_m, accept_at_least(0),
-            "minimum range in metres; nearer returns of the log count as dropped, and the simulated "
-            "sensor of the log returns nothing nearer");
+            "for a ROS bag, the source of the LiDAR's poses: a frame of /tf, such as map or odom, or a topic "
+            "with odometry or poses; empty: chosen automatically, and `relidar info` prints the choice");
     visitor(
-        "dataset.max_range_m", config.dataset.max_range_m, accept_at_least(0),
-        "maximum range in metres; farther returns count as dropped, both in the log and in simulated scans "
-        "of its sensor; 0: the limit of the sensor, or the farthest return of the log if this limit is "
-        "unknown");
+        "dataset.skip_broken", config.dataset.skip_broken, accept_anything(),
+        "skip scans that cannot be read, and print a note for each; false: the first such scan is an error");
+    visitor("dataset.min_range_m", config.dataset.min_range_m, accept_at_least(0),
+            "minimum range in metres; nearer returns of the log count as dropped, and the simulated sensor "
+            "of the log returns nothing nearer");
+    visitor("dataset.max_range_m", config.dataset.max_range_m, accept_at_least(0),
+            "maximum range in metres; farther returns count as dropped, both in the log and in simulated "
+            "scans of its sensor; 0: the limit of the sensor, or the farthest return of the log if this "
+            "limit is unknown");
     visitor("dataset.waymo_intensity", config.dataset.waymo_intensity, accept_one_of({"tanh", "clamp"}),
             mark_expert("how intensities of Waymo Open, which have no upper limit, are mapped to the range "
                         "from 0 to 1: tanh: by the function tanh; clamp: values above 1 become 1"));
     visitor("dataset.memory_mib", config.dataset.memory_mib, accept_between(0, kMaxCount),
-            "memory for scans in MiB; further scans are stored in a memory-mapped file in TMPDIR; 0: "
-            "half of the machine's memory");
+            "memory for scans in MiB; further scans are stored in a memory-mapped file in TMPDIR; 0: half of "
+            "the machine's memory");
 }
 
 template <class C, class Visitor>
@@ -120,20 +118,19 @@ void visit_sensor_settings(C& config, Visitor&& visitor) {
             "(native), or the grid of KITTI-360 with 66 x 1030 pixels (kitti360)");
     visitor("sensor.grid_method", config.sensor.grid_method, accept_one_of({"project", "cast"}),
             mark_expert(
-                "how images on the KITTI-360 grid are made: project: simulate the native scan and "
-                "project its points onto the pixels; cast: cast one ray through the centre of each pixel"));
-    visitor("sensor.rolling_shutter", config.sensor.rolling_shutter, accept_one_of({"auto", "true", "false"}),
-            "each ray of a rendered scan starts at the position that the sensor has when it fires "
-            "the ray; auto: off for the sensor of the log if the scans of the log are "
-            "motion-compensated, otherwise on");
+                "how images on the KITTI-360 grid are made: project: simulate the native scan and project "
+                "its points onto the pixels; cast: cast one ray through the centre of each pixel"));
+    visitor(
+        "sensor.rolling_shutter", config.sensor.rolling_shutter, accept_one_of({"auto", "true", "false"}),
+        "each ray of a rendered scan starts at the position that the sensor has when it fires the ray; auto: "
+        "off for the sensor of the log if the scans of the log are motion-compensated, otherwise on");
     visitor("sensor.calibrate", config.sensor.calibrate,
             accept_one_of({"none", "range", "intensity", "range,intensity"}),
-            "quantities that are calibrated for each beam from the training scans: the offset of its "
-            "ranges, which differ by centimetres between beams, and the gain and offset of its "
-            "intensities");
+            "quantities that are calibrated for each beam from the training scans: the offset of its ranges, "
+            "which differ by centimetres between beams, and the gain and offset of its intensities");
     visitor("sensor.sub_rays", config.sensor.sub_rays, accept_between(1, 9),
-            "number of rays that are cast per simulated beam to sample its footprint: 1, 5 or 9; "
-            "their hits are combined into returns like in a LiDAR receiver");
+            "number of rays that are cast per simulated beam to sample its footprint: 1, 5 or 9; their hits "
+            "are combined into returns like in a LiDAR receiver");
     visitor("sensor.divergence_mrad", config.sensor.divergence_mrad, accept_between(0, 100),
             "full beam divergence of the simulated sensor in milliradians; 0: the value of the sensor");
     visitor("sensor.returns", config.sensor.returns, accept_between(1, 2),
@@ -147,8 +144,8 @@ void visit_sensor_settings(C& config, Visitor&& visitor) {
 template <class C, class Visitor>
 void visit_initialisation_settings(C& config, Visitor&& visitor) {
     visitor("init.voxel_m", config.init.voxel_m, accept_above(0),
-            "edge length in metres of the voxels in which the points of all training frames are "
-            "averaged to initialise surfels");
+            "edge length in metres of the voxels in which the points of all training frames are averaged to "
+            "initialise surfels");
     visitor("init.voxel_growth", config.init.voxel_growth, accept_at_least(0),
             mark_expert("increase of the voxel edge length per metre of distance from the nearest sensor "
                         "position; 0: all voxels have the same size (as in the paper)"));
@@ -160,38 +157,34 @@ void visit_initialisation_settings(C& config, Visitor&& visitor) {
         accept_one_of({"background", "removed", "actors"}),
         "how moving objects without a labelled box are handled: background: they are part of the background "
         "(as in the paper); removed: their points are removed where other training frames observe free "
-        "space; actors: "
-        "they are removed from the background, and each becomes an actor with a new track");
-    visitor(
-        "init.scale_factor", config.init.scale_factor, accept_above(0),
-        mark_expert("ratio of the standard deviation of a new surfel to the mean distance to its 3 nearest "
-                    "neighbours"));
+        "space; actors: they are removed from the background, and each becomes an actor with a new track");
+    visitor("init.scale_factor", config.init.scale_factor, accept_above(0),
+            mark_expert("ratio of the standard deviation of a new surfel to the mean distance to its 3 "
+                        "nearest neighbours"));
     visitor("init.max_gap_m", config.init.max_gap_m, accept_at_least(0),
             mark_expert("new surfels are elongated to close gaps between scan lines of up to this width in "
                         "metres; 0: all new surfels are round (as in the paper)"));
     visitor("init.actor_classes", config.init.actor_classes, accept_anything(),
-            "classes whose moving boxes become actors, separated by commas: vehicle, cyclist, "
-            "person, other, or a class name of the dataset; all: every class; empty: no class; see "
-            "init.mask_others for the other boxes");
+            "classes whose moving boxes become actors, separated by commas: vehicle, cyclist, person, other, "
+            "or a class name of the dataset; all: every class; empty: no class; see init.mask_others for the "
+            "other boxes");
     visitor(
         "init.mask_others", config.init.mask_others, accept_anything(),
         mark_expert("ignore points and losses inside moving boxes whose class is not in init.actor_classes; "
                     "false: these boxes are part of the background (as in the paper)"));
     visitor("init.actor_tracks", config.init.actor_tracks, accept_anything(),
-            mark_expert("ids of tracks that become actors, even if they are parked or of another class, "
-                        "separated by commas; other labelled tracks then become no actors; empty: "
-                        "init.actor_classes decides"));
+            mark_expert(
+                "ids of tracks that become actors, even if they are parked or of another class, separated by "
+                "commas; other labelled tracks then become no actors; empty: init.actor_classes decides"));
     visitor("init.deform", config.init.deform, accept_anything(),
-            "classes whose actors change their shape while they walk, separated by commas: vehicle, "
-            "cyclist, person, other, or a class name of the dataset; empty: all actors are rigid (as in the "
-            "paper)");
+            "classes whose actors change their shape while they walk, separated by commas: vehicle, cyclist, "
+            "person, other, or a class name of the dataset; empty: all actors are rigid (as in the paper)");
     visitor("init.actor_pad_to", config.init.actor_pad_to, accept_between(0, 1e6),
             mark_expert("add random points inside the box of an actor until the actor has this number of "
                         "points; 0: add no points; value in the paper: 8000"));
-    visitor(
-        "init.actor_min_points", config.init.actor_min_points, accept_between(10, 1e6),
-        mark_expert("minimum number of points of an actor; points and losses in boxes with fewer points are "
-                    "ignored"));
+    visitor("init.actor_min_points", config.init.actor_min_points, accept_between(10, 1e6),
+            mark_expert("minimum number of points of an actor; points and losses in boxes with fewer points "
+                        "are ignored"));
 }
 
 template <class C, class Visitor>
@@ -205,17 +198,15 @@ void visit_image_settings(C& config, Visitor&& visitor) {
     visitor("image.sh_degree", config.image.sh_degree, accept_between(0, 3),
             "degree of the spherical harmonics, which describe how intensity and ray-drop of a surfel depend "
             "on the direction");
-    visitor(
-        "image.sh_direction", config.image.sh_direction, accept_one_of({"ray", "surfel"}),
-        mark_expert("direction in which spherical harmonics are evaluated: ray: along the ray, for each hit; "
-                    "surfel: from the sensor to the mean of the surfel, once per surfel"));
+    visitor("image.sh_direction", config.image.sh_direction, accept_one_of({"ray", "surfel"}),
+            mark_expert("direction in which spherical harmonics are evaluated: ray: along the ray, for each "
+                        "hit; surfel: from the sensor to the mean of the surfel, once per surfel"));
     visitor("image.single_drop_logit", config.image.single_drop_logit, accept_anything(),
             mark_expert("compute the ray-drop probability of a ray as the sigmoid of one blended logit; "
                         "false: as the softmax of a drop logit and a hit logit (as in the paper)"));
     visitor("image.primitive", config.image.primitive, accept_one_of(list_primitive_names()),
             mark_expert("primitives of the scene: flat 2D Gaussians (as in the paper) or 3D Gaussians; ray "
-                        "query traces 3D "
-                        "Gaussians as icosahedra of triangles"));
+                        "query traces 3D Gaussians as icosahedra of triangles"));
 }
 
 template <class C, class Visitor>
@@ -244,9 +235,9 @@ void visit_training_settings(C& config, Visitor&& visitor) {
     visitor("train.only_touched", config.train.only_touched, accept_anything(),
             mark_expert("surfels without a gradient in a step keep their values and Adam moments; false: all "
                         "surfels are updated in each step"));
-    visitor("train.deterministic", config.train.deterministic, accept_anything(),
-            "sum gradients in a fixed order, so that repeated runs on one device give bit-identical "
-            "parameters");
+    visitor(
+        "train.deterministic", config.train.deterministic, accept_anything(),
+        "sum gradients in a fixed order, so that repeated runs on one device give bit-identical parameters");
     visitor("train.sensor_drop", config.train.sensor_drop, accept_anything(),
             mark_expert("learn a map of the rays that the sensor never receives, for example because the "
                         "vehicle blocks them; this map is separate from the scene"));
@@ -255,8 +246,7 @@ void visit_training_settings(C& config, Visitor&& visitor) {
             "poses that training refines together with the scene: the poses of the sensor and of the actors' "
             "boxes");
     visitor("train.allow_lost_scans", config.train.allow_lost_scans, accept_anything(),
-            "train even if more than 5 % of the scans could not be registered; false: this is an "
-            "error");
+            "train even if more than 5 % of the scans could not be registered; false: this is an error");
 }
 
 /// Calls `visitor` for four settings: device memory for frames, interval of log lines,
@@ -269,8 +259,7 @@ void visit_logging_settings(C& config, Visitor&& visitor) {
     visitor("train.log_every", config.train.log_every, accept_between(1, kMaxCount),
             "number of steps between two lines in log.jsonl");
     visitor("train.checkpoint_minutes", config.train.checkpoint_minutes, accept_at_least(0),
-            "minutes between two checkpoints; 0: write a checkpoint only if Ctrl-C interrupts "
-            "training");
+            "minutes between two checkpoints; 0: write a checkpoint only if Ctrl-C interrupts training");
     visitor("train.seed", config.train.seed, accept_between(0, kMaxSeed),
             "random seed of the initialisation and of the order of frames and rays");
 }
@@ -314,37 +303,33 @@ void visit_all_settings(C& config, Visitor&& visitor) {
     visit_training_settings(config, visitor);
     visit_logging_settings(config, visitor);
     visitor("blocks.length_m", config.blocks.length_m, accept_between(0, 1e6),
-            "maximum length in metres of a block of the trajectory; a long log is trained block by "
-            "block; 0: train the log as one piece");
+            "maximum length in metres of a block of the trajectory; a long log is trained block by block; 0: "
+            "train the log as one piece");
     visitor("densify.strategy", config.densify.strategy, accept_one_of({"none", "adaptive"}),
             "how training adds and removes surfels; adaptive: by their gradients (as in the paper)");
     visit_refinement_settings(config, visitor);
-    visitor(
-        "render.range", config.render.range, accept_one_of({"expected", "normalised", "median", "mode"}),
-        mark_expert("range of a ray in range images; \"expected\": the blended range D (as in the paper); "
-                    "\"normalised\": D / W, where W is the sum of the weights; \"median\": the range at "
-                    "which the transmittance falls below 0.5; \"mode\": the mean range of the surface with "
-                    "the largest weight (hits closer together than sensor.return_separation_m form one "
-                    "surface)"));
+    visitor("render.range", config.render.range, accept_one_of({"expected", "normalised", "median", "mode"}),
+            mark_expert(
+                "range of a ray in range images; \"expected\": the blended range D (as in the paper); "
+                "\"normalised\": D / W, where W is the sum of the weights; \"median\": the range at which "
+                "the transmittance falls below 0.5; \"mode\": the mean range of the surface with the largest "
+                "weight (hits closer together than sensor.return_separation_m form one surface)"));
     visitor("render.channels", config.render.channels, accept_some_of(list_optional_channel_names()),
-            "additional channels of scans, in all output files; `relidar render --help` describes "
-            "them");
-    visitor(
-        "render.points", config.render.points, accept_one_of({"median", "range"}),
-        mark_expert("range of points in point clouds: median: where the transmittance falls below 0.5, so "
-                    "that each point is on a surface; range: the range that render.range selects, which can "
-                    "be between two surfaces"));
+            "additional channels of scans, in all output files; `relidar render --help` describes them");
+    visitor("render.points", config.render.points, accept_one_of({"median", "range"}),
+            mark_expert("range of points in point clouds: median: where the transmittance falls below 0.5, "
+                        "so that each point is on a surface; range: the range that render.range selects, "
+                        "which can be between two surfaces"));
     visitor("render.memory_mib", config.render.memory_mib, accept_between(0, kMaxCount),
             "device memory in MiB for blocks of a long scene that the current scan does not need; they are "
             "kept for later scans");
     visitor(
         "trace.chunk", config.trace.chunk, accept_between(1, 64),
         mark_expert("maximum number of hits that a ray collects and sorts in one traversal of the scene"));
-    visitor(
-        "trace.keep_hits", config.trace.keep_hits, accept_between(0, 4096),
-        mark_expert("number of hits per ray, 16 bytes each, that training stores so that the backward pass "
-                    "needs no second traversal; it is doubled up to 256 if a ray has more hits; 0: traverse "
-                    "again (as in the paper)"));
+    visitor("trace.keep_hits", config.trace.keep_hits, accept_between(0, 4096),
+            mark_expert("number of hits per ray, 16 bytes each, that training stores so that the backward "
+                        "pass needs no second traversal; it is doubled up to 256 if a ray has more hits; 0: "
+                        "traverse again (as in the paper)"));
 }
 
 }  // namespace relidar::config_detail

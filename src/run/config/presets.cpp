@@ -8,6 +8,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 namespace {
 
@@ -165,9 +167,8 @@ Config make_preset_config(const std::string& preset_name) {
         if (preset_name == preset.name) return preset.make();
         preset_names.emplace_back(preset.name);
     }
-    throw UsageError(fmt::format("preset '{}': unknown{} (known: {})", preset_name,
-                                 format_name_suggestion(preset_name, preset_names, "'"),
-                                 fmt::join(preset_names, ", ")));
+    fail<UsageError>("preset '{}': unknown{} (known: {})", preset_name,
+                     format_name_suggestion(preset_name, preset_names, "'"), fmt::join(preset_names, ", "));
 }
 
 }  // namespace relidar

@@ -13,6 +13,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 namespace {
 
@@ -66,8 +68,7 @@ ActorModelResolution compute_actor_model_resolution(const SceneWithLog& scene_an
                                                [&](const ModelInstance& i) { return i.track == track; });
     const auto box = std::ranges::find_if(log.boxes, [&](const BoxTrack& b) { return b.id == track; });
     if (instance == scene_and_log.scene.instances.end() || box == log.boxes.end())
-        throw UsageError(
-            fmt::format("cannot inspect actor \"{}\": the scene has no actor with this track id", track));
+        fail<UsageError>("cannot inspect actor \"{}\": the scene has no actor with this track id", track);
     ActorModelResolution detail{std::numeric_limits<double>::infinity(), 0.0, 0,
                                 scene_and_log.scene.models[instance->model].count};
     const PoseTrack world_from_sensor = log.get_world_from_sensor(lidar_index);

@@ -10,6 +10,7 @@
 
 #include <relidar/base/error.hpp>
 #include "base/csv.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar {
@@ -36,14 +37,13 @@ FieldColumnIndices find_trajectory_columns_in_header(const std::vector<std::stri
                                                      const std::string& error_location) {
     FieldColumnIndices at = find_column_indices(header, kNames, error_location);
     for (const ActorPathField field : {kTime, kX, kY, kZ})
-        if (at[field] < 0)
-            throw DataError(fmt::format("{}: the column '{}' is missing", error_location, kNames[field]));
+        if (at[field] < 0) fail("{}: the column '{}' is missing", error_location, kNames[field]);
     if (at[kYaw] < 0 && at[kYawRad] < 0)
-        throw DataError(fmt::format("{}: the column 'yaw_deg' or 'yaw_rad' is missing", error_location));
+        fail("{}: the column 'yaw_deg' or 'yaw_rad' is missing", error_location);
     for (int angle = kYaw; angle <= kRoll; ++angle)
         if (const int other = angle + kYawRad - kYaw; at[angle] >= 0 && at[other] >= 0)
-            throw DataError(fmt::format("{}: found both columns '{}' and '{}', expected only one of them",
-                                        error_location, kNames[angle], kNames[other]));
+            fail("{}: found both columns '{}' and '{}', expected only one of them", error_location,
+                 kNames[angle], kNames[other]);
     return at;
 }
 
@@ -51,10 +51,10 @@ FieldColumnIndices find_trajectory_columns_in_header(const std::vector<std::stri
 /// @throws DataError if there are too few or too many columns
 FieldColumnIndices make_default_column_indices(std::size_t n_columns, const std::string& error_location) {
     if (n_columns < kNeeded || n_columns > kUnnamed)
-        throw DataError(fmt::format(
-            "{}: found {} columns, expected time_s,x,y,z,yaw_deg and optionally pitch_deg,roll_deg, "
-            "or a header line with the names of the columns",
-            error_location, n_columns));
+        fail(
+            "{}: found {} columns, expected time_s,x,y,z,yaw_deg and optionally pitch_deg,roll_deg, or a "
+            "header line with the names of the columns",
+            error_location, n_columns);
     FieldColumnIndices at(kFieldCount, -1);
     for (std::size_t i = 0; i < kUnnamed; ++i) at[i] = static_cast<int>(i);
     return at;
@@ -73,15 +73,14 @@ std::array<double, kFieldCount> parse_trajectory_row(const std::vector<std::stri
             (may_be_absent && static_cast<std::size_t>(column_indices[f]) >= cells.size()))
             continue;
         if (static_cast<std::size_t>(column_indices[f]) >= cells.size())
-            throw DataError(fmt::format(
-                "{}: found {} columns, expected {}; the column '{}' is missing", error_location, cells.size(),
-                std::ranges::count_if(column_indices, [](int place) { return place >= 0; }), kNames[f]));
+            fail("{}: found {} columns, expected {}; the column '{}' is missing", error_location,
+                 cells.size(), std::ranges::count_if(column_indices, [](int place) { return place >= 0; }),
+                 kNames[f]);
         const std::string_view cell = cells[static_cast<std::size_t>(column_indices[f])];
         const std::optional<double> value = parse_number(cell);
         if (!value || !(std::abs(*value) <= kLargest))
-            throw DataError(fmt::format("{}: {}: found \"{}\", expected a finite number of at most {:.0e}",
-                                        error_location, kNames[f], shorten_for_error_message(cell),
-                                        kLargest));
+            fail("{}: {}: found \"{}\", expected a finite number of at most {:.0e}", error_location,
+                 kNames[f], shorten_for_error_message(cell), kLargest);
         row[f] = *value;
     }
     return row;
@@ -110,19 +109,15 @@ PoseTrack read_trajectory_csv(const std::filesystem::path& path) {
             }
         }
         if (cells.size() > n_cells)
-            throw DataError(
-                fmt::format("{}: found {} columns, expected at most {}", where, cells.size(), n_cells));
+            fail("{}: found {} columns, expected at most {}", where, cells.size(), n_cells);
         const auto row = parse_trajectory_row(cells, at, where);
         if (cells.size() < n_needed)
-            throw DataError(
-                fmt::format("{}: found {} columns, expected {} as in the lines before; the file may "
-                            "be truncated",
-                            where, cells.size(), n_needed));
+            fail("{}: found {} columns, expected {} as in the lines before; the file may be truncated", where,
+                 cells.size(), n_needed);
         n_needed = cells.size();
         if (!track.time_s.empty() && !(row[kTime] > track.time_s.back()))
-            throw DataError(
-                fmt::format("{}: time_s is {} after {} in the previous line, expected increasing times",
-                            where, row[kTime], track.time_s.back()));
+            fail("{}: time_s is {} after {} in the previous line, expected increasing times", where,
+                 row[kTime], track.time_s.back());
         track.time_s.push_back(row[kTime]);
         // Each angle is either in degrees or in radians. The other field is 0.
         const double yaw_rad = row[kYaw] * kPi / 180.0 + row[kYawRad];
@@ -131,8 +126,7 @@ PoseTrack read_trajectory_csv(const std::filesystem::path& path) {
         track.pose.push_back({make_rotation(yaw_rad, pitch_rad, roll_rad), {row[kX], row[kY], row[kZ]}});
     }
     if (track.pose.size() < 2)
-        throw DataError(
-            fmt::format("{}: found {} poses, expected at least two", path.string(), track.pose.size()));
+        fail("{}: found {} poses, expected at least two", path.string(), track.pose.size());
     return track;
 }
 

@@ -14,6 +14,8 @@
 #include <relidar/base/error.hpp>
 #include <relidar/scene/symmetry.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 
 namespace {
@@ -33,17 +35,16 @@ std::size_t get_actor_instance_index(const SceneWithLog& scene_and_log, const st
     if (find_box_track_by_id(scene_and_log.sequence, track_id)) {
         // The error suggests a setting that lists all current actors and this track.
         actor_ids.push_back(track_id);
-        throw UsageError(fmt::format(
-            "cannot edit track \"{}\": the log has a box for it, but it is part of the background, "
-            "because it is parked, its class is not in init.actor_classes, or it has fewer points "
-            "than init.actor_min_points; train with init.actor_tracks = {} to make it an actor",
-            track_id, fmt::join(actor_ids, ",")));
+        fail<UsageError>(
+            "cannot edit track \"{}\": the log has a box for it, but it is part of the background, because "
+            "it is parked, its class is not in init.actor_classes, or it has fewer points than "
+            "init.actor_min_points; train with init.actor_tracks = {} to make it an actor",
+            track_id, fmt::join(actor_ids, ","));
     }
     const std::string message = fmt::format("cannot edit track \"{}\": the run has no such track", track_id);
     if (actor_ids.empty()) throw UsageError(message + ", and its scene has no actors");
-    throw UsageError(fmt::format("{}{} (actors: {})", message,
-                                 format_name_suggestion(track_id, actor_ids, "\""),
-                                 fmt::join(actor_ids, ", ")));
+    fail<UsageError>("{}{} (actors: {})", message, format_name_suggestion(track_id, actor_ids, "\""),
+                     fmt::join(actor_ids, ", "));
 }
 
 BoxTrack& get_actor_box_track(SceneWithLog& scene_and_log, const std::string& track_id) {
@@ -51,10 +52,10 @@ BoxTrack& get_actor_box_track(SceneWithLog& scene_and_log, const std::string& tr
     std::vector<BoxTrack>& boxes = scene_and_log.sequence.boxes;
     if (const BoxTrack* box = find_box_track_by_id(scene_and_log.sequence, track_id))
         return boxes[std::size_t(box - boxes.data())];
-    throw DataError(fmt::format(
+    fail(
         "cannot edit track \"{}\": the trained scene has this actor, but the log has no box with this track "
         "id; expected the log that was used for training",
-        track_id));
+        track_id);
 }
 
 /// Removes models that no instance uses. The model of the background is kept.
@@ -121,8 +122,7 @@ PoseTrack make_straight_constant_speed_track(const LidarSequence& sequence, cons
 
 [[noreturn]] void throw_trajectory_error(const std::string& track_id, const std::string& found,
                                          const std::string& expected) {
-    throw DataError(fmt::format("cannot use the new trajectory of track \"{}\": found {}, expected {}",
-                                track_id, found, expected));
+    fail("cannot use the new trajectory of track \"{}\": found {}, expected {}", track_id, found, expected);
 }
 
 void require_finite_poses(const PoseTrack& track, const std::string& track_id) {
@@ -300,8 +300,8 @@ std::string describe_frames_without_actor(const BoxTrack& original_box,
     if (lost.empty()) return "";
     const std::vector<double>& times_s = box->world_from_box.time_s;
     return fmt::format(
-        "track {} is now missing in {} frames between {} and {} in which it was present before, "
-        "because its new trajectory lasts only from {:.2f} to {:.2f} s",
+        "track {} is now missing in {} frames between {} and {} in which it was present before, because its "
+        "new trajectory lasts only from {:.2f} to {:.2f} s",
         original_box.id, lost.size(), *lost.begin(), *lost.rbegin(), times_s.front(), times_s.back());
 }
 

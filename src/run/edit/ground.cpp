@@ -17,6 +17,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
+#include "base/fail.hpp"
 #include "base/median.hpp"
 #include "base/plane_sums.hpp"
 #include "base/random.hpp"
@@ -94,8 +95,8 @@ struct Footprint {
 const Pose& find_nearest_pose(const PoseTrack& sensor_track, const glm::dvec2& xy) {
     if (sensor_track.pose.empty())
         throw DataError(
-            "cannot place an actor on the ground: the log has no poses of the vehicle, which are "
-            "needed to find the ground");
+            "cannot place an actor on the ground: the log has no poses of the vehicle, which are needed to "
+            "find the ground");
     return *std::ranges::min_element(
         sensor_track.pose, {}, [&](const Pose& p) { return glm::distance(glm::dvec2(p.translation), xy); });
 }
@@ -332,11 +333,11 @@ NewActorMotion compute_motion_on_ground(const SceneWithLogView& target_scene,
     };
     std::optional<GroundPlane> plane = ground_at(xy);
     if (!plane)
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "cannot place {} on the ground at {:.6g},{:.6g} in the dataset's world: the background has no "
             "surface below its box ({}); choose a position on a surface that the log has observed",
             actor_track, placement.dataset_m.x, placement.dataset_m.y,
-            surfels.describe_nearest_horizontal_surfel(xy)));
+            surfels.describe_nearest_horizontal_surfel(xy));
     const std::optional<double> clearance_m =
         placement.clearance_m ? placement.clearance_m : measure_ground_clearance(actor_scene, actor_track);
     const double above_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);

@@ -12,6 +12,7 @@
 #include <pugixml.hpp>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar {
@@ -29,9 +30,9 @@ struct ScenarioDocument {
     std::string file;
     std::map<std::string, std::string> parameters;
 
-    [[noreturn]] void fail(const std::string& location, const std::string& found_value,
-                           const std::string& expected) const {
-        throw DataError(fmt::format("{}: {}: found {}, expected {}", file, location, found_value, expected));
+    [[noreturn]] void fail_at(const std::string& location, const std::string& found_value,
+                              const std::string& expected) const {
+        fail("{}: {}: found {}, expected {}", file, location, found_value, expected);
     }
     /// Returns the value of an attribute. If the value is "$name", returns the value of
     /// the scenario parameter with this name.
@@ -41,9 +42,9 @@ struct ScenarioDocument {
         if (!value.starts_with('$')) return value;
         const auto parameter = parameters.find(value.substr(1));
         if (parameter == parameters.end())
-            fail(fmt::format("{}: {}", error_location, attribute_name),
-                 "\"" + shorten_for_error_message(value) + "\"",
-                 "a value, or $ followed by the name of a parameter that the scenario declares");
+            fail_at(fmt::format("{}: {}", error_location, attribute_name),
+                    "\"" + shorten_for_error_message(value) + "\"",
+                    "a value, or $ followed by the name of a parameter that the scenario declares");
         return parameter->second;
     }
     double read_attribute_number(const pugi::xml_node& node, const char* attribute_name,
@@ -53,9 +54,9 @@ struct ScenarioDocument {
         const std::string value = read_attribute_text(node, attribute_name, error_location);
         const auto number = parse_number(trim_blanks_at_both_ends(value));
         if (!number || !(std::abs(*number) <= kMost))
-            fail(fmt::format("{}: {}", error_location, attribute_name),
-                 "\"" + shorten_for_error_message(value) + "\"",
-                 fmt::format("a finite number of at most {:.0e}", kMost));
+            fail_at(fmt::format("{}: {}", error_location, attribute_name),
+                    "\"" + shorten_for_error_message(value) + "\"",
+                    fmt::format("a finite number of at most {:.0e}", kMost));
         return *number;
     }
 };
@@ -128,19 +129,19 @@ ScenarioTiming read_trajectory_timing(const ScenarioDocument& document, const pu
                                       const std::string& error_location) {
     const pugi::xml_node timing = action.child("TimeReference").child("Timing");
     if (!timing)
-        document.fail(
+        document.fail_at(
             error_location, "no element TimeReference/Timing",
             "the element TimeReference/Timing, because the times of vertices have no meaning without it");
     if (!action_start_s)
-        document.fail(error_location, "a trajectory that starts with an unsupported condition",
-                      "a single SimulationTimeCondition with the rule greaterThan, or no condition");
+        document.fail_at(error_location, "a trajectory that starts with an unsupported condition",
+                         "a single SimulationTimeCondition with the rule greaterThan, or no condition");
     const std::string domain = document.read_attribute_text(timing, "domainAbsoluteRelative", error_location);
     if (domain != "absolute" && domain != "relative")
-        document.fail(error_location + ": domainAbsoluteRelative",
-                      "\"" + shorten_for_error_message(domain) + "\"", "the text absolute or relative");
+        document.fail_at(error_location + ": domainAbsoluteRelative",
+                         "\"" + shorten_for_error_message(domain) + "\"", "the text absolute or relative");
     const double scale = document.read_attribute_number(timing, "scale", error_location, 1.0);
     if (!(scale > 0.0))
-        document.fail(error_location + ": scale", fmt::format("{}", scale), "a number above 0");
+        document.fail_at(error_location + ": scale", fmt::format("{}", scale), "a number above 0");
     return {document.read_attribute_number(timing, "offset", error_location, 0.0) +
                 (domain == "relative" ? *action_start_s : 0.0),
             scale};
@@ -151,9 +152,9 @@ Pose read_vertex_pose(const ScenarioDocument& document, const pugi::xml_node& ve
     const pugi::xml_node kind = vertex.child("Position").first_child(),
                          world = vertex.child("Position").child("WorldPosition");
     if (!world)
-        document.fail(error_location,
-                      kind ? "a " + shorten_for_error_message(kind.name()) : "no element Position",
-                      "a WorldPosition");
+        document.fail_at(error_location,
+                         kind ? "a " + shorten_for_error_message(kind.name()) : "no element Position",
+                         "a WorldPosition");
     const auto get = [&](const char* name, std::optional<double> default_value) {
         return document.read_attribute_number(world, name, error_location, default_value);
     };
@@ -169,19 +170,19 @@ PoseTrack read_polyline_trajectory(const ScenarioDocument& document, const Scena
     pugi::xml_node trajectory = follow.child("TrajectoryRef").child("Trajectory");
     if (!trajectory) trajectory = follow.child("Trajectory");
     if (!trajectory)
-        document.fail(error_location, "no element Trajectory",
-                      "an element Trajectory in this file; relidar does not read catalogs");
+        document.fail_at(error_location, "no element Trajectory",
+                         "an element Trajectory in this file; relidar does not read catalogs");
     const pugi::xml_node polyline = trajectory.child("Shape").child("Polyline"),
                          other = trajectory.child("Shape").first_child();
     if (!polyline)
-        document.fail(error_location,
-                      other ? "a " + shorten_for_error_message(other.name()) : "no element Shape",
-                      "a Polyline");
+        document.fail_at(error_location,
+                         other ? "a " + shorten_for_error_message(other.name()) : "no element Shape",
+                         "a Polyline");
     if (document.read_attribute_text(trajectory, "closed", error_location) == "true")
-        document.fail(error_location, "a closed trajectory", "a trajectory with closed=\"false\"");
+        document.fail_at(error_location, "a closed trajectory", "a trajectory with closed=\"false\"");
     if (document.read_attribute_number(follow, "initialDistanceOffset", error_location, 0.0) != 0.0)
-        document.fail(error_location, "an initialDistanceOffset",
-                      "an offset of 0, because a trajectory can only be followed from its first vertex");
+        document.fail_at(error_location, "an initialDistanceOffset",
+                         "an offset of 0, because a trajectory can only be followed from its first vertex");
     const ScenarioTiming timing = read_trajectory_timing(document, follow, action.start_s, error_location);
     PoseTrack track;
     for (const pugi::xml_node& vertex : polyline.children("Vertex")) {
@@ -189,18 +190,19 @@ PoseTrack read_polyline_trajectory(const ScenarioDocument& document, const Scena
         const double time_s =
             timing.offset_s + timing.scale * document.read_attribute_number(vertex, "time", at);
         if (!track.time_s.empty() && !(time_s > track.time_s.back()))
-            document.fail(at + ": time", fmt::format("{} s after {} s", time_s, track.time_s.back()),
-                          "increasing times");
+            document.fail_at(at + ": time", fmt::format("{} s after {} s", time_s, track.time_s.back()),
+                             "increasing times");
         track.time_s.push_back(time_s);
         track.pose.push_back(read_vertex_pose(document, vertex, at));
     }
     if (track.pose.size() < 2)
-        document.fail(error_location, fmt::format("{} vertices", track.pose.size()), "at least two vertices");
+        document.fail_at(error_location, fmt::format("{} vertices", track.pose.size()),
+                         "at least two vertices");
     if (*action.start_s > track.time_s.front() + kSlack_s)
-        document.fail(error_location,
-                      fmt::format("a start time of {} s, which is after the time {} s of the first vertex",
-                                  *action.start_s, track.time_s.front()),
-                      "a start time at or before the time of the first vertex");
+        document.fail_at(error_location,
+                         fmt::format("a start time of {} s, which is after the time {} s of the first vertex",
+                                     *action.start_s, track.time_s.front()),
+                         "a start time at or before the time of the first vertex");
     return track;
 }
 
@@ -210,9 +212,9 @@ void read_bounding_box(const ScenarioDocument& document, const pugi::xml_node& o
     for (const char* kind : {"Vehicle", "Pedestrian", "MiscObject"})
         if (!box) box = object.child(kind).child("BoundingBox");
     if (!box)
-        document.fail(error_location, "no element BoundingBox",
-                      "a BoundingBox in this file, which gives the size of the box and its offset from the "
-                      "reference point of the trajectory");
+        document.fail_at(error_location, "no element BoundingBox",
+                         "a BoundingBox in this file, which gives the size of the box and its offset from "
+                         "the reference point of the trajectory");
     const pugi::xml_node centre = box.child("Center"), size = box.child("Dimensions");
     entity.centre_m = {document.read_attribute_number(centre, "x", error_location),
                        document.read_attribute_number(centre, "y", error_location),
@@ -234,7 +236,7 @@ ScenarioEntity read_scenario_entity(const ScenarioDocument& document, const pugi
             continue;
         }
         if (!entity.world_from_reference.pose.empty())
-            document.fail(where, "a second trajectory", "at most one trajectory");
+            document.fail_at(where, "a second trajectory", "at most one trajectory");
         entity.world_from_reference = read_polyline_trajectory(document, action, where);
     }
     if (!entity.world_from_reference.pose.empty()) read_bounding_box(document, object, where, entity);
@@ -248,14 +250,12 @@ std::vector<ScenarioEntity> read_openscenario_entities(const std::filesystem::pa
     pugi::xml_document document;
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());
     if (!parsed)
-        throw DataError(fmt::format("{}: malformed XML at byte {}: {}", path.string(), parsed.offset,
-                                    parsed.description()));
+        fail("{}: malformed XML at byte {}: {}", path.string(), parsed.offset, parsed.description());
     const pugi::xml_node root = document.child("OpenSCENARIO");
     if (!root.child("Storyboard"))
-        throw DataError(fmt::format(
-            "{}: the element OpenSCENARIO/Storyboard is missing, expected a scenario in OpenSCENARIO "
-            "XML 1.x",
-            path.string()));
+        fail(
+            "{}: the element OpenSCENARIO/Storyboard is missing, expected a scenario in OpenSCENARIO XML 1.x",
+            path.string());
     ScenarioDocument source{path.string(), {}};
     for (const pugi::xml_node& parameter :
          root.child("ParameterDeclarations").children("ParameterDeclaration"))
@@ -268,10 +268,10 @@ std::vector<ScenarioEntity> read_openscenario_entities(const std::filesystem::pa
             source, object, entity_actions ? entity_actions.mapped() : std::vector<ScenarioAction>()));
     }
     if (!actions.empty())
-        source.fail("Storyboard",
-                    fmt::format("actions of the undefined entity \"{}\"",
-                                shorten_for_error_message(actions.begin()->first)),
-                    "a ScenarioObject with that name in the list of entities");
+        source.fail_at("Storyboard",
+                       fmt::format("actions of the undefined entity \"{}\"",
+                                   shorten_for_error_message(actions.begin()->first)),
+                       "a ScenarioObject with that name in the list of entities");
     return entities;
 }
 

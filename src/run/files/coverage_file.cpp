@@ -12,6 +12,7 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "run/files/file_format.hpp"
 
 namespace relidar::run_detail {
@@ -31,8 +32,7 @@ std::vector<NamedArray> read_cell_arrays(const std::filesystem::path& path, cons
     std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
     require_format_and_version(metadata, path.string(), expected_format, expected_version);
     if (const std::string expected = fmt::format("{}", expected_cell_size_m); metadata[kCell] != expected)
-        throw DataError(
-            fmt::format("{}: {}: found {}, expected {}", path.string(), kCell, metadata[kCell], expected));
+        fail("{}: {}: found {}, expected {}", path.string(), kCell, metadata[kCell], expected);
     return arrays;
 }
 
@@ -53,12 +53,12 @@ const NamedArray& require_array_with_columns(const std::vector<NamedArray>& arra
                                              const char* dtype, std::size_t n_columns,
                                              const std::string& file_name, const char* row_unit = "blocks") {
     const NamedArray* array = find_array(arrays, name);
-    if (!array) throw DataError(fmt::format("{}: array {} is missing", file_name, name));
+    if (!array) fail("{}: array {} is missing", file_name, name);
     if (array->dtype != dtype || array->shape.size() != 2 || array->shape[1] != n_columns)
-        throw DataError(fmt::format(
-            "{}: the array {} has the type {} and the shape [{}], expected the type {} and the shape "
-            "[n, {}], where n is the number of {}",
-            file_name, name, array->dtype, fmt::join(array->shape, ", "), dtype, n_columns, row_unit));
+        fail(
+            "{}: the array {} has the type {} and the shape [{}], expected the type {} and the shape [n, "
+            "{}], where n is the number of {}",
+            file_name, name, array->dtype, fmt::join(array->shape, ", "), dtype, n_columns, row_unit);
     return *array;
 }
 
@@ -66,10 +66,10 @@ const NamedArray& require_array_with_columns(const std::vector<NamedArray>& arra
 void require_equal_row_counts(const NamedArray& positions, const NamedArray& values,
                               const std::string& file_name) {
     if (positions.shape[0] != values.shape[0])
-        throw DataError(
-            fmt::format("{}: the array of positions has {} rows and the array of {} has {} rows, expected "
-                        "the same number",
-                        file_name, positions.shape[0], values.name, values.shape[0]));
+        fail(
+            "{}: the array of positions has {} rows and the array of {} has {} rows, expected the same "
+            "number",
+            file_name, positions.shape[0], values.name, values.shape[0]);
 }
 
 }  // namespace
@@ -138,9 +138,8 @@ SurfaceClassMap load_class_map(const std::filesystem::path& path) {
         std::uint16_t number;
         std::memcpy(&number, classes.bytes.data() + i * sizeof number, sizeof number);
         if (number >= kSurfaceClasses)
-            throw DataError(
-                fmt::format("{}: cell {} of the class map has the class {}, expected a number from 0 to {}",
-                            file, i, number, kSurfaceClasses - 1));
+            fail("{}: cell {} of the class map has the class {}, expected a number from 0 to {}", file, i,
+                 number, kSurfaceClasses - 1);
         map[i].surface = SurfaceClass(number);
     }
     return map;

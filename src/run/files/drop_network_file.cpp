@@ -10,6 +10,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
 #include "run/files/file_format.hpp"
@@ -24,12 +25,11 @@ std::vector<float> require_finite_float_array(const std::vector<NamedArray>& arr
                                               const std::string& file_name) {
     const NamedArray* array = find_array(arrays, name);
     if (!array || array->dtype != "f4")
-        throw DataError(fmt::format("{}: the array {} is missing or its type is not f4", file_name, name));
+        fail("{}: the array {} is missing or its type is not f4", file_name, name);
     std::vector<float> values = array->convert_to_floats();
     for (std::size_t i = 0; i < values.size(); ++i)
         if (!std::isfinite(values[i]))
-            throw DataError(fmt::format("{}: array {}: entry {} is {}, expected a finite number", file_name,
-                                        name, i, values[i]));
+            fail("{}: array {}: entry {} is {}, expected a finite number", file_name, name, i, values[i]);
     return values;
 }
 

@@ -9,6 +9,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar::run_detail {
 
 /// Checks the format name and the version in the metadata of a safetensors file.
@@ -22,15 +24,13 @@ inline void require_format_and_version(const std::map<std::string, std::string>&
         return it == metadata.end() ? std::string() : it->second;
     };
     if (value("format") != expected_format)
-        throw DataError(fmt::format(
-            "{}: the entry \"format\" in the metadata of the file is \"{}\", expected \"{}\" as in a "
-            "file that relidar has written",
-            file_name, value("format"), expected_format));
+        fail(
+            "{}: the entry \"format\" in the metadata of the file is \"{}\", expected \"{}\" as in a file "
+            "that relidar has written",
+            file_name, value("format"), expected_format);
     if (value("version") != expected_version)
-        throw DataError(fmt::format(
-            "{}: metadata version: found \"{}\", but relidar {} reads only version {}; train the run "
-            "again",
-            file_name, value("version"), RELIDAR_VERSION, expected_version));
+        fail("{}: metadata version: found \"{}\", but relidar {} reads only version {}; train the run again",
+             file_name, value("version"), RELIDAR_VERSION, expected_version);
 }
 
 }  // namespace relidar::run_detail

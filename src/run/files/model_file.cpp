@@ -18,6 +18,7 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 #include <relidar/scene/device_scene.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
 
@@ -36,14 +37,13 @@ void require_finite_surfel_parameters(const SurfelParameterGroup& group, const S
     const auto bad = std::ranges::find_if(values, [](float v) { return !std::isfinite(v); });
     if (bad == values.end()) return;
     const auto row = static_cast<std::size_t>(bad - values.begin()) / group.count_floats();
-    throw DataError(fmt::format("{}: array {}: row {} contains {}, expected finite numbers", file_name,
-                                group.name, row, *bad));
+    fail("{}: array {}: row {} contains {}, expected finite numbers", file_name, group.name, row, *bad);
 }
 
 const NamedArray& require_array_by_name(const std::vector<NamedArray>& arrays, std::string_view name,
                                         const std::string& file_name) {
     const NamedArray* array = find_array(arrays, name);
-    if (!array) throw DataError(fmt::format("{}: the array {} is missing", file_name, name));
+    if (!array) fail("{}: the array {} is missing", file_name, name);
     return *array;
 }
 
@@ -51,10 +51,10 @@ void read_parameter_group(const SurfelParameterGroup& group, const NamedArray& a
                           const std::string& file_name) {
     const std::vector<std::size_t> expected = group.get_array_shape(surfels.size());
     if (array.shape != expected || array.dtype != "f4") {
-        throw DataError(fmt::format(
+        fail(
             "{}: the array {} has the type {} and the shape [{}], expected the type f4 (32-bit float) and "
             "the shape [{}]",
-            file_name, group.name, array.dtype, fmt::join(array.shape, ", "), fmt::join(expected, ", ")));
+            file_name, group.name, array.dtype, fmt::join(array.shape, ", "), fmt::join(expected, ", "));
     }
     const std::vector<float> values = array.convert_to_floats();
     std::ranges::copy(values, group.mutable_values(surfels).begin());
@@ -183,14 +183,13 @@ void read_sensor_drop_table(const std::vector<NamedArray>& arrays, Scene& scene,
         std::find_if(arrays.begin(), arrays.end(), [](const NamedArray& a) { return a.name == kSensorDrop; });
     if (it == arrays.end()) return;
     if (it->shape.size() != 2 || it->dtype != "f4" || it->shape[0] > 65536 || it->shape[1] > 65536)
-        throw DataError(fmt::format("{}: array {}: found {} [{}], expected f4 [channels, bins]", file_name,
-                                    kSensorDrop, it->dtype, fmt::join(it->shape, ", ")));
+        fail("{}: array {}: found {} [{}], expected f4 [channels, bins]", file_name, kSensorDrop, it->dtype,
+             fmt::join(it->shape, ", "));
     scene.sensor_drop = {static_cast<int>(it->shape[0]), static_cast<int>(it->shape[1]),
                          it->convert_to_floats()};
     for (const float p : scene.sensor_drop.probability)
         if (!(p >= 0.0f && p <= 1.0f))
-            throw DataError(fmt::format("{}: array {}: found {}, expected probabilities from 0 to 1",
-                                        file_name, kSensorDrop, p));
+            fail("{}: array {}: found {}, expected probabilities from 0 to 1", file_name, kSensorDrop, p);
 }
 
 }  // namespace
@@ -247,30 +246,29 @@ void save_scene_to_model_file(const std::filesystem::path& path, const Scene& sc
 
 Scene load_scene_from_model_file(const std::filesystem::path& path) {
     const std::string file = path.string();
-    if (!does_path_exist(path)) throw DataError(fmt::format("{}: no such file", file));
+    if (!does_path_exist(path)) fail("{}: no such file", file);
     std::map<std::string, std::string> metadata;
     const std::vector<NamedArray> arrays = read_safetensors(path, &metadata);
     run_detail::require_format_and_version(metadata, file, kModelFormat, kModelVersion);
     if (!metadata.contains("layout"))
-        throw DataError(fmt::format(
-            "{}: the metadata has no entry \"layout\", expected a model file that relidar has written",
-            file));
+        fail("{}: the metadata has no entry \"layout\", expected a model file that relidar has written",
+             file);
     const NamedArray& mean = require_array_by_name(arrays, "mean", file);
     if (mean.shape.empty() || mean.shape[0] > static_cast<std::size_t>(kMaxSurfels))
-        throw DataError(
-            fmt::format("{}: the array \"mean\" (centres of the surfels) has the shape [{}], expected [n, 3] "
-                        "with n of at most {}",
-                        file, fmt::join(mean.shape, ", "), kMaxSurfels));
+        fail(
+            "{}: the array \"mean\" (centres of the surfels) has the shape [{}], expected [n, 3] with n of "
+            "at most {}",
+            file, fmt::join(mean.shape, ", "), kMaxSurfels);
     const SurfelParameterSet parameters = read_surfel_parameter_set(
         file, metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
     // Checks the number of rows of every array before memory is allocated.
     for (const SurfelParameterGroup& group : list_parameter_groups(parameters)) {
         const NamedArray& array = require_array_by_name(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])
-            throw DataError(
-                fmt::format("{}: the array \"{}\" has the shape [{}], expected {} rows, as many as the array "
-                            "\"mean\" has",
-                            file, group.name, fmt::join(array.shape, ", "), mean.shape[0]));
+            fail(
+                "{}: the array \"{}\" has the shape [{}], expected {} rows, as many as the array \"mean\" "
+                "has",
+                file, group.name, fmt::join(array.shape, ", "), mean.shape[0]);
     }
     Scene scene;
     scene.surfels.resize(mean.shape[0], parameters);

@@ -19,6 +19,7 @@
 #include <relidar/base/files.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/run/stage_options.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "run/files/coverage_file.hpp"
 #include "run/files/scatter_file.hpp"
@@ -43,8 +44,8 @@ void create_folder(const fs::path& folder) {
     fs::create_directories(folder, failed);
     std::error_code unknown;
     if (!fs::is_directory(folder, unknown))
-        throw DataError(fmt::format("cannot create the folder {}: {}", folder.string(),
-                                    failed ? failed.message() : "a file with this name exists"));
+        fail("cannot create the folder {}: {}", folder.string(),
+             failed ? failed.message() : "a file with this name exists");
 }
 
 /// Creates a hard link to a file. If the file system cannot create the link, copies the
@@ -58,7 +59,7 @@ void link_or_copy_file(const fs::path& source_file, const fs::path& target_file)
     write_file_atomically(target_file, [&](const fs::path& temporary) {
         std::error_code why;
         if (!fs::copy_file(source_file, temporary, why))
-            throw DataError(fmt::format("cannot copy {}: {}", source_file.string(), why.message()));
+            fail("cannot copy {}: {}", source_file.string(), why.message());
     });
 }
 
@@ -86,11 +87,11 @@ void save_run_config(const TrainedRun& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text_file(path, to_toml(run.config));
     if (load_saved_config(path) != run.config)
-        throw DataError(
-            fmt::format("cannot save {}: the file can store only the preset {} and settings, but the program "
-                        "changed a field of Config that is not a setting; change only the settings that "
-                        "`relidar list settings --all` prints",
-                        (run.folder / kConfigFile).string(), run.config.preset));
+        fail(
+            "cannot save {}: the file can store only the preset {} and settings, but the program changed a "
+            "field of Config that is not a setting; change only the settings that `relidar list settings "
+            "--all` prints",
+            (run.folder / kConfigFile).string(), run.config.preset);
 }
 
 void save_scene(const TrainedRun& run, const fs::path& folder, bool keep_block_files) {
@@ -148,8 +149,7 @@ void rename_file(const fs::path& source, const fs::path& target) {
     std::error_code failed;
     fs::rename(source, target, failed);
     if (failed)
-        throw DataError(fmt::format("cannot write '{}': renaming the temporary file failed: {}",
-                                    target.string(), failed.message()));
+        fail("cannot write '{}': renaming the temporary file failed: {}", target.string(), failed.message());
 }
 
 /// Moves the files of `staging_folder` to the run's folder. First deletes the old
@@ -210,8 +210,7 @@ TrainedRun load_run(const fs::path& folder) {
     require_existing_folder(folder, "a run folder");
     for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
         if (!does_path_exist(folder / name))
-            throw DataError(fmt::format("the file {} is missing, but every run folder must contain it",
-                                        (folder / name).string()));
+            fail("the file {} is missing, but every run folder must contain it", (folder / name).string());
     }
     TrainedRun run;
     run.folder = folder;
@@ -228,9 +227,8 @@ TrainedRun load_run(const fs::path& folder) {
     run.scene = load_scene_from_model_file(folder / kModelFile);
     for (const SceneBlock& block : run.scene.blocks)
         if (!does_path_exist(block.file))
-            throw DataError(
-                fmt::format("the file {} is missing, but this run has {} blocks with one file each",
-                            block.file.string(), run.scene.blocks.size()));
+            fail("the file {} is missing, but this run has {} blocks with one file each", block.file.string(),
+                 run.scene.blocks.size());
     if (does_path_exist(folder / kSweepsFile))
         run_detail::load_azimuth_corrections(folder / kSweepsFile, run.sequence);
     if (does_path_exist(folder / kCoverageFile))
@@ -243,16 +241,14 @@ TrainedRun load_run(const fs::path& folder) {
     if (does_path_exist(folder / kDropNetworkFile))
         run.drop_network = load_ray_drop_network(folder / kDropNetworkFile);
     if (run.scene.surfels.size() != scene.n_surfels) {
-        throw DataError(fmt::format("{}: counts.surfels is {}, but {} contains {} surfels",
-                                    scene_path.string(), scene.n_surfels, kModelFile,
-                                    run.scene.surfels.size()));
+        fail("{}: counts.surfels is {}, but {} contains {} surfels", scene_path.string(), scene.n_surfels,
+             kModelFile, run.scene.surfels.size());
     }
     if (run.scene.surfels.size() > 0 && run.scene.surfels.primitive != run.config.image.primitive)
-        throw DataError(fmt::format(
-            "{}: image.primitive is {}, but {} contains {}; change this setting to {}",
-            (folder / kConfigFile).string(), get_primitive_properties(run.config.image.primitive).name,
-            kModelFile, get_primitive_properties(run.scene.surfels.primitive).label,
-            get_primitive_properties(run.scene.surfels.primitive).name));
+        fail("{}: image.primitive is {}, but {} contains {}; change this setting to {}",
+             (folder / kConfigFile).string(), get_primitive_properties(run.config.image.primitive).name,
+             kModelFile, get_primitive_properties(run.scene.surfels.primitive).label,
+             get_primitive_properties(run.scene.surfels.primitive).name);
     return run;
 }
 
@@ -268,9 +264,7 @@ void create_folder_and_require_writable(const fs::path& folder) {
     // deletes the file later.
     const std::string probe = (folder / fmt::format(".probe.tmp-{}-0", ::getpid())).string();
     const int file = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
-    if (file < 0)
-        throw DataError(
-            fmt::format("cannot write to '{}': {}", folder.string(), std::generic_category().message(errno)));
+    if (file < 0) fail("cannot write to '{}': {}", folder.string(), std::generic_category().message(errno));
     ::close(file);
     ::unlink(probe.c_str());
 }

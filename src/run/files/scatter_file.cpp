@@ -14,6 +14,7 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "run/files/file_format.hpp"
 
 namespace relidar::run_detail {
@@ -62,17 +63,15 @@ struct ScatterArrays {
                                           std::size_t expected_count = 0) const {
         const std::string name = fmt::format("{}.{}", lidar, array_suffix);
         const NamedArray* array = find_array(arrays, name);
-        if (!array) throw DataError(fmt::format("{}: array {} is missing", file, name));
+        if (!array) fail("{}: array {} is missing", file, name);
         if (array->dtype != dtype || array->shape.size() != 1 || array->count_array_elements() == 0 ||
             (expected_count > 0 && array->count_array_elements() != expected_count))
-            throw DataError(
-                fmt::format("{}: array {}: found type {} with {} numbers, expected {}{}", file, name,
-                            array->dtype, array->count_array_elements(), dtype,
-                            expected_count > 0 ? fmt::format(" with {} numbers", expected_count) : ""));
+            fail("{}: array {}: found type {} with {} numbers, expected {}{}", file, name, array->dtype,
+                 array->count_array_elements(), dtype,
+                 expected_count > 0 ? fmt::format(" with {} numbers", expected_count) : "");
         std::vector<double> values = array->convert_to_doubles();
         if (!std::ranges::all_of(values, [](double value) { return std::isfinite(value); }))
-            throw DataError(fmt::format(
-                "{}: array {}: found a number that is not finite, expected only finite numbers", file, name));
+            fail("{}: array {}: found a number that is not finite, expected only finite numbers", file, name);
         return values;
     }
     IntensityScatterModel read_intensity_scatter() const {
@@ -95,20 +94,20 @@ struct ScatterArrays {
                        has_values =
                            first[i] >= 0.0 && count[i] > 0.0 && first[i] + count[i] <= double(values.size());
             if (!has_values || !(is_leaf || (has_feature && has_children)))
-                throw DataError(
-                    fmt::format("{0}: node {2} of the decision tree for the intensities of LiDAR {1} is "
-                                "invalid (feature {3}, first child {4}, first value "
-                                "{5}, {6} values); expected a file that relidar has written",
-                                file, lidar, i, feature[i], child[i], first[i], count[i]));
+                fail(
+                    "{0}: node {2} of the decision tree for the intensities of LiDAR {1} is invalid (feature "
+                    "{3}, first child {4}, first value {5}, {6} values); expected a file that relidar has "
+                    "written",
+                    file, lidar, i, feature[i], child[i], first[i], count[i]);
             result.nodes.push_back({std::int32_t(feature[i]), float(at[i]), std::int32_t(child[i]),
                                     std::uint32_t(first[i]), std::uint32_t(count[i])});
         }
         result.step = read_finite_array("step", "f8", 1)[0];
         if (result.step < 0.0)
-            throw DataError(
-                fmt::format("{0}: the array {1}.step (step between two intensities of LiDAR {1}) contains "
-                            "{2}, expected 0 or a positive number",
-                            file, lidar, result.step));
+            fail(
+                "{0}: the array {1}.step (step between two intensities of LiDAR {1}) contains {2}, expected "
+                "0 or a positive number",
+                file, lidar, result.step);
         return result;
     }
 };

@@ -8,16 +8,18 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 
 Surfels load_block_surfels(const SceneBlock& block) {
     const Scene scene = load_scene_from_model_file(block.file);
     const SurfelModel& background = scene.models.front();
     if (background.count != block.count)
-        throw DataError(fmt::format(
-            "{}: this file of a block has {} background surfels, but model.safetensors of the run "
-            "lists {} for the block; expected the file that was saved with the run",
-            block.file.string(), background.count, block.count));
+        fail(
+            "{}: this file of a block has {} background surfels, but model.safetensors of the run lists {} "
+            "for the block; expected the file that was saved with the run",
+            block.file.string(), background.count, block.count);
     return scene.surfels.slice(0, background.count);
 }
 

@@ -35,13 +35,9 @@ constexpr std::int64_t kMaxInt = 2147483647, kMaxFrame = 99999999;
 constexpr const char* kUnits = "metres, seconds, radians";
 constexpr const char* kConventions =
     "Sensor and vehicle frames: x forward, y left, z up. World: the dataset's world minus world_offset_m. A "
-    "pose a_from_b is translation x "
-    "y z and unit "
-    "quaternion w x y z: p_a = R(q) p_b + t. Box frame: x along the length, y along the width, z up, origin "
-    "at the centre. Image row 0 is "
-    "the "
-    "highest beam, column 0 azimuth +180 degrees, falling. frames[].time_s: the head faces forward. beams: "
-    "highest first.";
+    "pose a_from_b is translation x y z and unit quaternion w x y z: p_a = R(q) p_b + t. Box frame: x along "
+    "the length, y along the width, z up, origin at the centre. Image row 0 is the highest beam, column 0 "
+    "azimuth +180 degrees, falling. frames[].time_s: the head faces forward. beams: highest first.";
 
 Json to_json(const glm::dvec3& vector) { return {vector.x, vector.y, vector.z}; }
 Json to_json(const Pose& pose) {

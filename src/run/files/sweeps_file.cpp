@@ -11,6 +11,7 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "run/files/file_format.hpp"
 
 namespace relidar::run_detail {
@@ -26,10 +27,10 @@ LidarFrame& get_frame_by_array_name(const std::string& array_name, LidarSequence
         std::from_chars(array_name.data(), array_name.data() + array_name.size(), position);
     if (error != std::errc{} || end != array_name.data() + array_name.size() ||
         position >= sequence.frames.size())
-        throw DataError(fmt::format(
-            "{}: the array name \"{}\" is not the position of a frame in the log, counted from 0; expected "
-            "a number below {}",
-            file_name, array_name, sequence.frames.size()));
+        fail(
+            "{}: the array name \"{}\" is not the position of a frame in the log, counted from 0; expected a "
+            "number below {}",
+            file_name, array_name, sequence.frames.size());
     return sequence.frames[position];
 }
 
@@ -57,15 +58,14 @@ void load_azimuth_corrections(const std::filesystem::path& path, LidarSequence& 
         LidarFrame& frame = get_frame_by_array_name(array.name, sequence, file);
         const auto columns = std::size_t(sequence.get_lidar(frame).sensor.columns);
         if (array.dtype != "f4" || array.shape != std::vector<std::size_t>{columns})
-            throw DataError(
-                fmt::format("{}: the array {} has the type {} and the shape [{}], expected the type f4 "
-                            "(32-bit float) and the shape [{}], one value for each column of the LiDAR",
-                            file, array.name, array.dtype, fmt::join(array.shape, ", "), columns));
+            fail(
+                "{}: the array {} has the type {} and the shape [{}], expected the type f4 (32-bit float) "
+                "and the shape [{}], one value for each column of the LiDAR",
+                file, array.name, array.dtype, fmt::join(array.shape, ", "), columns);
         frame.azimuth_shift_rad = array.convert_to_floats();
         for (const float shift : frame.azimuth_shift_rad)
             if (!(std::abs(shift) <= float(kPi)))
-                throw DataError(fmt::format("{}: array {}: found {}, expected radians from -pi to pi", file,
-                                            array.name, shift));
+                fail("{}: array {}: found {}, expected radians from -pi to pi", file, array.name, shift);
     }
 }
 

@@ -15,6 +15,7 @@
 #include <relidar/log/range_image.hpp>
 #include <relidar/run/stage_options.hpp>
 #include <relidar/score/metrics.hpp>
+#include "base/fail.hpp"
 #include "score/evaluation/actor_scores.hpp"
 
 namespace relidar {
@@ -223,13 +224,11 @@ void copy_scans_into_run(TrainedRun& run, const std::vector<int>& frame_indices,
             return f.index == frame.index && f.lidar == frame.lidar;
         });
         if (it == log.frames.end())
-            throw DataError(
-                fmt::format("{} has no frame {}, but {} was trained with this frame; use the same log",
-                            run.config.dataset.path, frame.index, run.folder.string()));
+            fail("{} has no frame {}, but {} was trained with this frame; use the same log",
+                 run.config.dataset.path, frame.index, run.folder.string());
         if (std::abs(it->time_s - frame.time_s) > kSameTime_s) {
-            throw DataError(fmt::format(
-                "{}: frame {} has the time {} s, but it had {} s when {} was trained; use the same log",
-                run.config.dataset.path, frame.index, it->time_s, frame.time_s, run.folder.string()));
+            fail("{}: frame {} has the time {} s, but it had {} s when {} was trained; use the same log",
+                 run.config.dataset.path, frame.index, it->time_s, frame.time_s, run.folder.string());
         }
         frame.scan = it->scan;
         frame.start = it->start;
@@ -267,8 +266,7 @@ EvaluationResult evaluate_frames(ScanRenderer& renderer, const Config& config, c
 BoxPointMotion parse_box_point_motion_of_baseline(const std::string& baseline_name) {
     if (baseline_name == "nearest") return BoxPointMotion::stay;
     if (baseline_name == "nearest-actors") return BoxPointMotion::follow;
-    throw UsageError(
-        fmt::format("baseline: found \"{}\", expected nearest or nearest-actors", baseline_name));
+    fail<UsageError>("baseline: found \"{}\", expected nearest or nearest-actors", baseline_name);
 }
 
 EvaluationResult evaluate_baseline(const std::string& baseline_name, const Config& config,

@@ -15,6 +15,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 namespace {
 
@@ -132,12 +134,11 @@ FeatureMap normalise_colours(const std::vector<float>& image, int rows, int colu
 void require_valid_layer_weights(const char* weights_name, int layer_index, const std::vector<float>& values,
                                  std::size_t expected_count) {
     if (values.size() != expected_count)
-        throw DataError(fmt::format("cannot use the weights of LPIPS: {}{} has {} values, expected {}",
-                                    weights_name, layer_index, values.size(), expected_count));
+        fail("cannot use the weights of LPIPS: {}{} has {} values, expected {}", weights_name, layer_index,
+             values.size(), expected_count);
     if (!std::all_of(values.begin(), values.end(), [](float v) { return std::isfinite(v); }))
-        throw DataError(
-            fmt::format("cannot use the weights of LPIPS: {}{} contains a value that is not finite",
-                        weights_name, layer_index));
+        fail("cannot use the weights of LPIPS: {}{} contains a value that is not finite", weights_name,
+             layer_index);
 }
 
 }  // namespace
@@ -163,14 +164,13 @@ std::array<double, 5> Lpips::compute_lpips_layer_distances(const std::vector<flo
                                                            const std::vector<float>& second_image, int rows,
                                                            int columns) const {
     if (rows < kMinEdge || columns < kMinEdge)
-        throw DataError(fmt::format(
-            "cannot compute LPIPS: the image has {} x {} pixels, expected at least 31 x 31", rows, columns));
+        fail("cannot compute LPIPS: the image has {} x {} pixels, expected at least 31 x 31", rows, columns);
     const std::size_t n = 3 * std::size_t(rows) * std::size_t(columns);
     if (first_image.size() != n || second_image.size() != n)
-        throw DataError(
-            fmt::format("cannot compute LPIPS: the images have {} and {} values, expected {} values each, "
-                        "which is 3 for each of the {} x {} pixels",
-                        first_image.size(), second_image.size(), n, rows, columns));
+        fail(
+            "cannot compute LPIPS: the images have {} and {} values, expected {} values each, which is 3 for "
+            "each of the {} x {} pixels",
+            first_image.size(), second_image.size(), n, rows, columns);
     FeatureMap fa = normalise_colours(first_image, rows, columns),
                fb = normalise_colours(second_image, rows, columns);
     std::array<double, 5> distance{};

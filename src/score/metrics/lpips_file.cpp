@@ -9,15 +9,15 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 
 LpipsWeights read_lpips_weights(const std::filesystem::path& path) {
     const std::vector<NamedArray> arrays = read_safetensors(path);
     const auto values = [&](const std::string& name) {
         const NamedArray* array = find_array(arrays, name);
-        if (!array)
-            throw DataError(fmt::format("{}: the array {} is missing, expected the weights of LPIPS",
-                                        path.string(), name));
+        if (!array) fail("{}: the array {} is missing, expected the weights of LPIPS", path.string(), name);
         return array->convert_to_floats();
     };
     LpipsWeights weights;

@@ -11,6 +11,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/nearest_place.hpp"
 #include "base/parallel.hpp"
 
@@ -20,10 +21,10 @@ namespace {
 void require_finite_points(const std::vector<glm::dvec3>& points, const char* cloud_name) {
     for (std::size_t i = 0; i < points.size(); ++i)
         if (!std::isfinite(points[i].x + points[i].y + points[i].z))
-            throw DataError(fmt::format(
+            fail(
                 "cannot search nearest points: point {} of the {} points is ({}, {}, {}), expected finite "
                 "coordinates in metres",
-                i, cloud_name, points[i].x, points[i].y, points[i].z));
+                i, cloud_name, points[i].x, points[i].y, points[i].z);
 }
 
 }  // namespace
@@ -33,9 +34,8 @@ std::vector<double> compute_nearest_distances(const std::vector<glm::dvec3>& que
     std::vector<double> distance(query_points.size());
     if (query_points.empty()) return distance;
     if (target_points.empty())
-        throw DataError(
-            fmt::format("cannot search nearest points: there are {} query points, but no target point",
-                        query_points.size()));
+        fail("cannot search nearest points: there are {} query points, but no target point",
+             query_points.size());
     require_finite_points(query_points, "query");
     require_finite_points(target_points, "target");
 

@@ -13,6 +13,8 @@
 #include <relidar/base/error.hpp>
 #include <relidar/log/sequence.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 namespace {
 
@@ -35,10 +37,10 @@ std::vector<int> find_neighbouring_training_frames(const LidarSequence& sequence
     for (const int p : {before, after})
         if (p >= 0) neighbours.push_back(p);
     if (neighbours.empty())
-        throw DataError(fmt::format(
-            "cannot project neighbouring scans into frame {}: the log has no other training frame "
-            "of the same LiDAR, expected at least one",
-            sequence.frames[std::size_t(frame_index)].index));
+        fail(
+            "cannot project neighbouring scans into frame {}: the log has no other training frame of the "
+            "same LiDAR, expected at least one",
+            sequence.frames[std::size_t(frame_index)].index);
     return neighbours;
 }
 
@@ -197,10 +199,10 @@ Scan predict_scan_from_neighbours(const LidarSequence& sequence, int predicted_f
 
 Scan assign_points_to_nearest_rays(const RayTable& rays, const Scan& points) {
     if (rays.rows < 2 || rays.columns < 2 * kColumnSearch + 1)
-        throw DataError(fmt::format(
-            "cannot project points into an image of {} rows and {} columns, expected the rays of a "
-            "spinning sensor with at least 2 rows and {} columns",
-            rays.rows, rays.columns, 2 * kColumnSearch + 1));
+        fail(
+            "cannot project points into an image of {} rows and {} columns, expected the rays of a spinning "
+            "sensor with at least 2 rows and {} columns",
+            rays.rows, rays.columns, 2 * kColumnSearch + 1);
     const RayTableNeighbours beams{rays};
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size())};
     for (std::size_t i = 0; i < points.range_m.size(); ++i) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes errors over selected pixels of a rendered and a real range image.
 #include "pixel_errors.hpp"
+#include "base/fail.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -21,31 +22,27 @@ double clamp_value(float value, double maximum) { return std::clamp(double(value
 void require_valid_pixel_values(const std::vector<float>& values, std::size_t expected_count,
                                 const char* image_name, const char* array_name) {
     if (values.size() != expected_count)
-        throw DataError(fmt::format(
-            "cannot compare range images: array {1} of the {0} image has {2} values, expected {3}",
-            image_name, array_name, values.size(), expected_count));
+        fail("cannot compare range images: array {1} of the {0} image has {2} values, expected {3}",
+             image_name, array_name, values.size(), expected_count);
     const auto bad = std::find_if(values.begin(), values.end(), [](float v) { return !std::isfinite(v); });
     if (bad != values.end())
-        throw DataError(fmt::format(
-            "cannot compare range images: array {1} of the {0} image is {2} at pixel {3}, expected a "
-            "finite value",
-            image_name, array_name, *bad, bad - values.begin()));
+        fail(
+            "cannot compare range images: array {1} of the {0} image is {2} at pixel {3}, expected a finite "
+            "value",
+            image_name, array_name, *bad, bad - values.begin());
 }
 
 void require_vector_count(const std::vector<glm::vec3>& values, std::size_t expected_count,
                           const char* image_name, const char* array_name) {
     if (values.size() != expected_count)
-        throw DataError(fmt::format(
-            "cannot compare range images: array {1} of the {0} image has {2} values, expected {3}",
-            image_name, array_name, values.size(), expected_count));
+        fail("cannot compare range images: array {1} of the {0} image has {2} values, expected {3}",
+             image_name, array_name, values.size(), expected_count);
 }
 
 void require_valid_range_image(const RangeImage& image, const char* image_name) {
     if (image.rows <= 0 || image.columns <= 0)
-        throw DataError(
-            fmt::format("cannot compare range images: the {} image has {} x {} pixels, expected at least one "
-                        "pixel",
-                        image_name, image.rows, image.columns));
+        fail("cannot compare range images: the {} image has {} x {} pixels, expected at least one pixel",
+             image_name, image.rows, image.columns);
     const std::size_t n = std::size_t(image.rows) * std::size_t(image.columns);
     require_valid_pixel_values(image.range_m, n, image_name, "range_m");
     require_valid_pixel_values(image.intensity, n, image_name, "intensity");
@@ -60,10 +57,8 @@ void require_comparable_images(const RangeImage& rendered, const RangeImage& rea
     require_valid_range_image(rendered, "rendered");
     require_valid_range_image(real, "real");
     if (rendered.rows == real.rows && rendered.columns == real.columns) return;
-    throw DataError(
-        fmt::format("cannot compare range images: the rendered image has {} x {} pixels, but the real image "
-                    "has {} x {}",
-                    rendered.rows, rendered.columns, real.rows, real.columns));
+    fail("cannot compare range images: the rendered image has {} x {} pixels, but the real image has {} x {}",
+         rendered.rows, rendered.columns, real.rows, real.columns);
 }
 
 PixelMask make_undropped_pixel_mask(const RangeImage& image, double drop_threshold) {

@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/sequence.hpp>
+#include "base/fail.hpp"
 #include "pixel_errors.hpp"
 
 namespace relidar {
@@ -65,9 +66,8 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
     MetricValues row;
     for (const PixelRegion& region : regions) {
         if (region.pixels.size() != real_returns.size())
-            throw DataError(
-                fmt::format("cannot compute scores of region {}: its mask has {} pixels, expected {}",
-                            region.name, region.pixels.size(), real_returns.size()));
+            fail("cannot compute scores of region {}: its mask has {} pixels, expected {}", region.name,
+                 region.pixels.size(), real_returns.size());
         const PixelMask mask = intersect_masks(region.pixels, real_returns);
         const auto n = std::count(mask.begin(), mask.end(), true);
         const std::string name = region.name + "/";

@@ -14,6 +14,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 namespace {
 
@@ -62,21 +64,18 @@ std::vector<SsimWindowSums> compute_row_window_sums(const std::vector<double>& f
 void require_valid_ssim_inputs(std::size_t n_first_values, std::size_t n_second_values, int rows, int columns,
                                double data_range) {
     if (rows < kWindow || columns < kWindow)
-        throw DataError(
-            fmt::format("cannot compute the structural similarity: the image has {} x {} pixels, expected at "
-                        "least 7 x 7",
-                        rows, columns));
+        fail(
+            "cannot compute the structural similarity: the image has {} x {} pixels, expected at least 7 x 7",
+            rows, columns);
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     if (n_first_values != n || n_second_values != n)
-        throw DataError(fmt::format(
-            "cannot compute the structural similarity: the images have {} and {} values, expected {} "
-            "values each",
-            n_first_values, n_second_values, n));
+        fail(
+            "cannot compute the structural similarity: the images have {} and {} values, expected {} values "
+            "each",
+            n_first_values, n_second_values, n);
     if (!(data_range > 0.0))
-        throw DataError(
-            fmt::format("cannot compute the structural similarity: the data range is {}, expected a positive "
-                        "number",
-                        data_range));
+        fail("cannot compute the structural similarity: the data range is {}, expected a positive number",
+             data_range);
 }
 
 }  // namespace

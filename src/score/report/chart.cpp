@@ -3,6 +3,7 @@
 // each curve. The style sheet of the page defines colours and fonts (classes c0 ... c7,
 // axis, grid, faint), so that charts follow the light and dark themes of the page.
 #include "chart.hpp"
+#include "base/fail.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -196,14 +197,14 @@ std::string draw_axes_as_svg(const ChartAxis& x_axis, const ChartAxis& y_axis) {
     std::string svg;
     for (double tick : y_axis.logarithmic ? make_log_ticks(y_axis) : make_linear_ticks(y_axis, 5))
         svg += fmt::format(
-            "<line class=\"grid\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>"
-            "<text class=\"axis\" x=\"{3:.1f}\" y=\"{4:.1f}\" text-anchor=\"end\">{5}</text>\n",
+            "<line class=\"grid\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/><text "
+            "class=\"axis\" x=\"{3:.1f}\" y=\"{4:.1f}\" text-anchor=\"end\">{5}</text>\n",
             x_axis.at_low, x_axis.at_high, y_axis.convert_value_to_svg_coordinate(tick), x_axis.at_low - 8,
             y_axis.convert_value_to_svg_coordinate(tick) + 4, format_tick_label(tick));
     for (double tick : make_linear_ticks(x_axis, x_axis.at_high - x_axis.at_low > 600 ? 10 : 5))
         svg += fmt::format(
-            "<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.1f}\" y2=\"{2:.1f}\"/>"
-            "<text class=\"axis\" x=\"{0:.1f}\" y=\"{3:.1f}\" text-anchor=\"middle\">{4}</text>\n",
+            "<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.1f}\" y2=\"{2:.1f}\"/><text "
+            "class=\"axis\" x=\"{0:.1f}\" y=\"{3:.1f}\" text-anchor=\"middle\">{4}</text>\n",
             x_axis.convert_value_to_svg_coordinate(tick), y_axis.at_low, y_axis.at_low + 4,
             y_axis.at_low + 18, format_tick_label(tick));
     return svg +
@@ -222,9 +223,8 @@ std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int wi
     ValueInterval x_extent, y_extent;
     for (const ReportCurve* curve : curves) {
         if (curve->x.size() != curve->y.size())
-            throw DataError(fmt::format(
-                "cannot draw the curve '{}': it has {} x values and {} y values, expected the same number",
-                curve->name, curve->x.size(), curve->y.size()));
+            fail("cannot draw the curve '{}': it has {} x values and {} y values, expected the same number",
+                 curve->name, curve->x.size(), curve->y.size());
         for (std::size_t i = 0; i < curve->x.size(); ++i)
             if (is_curve_point_drawable(*curve, i)) {
                 x_extent.extend_range_to_value(curve->x[i]);

@@ -236,8 +236,8 @@ std::string make_timing_table_html(const MetricValues& kernel_times_ms) {
     for (const auto& [name, ms] : rows) body += "<tr>" + make_timing_row_html(name, ms, total_ms, longest);
     body += "<tr class=\"total\">" + make_timing_row_html(total ? "total" : "sum", total_ms, total_ms, 0.0);
     return make_table_html(
-        "<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th style=\"width:12%\">share</th>"
-        "<th>of the longest</th>",
+        "<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th "
+        "style=\"width:12%\">share</th><th>of the longest</th>",
         body);
 }
 

@@ -78,16 +78,14 @@ std::string make_3d_view_html(const ReportView& view, std::size_t n_views) {
         figures += fmt::format(
             "<figure><figcaption>{0}</figcaption><canvas tabindex=\"0\" role=\"application\" "
             "aria-label=\"{0}: points in 3D; arrow keys turn, plus and minus zoom\" "
-            "data-points=\"{1}\"></canvas>"
-            "</figure>\n",
+            "data-points=\"{1}\"></canvas></figure>\n",
             name, encode_base64(pack_point_cloud(cloud, max_points)));
     }
     return fmt::format(
-        "<div class=\"view3d\">\n<div class=\"pair\">\n{}</div>\n<p class=\"controls\"><label>colour <select>"
-        "<option value=\"range\">range</option><option value=\"height\">height</option><option "
-        "value=\"intensity\">intensity"
-        "</option><option value=\"error\">range error</option></select></label> <span "
-        "class=\"legend3d\"></span></p>\n"
+        "<div class=\"view3d\">\n<div class=\"pair\">\n{}</div>\n<p class=\"controls\"><label>colour "
+        "<select><option value=\"range\">range</option><option value=\"height\">height</option><option "
+        "value=\"intensity\">intensity</option><option value=\"error\">range error</option></select></label> "
+        "<span class=\"legend3d\"></span></p>\n"
         "<p class=\"note\">Drag turns both, Ctrl and drag moves, the wheel zooms; or the arrow keys, plus "
         "and minus.</p>\n"
         "</div>\n",

@@ -11,6 +11,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
 
@@ -102,10 +103,10 @@ std::vector<fs::path> list_asset_folders(const fs::path& folder) {
     std::vector<fs::path> assets = list_folder_entries(folder);
     std::erase_if(assets, [](const fs::path& entry) { return !does_path_exist(entry / kAssetFile); });
     if (assets.empty())
-        throw DataError(fmt::format(
-            "{} contains no asset, expected folders with an {} each, as written by `relidar assets "
-            "RUN --out FOLDER`",
-            folder.string(), kAssetFile));
+        fail(
+            "{} contains no asset, expected folders with an {} each, as written by `relidar assets RUN --out "
+            "FOLDER`",
+            folder.string(), kAssetFile);
     return assets;
 }
 

@@ -13,6 +13,8 @@
 #include <relidar/run/edit.hpp>
 #include <relidar/scene/symmetry.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 namespace {
 
@@ -83,9 +85,8 @@ ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
     const auto box =
         std::ranges::find_if(alone.sequence.boxes, [&](const BoxTrack& b) { return b.id == track; });
     if (alone.scene.instances.size() != 2 || box == alone.sequence.boxes.end())
-        throw UsageError(
-            fmt::format("cannot make an asset of \"{}\": the run has no such actor, expected one of: {}",
-                        track, fmt::join(others, ", ")));
+        fail<UsageError>("cannot make an asset of \"{}\": the run has no such actor, expected one of: {}",
+                         track, fmt::join(others, ", "));
 
     ObservedBoxSurface surface = make_observed_box_surface(box->size_m, observations);
     ActorAsset asset;
@@ -137,11 +138,11 @@ std::string get_track_name_of_only_actor(const TrainedRun& run) {
     for (const ModelInstance& instance : run.scene.instances)
         if (!instance.track.empty()) tracks.push_back(instance.track);
     if (tracks.size() == 1) return tracks.front();
-    throw UsageError(
-        fmt::format("{} is a run with {} actors, expected an asset (a run with exactly one actor), or "
-                    "RUN#TRACK to select an actor{}",
-                    run.folder.string(), tracks.size(),
-                    tracks.empty() ? "" : fmt::format(" whose track is one of {}", fmt::join(tracks, ", "))));
+    fail<UsageError>(
+        "{} is a run with {} actors, expected an asset (a run with exactly one actor), or RUN#TRACK to "
+        "select an actor{}",
+        run.folder.string(), tracks.size(),
+        tracks.empty() ? "" : fmt::format(" whose track is one of {}", fmt::join(tracks, ", ")));
 }
 
 }  // namespace relidar

@@ -11,6 +11,7 @@
 #include <relidar/diff/accel.hpp>
 #include <relidar/simulate/place_points.hpp>
 
+#include "base/fail.hpp"
 #include "base/parallel.hpp"
 #include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"
@@ -125,10 +126,10 @@ void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanReques
                                  SubmissionTiming submission_timing) {
     Impl& s = *impl_;
     if (s.pending.size() >= kScansInFlight)
-        throw UsageError(
-            fmt::format("cannot request the points of another scan: {} requested scans have not been read "
-                        "yet, expected fewer than {}; call wait_for_points() first",
-                        s.pending.size(), kScansInFlight));
+        fail<UsageError>(
+            "cannot request the points of another scan: {} requested scans have not been read yet, expected "
+            "fewer than {}; call wait_for_points() first",
+            s.pending.size(), kScansInFlight);
     const SimulatedSweep sweep = s.sweeps.make_sweep_of_request(sensor, request);
     const Pose dataset_from_points = request.dataset_from_sensor.interpolate_pose(point_frame_time_s);
     const ScanRenderPlan plan = s.plan_steps_for_sweep(sweep, sample_seed.has_value());

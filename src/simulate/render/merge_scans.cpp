@@ -8,6 +8,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "simulate/render/channel_pairs.hpp"
 
 namespace relidar {
@@ -35,8 +36,8 @@ void add_missing_channels(RenderedScan& merged_scan, const RenderedScan& scan) {
                 },
                 merged_scan.channels.back().values);
         } else if (existing_channel->values.index() != channel.values.index()) {
-            throw UsageError(fmt::format(
-                "cannot merge scans: the channel {} has different types in two scans", channel.info.name));
+            fail<UsageError>("cannot merge scans: the channel {} has different types in two scans",
+                             channel.info.name);
         }
     }
 }
@@ -175,10 +176,10 @@ void append_rays_in_rig_frame(RenderedScan& merged_scan, const RenderedScan& sca
 
 RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vector<Pose>& rig_from_sensor) {
     if (scans.empty() || scans.size() != rig_from_sensor.size())
-        throw UsageError(
-            fmt::format("cannot merge scans: found {} scans, but the poses of {} sensors, expected one pose "
-                        "for each scan",
-                        scans.size(), rig_from_sensor.size()));
+        fail<UsageError>(
+            "cannot merge scans: found {} scans, but the poses of {} sensors, expected one pose for each "
+            "scan",
+            scans.size(), rig_from_sensor.size());
     RenderedScan merged;
     const Pose sensor_from_rig = inverse(rig_from_sensor[0]);
     merged.world_from_sensor = scans[0].world_from_sensor * sensor_from_rig;
@@ -193,8 +194,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
         append_rays_in_rig_frame(merged, scan, poses, rings);
         if (!scan.ring.empty()) rings += std::size_t(*std::ranges::max_element(scan.ring)) + 1;
         if (rings > 65536)
-            throw UsageError(
-                fmt::format("cannot merge scans: found {} beams in total, expected at most 65536", rings));
+            fail<UsageError>("cannot merge scans: found {} beams in total, expected at most 65536", rings);
         const std::size_t first_ray = merged.image.range_m.size();
         append_channels_in_rig_frame(merged, scan, poses, first_ray);
         for_each_basic_channel_pair(

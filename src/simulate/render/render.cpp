@@ -17,6 +17,7 @@
 #include <relidar/log/sensor_pattern.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
+#include "base/fail.hpp"
 #include "gpu/context.hpp"
 #include "simulate/render/channel_makers.hpp"
 #include "simulate/render/empty_scan.hpp"
@@ -43,10 +44,10 @@ constexpr double kNoisePower = 0.5 / 255.0 / (80.0 * 80.0), kStrayPower = 0.005 
 
 void require_normals_for_channel(const Config& config, const ChannelInfo& channel, const char* error_prefix) {
     if (!channel.needs_normals || get_primitive_properties(config.image.primitive).has_normals) return;
-    throw UsageError(
-        fmt::format("{}: the channel {} needs surface normals, but a scene that was trained with "
-                    "image.primitive={} has none; use a run with image.primitive=surfel, or other channels",
-                    error_prefix, channel.name, get_primitive_properties(config.image.primitive).name));
+    fail<UsageError>(
+        "{}: the channel {} needs surface normals, but a scene that was trained with image.primitive={} has "
+        "none; use a run with image.primitive=surfel, or other channels",
+        error_prefix, channel.name, get_primitive_properties(config.image.primitive).name);
 }
 
 TraceOptions make_trace_options(const Config& config) {
@@ -363,8 +364,8 @@ void ScanRenderer::enable_optional_channels(const std::string& comma_separated_n
 
 void ScanRenderer::set_max_parallel_scans(int count) {
     if (count < 1)
-        throw UsageError(fmt::format(
-            "cannot render several scans at the same time: found {} scans, expected at least 1", count));
+        fail<UsageError>("cannot render several scans at the same time: found {} scans, expected at least 1",
+                         count);
     impl_->finish_pending_scans();
     impl_->lanes->set_parallel_scan_limit(count);
 }
@@ -404,8 +405,8 @@ void ScanRenderer::set_weather(const Weather& weather) {
     const std::vector<IntensityScatterModel>& scatter = impl_->settings.scatter;
     if (!weather.is_clear() && !scatter.empty() && std::ranges::all_of(scatter, is_dark))
         throw UsageError(
-            "weather cannot be simulated, because the log of the run has no intensities, which "
-            "define the brightness of surfaces");
+            "weather cannot be simulated, because the log of the run has no intensities, which define the "
+            "brightness of surfaces");
     impl_->settings.weather = weather;
 }
 

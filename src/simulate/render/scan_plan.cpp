@@ -7,6 +7,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 namespace {
 
@@ -19,25 +21,22 @@ constexpr const char* kNative = "native";
 void require_valid_sub_ray_settings(const RayTable& rays, const SensorConfig& sensor_config,
                                     const SimulatedSensor& sensor) {
     if (sensor.grid && sensor_config.returns > 1)
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "sensor.returns: found 2 for {}, expected 1, because its range image has one range per pixel",
-            sensor.name));
+            sensor.name);
     if (sensor_config.sub_rays == 1 && sensor_config.returns > 1)
         throw UsageError(
             "sensor.returns: found 2 with sensor.sub_rays=1, expected sensor.sub_rays=5 or 9, because a "
             "single ray has only one return");
     if (sensor_config.sub_rays == 1) return;
     if (sensor_config.sub_rays != 5 && sensor_config.sub_rays != 9)
-        throw UsageError(
-            fmt::format("sensor.sub_rays: found {}, expected 1, 5 or 9", sensor_config.sub_rays));
+        fail<UsageError>("sensor.sub_rays: found {}, expected 1, 5 or 9", sensor_config.sub_rays);
     if (!(sensor_config.divergence_mrad > 0.0 || rays.find_max_divergence_rad() > 0.0))
-        throw UsageError(
-            fmt::format("sensor.sub_rays: the beam divergence of {} is unknown; set sensor.divergence_mrad",
-                        sensor.name));
+        fail<UsageError>("sensor.sub_rays: the beam divergence of {} is unknown; set sensor.divergence_mrad",
+                         sensor.name);
     if (rays.size() * std::size_t(sensor_config.sub_rays) > kMaxRays)
-        throw UsageError(
-            fmt::format("sensor.sub_rays: found {} for {} rays, expected at most {} rays in total",
-                        sensor_config.sub_rays, rays.size(), kMaxRays));
+        fail<UsageError>("sensor.sub_rays: found {} for {} rays, expected at most {} rays in total",
+                         sensor_config.sub_rays, rays.size(), kMaxRays);
 }
 
 /// Returns true if there is a network and it can correct an image with this name and
@@ -72,9 +71,9 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
     if (sensor.returns > 1 && plan.beams.sub_rays == 1) plan.beams.sub_rays = 9;
     require_valid_sub_ray_settings(rays, plan.beams, sensor);
     if (rays.size() == 0)
-        throw UsageError(
-            fmt::format("cannot render {}: this sensor does not spin and defines no rays; use another sensor",
-                        sensor.name));
+        fail<UsageError>(
+            "cannot render {}: this sensor does not spin and defines no rays; use another sensor",
+            sensor.name);
     plan.network = choose_drop_network_stage(network, sensor, rays, plan.has_sub_rays());
     plan.points_on_device = !has_random_sampling && settings.weather.is_clear() &&
                             settings.channels.empty() && !sensor.grid && !plan.has_sub_rays() &&

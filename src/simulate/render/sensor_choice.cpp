@@ -13,6 +13,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/stage_options.hpp>
+#include "base/fail.hpp"
 #include "simulate/render/channel_pairs.hpp"
 #include "simulate/render/empty_scan.hpp"
 
@@ -72,7 +73,7 @@ SimulatedSensor make_simulated_grid_sensor(const RangeImageGrid& grid, const Con
                 .lidar = lidar_index,
                 .rolling_shutter = is_rolling_shutter_simulated(config, sequence)};
     if (method != "project") {
-        throw UsageError(fmt::format("sensor.grid_method: found \"{}\", expected project or cast", method));
+        fail<UsageError>("sensor.grid_method: found \"{}\", expected project or cast", method);
     }
     SimulatedSensor choice = make_simulated_log_sensor(config, sequence, lidar_index);
     choice.grid = grid;

@@ -13,6 +13,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/parallel.hpp"
 
@@ -49,10 +50,10 @@ std::uint32_t get_drop_network_channel_number(const std::string& channel_name) {
         if (channel_name == known) return channel;
     for (std::uint32_t axis = 0; axis < 3; ++axis)
         if (channel_name == std::string("origin_") + "xyz"[axis]) return RELIDAR_DROP_ORIGIN + axis;
-    throw DataError(
-        fmt::format("the ray-drop network needs the input \"{}\", which this version of relidar does not "
-                    "render; `relidar refine RUN` trains the network again",
-                    shorten_for_error_message(channel_name)));
+    fail(
+        "the ray-drop network needs the input \"{}\", which this version of relidar does not render; "
+        "`relidar refine RUN` trains the network again",
+        shorten_for_error_message(channel_name));
 }
 
 }  // namespace

@@ -9,6 +9,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar {
 namespace {
 
@@ -21,24 +23,23 @@ constexpr double kFarthest = 1e10;  // limit for coordinates in metres and for t
 /// @param object_name name of the object in the error message
 /// @throws DataError if poses or times are invalid
 void require_valid_track_poses_and_times(const PoseTrack& track, const std::string& object_name) {
-    const auto fail = [&](const std::string& found, const char* expected) {
-        throw DataError(
-            fmt::format("cannot render a scan: the poses of {} are invalid: found {}, expected {}",
-                        object_name, found, expected));
+    const auto refuse = [&](const std::string& found, const char* expected) {
+        fail("cannot render a scan: the poses of {} are invalid: found {}, expected {}", object_name, found,
+             expected);
     };
     const std::size_t n = track.pose.size();
     if (n == 0 || n != track.time_s.size())
-        fail(fmt::format("{} poses and {} times", n, track.time_s.size()),
+        refuse(fmt::format("{} poses and {} times", n, track.time_s.size()),
              "at least one pose, and exactly one time for each pose");
     for (std::size_t i = 0; i < n; ++i) {
         const auto& [q, t] = track.pose[i];
         bool is_pose = std::abs(glm::length(q) - 1.0) < 1e-3;
         for (const double x : {t.x, t.y, t.z, track.time_s[i]}) is_pose = is_pose && std::abs(x) <= kFarthest;
         if (!is_pose)
-            fail(fmt::format("an invalid pose at entry {}", i),
+            refuse(fmt::format("an invalid pose at entry {}", i),
                  "a unit quaternion, and coordinates and times of at most 1e10");
         if (i > 0 && !(track.time_s[i] > track.time_s[i - 1])) {
-            fail(fmt::format("the time {} s of a pose directly after the time {} s of the previous pose",
+            refuse(fmt::format("the time {} s of a pose directly after the time {} s of the previous pose",
                              track.time_s[i], track.time_s[i - 1]),
                  "times that increase from pose to pose");
         }
@@ -53,12 +54,11 @@ void require_sweep_on_path(const SimulatedSweep& sweep) {
     if (sweep.time_s + double(first) >= times_s.front() - kBeyondPath_s &&
         sweep.time_s + double(last) <= times_s.back() + kBeyondPath_s)
         return;
-    throw DataError(fmt::format(
-        "cannot render a scan: its rays are fired from {:.6g} to {:.6g} s, but the poses of the "
-        "sensor are from {:.6g} to {:.6g} s; expected poses during the sweep, or at most {} s before "
-        "or after it",
+    fail(
+        "cannot render a scan: its rays are fired from {:.6g} to {:.6g} s, but the poses of the sensor are "
+        "from {:.6g} to {:.6g} s; expected poses during the sweep, or at most {} s before or after it",
         sweep.time_s + double(first), sweep.time_s + double(last), times_s.front(), times_s.back(),
-        kBeyondPath_s));
+        kBeyondPath_s);
 }
 
 std::vector<LidarFrame> copy_frames_that_have_azimuth_shifts(const LidarSequence& sequence) {
@@ -85,10 +85,10 @@ SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& 
 
 void SimulatedSweepBuilder::set_visible_instances(const std::vector<bool>& shown) {
     if (shown.size() != shown_.size())
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "cannot select the objects to render: found {} values (true or false), expected {}, one for the "
             "background and one for each actor",
-            shown.size(), shown_.size()));
+            shown.size(), shown_.size());
     shown_ = shown;
 }
 
@@ -149,9 +149,8 @@ SimulatedSweep SimulatedSweepBuilder::make_sweep_of_request(const SimulatedSenso
         return add_offset_to_track_positions(dataset_from_thing, -log_.world_offset_m);
     };
     if (!(std::abs(request.time_s) <= kFarthest)) {
-        throw DataError(
-            fmt::format("cannot render a scan: time_s: found {}, expected a finite time of at most {:.0e} s",
-                        request.time_s, kFarthest));
+        fail("cannot render a scan: time_s: found {}, expected a finite time of at most {:.0e} s",
+             request.time_s, kFarthest);
     }
     PoseTrack world_from_sensor = in_world(request.dataset_from_sensor, "the sensor");
     ActorTracksByName world_from_actor;

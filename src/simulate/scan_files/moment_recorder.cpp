@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "moment_recorder.hpp"
+#include "base/fail.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -73,11 +74,11 @@ void require_storable_times(std::span<const RenderedScan> scans, std::int64_t ti
     if (std::abs(scans[0].time_s) < 4e9 && make_time_stamp_ns(all.first_s, time_shift_ns) >= 0 &&
         make_time_stamp_ns(all.last_s, time_shift_ns) < kLatest_ns)
         return;
-    throw DataError(fmt::format(
+    fail(
         "cannot write a recording or packets: found a scan at {} s, whose rays have time stamps from {:.3f} "
         "to {:.3f} s; expected 0 s or more and before the year 2038",
         scans[0].time_s, all.first_s + 1e-9 * double(time_shift_ns),
-        all.last_s + 1e-9 * double(time_shift_ns)));
+        all.last_s + 1e-9 * double(time_shift_ns));
 }
 
 RecordedRig SweepRecorder::make_recorded_rig() const {
@@ -94,14 +95,12 @@ std::uint64_t SweepRecorder::make_time_stamp_ns(double time_s) const {
 
 RecordedSweep SweepRecorder::convert_scans_to_recorded_sweep(std::span<const RenderedScan> scans) {
     if (scans.size() != sensors_.size())
-        throw UsageError(
-            fmt::format("cannot write a recording: found {} scans, expected {}, one for each sensor",
-                        scans.size(), sensors_.size()));
+        fail<UsageError>("cannot write a recording: found {} scans, expected {}, one for each sensor",
+                         scans.size(), sensors_.size());
     require_storable_times(scans, sensors_.front().time_shift_ns);
     if (last_scan_s_ && scans[0].time_s < *last_scan_s_)
-        throw DataError(
-            fmt::format("cannot write a recording: found a scan at {} s, expected times that do not decrease",
-                        scans[0].time_s));
+        fail("cannot write a recording: found a scan at {} s, expected times that do not decrease",
+             scans[0].time_s);
     last_scan_s_ = scans[0].time_s;
     const SweepInterval all = find_sweep_interval(scans);
     RecordedSweep moment{make_time_stamp_ns(all.first_s), make_time_stamp_ns(all.last_s), {}, {}, {}};

@@ -15,6 +15,7 @@
 
 #include "base/bytes.hpp"
 #include "base/codecs/file_io.hpp"
+#include "base/fail.hpp"
 
 namespace relidar {
 namespace {
@@ -46,9 +47,8 @@ std::vector<PointFileField> list_point_file_fields(const LidarPoints& points) {
 void require_equal_point_array_lengths(const LidarPoints& points) {
     const auto check = [&](const char* name, std::size_t found, bool may_be_unknown = true) {
         if (found != points.size() && !(may_be_unknown && found == 0))
-            throw DataError(fmt::format(
-                "cannot write a point cloud: the array {} has {} values, expected {}, one for each point",
-                name, found, points.size()));
+            fail("cannot write a point cloud: the array {} has {} values, expected {}, one for each point",
+                 name, found, points.size());
     };
     check("intensity", points.intensity.size(), false);
     check("ring", points.ring.size());

@@ -16,6 +16,7 @@
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/actor_boxes.hpp>
 #include <relidar/simulate/render.hpp>
+#include "base/fail.hpp"
 #include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/placed_scan.hpp"
 #include "simulate/scan_files/recording_format.hpp"
@@ -108,9 +109,9 @@ ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format, Jo
     const std::vector<std::string> supported_formats = list_scan_formats();
     for (const std::string& name : format_.formats)
         if (std::find(supported_formats.begin(), supported_formats.end(), name) == supported_formats.end())
-            throw UsageError(fmt::format(
-                "cannot write scans: the format \"{}\" is unknown{} (known formats: {})", name,
-                format_name_suggestion(name, supported_formats), fmt::join(supported_formats, ", ")));
+            fail<UsageError>("cannot write scans: the format \"{}\" is unknown{} (known formats: {})", name,
+                             format_name_suggestion(name, supported_formats),
+                             fmt::join(supported_formats, ", "));
     create_folder_and_require_writable(folder_);
     channels_ = parse_channel_names(format_.config.render.channels);
 }
@@ -120,10 +121,10 @@ ScanFolderWriter ScanFolderWriter::join_folder_of_other_process(fs::path folder,
     ScanFolderWriter joined(std::move(folder), std::move(output_options), JoinExistingTag{});
     for (const std::string& name : joined.format_.formats)
         if (is_recording_format(name))
-            throw UsageError(fmt::format(
-                "cannot write scans with several processes: the format {} stores all scans in one file; "
-                "use one process",
-                name));
+            fail<UsageError>(
+                "cannot write scans with several processes: the format {} stores all scans in one file; use "
+                "one process",
+                name);
     return joined;
 }
 
@@ -254,16 +255,14 @@ void scan_files::write_list_of_recordings(const fs::path& folder, const std::vec
 
 void scan_files::remove_scan_files(const fs::path& folder) {
     if (const fs::path foreign = find_foreign_scan_file(folder); !foreign.empty())
-        throw UsageError(fmt::format(
-            "cannot write scans to {}: found {}, which is not listed in a scans.json of relidar and could "
-            "be replaced; expected another folder",
-            folder.string(), foreign.filename().string()));
+        fail<UsageError>(
+            "cannot write scans to {}: found {}, which is not listed in a scans.json of relidar and could be "
+            "replaced; expected another folder",
+            folder.string(), foreign.filename().string());
     for (const fs::path& file : list_scan_files(folder)) {
         std::error_code failed;
         fs::remove(file, failed);
-        if (failed)
-            throw DataError(
-                fmt::format("cannot remove {} of an earlier rendering: {}", file.string(), failed.message()));
+        if (failed) fail("cannot remove {} of an earlier rendering: {}", file.string(), failed.message());
     }
     remove_temporary_files(folder);
 }

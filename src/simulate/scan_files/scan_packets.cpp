@@ -7,6 +7,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/simulate/render.hpp>
+#include "base/fail.hpp"
 #include "simulate/scan_files/recorded_moment.hpp"
 
 namespace relidar {
@@ -41,8 +42,8 @@ ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> sensors)
     : impl_(std::make_unique<Impl>()) {
     for (const ScanOutputOptions& format : sensors) {
         if (!format.packets.sensor)
-            throw UsageError(fmt::format("cannot write packets of the sensor \"{}\", expected one of {}",
-                                         format.sensor, format_packet_sensor_names()));
+            fail<UsageError>("cannot write packets of the sensor \"{}\", expected one of {}", format.sensor,
+                             format_packet_sensor_names());
         const PacketOptions options{.start_ns = format.time_shift_ns,
                                     .returns = format.config.sensor.returns,
                                     .ouster_profile = format.packets.ouster_profile};
@@ -56,8 +57,8 @@ ScanPacketEncoder::~ScanPacketEncoder() = default;
 std::vector<std::vector<SensorPacket>> ScanPacketEncoder::encode_scans_as_packets(
     std::span<const RenderedScan> scans) {
     if (scans.size() != impl_->encoders.size())
-        throw UsageError(fmt::format("cannot write packets: found {} scans, expected {}, one of each sensor",
-                                     scans.size(), impl_->encoders.size()));
+        fail<UsageError>("cannot write packets: found {} scans, expected {}, one of each sensor",
+                         scans.size(), impl_->encoders.size());
     scan_files::require_storable_times(scans, impl_->sensors.front().time_shift_ns);
     std::vector<std::vector<SensorPacket>> packets;
     for (std::size_t s = 0; s < scans.size(); ++s)

@@ -13,6 +13,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/simulate/render.hpp>
 #include "base/base64.hpp"
+#include "base/fail.hpp"
 #include "simulate/scan_files/moment_recorder.hpp"
 #include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/scan_entry.hpp"
@@ -47,17 +48,16 @@ void require_valid_topic_and_frame_names(const scan_files::RecordedRig& rig) {
     std::set<std::string> used_frame_ids{scan_files::kWorldFrame, scan_files::kVehicleFrame};
     for (const scan_files::RecordedSensor& sensor : rig.sensors) {
         if (!is_valid_topic_name(sensor.topic))
-            throw UsageError(fmt::format(
-                "cannot write a recording: found topic \"{}\", expected a name such as /lidar/points; "
-                "each part follows a /, consists of letters, digits and _, and does not begin with a "
-                "digit",
-                sensor.topic));
+            fail<UsageError>(
+                "cannot write a recording: found topic \"{}\", expected a name such as /lidar/points; each "
+                "part follows a /, consists of letters, digits and _, and does not begin with a digit",
+                sensor.topic);
         if (sensor.frame_id.empty() || sensor.frame_id.front() == '/' ||
             !used_frame_ids.insert(sensor.frame_id).second)
-            throw UsageError(fmt::format(
+            fail<UsageError>(
                 "cannot write a recording: the sensor with topic {1} has the frame id \"{0}\"; expected a "
                 "name that is not empty, does not begin with / and is not used yet; used names: {2}",
-                sensor.frame_id, sensor.topic, fmt::join(used_frame_ids, ", ")));
+                sensor.frame_id, sensor.topic, fmt::join(used_frame_ids, ", "));
     }
 }
 
@@ -67,10 +67,9 @@ void require_unique_topic_names(const std::vector<scan_files::RecordedTopic>& to
     std::set<std::string> topic_names;
     for (const scan_files::RecordedTopic& topic : topics)
         if (!topic_names.insert(topic.name).second)
-            throw UsageError(fmt::format(
-                "cannot write a recording: topic {} occurs twice, expected a different topic for each of "
-                "{}",
-                topic.name, fmt::join(topic_names, ", ")));
+            fail<UsageError>(
+                "cannot write a recording: topic {} occurs twice, expected a different topic for each of {}",
+                topic.name, fmt::join(topic_names, ", "));
 }
 
 /// Describes the coordinate frame of the points, for the metadata of a recording.

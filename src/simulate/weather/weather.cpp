@@ -14,6 +14,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/list_text.hpp"
 
@@ -44,7 +45,7 @@ std::string format_weather_effect(const WeatherEffectEntry& effect, const Weathe
 }
 
 [[noreturn]] void throw_weather_error(const std::string& word, const std::string_view expected) {
-    throw UsageError(fmt::format("weather: found {}, expected {}", word, expected));
+    fail<UsageError>("weather: found {}, expected {}", word, expected);
 }
 
 /// Parses numbers that are separated by colons.
@@ -77,7 +78,7 @@ void parse_weather_effect(Weather& weather, std::string_view effect_text) {
     }
     const WeatherEffectEntry& effect = **row;
     if (effect.is_effect_active_in_weather(weather))
-        throw UsageError(fmt::format("weather: {} occurs twice, expected it once", effect.name));
+        fail<UsageError>("weather: {} occurs twice, expected it once", effect.name);
     const std::vector<double> values =
         parse_colon_separated_numbers(effect_text.substr(std::min(equals + 1, effect_text.size())));
     const std::size_t fewest = equals < effect_text.size() ? std::max<std::size_t>(effect.n_required, 1) : 0;
@@ -116,8 +117,8 @@ void require_valid_weather(const Weather& weather) {
             !are_effect_values_valid(*effect, get_effect_parameters(*effect, weather)))
             throw_weather_error(format_weather_effect(*effect, weather), effect->expected);
     if (weather.rain_mm_h > 0.0 && weather.snow_mm_h > 0.0)
-        throw UsageError(fmt::format("weather: found rain={} and snow={}, expected only one of them",
-                                     weather.rain_mm_h, weather.snow_mm_h));
+        fail<UsageError>("weather: found rain={} and snow={}, expected only one of them", weather.rain_mm_h,
+                         weather.snow_mm_h);
 }
 
 double compute_extinction_coefficient(const Weather& weather) {

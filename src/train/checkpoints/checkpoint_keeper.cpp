@@ -11,6 +11,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 
+#include "base/fail.hpp"
 #include "train/checkpoints/resume.hpp"
 #include "train/train_loop.hpp"
 
@@ -48,7 +49,7 @@ void CheckpointFolder::save_checkpoint_or_report_failure(Checkpoint checkpoint,
     try {
         require_finite_checkpoint_arrays(checkpoint);
     } catch (const DataError& error) {
-        throw DataError(fmt::format("training failed at {} {}: {}", count_, iteration, error.what()));
+        fail("training failed at {} {}: {}", count_, iteration, error.what());
     }
     try {
         save_checkpoint(folder_, checkpoint, kMaxCheckpoints);

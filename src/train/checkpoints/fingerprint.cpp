@@ -11,6 +11,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/random.hpp"
 
@@ -139,8 +140,8 @@ void require_same_as_in_checkpoint(const std::vector<ConfigKey>& settings, const
     for (const ConfigKey& setting : settings) {
         const auto it = saved.find(setting.key);
         if (it == saved.end())
-            throw DataError(fmt::format("{}: the checkpoint has no value for the setting {}; {}",
-                                        error_prefix, setting.key, kTrainAgain));
+            fail("{}: the checkpoint has no value for the setting {}; {}", error_prefix, setting.key,
+                 kTrainAgain);
         if (it->second != setting.value)
             throw UsageError(format_checkpoint_mismatch_message(error_prefix, "setting " + setting.key,
                                                                 setting.value, it->second));
@@ -165,8 +166,8 @@ std::map<std::string, std::string> read_checkpoint_settings(const Checkpoint& ch
         if (!text.starts_with(prefix)) continue;
         const std::string key = text.substr(prefix.size());
         if (!setting_keys.contains(key))
-            throw DataError(fmt::format("the checkpoint of iteration {} has the unknown setting {}; {}",
-                                        checkpoint.iteration, shorten_for_error_message(key), kTrainAgain));
+            fail("the checkpoint of iteration {} has the unknown setting {}; {}", checkpoint.iteration,
+                 shorten_for_error_message(key), kTrainAgain);
         settings.emplace(key, value);
     }
     return settings;

@@ -12,6 +12,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 
+#include "base/fail.hpp"
 #include "train/checkpoints/fingerprint.hpp"
 
 namespace relidar {
@@ -98,10 +99,9 @@ void require_training_is_resumable(const Checkpoint& checkpoint, const LidarSequ
     std::erase_if(settings, [](const ConfigKey& key) { return can_change_on_resume(key.key); });
     require_same_as_in_checkpoint(settings, checkpoint, doing);
     if (config.train.iterations < checkpoint.iteration)
-        throw UsageError(
-            fmt::format("{}: setting train.iterations: found {}, expected at least the iteration of the "
-                        "checkpoint",
-                        doing, config.train.iterations));
+        fail<UsageError>(
+            "{}: setting train.iterations: found {}, expected at least the iteration of the checkpoint",
+            doing, config.train.iterations);
     for (const ResumeFingerprint& mark : compute_log_fingerprints(sequence, split))
         require_same_as_in_checkpoint(checkpoint, mark, doing);
 }
@@ -141,10 +141,10 @@ std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const
     const bool even = as_long(log.seconds) && as_long(log.surfels) &&
                       std::ranges::all_of(log.terms, as_long) && std::ranges::all_of(log.densified, as_long);
     if (!even)
-        throw DataError(
-            fmt::format("cannot resume from iteration {}: the columns of log.jsonl in the checkpoint have "
-                        "different lengths; train again",
-                        checkpoint.iteration));
+        fail(
+            "cannot resume from iteration {}: the columns of log.jsonl in the checkpoint have different "
+            "lengths; train again",
+            checkpoint.iteration);
     std::vector<TrainProgress> lines;
     for (std::size_t i = 0; i < n; ++i) {
         std::array<double, kLossTerms> terms{};

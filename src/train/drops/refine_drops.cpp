@@ -14,6 +14,7 @@
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 
+#include "base/fail.hpp"
 #include "train/drops/refine_keeper.hpp"
 #include "train/drops/stripes.hpp"
 #include "train/frames/measured_frame.hpp"
@@ -98,10 +99,10 @@ std::vector<RayDropImage> render_drop_network_training_images(Device& device, co
     const std::vector<int> positions = select_evenly_spaced_frames(
         select_frames_with_range_image(run.config, run.sequence, run.split.train), run.config.refine.frames);
     if (positions.empty())
-        throw DataError(
-            fmt::format("cannot train the ray-drop network of {}: no training frame has its rays in rows and "
-                        "columns, which the network needs",
-                        run.sequence.name));
+        fail(
+            "cannot train the ray-drop network of {}: no training frame has its rays in rows and columns, "
+            "which the network needs",
+            run.sequence.name);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const IgnoredMeasurements masks = make_mask_for_movers_without_model(config, run.scene);
     const std::vector<std::string> channels = list_network_input_channels(config.refine);

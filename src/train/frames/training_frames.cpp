@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/parallel.hpp"
 #include "gpu/stream.hpp"
 #include "train/frames/grid_frame.hpp"
@@ -46,9 +47,8 @@ TrainingFrameData make_training_frame_metadata(const LidarSequence& sequence, in
     const LidarFrame& frame = trained.frame;
     const RayTable& table = frame.scan.rays;
     if (frame.scan.range_m.empty())
-        throw DataError(
-            fmt::format("cannot use frame {} of {} for training: its scan has no rays, expected at least one",
-                        frame.index, sequence.name));
+        fail("cannot use frame {} of {} for training: its scan has no rays, expected at least one",
+             frame.index, sequence.name);
     TrainingFrameData data;
     data.position = frame_index;
     data.index = frame.index;

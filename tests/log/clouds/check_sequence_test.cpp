@@ -145,8 +145,7 @@ TEST(CheckSequence, NamesFrameRayAndField) {
         {[](LidarSequence& s) { s.frames[1].scan.range_m.pop_back(); },
          "frame 1, range_m: found 127 entries, expected 4 x 32"},
         {[](LidarSequence& s) { s.frames[1].scan.rays.channel.clear(); },
-         "frame 1, rays.channel: found 0 "
-         "entries"},
+         "frame 1, rays.channel: found 0 entries"},
         {[](LidarSequence& s) { s.frames[1].scan.rays.rows = 1 << 30; },
          "frame 1 ... 1073741824 rows and 32 columns"},
         {[](LidarSequence& s) { s.frames[1].scan.rays.direction[5] *= 1.1f; },

@@ -120,8 +120,7 @@ TEST(ImplausibleValues, PositionsInSinglePrecisionAreReported) {
     };
     // The distance between float32 numbers from 2^18 to 2^19 is 2^-5.
     EXPECT_THAT(get_notes_after(move_to_map(true)),
-                ElementsAre(HasSubstr("all x coordinates are multiples of "
-                                      "0.0312 m")));
+                ElementsAre(HasSubstr("all x coordinates are multiples of 0.0312 m")));
     EXPECT_THAT(get_notes_after(move_to_map(false)), IsEmpty());
 }
 

@@ -20,8 +20,7 @@ std::uint8_t get_byte(float intensity) { return std::uint8_t(std::lround(intensi
 std::string make_pcd_header(std::size_t count, const char* data, std::size_t n_padding) {
     return fmt::format(
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z _ intensity ring "
-        "timestamp\nSIZE 4 4 4 1 1 2 8\nTYPE F F F "
-        "U U U F\n"
+        "timestamp\nSIZE 4 4 4 1 1 2 8\nTYPE F F F U U U F\n"
         "COUNT 1 1 1 {} 1 1 1\nWIDTH {}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {}\nDATA {}\n",
         n_padding, count, count, data);
 }
@@ -65,11 +64,9 @@ std::string write_pcd_compressed(const FilePoints& points, std::size_t n_padding
 std::string make_ply_header(std::size_t count, const char* format) {
     return fmt::format(
         "ply\nformat {} 1.0\ncomment by hand\nelement vertex {}\nproperty double x\nproperty float64 "
-        "y\nproperty double z\nproperty float "
-        "intensity\n"
+        "y\nproperty double z\nproperty float intensity\n"
         "property ushort channel\nproperty double t\nproperty uchar red\nelement face 0\nproperty list uchar "
-        "int "
-        "vertex_indices\nend_header\n",
+        "int vertex_indices\nend_header\n",
         format, count);
 }
 

@@ -207,8 +207,7 @@ OnceFolder::OnceFolder(const std::string& name, bool w_first, int columns) : Sta
                         pose.translation.z,
                         s != 1 ? ""
                                : ", \"annos\": {\"names\": [\"Car\"], \"boxes_3d\": [[3.0, -9.0, -0.5, 4.5, "
-                                 "1.9, 1.6, 1.6]], "
-                                 "\"boxes_2d\": {}}");
+                                 "1.9, 1.6, 1.6]], \"boxes_2d\": {}}");
     }
     write_text(
         json(),

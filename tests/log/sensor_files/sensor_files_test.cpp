@@ -149,11 +149,10 @@ TEST(SensorFiles, OustersMetadataMakesOustersPoints) {
                                   "lidar_origin_to_beam_origin_mm": 15.806)";
     const std::string old =
         write("old.json", "{\"lidar_mode\": \"512x20\", \"prod_line\": \"OS-1-128\", " + angles + "}");
-    const std::string nested = write(
-        "new.json",
-        "{\"config_params\": {\"lidar_mode\": \"512x20\"}, \"sensor_info\": {\"prod_line\": \"OS-1-128\"},"
-        "\"beam_intrinsics\": {" +
-            angles + "}}");
+    const std::string nested = write("new.json",
+                                     "{\"config_params\": {\"lidar_mode\": \"512x20\"}, \"sensor_info\": "
+                                     "{\"prod_line\": \"OS-1-128\"},\"beam_intrinsics\": {" +
+                                         angles + "}}");
     for (const std::string& file : {old, nested}) {
         const auto spinning = std::get<SpinningSensor>(find_sensor(file).pattern);
         ASSERT_EQ(spinning.columns, 512);
@@ -225,9 +224,10 @@ TEST(SensorFiles, WrongFilesAreNamed) {
                                             std::string(50'000, ']') + "}")),
                 Names("nested"));
     EXPECT_THAT(message(write("e.json", "[1,")), Names("e.json ... JSON"));
-    EXPECT_THAT(message(write("f.json", "{}")),
-                Names("\"spinning\", \"window\", \"rosette\", \"rays\", \"directions\" ... "
-                      "\"beam_altitude_angles\""));
+    EXPECT_THAT(
+        message(write("f.json", "{}")),
+        Names(
+            "\"spinning\", \"window\", \"rosette\", \"rays\", \"directions\" ... \"beam_altitude_angles\""));
     EXPECT_THAT(
         message(
             write("g.json",

@@ -87,8 +87,8 @@ TEST(Weather, WhatIsNoneIsRefusedInALine) {
         " ... fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES, bloom[=REFLECTIVITY], "
         "sun=AZIMUTH:ELEVATION[:KLUX]";
     const std::string suns =
-        " ... sun=AZIMUTH:ELEVATION ... sun=AZIMUTH:ELEVATION:KLUX ... -360 to 360 degrees ... "
-        "0 to 90 degrees ... 0 ... 150 klux";
+        " ... sun=AZIMUTH:ELEVATION ... sun=AZIMUTH:ELEVATION:KLUX ... -360 to 360 degrees ... 0 to 90 "
+        "degrees ... 0 ... 150 klux";
     const std::map<std::string, std::string> refused = {
         {"fog=0", "weather: found fog=0 ... 1 to 1e6 metres"},
         {"fog=-5", "weather: found fog=-5 ... 1 to 1e6 metres"},

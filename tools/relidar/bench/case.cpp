@@ -7,6 +7,7 @@
 #include <relidar/run/stage_options.hpp>
 #include <relidar/simulate/render.hpp>
 
+#include "base/fail.hpp"
 #include "scene/benchmark_street.hpp"
 
 namespace relidar::cli {
@@ -31,19 +32,16 @@ BenchCase make_synthetic_street_benchmark(std::uint32_t n_surfels, bool smaller_
 
 BenchCase make_benchmark_from_run(const TrainedRun& run) {
     if (run.sequence.frames.empty() || count_surfels(run.scene) == 0)
-        throw DataError(
-            fmt::format("cannot render run {}: it has no frames or no surfels; expected at least "
-                        "one of each",
-                        run.folder.string()));
+        fail("cannot render run {}: it has no frames or no surfels; expected at least one of each",
+             run.folder.string());
     const LidarFrame& frame =
         run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
     const SimulatedSensor sensor = make_sensor_from_config(run.config, run.sequence, frame.lidar);
     RayTable table = sensor.rays;
     if (table.size() == 0) table = make_nominal_rays(run.sequence.get_lidar(frame), frame.time_s);
     if (table.size() == 0)
-        throw DataError(
-            fmt::format("run {}: its LiDAR has no beams, so it has no rays; expected at least one ray",
-                        run.folder.string()));
+        fail("run {}: its LiDAR has no beams, so it has no rays; expected at least one ray",
+             run.folder.string());
     BenchCase bench;
     bench.name = fmt::format("{}, frame {}", run.folder.string(), frame.index);
     bench.rows = table.rows;

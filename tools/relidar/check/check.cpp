@@ -15,6 +15,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/gpu/trust.hpp>
+#include "base/fail.hpp"
 #include "bench/bench.hpp"
 #include "bench/case.hpp"
 #include "check/checks.hpp"
@@ -129,16 +130,14 @@ void run_device_checks(const CheckOptions& options) {
     }
     if (!options.json.empty()) write_text_file(options.json, make_check_report_json(info, rows));
     if (wrong_names.empty()) return;
-    throw DeviceError(
-        fmt::format("{} of {} checks gave wrong results on the device {} ({}): {}{}", wrong_names.size(),
-                    rows.size(), info.name, info.driver, fmt::join(wrong_names, ", "),
-                    is_lost ? "; the driver has lost the device, so the other checks did not run" : ""));
+    fail<DeviceError>("{} of {} checks gave wrong results on the device {} ({}): {}{}", wrong_names.size(),
+                      rows.size(), info.name, info.driver, fmt::join(wrong_names, ", "),
+                      is_lost ? "; the driver has lost the device, so the other checks did not run" : "");
 }
 
 void run_check_command(const CheckOptions& options) {
     if (std::error_code failed; std::filesystem::is_directory(options.json, failed))
-        throw DataError(
-            fmt::format("--json {}: this is a folder; expected the name of a file to write", options.json));
+        fail("--json {}: this is a folder; expected the name of a file to write", options.json);
     if (!options.sensor.empty() && (options.run.empty() || !options.speed))
         throw UsageError(
             "--sensor requires both --speed and --run, because only both together measure scans");
@@ -177,10 +176,9 @@ void add_check_command(CLI::App& app, ParsedCommand& selected_command) {
                      "scene and sensor")
         ->type_name("RUN");
     command
-        ->add_option(
-            "--sensor", options->sensor,
-            "with --speed and --run: sensor or rig whose scans per second are measured (default: the log's "
-            "sensor)")
+        ->add_option("--sensor", options->sensor,
+                     "with --speed and --run: sensor or rig whose scans per second are measured (default: "
+                     "the log's sensor)")
         ->type_name("NAME|FILE");
     command->add_option("--json", options->json, "also write the results to this file")->type_name("FILE");
     add_device_options(*command, options->device);

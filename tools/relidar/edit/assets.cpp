@@ -13,6 +13,7 @@
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 #include <relidar/simulate/assets.hpp>
+#include "base/fail.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "edit/asset_picture.hpp"
@@ -43,8 +44,8 @@ std::string explain_why_asset_is_not_saved(const AssetDescription& asset_descrip
         side_shares +=
             fmt::format("{}{} {:.2f}", s ? ", " : "", get_name(BoxSide(s)), asset_description.seen_sides[s]);
     return fmt::format(
-        "the score of the actor is {:.2f}, expected at least {:.2f} (--least); share of each side that "
-        "rays of the log hit: {}{}",
+        "the score of the actor is {:.2f}, expected at least {:.2f} (--least); share of each side that rays "
+        "of the log hit: {}{}",
         asset_description.get_observed_or_mirrored_surface_fraction(), min_covered_fraction, side_shares,
         asset_description.completed > 0.0
             ? fmt::format("; mirroring completed a share of {:.2f} of its surface",
@@ -60,8 +61,7 @@ std::vector<std::string> list_actor_track_ids(const TrainedRun& run) {
     for (const ModelInstance& instance : run.scene.instances)
         if (!instance.track.empty() && models.insert(instance.model).second) tracks.push_back(instance.track);
     if (tracks.empty())
-        throw UsageError(
-            fmt::format("run {} has no actor; expected at least one actor to save", run.folder.string()));
+        fail<UsageError>("run {} has no actor; expected at least one actor to save", run.folder.string());
     return tracks;
 }
 
@@ -89,11 +89,10 @@ std::vector<std::string> format_asset_table_row(const AssetDescription& asset_de
 
 void run_assets_command(const AssetOptions& options) {
     if (!(options.least >= 0.0 && options.least <= 1.0))
-        throw UsageError(fmt::format("--least: found {}; expected a number from 0 to 1", options.least));
+        fail<UsageError>("--least: found {}; expected a number from 0 to 1", options.least);
     std::error_code failed;
     if (fs::exists(options.out, failed) && !fs::is_empty(options.out, failed))
-        throw UsageError(
-            fmt::format("--out {}: the folder is not empty, expected a new or empty folder", options.out));
+        fail<UsageError>("--out {}: the folder is not empty, expected a new or empty folder", options.out);
     const StagedFolder folder(options.out);
     const TrainedRun run = load_run(options.run);
     const std::vector<std::string> tracks = list_actor_track_ids(run);
@@ -132,10 +131,10 @@ void run_assets_command(const AssetOptions& options) {
     }
     end_progress_line();
     if (rows.size() == 1)
-        throw DataError(fmt::format(
-            "no asset is saved, because none of the {} actors of run {} has a sufficient score; the "
-            "best one: {}",
-            tracks.size(), options.run, replace_control_characters(best_skipped)));
+        fail(
+            "no asset is saved, because none of the {} actors of run {} has a sufficient score; the best "
+            "one: {}",
+            tracks.size(), options.run, replace_control_characters(best_skipped));
     folder.move_folder_and_replace_existing();
     if (options.quiet) return;
     print(format_table(rows) + skipped +

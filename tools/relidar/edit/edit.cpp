@@ -11,6 +11,7 @@
 
 #include <relidar/run/run.hpp>
 #include <relidar/scene/surfel_ply.hpp>
+#include "base/fail.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "edit/edit_text.hpp"
@@ -70,12 +71,12 @@ std::string format_placed_actor_notes(const SceneWithLog& driving_scene, const L
 void run_edit_command(const EditOptions& options) {
     if (options.edits.empty() && options.ply.empty())
         throw UsageError(
-            "no edit is given; expected at least one of --remove, --move, --retime, --trajectory, "
-            "--copy, --insert, --scenario, --keep and --from-ply (see `relidar edit --help`)");
+            "no edit is given; expected at least one of --remove, --move, --retime, --trajectory, --copy, "
+            "--insert, --scenario, --keep and --from-ply (see `relidar edit --help`)");
     std::error_code failed;
     if (std::filesystem::equivalent(options.run, options.out, failed))
-        throw UsageError(fmt::format(
-            "--out {}: this is the folder of the run to edit; expected a different folder", options.out));
+        fail<UsageError>("--out {}: this is the folder of the run to edit; expected a different folder",
+                         options.out);
     const RunFolderWriter edited(options.out, options.force);
     TrainedRun run = load_run(options.run);
     std::string text, ply_note;
@@ -149,8 +150,8 @@ void add_edit_command(CLI::App& app, ParsedCommand& selected_command) {
     command
         ->add_option("--from-ply", options->ply,
                      "before all other edits, replace the surfels by those of a PLY file that `relidar "
-                     "export` wrote and that another program has changed; missing properties are taken "
-                     "from the surfels of RUN at the same positions")
+                     "export` wrote and that another program has changed; missing properties are taken from "
+                     "the surfels of RUN at the same positions")
         ->type_name("FILE.ply");
     command->add_flag("--force", options->force, "overwrite the run in DIR");
     add_quiet_option(*command, options->quiet);

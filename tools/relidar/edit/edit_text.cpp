@@ -16,6 +16,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/assets.hpp>
+#include "base/fail.hpp"
 #include "options.hpp"
 
 namespace relidar::cli {
@@ -25,7 +26,7 @@ namespace {
 constexpr double kFarOff_m = 1e6;
 
 [[noreturn]] void throw_edit_error(const EditArgument& edit, const std::string& expected_value) {
-    throw UsageError(fmt::format("{}: found \"{}\", expected {}", edit.option, edit.value, expected_value));
+    fail<UsageError>("{}: found \"{}\", expected {}", edit.option, edit.value, expected_value);
 }
 
 const char* get_expected_value_syntax_of_option(const EditArgument& edit) {
@@ -247,9 +248,9 @@ std::string format_warning_if_sensors_differ(const ExternalActor& actor, const S
     if (actor_sensor.name == run_sensor.name && actor_sensor.beams.size() == run_sensor.beams.size())
         return "";
     return fmt::format(
-        "{} was recorded with another sensor ({} with {} beams; this run has {} with {} beams); "
-        "shape and motion of actor {} are correct, but its intensities and dropped rays look like "
-        "those of the other sensor",
+        "{} was recorded with another sensor ({} with {} beams; this run has {} with {} beams); shape and "
+        "motion of actor {} are correct, but its intensities and dropped rays look like those of the other "
+        "sensor",
         actor.folder, actor_sensor.name, actor_sensor.beams.size(), run_sensor.name, run_sensor.beams.size(),
         actor.track);
 }
@@ -351,8 +352,8 @@ EditResult apply_openscenario_edit(SceneWithLog driving_scene, const EditArgumen
                             entity.name));
         if (what.empty() && follows)
             throw_edit_error(
-                edit, fmt::format("one of {0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=- (ignore the "
-                                  "entity) after FILE.xosc@, because the run has no actor with the name {0}",
+                edit, fmt::format("one of {0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=- (ignore the entity) "
+                                  "after FILE.xosc@, because the run has no actor with the name {0}",
                                   entity.name));
         if (follows && what != "-") find_or_insert_actor_and_move_it(edit, entity, what, applied);
         else
@@ -385,9 +386,8 @@ const std::vector<EditOption>& list_edit_options() {
         {"--retime", "TRACK:seconds",
          "delay all motion of an actor by this time in seconds; negative values make it earlier"},
         {"--trajectory", "TRACK:FILE.csv",
-         "replace the poses of an actor: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]; an "
-         "optional header line names the columns in any order, and names that end in _rad are in "
-         "radians"},
+         "replace the poses of an actor: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]; an optional "
+         "header line names the columns in any order, and names that end in _rad are in radians"},
         {"--copy", "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
          "add a copy of an actor that starts at this pose and drives straight ahead at speed m/s; with "
          "`ground` instead of z, the surface below gives its height and tilt"},
@@ -396,8 +396,8 @@ const std::vector<EditOption>& list_edit_options() {
          "--copy"},
         {"--scenario", "FILE.xosc[@ENTITY=TRACK,ENTITY=RUN#TRACK,ENTITY=ASSET,ENTITY=-]",
          "move actors along the timed trajectories of an OpenSCENARIO file. Each entity of the file moves "
-         "the actor of the same name. ENTITY=TRACK selects another actor, ENTITY=RUN#TRACK and "
-         "ENTITY=ASSET insert an actor, and ENTITY=- ignores the entity"},
+         "the actor of the same name. ENTITY=TRACK selects another actor, ENTITY=RUN#TRACK and ENTITY=ASSET "
+         "insert an actor, and ENTITY=- ignores the entity"},
         {"--keep", "background|actors", "keep only the background or only the actors"}};
     return options;
 }

@@ -15,6 +15,7 @@
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
 #include <relidar/score/report.hpp>
+#include "base/fail.hpp"
 #include "browser.hpp"
 #include "command.hpp"
 #include "console.hpp"
@@ -53,8 +54,7 @@ void apply_setting_overrides(Config& config, const EvalOptions& options) {
 
 void require_held_out_frames(const TrainTestSplit& split, const std::string& run_or_log_path) {
     if (split.test.empty())
-        throw DataError(fmt::format("cannot evaluate {}: it has no held-out frames; expected at least one",
-                                    run_or_log_path));
+        fail("cannot evaluate {}: it has no held-out frames; expected at least one", run_or_log_path);
 }
 
 /// Output files and folders of the command. The first MPI process checks that they are
@@ -110,8 +110,8 @@ void write_and_open_report_page(const std::filesystem::path& page_file, const Re
 std::string explain_scores_of_edited_run(const TrainedRun& run) {
     if (run.edits.empty()) return "";
     if (is_edited_synthetic_street_run(run))
-        return "note: the synthetic street was rendered again with the run's edits and without noise; "
-               "the scores edited/* use only the pixels that the edits change\n";
+        return "note: the synthetic street was rendered again with the run's edits and without noise; the "
+               "scores edited/* use only the pixels that the edits change\n";
     return "note: the run is edited, but the log shows the scene before the edits; the scores of changed "
            "pixels do not measure the quality of the edit\n";
 }
@@ -252,17 +252,17 @@ void run_eval_command(const EvalOptions& command_options, const std::string& com
         return;
     }
     if (options.targets.size() > 1)
-        throw UsageError(fmt::format(
-            "found {} runs as arguments; expected one run, or --table FILE to write a table of the "
-            "scores of several runs",
-            options.targets.size()));
+        fail<UsageError>(
+            "found {} runs as arguments; expected one run, or --table FILE to write a table of the scores of "
+            "several runs",
+            options.targets.size());
     options.target = options.targets.front();
     options.device = ranks.select_device_unless_user_chose(options.device);
     if (options.open && ranks.size() > 1)
-        throw UsageError(fmt::format(
-            "--open: found {} MPI processes; expected one, because the page shows all frames, but "
-            "each of several processes renders only a part of them",
-            ranks.size()));
+        fail<UsageError>(
+            "--open: found {} MPI processes; expected one, because the page shows all frames, but each of "
+            "several processes renders only a part of them",
+            ranks.size());
     // Throws an error if the baseline is unknown. This is checked before the log is
     // loaded, because loading takes a long time.
     if (!options.baseline.empty()) (void)parse_box_point_motion_of_baseline(options.baseline);
@@ -274,10 +274,10 @@ void run_eval_command(const EvalOptions& command_options, const std::string& com
         return evaluate_baseline_on_log(options, ranks);
     }
     if (!options.part.frames.empty() || !options.part.sequence.empty())
-        throw UsageError(fmt::format(
-            "{} cannot be used with a run, because a run already has its held-out frames; expected "
-            "it only with --baseline and a log",
-            options.part.frames.empty() ? "--sequence" : "--frames"));
+        fail<UsageError>(
+            "{} cannot be used with a run, because a run already has its held-out frames; expected it only "
+            "with --baseline and a log",
+            options.part.frames.empty() ? "--sequence" : "--frames");
     evaluate_trained_run(options, ranks, command_line);
 }
 
@@ -288,10 +288,10 @@ void require_no_scoring_options_if_table_given(const CLI::App& command) {
         if (option->count() == 0 || option->get_positional() || option->check_lname("table") ||
             option->check_lname("quiet"))
             continue;
-        throw UsageError(fmt::format(
-            "{} cannot be used together with --table, which only reads existing scores; use it in "
-            "`relidar eval RUN`",
-            option->get_name()));
+        fail<UsageError>(
+            "{} cannot be used together with --table, which only reads existing scores; use it in `relidar "
+            "eval RUN`",
+            option->get_name());
     }
 }
 
@@ -334,9 +334,9 @@ void add_eval_command(CLI::App& app, ParsedCommand& selected_command) {
         ->type_name("NAME");
     add_frames_and_sequence_options(*command, options->part);
     command
-        ->add_option("--pictures", options->pictures,
-                     "folder for pictures of each held-out frame and of each moving box: real, rendered, "
-                     "error")
+        ->add_option(
+            "--pictures", options->pictures,
+            "folder for pictures of each held-out frame and of each moving box: real, rendered, error")
         ->type_name("DIR");
     command->add_flag("--open", options->open,
                       "write the scores to a page, evaluation.html in the folder of the JSON file, and open "

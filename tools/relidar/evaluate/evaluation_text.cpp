@@ -34,8 +34,8 @@ constexpr const char* kPoints =
 constexpr const char* kRegions =
     "errors of the points of all pixels with a real return, whether the rendered ray returns or drops; "
     "returned: share of these pixels whose rendered ray returns (drop_prob < 0.5); moving_boxes: pixels "
-    "inside labelled moving "
-    "boxes; discovered_boxes: pixels inside moving boxes that the dataset does not label, but training found";
+    "inside labelled moving boxes; discovered_boxes: pixels inside moving boxes that the dataset does not "
+    "label, but training found";
 constexpr const char* kActors =
     "trail point: a point above the ground at a place that a moving box occupies only at other times of the "
     "log; tail_share: share of the simulated points (drop_prob < 0.5) that are trail points; "

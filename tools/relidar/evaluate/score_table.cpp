@@ -13,6 +13,7 @@
 #include <relidar/base/files.hpp>
 #include <relidar/score/metrics.hpp>
 #include <relidar/score/report.hpp>
+#include "base/fail.hpp"
 #include "console.hpp"
 #include "evaluate/report_parts.hpp"
 #include "output_folder.hpp"
@@ -36,8 +37,7 @@ struct ScoredRun {
 ScoredRun read_run_scores(const std::string& run_path) {
     const fs::path folder = run_path;
     if (!contains_run(folder))
-        throw DataError(fmt::format(
-            "{} is not a run folder; expected a folder that `relidar train` has written", run_path));
+        fail("{} is not a run folder; expected a folder that `relidar train` has written", run_path);
     ScoredRun run;
     run.name = run_path.substr(0, run_path.find_last_not_of('/') + 1);
     if (const std::vector<TrainProgress> log = read_training_log_file(folder); !log.empty())
@@ -169,10 +169,10 @@ void require_scores_in_all_runs(const std::vector<ScoredRun>& runs) {
     const auto missing =
         std::find_if(runs.begin(), runs.end(), [](const ScoredRun& run) { return run.mean.empty(); });
     if (missing == runs.end()) return;
-    throw DataError(fmt::format(
+    fail(
         "{} of {} runs have no scores in their metrics.json, for example {}; `relidar eval {}` computes them",
         runs.size() - collect_mean_metrics(runs).size(), runs.size(), missing->name,
-        quote_word_for_shell(missing->name)));
+        quote_word_for_shell(missing->name));
 }
 
 }  // namespace
@@ -181,8 +181,8 @@ void write_score_tables(const std::vector<std::string>& run_folders,
                         const std::vector<std::string>& output_files) {
     for (const fs::path file : output_files)
         if (file.extension() != ".md" && file.extension() != ".csv" && file.extension() != ".html")
-            throw UsageError(fmt::format(
-                "--table: found {}; expected a file name that ends in .md, .csv or .html", file.string()));
+            fail<UsageError>("--table: found {}; expected a file name that ends in .md, .csv or .html",
+                             file.string());
     std::vector<ScoredRun> scored;
     for (const std::string& run : run_folders) scored.push_back(read_run_scores(run));
     for (const fs::path file : output_files) {

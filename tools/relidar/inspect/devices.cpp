@@ -82,16 +82,15 @@ void add_list_devices_command(CLI::App& list_command, ParsedCommand& selected_co
     command->add_flag("--json", *json, "print JSON");
     command->footer(
         "The first column is the number for the option --device. \"traversal\" is the method to trace rays "
-        "that\nrelidar selects. \"software\" says whether relidar can trace rays on the device "
-        "without ray queries.\nExample: relidar list devices");
+        "that\nrelidar selects. \"software\" says whether relidar can trace rays on the device without ray "
+        "queries.\nExample: relidar list devices");
     command->callback([&selected_command, json] {
         selected_command.run = [json] {
             const std::vector<DeviceInfo> devices = list_devices();
             if (devices.empty())
                 throw DeviceError(
                     "found no Vulkan device on this machine; expected at least one; tools/dev/setup installs "
-                    "a "
-                    "driver that renders on the CPU");
+                    "a driver that renders on the CPU");
             *json ? print_devices_json(devices) : print_device_table(devices);
             if (apply_environment_variables().report_missing_drivers)
                 for (const std::string& line : list_gpus_without_driver(devices)) print_warning(line);

@@ -8,6 +8,7 @@
 #include <CLI/CLI.hpp>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "inspect/info_text.hpp"
@@ -88,9 +89,8 @@ void add_info_command(CLI::App& app, ParsedCommand& selected_command) {
                 is_of_run ? "info RUN" : "info");
             if (is_of_run &&
                 (options->all || !options->part.frames.empty() || !options->part.sequence.empty()))
-                throw UsageError(
-                    fmt::format("--frames, --sequence and --all can only be used with a log; {} is a run",
-                                options->path));
+                fail<UsageError>("--frames, --sequence and --all can only be used with a log; {} is a run",
+                                 options->path);
             if (is_run_folder(options->path)) print_run_info(*options);
             else if (contains_run(options->path)) print_unfinished_run_info(options->path);
             else print_log_info(*options);

@@ -213,8 +213,7 @@ std::string format_summary_text(const LidarSummary& summary) {
         return fmt::format("{}{}: unknown beams, range up to {:.4g} m{}", name, summary.sensor,
                            summary.max_range_m, second);
     return fmt::format(
-        "{}{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s per sweep, range up to "
-        "{:.4g} m{}",
+        "{}{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s per sweep, range up to {:.4g} m{}",
         name, summary.sensor, summary.n_beams, summary.columns, summary.top_deg, summary.bottom_deg,
         summary.period_s, summary.max_range_m, second);
 }

@@ -10,6 +10,7 @@
 
 #include <relidar/base/images.hpp>
 #include <relidar/log/sensor_files.hpp>
+#include "base/fail.hpp"
 #include "console.hpp"
 #include "evaluate/pictures.hpp"
 #include "inspect/list.hpp"
@@ -116,7 +117,7 @@ void run_list_sensors_command(const SensorsOptions& options) {
     if (!options.out.empty() && options.sensor.empty())
         throw UsageError("--out needs a sensor to draw: `relidar list sensors SENSOR --out FILE.png`");
     if (!(std::abs(options.time_s) <= 1e10))
-        throw UsageError(fmt::format("--time: found {}; expected a time in seconds", options.time_s));
+        fail<UsageError>("--time: found {}; expected a time in seconds", options.time_s);
     options.sensor.empty() ? print_sensor_table() : print_sensor_description(options);
 }
 

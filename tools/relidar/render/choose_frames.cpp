@@ -7,6 +7,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "console.hpp"
 #include "options.hpp"
 
@@ -45,10 +46,9 @@ std::vector<int> select_frame_indices_by_text(const TrainedRun& run,
         if (!positions.empty()) print_note_if_frames_after_log_end(range, last, run.folder.string());
     }
     if (positions.empty()) {
-        throw UsageError(
-            fmt::format("--frames {} selects no frame of {}; expected frame numbers from {} to {}, or test, "
-                        "train or all",
-                        which, run.folder.string(), run.sequence.frames.front().index, last));
+        fail<UsageError>(
+            "--frames {} selects no frame of {}; expected frame numbers from {} to {}, or test, train or all",
+            which, run.folder.string(), run.sequence.frames.front().index, last);
     }
     return positions;
 }

@@ -12,6 +12,7 @@
 #include <relidar/log/log_time.hpp>
 #include <relidar/log/packets.hpp>
 
+#include "base/fail.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
@@ -51,25 +52,24 @@ void require_replaceable_capture(const std::filesystem::path& capture, const std
     const bool exists = fs::exists(capture, failed);
     const fs::path folder = capture.has_parent_path() ? capture.parent_path() : fs::path(".");
     if (exists && (fs::equivalent(capture, log_path, failed) || fs::equivalent(folder, log_path, failed)))
-        throw UsageError(fmt::format("--out {}: this file is the log or a part of it; expected another name",
-                                     capture.string()));
+        fail<UsageError>("--out {}: this file is the log or a part of it; expected another name",
+                         capture.string());
     if (exists && !overwrite)
-        throw UsageError(
-            fmt::format("--out {}: a file with this name exists; expected a new name, or --force "
-                        "to replace the file",
-                        capture.string()));
+        fail<UsageError>(
+            "--out {}: a file with this name exists; expected a new name, or --force to replace the file",
+            capture.string());
     if (exists && !is_network_capture(capture))
-        throw UsageError(
-            fmt::format("--out {}: the existing file is not a network capture, so --force does "
-                        "not replace it; expected another name",
-                        capture.string()));
+        fail<UsageError>(
+            "--out {}: the existing file is not a network capture, so --force does not replace it; expected "
+            "another name",
+            capture.string());
     for (const char* ending : {".csv", ".json"}) {
         const fs::path file = fs::path(capture).replace_extension(ending);
         if (!exists && fs::exists(file, failed))
-            throw UsageError(
-                fmt::format("--out {}: the file {} exists, and relidar may need this name for the "
-                            "calibration of the sensor; expected another name",
-                            capture.string(), file.string()));
+            fail<UsageError>(
+                "--out {}: the file {} exists, and relidar may need this name for the calibration of the "
+                "sensor; expected another name",
+                capture.string(), file.string());
     }
 }
 
@@ -108,7 +108,7 @@ void run_convert_command(const ConvertOptions& options) {
     require_valid_packet_destination(options.packets);
     const bool writes_packets = std::filesystem::path(options.out).extension() == ".pcap";
     if (!options.packets.address.empty() && !writes_packets)
-        throw UsageError(fmt::format("--udp: found --out {}; expected --out FILE.pcap", options.out));
+        fail<UsageError>("--udp: found --out {}; expected --out FILE.pcap", options.out);
     Config config = make_config_from_settings(options.settings);
     config.dataset.path = options.dataset;
     if (!options.frames.empty()) {

@@ -11,6 +11,7 @@
 #include <relidar/log/trajectory_csv.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/scene/surfel_ply.hpp>
+#include "base/fail.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
@@ -58,10 +59,10 @@ void run_export_command(const ExportOptions& options) {
     const std::filesystem::path out = options.out;
     if (options.frames) {
         if (out.has_extension())
-            throw UsageError(fmt::format(
-                "--out {}: the name ends in {}; expected the name of a folder, because --frames writes "
-                "one file per frame",
-                options.out, out.extension().string()));
+            fail<UsageError>(
+                "--out {}: the name ends in {}; expected the name of a folder, because --frames writes one "
+                "file per frame",
+                options.out, out.extension().string());
         return export_frames_as_ply(options);
     }
     const std::optional<std::string> format =
@@ -69,9 +70,9 @@ void run_export_command(const ExportOptions& options) {
     if (!format) {
         const std::string actual_ending =
             out.has_extension() ? "the ending " + out.extension().string() : "no ending";
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "--out {}: found {}, expected a name that ends in .ply (surfels) or .csv (the sensor's path)",
-            options.out, actual_ending));
+            options.out, actual_ending);
     }
     const TrainedRun run = load_run(options.run);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");

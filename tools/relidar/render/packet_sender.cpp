@@ -18,6 +18,7 @@
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_packets.hpp>
 #include "../network/host_port.hpp"
+#include "base/fail.hpp"
 #include "interrupt.hpp"
 
 namespace relidar::cli {
@@ -34,10 +35,10 @@ public:
         const std::string port = fmt::format("{}", address.port);
         if (const int error = ::getaddrinfo(address.host.c_str(), port.c_str(), &hints, &addresses);
             error != 0)
-            throw UsageError(
-                fmt::format("cannot send packets to the host {} (--udp): {}; expected the name or IP address "
-                            "of a reachable host",
-                            address.host, ::gai_strerror(error)));
+            fail<UsageError>(
+                "cannot send packets to the host {} (--udp): {}; expected the name or IP address of a "
+                "reachable host",
+                address.host, ::gai_strerror(error));
         socket_ = ::socket(addresses->ai_family, addresses->ai_socktype, addresses->ai_protocol);
         const int on = 1;
         (void)::setsockopt(socket_, SOL_SOCKET, SO_BROADCAST, &on, sizeof on);
@@ -46,9 +47,7 @@ public:
         const std::string why = std::strerror(errno);
         ::freeaddrinfo(addresses);
         if (!is_connected && socket_ >= 0) ::close(socket_);
-        if (!is_connected)
-            throw DataError(
-                fmt::format("cannot send packets to {}:{} (--udp): {}", address.host, address.port, why));
+        if (!is_connected) fail("cannot send packets to {}:{} (--udp): {}", address.host, address.port, why);
     }
     UdpSocket(UdpSocket&& other) noexcept : socket_(std::exchange(other.socket_, -1)) {}
     ~UdpSocket() {
@@ -89,15 +88,15 @@ void require_valid_packet_options(const PacketDestination& destination,
                                   const std::vector<std::string>& output_file_formats,
                                   bool is_merging_sensor_scans, int n_processes) {
     if (!destination.address.empty() && n_processes > 1)
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "--udp: found {} MPI processes; expected one, because a single process sends the packets",
-            n_processes));
+            n_processes);
     const bool writes_packets = !destination.address.empty() ||
                                 std::ranges::find(output_file_formats, "pcap") != output_file_formats.end();
     if (writes_packets && is_merging_sensor_scans)
         throw UsageError(
-            "--merge: found --udp or --format pcap; expected neither, because packets hold the "
-            "scan of a single sensor");
+            "--merge: found --udp or --format pcap; expected neither, because packets hold the scan of a "
+            "single sensor");
     require_valid_packet_destination(destination);
 }
 

@@ -11,6 +11,8 @@
 #include <relidar/log/dataset.hpp>
 #include <relidar/simulate/render.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar::cli {
 namespace {
 
@@ -31,10 +33,10 @@ std::size_t get_synthetic_car_number_of_model(const SurfelModel& model,
     std::size_t car = 0;
     const auto [end, error] = std::from_chars(model.name.data(), model.name.data() + model.name.size(), car);
     if (error != std::errc() || end != model.name.data() + model.name.size())
-        throw DataError(fmt::format(
+        fail(
             "cannot render the edited street: the model of track {} has the name \"{}\"; expected a whole "
             "number, because the models of a synthetic street are named by the numbers of its cars",
-            track_id_for_errors, model.name));
+            track_id_for_errors, model.name);
     return car;
 }
 

@@ -9,6 +9,8 @@
 #include <relidar/base/error.hpp>
 #include <relidar/simulate/scan_files.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar::cli {
 namespace {
 
@@ -30,10 +32,9 @@ void add_topic_and_frame_id_options(CLI::App& command, RecordingNames& parsed_na
             "the log (default: /lidar/points, or /lidar/{name}/points if the sensor has a name)")
         ->type_name("NAME");
     command
-        .add_option(
-            "--frame-id", parsed_names.frame_id,
-            "frame id of the sensor in mcap and rosbag; {name} stands for the sensor's name as in --topic "
-            "(default: lidar, or {name} if the sensor has a name)")
+        .add_option("--frame-id", parsed_names.frame_id,
+                    "frame id of the sensor in mcap and rosbag; {name} stands for the sensor's name as in "
+                    "--topic (default: lidar, or {name} if the sensor has a name)")
         ->type_name("NAME");
 }
 
@@ -43,15 +44,15 @@ void require_valid_recording_names(const RecordingNames& name_templates,
     const auto check = [&](const char* option, const std::string& text) {
         if (text.empty()) return;
         if (std::ranges::none_of(output_file_formats, is_recording_format))
-            throw UsageError(fmt::format(
+            fail<UsageError>(
                 "{} has no effect on the selected formats; expected mcap or rosbag in --format, because "
                 "other files have no topics and frame ids",
-                option));
+                option);
         if (has_several_sensors && text.find(kName) == std::string::npos)
-            throw UsageError(fmt::format(
+            fail<UsageError>(
                 "{}: found \"{}\" for all sensors of a rig; expected a text that contains {}, which is "
                 "replaced by the name of each sensor",
-                option, text, kName));
+                option, text, kName);
     };
     check("--topic", name_templates.topic);
     check("--frame-id", name_templates.frame_id);

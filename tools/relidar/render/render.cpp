@@ -16,6 +16,7 @@
 #include <relidar/run/stage_options.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
+#include "base/fail.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
@@ -69,18 +70,16 @@ Pose parse_sensor_offset(const std::string& text) {
     if (text.empty()) return {};
     const std::vector<double> v = parse_number_list("--offset", text);
     if (v.size() != 3 && v.size() != 4)
-        throw UsageError(fmt::format("--offset: found {} numbers in \"{}\", expected x,y,z or x,y,z,yaw_deg",
-                                     v.size(), text));
+        fail<UsageError>("--offset: found {} numbers in \"{}\", expected x,y,z or x,y,z,yaw_deg", v.size(),
+                         text);
     for (std::size_t i = 0; i < 3; ++i)
         if (std::abs(v[i]) > kFarthestOffset_m) {
-            throw UsageError(
-                fmt::format("--offset: found {} in \"{}\"; expected a distance in metres between -{} and {}",
-                            v[i], text, kFarthestOffset_m, kFarthestOffset_m));
+            fail<UsageError>("--offset: found {} in \"{}\"; expected a distance in metres between -{} and {}",
+                             v[i], text, kFarthestOffset_m, kFarthestOffset_m);
         }
     if (v.size() == 4 && std::abs(v[3]) > 360.0) {
-        throw UsageError(
-            fmt::format("--offset: found a yaw angle of {} in \"{}\"; expected degrees between -360 and 360",
-                        v[3], text));
+        fail<UsageError>("--offset: found a yaw angle of {} in \"{}\"; expected degrees between -360 and 360",
+                         v[3], text);
     }
     const double yaw_rad = v.size() == 4 ? v[3] * kPi / 180.0 : 0.0;
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), {v[0], v[1], v[2]}};
@@ -95,9 +94,8 @@ std::vector<std::string> parse_file_formats(const std::string& format_list) {
         const std::string name = trim_spaces_and_tabs(word);
         const std::optional<std::string> format = find_name_ignoring_case(name, known_formats);
         if (!format)
-            throw UsageError(fmt::format("--format: \"{}\" is unknown{} (known formats: {})", name,
-                                         format_name_suggestion(name, known_formats),
-                                         fmt::join(known_formats, ", ")));
+            fail<UsageError>("--format: \"{}\" is unknown{} (known formats: {})", name,
+                             format_name_suggestion(name, known_formats), fmt::join(known_formats, ", "));
         formats.push_back(*format);
     }
     return formats;
@@ -106,8 +104,7 @@ std::vector<std::string> parse_file_formats(const std::string& format_list) {
 PointCoordinateFrame parse_point_frame(const std::string& name) {
     if (find_name_ignoring_case(name, {"sensor"})) return PointCoordinateFrame::sensor;
     if (find_name_ignoring_case(name, {"world"})) return PointCoordinateFrame::world;
-    throw UsageError(
-        fmt::format("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name));
+    fail<UsageError>("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name);
 }
 
 /// Removes the boxes of actors that are not rendered, so that they do not appear in
@@ -157,10 +154,10 @@ bool has_stamped_outputs(const RenderOptions& options) {
 void require_valid_render_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
     for (const std::string& format : parse_file_formats(options.formats))
         if (ranks.size() > 1 && is_recording_format(format))
-            throw UsageError(fmt::format(
-                "--format {}: found {} MPI processes; expected one, because this format stores all scans "
-                "in one file",
-                format, ranks.size()));
+            fail<UsageError>(
+                "--format {}: found {} MPI processes; expected one, because this format stores all scans in "
+                "one file",
+                format, ranks.size());
     require_valid_recording_names(options.names, parse_file_formats(options.formats),
                                   is_rig && !options.merge);
     parse_point_frame(options.point_frame);
@@ -175,8 +172,7 @@ void require_valid_render_options(const RenderOptions& options, bool is_rig, con
         throw UsageError("--rate and --times need --trajectory, because they select times on a trajectory");
     if (!t.file.empty() && options.frames)
         throw UsageError(
-            "--frames and --trajectory cannot be used together; use --times to select times on a "
-            "trajectory");
+            "--frames and --trajectory cannot be used together; use --times to select times on a trajectory");
     if (t.rate_hz && !t.times.empty()) throw UsageError("--rate and --times cannot be used together");
 }
 
@@ -195,9 +191,9 @@ std::vector<NumberedScanTime> list_sweeps_of_frames(const TrainedRun& run, const
         if (frame.lidar == lidar_index) sweeps.push_back({frame.index, frame.time_s});
     }
     if (sweeps.empty())
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "--lidar {}: this LiDAR recorded none of the selected frames of the run {}; change --frames",
-            options.lidar, run.folder.string()));
+            options.lidar, run.folder.string());
     return sweeps;
 }
 
@@ -351,8 +347,8 @@ public:
                                       int n_processes) const {
         const double n = double(n_local_sweeps);
         return fmt::format(
-            "wrote {} scans of {:.0f} rays in {} ({}): {:.1f} % of the rays return{}; tracing took "
-            "{:.1f} ms per scan, {:.3f} Mrays/s{}\n",
+            "wrote {} scans of {:.0f} rays in {} ({}): {:.1f} % of the rays return{}; tracing took {:.1f} ms "
+            "per scan, {:.3f} Mrays/s{}\n",
             n_total_sweeps, n_rays_ / n, options_.out, fmt::join(parse_file_formats(options_.formats), ", "),
             100.0 * n_returns_ / n_rays_,
             has_unseen_share_
@@ -434,12 +430,11 @@ void run_render_command(const RenderOptions& command_options) {
 
 void add_trajectory_options(CLI::App& command, TrajectoryOptions& trajectory) {
     command
-        .add_option(
-            "--trajectory", trajectory.file,
-            "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in "
-            "the dataset's world and the log's time; `relidar export RUN --out FILE.csv` writes the "
-            "path of the log; --offset shifts the sensor from the path; rays have the nominal angles of "
-            "the sensor, unlike those of --frames, which repeat a recorded scan")
+        .add_option("--trajectory", trajectory.file,
+                    "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in "
+                    "the dataset's world and the log's time; `relidar export RUN --out FILE.csv` writes the "
+                    "path of the log; --offset shifts the sensor from the path; rays have the nominal angles "
+                    "of the sensor, unlike those of --frames, which repeat a recorded scan")
         ->type_name("FILE.csv");
     command
         .add_option("--rate", trajectory.rate_hz,
@@ -472,11 +467,10 @@ void add_output_file_options(CLI::App& command, RenderOptions& options) {
                      "transform all points of a scan to the sensor frame at the time of the scan (in mcap "
                      "and rosbag: of its stamp), as in a motion-compensated log");
     add_topic_and_frame_id_options(command, options.names);
-    add_packet_destination_options(
-        command, options.packets,
-        "also send the scans as packets of the sensor to this address; each further sensor of "
-        "a rig uses the next port",
-        "render first, then send the packets with the timing of the sensor");
+    add_packet_destination_options(command, options.packets,
+                                   "also send the scans as packets of the sensor to this address; each "
+                                   "further sensor of a rig uses the next port",
+                                   "render first, then send the packets with the timing of the sensor");
     command.add_flag("--merge", options.merge,
                      "merge the scans of a rig's sensors into one scan in the frame of the rig (default: a "
                      "folder for each sensor)");

@@ -32,9 +32,9 @@ void print_note_if_drop_network_is_unused(const TrainedRun& run, const ScanRende
     if (!run.config.refine.enabled || run.drop_network.empty() || renderer.has_drop_network_for(sensor))
         return;
     print_note(fmt::format(
-        "the ray-drop network of run {} needs range images of type {} with at least {} x {} pixels; "
-        "scans of the sensor {} do not have this format, so the surfels alone decide which of their rays "
-        "have no return",
+        "the ray-drop network of run {} needs range images of type {} with at least {} x {} pixels; scans of "
+        "the sensor {} do not have this format, so the surfels alone decide which of their rays have no "
+        "return",
         run.folder.string(), run.drop_network.image, run.drop_network.compute_min_image_rows_and_columns(),
         run.drop_network.compute_min_image_rows_and_columns(), sensor.name));
 }
@@ -72,11 +72,11 @@ void print_rounding_note(const TrainedRun& run, const PoseTrack& dataset_from_se
         for (int axis = 0; axis < 3; ++axis)
             largest_m = std::max(largest_m, std::abs(pose.translation[axis]));
     if (const double step_m = compute_float_step_m(largest_m); step_m > kLeastStep_m)
-        print_note(fmt::format(
-            "--frame world: points are written in single precision, which has steps of {:.3g} m at "
-            "coordinates of {:.0f} m; without this option, points are exact and scans.json has the poses of "
-            "the scans",
-            step_m, largest_m));
+        print_note(
+            fmt::format("--frame world: points are written in single precision, which has steps of {:.3g} m "
+                        "at coordinates of {:.0f} m; without this option, points are exact and scans.json "
+                        "has the poses of the scans",
+                        step_m, largest_m));
 }
 
 void print_note_on_time_shift(const LidarSequence& log, std::int64_t time_shift_ns) {
@@ -117,8 +117,7 @@ void print_note_on_unobserved_actor_sides(const std::vector<nlohmann::json>& sca
     if (texts.empty()) return;
     print_note(
         fmt::format("{}: some rays reach sides of actors that the log did not observe; these rays {}: {} "
-                    "(see \"{}\" in "
-                    "scans.json)",
+                    "(see \"{}\" in scans.json)",
                     folder, effect_text, fmt::join(texts, ", "), sides_json_key));
 }
 
@@ -147,9 +146,9 @@ void print_note_on_unobserved_space(const std::vector<std::string>& scan_json_en
     }
     if (n_unseen == 0) return;
     print_note(fmt::format(
-        "{}: in {} of {} scans, more than {:.0f} % of the rays cross space that the log has not "
-        "observed. The surfaces there are guessed. The share is largest in scan {} with {:.1f} %. "
-        "\"unseen\" in scans.json has the share of each scan; --channels seen shows it for each ray",
+        "{}: in {} of {} scans, more than {:.0f} % of the rays cross space that the log has not observed. "
+        "The surfaces there are guessed. The share is largest in scan {} with {:.1f} %. \"unseen\" in "
+        "scans.json has the share of each scan; --channels seen shows it for each ray",
         scan_folder, n_unseen, n_scans_with_value, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
 }
 

@@ -24,6 +24,7 @@
 #include "../../network/host_port.hpp"
 #include "../../network/loopback.hpp"
 #include "../../serve/server.hpp"
+#include "base/fail.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
@@ -58,23 +59,22 @@ constexpr std::chrono::seconds kFarewell{2};
 std::optional<serve::PoseTransformOrder> parse_sensorsim_pose_order(const ServeCommandOptions& options) {
     const bool offered = options.api == "sensorsim";
     if (!offered && !options.api.empty())
-        throw UsageError(fmt::format("--api: found '{}', expected sensorsim", options.api));
+        fail<UsageError>("--api: found '{}', expected sensorsim", options.api);
     if (!offered && !options.pose_order.empty())
         throw UsageError("--sensorsim-poses can only be used together with --api sensorsim");
     if (!offered) return {};
     if (options.pose_order.empty() || options.pose_order == "rotation-first")
         return serve::PoseTransformOrder::rotation_first;
     if (options.pose_order == "translation-first") return serve::PoseTransformOrder::translation_first;
-    throw UsageError(fmt::format(
-        "--sensorsim-poses: found '{}', expected rotation-first or translation-first", options.pose_order));
+    fail<UsageError>("--sensorsim-poses: found '{}', expected rotation-first or translation-first",
+                     options.pose_order);
 }
 
 serve::ServerOptions make_server_options(const ServeCommandOptions& options) {
     if (options.queue < 1 || options.queue > kLongestQueue)
-        throw UsageError(
-            fmt::format("--queue: found {}; expected a number from 1 to {}", options.queue, kLongestQueue));
+        fail<UsageError>("--queue: found {}; expected a number from 1 to {}", options.queue, kLongestQueue);
     if (options.memory_mib < 0)
-        throw UsageError(fmt::format("--memory-mib: found {}, expected 0 or more", options.memory_mib));
+        fail<UsageError>("--memory-mib: found {}, expected 0 or more", options.memory_mib);
     if (options.server.tls_cert.empty() != options.server.tls_key.empty())
         throw UsageError("--tls-cert and --tls-key must be used together; found only one of them");
     serve::ServerOptions server = options.server;
@@ -100,10 +100,10 @@ public:
     void send_or_queue_packets_of_scan(const TrainedRun& run, const SimulatedSensor& sensor,
                                        const std::string& sensor_name, const RenderedScan& scan) {
         if (sensor_name.empty() && !sensor.is_log_lidar)
-            throw UsageError(fmt::format(
+            fail<UsageError>(
                 "cannot write packets of a sensor that is given by sensor.spec or sensor.handle; expected "
                 "sensor.name to be one of {}",
-                format_packet_sensor_names()));
+                format_packet_sensor_names());
         const std::lock_guard lock(mutex_);
         const std::string key =
             fmt::format("{} {} {} {}", run.folder.string(), sensor.lidar, sensor.returns, sensor_name);
@@ -171,8 +171,8 @@ void run_serve_command(const ServeCommandOptions& options) {
     const std::string host = server_settings.listen.substr(0, server_settings.listen.rfind(':'));
     if (!is_loopback_host(host))
         print_note(fmt::format(
-            "--listen {}: every client that can reach this address can render and upload, "
-            "because there is no authentication{}",
+            "--listen {}: every client that can reach this address can render and upload, because there is "
+            "no authentication{}",
             server_settings.listen,
             server_settings.tls_cert.empty() ? ", and nothing is encrypted (--tls-cert, --tls-key)" : ""));
     install_interrupt_handlers();

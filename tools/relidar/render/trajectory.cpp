@@ -8,6 +8,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
+#include "base/fail.hpp"
 #include "console.hpp"
 #include "options.hpp"
 
@@ -33,34 +34,33 @@ std::vector<double> list_scan_times_on_trajectory(const TrajectoryOptions& traje
     const double begin = sensor_track.time_s.front(), end = sensor_track.time_s.back();
     if (trajectory_options.rate_hz &&
         !(*trajectory_options.rate_hz > 0.0 && std::isfinite(*trajectory_options.rate_hz)))
-        throw UsageError(fmt::format("--rate: found {}; expected a number of scans per second above 0",
-                                     *trajectory_options.rate_hz));
+        fail<UsageError>("--rate: found {}; expected a number of scans per second above 0",
+                         *trajectory_options.rate_hz);
     TimeSteps steps{begin, end, 1.0 / trajectory_options.rate_hz.value_or(log_rate_hz)};
     if (!trajectory_options.times.empty()) {
         std::vector<double> numbers;
         for (const std::string& word : split_text(trajectory_options.times, ':'))
             if (const std::optional<double> number = parse_finite_number(word)) numbers.push_back(*number);
         if (numbers.size() != 3 || std::ranges::count(trajectory_options.times, ':') != 2)
-            throw UsageError(fmt::format(
+            fail<UsageError>(
                 "--times: found \"{}\"; expected FIRST:LAST:STEP in seconds, for example 2:4:0.05",
-                trajectory_options.times));
+                trajectory_options.times);
         steps = {numbers[0], numbers[1], numbers[2]};
     }
     if (!(steps.step > 0.0) || !(steps.last >= steps.first))
-        throw UsageError(fmt::format("--times: found \"{}\"; expected FIRST < LAST and a STEP above 0",
-                                     trajectory_options.times));
+        fail<UsageError>("--times: found \"{}\"; expected FIRST < LAST and a STEP above 0",
+                         trajectory_options.times);
     const double slack_s = kSlack * steps.step;
     if (steps.first < begin - slack_s || steps.last > end + slack_s) {
-        throw UsageError(fmt::format(
+        fail<UsageError>(
             "--times: found {} to {} s; expected times within those of the trajectory, {} to {} s",
-            steps.first, steps.last, begin, end));
+            steps.first, steps.last, begin, end);
     }
     const double n = std::floor((steps.last - steps.first) / steps.step + kSlack) + 1.0;
     if (n > kMostScans)
-        throw UsageError(fmt::format(
-            "--trajectory: the options select {:.3g} scans from {} to {} s; expected at most {:.0e} "
-            "scans",
-            n, steps.first, steps.last, kMostScans));
+        fail<UsageError>(
+            "--trajectory: the options select {:.3g} scans from {} to {} s; expected at most {:.0e} scans", n,
+            steps.first, steps.last, kMostScans);
     std::vector<double> times;
     for (int i = 0; i < static_cast<int>(n); ++i) times.push_back(steps.first + i * steps.step);
     return times;
@@ -79,8 +79,8 @@ void print_notes_if_trajectory_leaves_log(const TrainedRun& run, const PoseTrack
     }
     if (farthest > kFar_m) {
         print_warning(fmt::format(
-            "the trajectory is up to {:.0f} m away from the path of the log's sensor; expected poses "
-            "in the dataset's world, like the path that `relidar export {} --out FILE.csv` writes",
+            "the trajectory is up to {:.0f} m away from the path of the log's sensor; expected poses in the "
+            "dataset's world, like the path that `relidar export {} --out FILE.csv` writes",
             farthest, run.folder.string()));
     }
     const double begin = log.frames.front().time_s, end = log.frames.back().time_s;

@@ -18,6 +18,7 @@
 #include "../../view/page.hpp"
 #include "../../view/server.hpp"
 #include "../../view/session.hpp"
+#include "base/fail.hpp"
 #include "browser.hpp"
 #include "command.hpp"
 #include "console.hpp"
@@ -59,9 +60,8 @@ view::OtherRunsByName load_other_runs(const std::vector<std::string>& folders) {
 
 view::WebServerOptions make_server_options(const ViewOptions& options) {
     if (options.port < 0 || options.port > kLastPort)
-        throw UsageError(
-            fmt::format("--port: found {}; expected a number from 0 to {}, where 0 selects a free port",
-                        options.port, kLastPort));
+        fail<UsageError>("--port: found {}; expected a number from 0 to {}, where 0 selects a free port",
+                         options.port, kLastPort);
     view::WebServerOptions server;
     server.address = options.address;
     server.port = options.port;

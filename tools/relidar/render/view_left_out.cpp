@@ -13,8 +13,8 @@ void add_view_command(CLI::App& app, ParsedCommand& selected_command) {
     command->callback([&selected_command] {
         selected_command.run = [] {
             throw UsageError(
-                "view is not available, because relidar was built without Boost.Beast; install "
-                "libboost-dev (Debian) and run cmake with -DRELIDAR_VIEW=ON");
+                "view is not available, because relidar was built without Boost.Beast; install libboost-dev "
+                "(Debian) and run cmake with -DRELIDAR_VIEW=ON");
         };
     });
 }

@@ -36,10 +36,10 @@ std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const RefineCommand
     const std::filesystem::path folder = get_network_checkpoint_folder(options.run);
     if (!options.resume) {
         if (!list_checkpoints(folder).empty())
-            print_warning(fmt::format(
-                "{} contains a checkpoint of an unfinished network training, which is discarded; use "
-                "--resume to continue such a training",
-                options.run));
+            print_warning(
+                fmt::format("{} contains a checkpoint of an unfinished network training, which is discarded; "
+                            "use --resume to continue such a training",
+                            options.run));
         return std::nullopt;
     }
     std::optional<Checkpoint> start = load_newest_checkpoint(folder, print_warning);

@@ -13,6 +13,7 @@
 #include <relidar/run/checkpoint.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
+#include "base/fail.hpp"
 #include "command.hpp"
 #include "console.hpp"
 #include "evaluate/actor_strips.hpp"
@@ -66,10 +67,10 @@ TrainOptions resolve_log_and_output_folder(TrainOptions options) {
         throw UsageError("--out is required, or --resume with a run folder (see `relidar train --help`)");
     const bool has_stored_log = options.resume && is_file(fs::path(options.out) / kConfigFile);
     if (options.dataset.empty() && !has_stored_log)
-        throw UsageError(
-            fmt::format("DATASET is required, because {} has no config.toml that names the log (see `relidar "
-                        "train --help`)",
-                        options.out));
+        fail<UsageError>(
+            "DATASET is required, because {} has no config.toml that names the log (see `relidar train "
+            "--help`)",
+            options.out);
     return options;
 }
 
@@ -89,10 +90,10 @@ Config make_training_config(const TrainOptions& options) {
         // was found earlier.
         config.dataset.max_range_m = load_saved_config(saved).dataset.max_range_m;
     if (contains_run(options.dataset))
-        throw UsageError(
-            fmt::format("cannot train on {}: it is a run, expected a log; `relidar train --resume RUN` "
-                        "continues the training of a run",
-                        options.dataset));
+        fail<UsageError>(
+            "cannot train on {}: it is a run, expected a log; `relidar train --resume RUN` continues the "
+            "training of a run",
+            options.dataset);
     if (!options.dataset.empty()) config.dataset.path = make_dataset_path_absolute(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = make_absolute_path(config.dataset.poses);
     apply_log_selection_to_config(config, options.part);
@@ -130,11 +131,11 @@ void require_same_settings_as_finished_run(const fs::path& run_folder, const Con
         if (key.empty() && !is_setting_group_equal(trained, current_config, group))
             key = std::string(group) + "*";
     if (!key.empty())
-        throw UsageError(fmt::format(
-            "cannot resume {}: its finished training used another value of the setting {}; expected "
-            "the same value; --force trains again from the start, and `relidar refine` trains only "
-            "the ray-drop network",
-            run_folder.string(), key));
+        fail<UsageError>(
+            "cannot resume {}: its finished training used another value of the setting {}; expected the same "
+            "value; --force trains again from the start, and `relidar refine` trains only the ray-drop "
+            "network",
+            run_folder.string(), key);
 }
 
 /// Returns true if the scene of a run was trained to the end with these settings, but no
@@ -156,10 +157,10 @@ std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const TrainOptions&
     std::optional<Checkpoint> start = load_newest_checkpoint(get_checkpoint_folder(folder), print_warning);
     if (start) return start;
     if (is_file(folder / "report.html"))
-        throw UsageError(
-            fmt::format("cannot resume {}: its training has ended without a checkpoint; --force trains again "
-                        "from the start",
-                        folder.string()));
+        fail<UsageError>(
+            "cannot resume {}: its training has ended without a checkpoint; --force trains again from the "
+            "start",
+            folder.string());
     print_warning(
         fmt::format("{} has no checkpoint, so training starts from the beginning", folder.string()));
     return std::nullopt;
@@ -257,8 +258,7 @@ void score_and_write_training_report(Device& device, const TrainedRun& run, cons
         throw Error(
             ExitCode::interrupted,
             fmt::format(
-                "interrupted after iteration {} of {}; the current scene is saved in {}; continue with: "
-                "{}",
+                "interrupted after iteration {} of {}; the current scene is saved in {}; continue with: {}",
                 result.iterations, run.config.train.iterations, run.folder.string(),
                 format_train_resume_command(options)));
     }
@@ -388,16 +388,15 @@ void remove_old_results_and_save_config(const fs::path& run_folder, const Config
 
 void require_block_training_if_several_ranks(const MpiProcessGroup& ranks, bool trains_in_blocks) {
     if (ranks.size() > 1 && !trains_in_blocks)
-        throw UsageError(fmt::format(
-            "training with {} MPI processes needs --blocks, because the processes share the blocks "
-            "of a log",
-            ranks.size()));
+        fail<UsageError>(
+            "training with {} MPI processes needs --blocks, because the processes share the blocks of a log",
+            ranks.size());
 }
 
 std::string format_training_is_finished(const std::string& run_folder, int n_iterations) {
     return fmt::format(
-        "{} has already finished all {} iterations, so nothing is trained; increase "
-        "train.iterations to continue\n",
+        "{} has already finished all {} iterations, so nothing is trained; increase train.iterations to "
+        "continue\n",
         run_folder, n_iterations);
 }
 

@@ -13,6 +13,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/run/blocks.hpp>
 #include <relidar/run/checkpoint.hpp>
+#include "base/fail.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
 #include "output_folder.hpp"
@@ -45,10 +46,10 @@ void require_same_settings_as_trained_block(const fs::path& block_folder, const 
                                  is = list_config_keys(current_config);
     for (std::size_t i = 0; i < is.size(); ++i)
         if (!may_setting_differ_between_blocks(is[i].key) && was[i].value != is[i].value)
-            throw DataError(fmt::format(
-                "cannot resume: {} was trained with {} = {}, but now the value is {}; use the same "
-                "value, or --force to train all blocks again",
-                block_folder.string(), is[i].key, was[i].value, is[i].value));
+            fail(
+                "cannot resume: {} was trained with {} = {}, but now the value is {}; use the same value, or "
+                "--force to train all blocks again",
+                block_folder.string(), is[i].key, was[i].value, is[i].value);
 }
 
 /// Compares the frames of a trained block with the current frames.
@@ -62,11 +63,11 @@ void require_same_frames_as_trained_block(const TrainedRun& trained_block,
           &is = current_block_log.sequence.frames;
     if (trained_block.split.train != current_block_log.split.train ||
         !std::equal(was.begin(), was.end(), is.begin(), is.end(), is_same))
-        throw DataError(fmt::format(
-            "cannot resume: {} was trained on {} frames from {} to {}, but now it has {} frames from "
-            "{} to {}; use the same frames, or --force to train all blocks again",
+        fail(
+            "cannot resume: {} was trained on {} frames from {} to {}, but now it has {} frames from {} to "
+            "{}; use the same frames, or --force to train all blocks again",
             trained_block.folder.string(), was.size(), was.front().index, was.back().index, is.size(),
-            is.front().index, is.back().index));
+            is.front().index, is.back().index);
 }
 
 /// Combines the training results of all blocks of a scene. Sums up the times and averages
@@ -122,8 +123,8 @@ public:
     TrainResult train_all_blocks() {
         if (!how_.quiet)
             print(fmt::format(
-                "blocks  {} blocks of {:.1f} m each; each block also uses the sweeps up to {:g} m "
-                "outside it{}\n",
+                "blocks  {} blocks of {:.1f} m each; each block also uses the sweeps up to {:g} m outside "
+                "it{}\n",
                 blocks_.size(), blocks_.front().end_m - blocks_.front().begin_m, run_.config.blocks.halo_m,
                 how_.ranks.size() > 1
                     ? fmt::format("; the blocks are shared among {} MPI processes", how_.ranks.size())

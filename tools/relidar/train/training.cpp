@@ -53,10 +53,10 @@ public:
     void append_and_flush_log_entry(const TrainProgress& progress) {
         if (lost_ || (file_ << format_progress_json_line(progress)).flush()) return;
         lost_ = true;
-        print_warning(fmt::format(
-            "cannot write {}, because the disk is full or the folder was removed; training continues "
-            "without it",
-            path_.string()));
+        print_warning(
+            fmt::format("cannot write {}, because the disk is full or the folder was removed; training "
+                        "continues without it",
+                        path_.string()));
     }
     void rewrite_log_if_write_failed(const std::vector<TrainProgress>& log_entries) {
         if (!lost_) return;

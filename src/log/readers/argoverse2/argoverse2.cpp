@@ -17,6 +17,7 @@
 #include <relidar/log/clouds.hpp>
 #include <relidar/log/log_time.hpp>
 #include "base/codecs/feather.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/progress_blocks.hpp"
 #include "log/clouds/broken_scans.hpp"
@@ -50,18 +51,16 @@ std::vector<SweepFile> list_sweeps(const fs::path& folder) {
         std::int64_t time_ns = 0;
         const auto [end, failed] = std::from_chars(stem.data(), stem.data() + stem.size(), time_ns);
         if (failed != std::errc() || end != stem.data() + stem.size() || time_ns < 0)
-            throw DataError(
-                fmt::format("cannot use the file {} as a sweep: its name is not a valid time, expected a "
-                            "time in nanoseconds",
-                            path.string()));
+            fail(
+                "cannot use the file {} as a sweep: its name is not a valid time, expected a time in "
+                "nanoseconds",
+                path.string());
         sweeps.push_back({0, time_ns, path});
     }
     std::sort(sweeps.begin(), sweeps.end(),
               [](const SweepFile& first, const SweepFile& second) { return first.time_ns < second.time_ns; });
     for (std::size_t i = 0; i < sweeps.size(); ++i) sweeps[i].number = int(i);
-    if (sweeps.empty())
-        throw DataError(
-            fmt::format("{} contains no sweeps, expected files NANOSECONDS.feather", folder.string()));
+    if (sweeps.empty()) fail("{} contains no sweeps, expected files NANOSECONDS.feather", folder.string());
     return sweeps;
 }
 
@@ -77,10 +76,8 @@ std::vector<Pose> read_pose_from_each_row(const Feather& table) {
     for (std::size_t i = 0; i < table.get_row_count(); ++i) {
         const glm::dquat rotation(q[0][i], q[1][i], q[2][i], q[3][i]);
         if (!(std::abs(glm::length(rotation) - 1.0) < 1e-3))
-            throw DataError(
-                fmt::format("{}, columns 'qw' to 'qz': the rotation quaternion in row {} has length {}, "
-                            "expected 1",
-                            table.name(), i, glm::length(rotation)));
+            fail("{}, columns 'qw' to 'qz': the rotation quaternion in row {} has length {}, expected 1",
+                 table.name(), i, glm::length(rotation));
         poses.push_back({glm::normalize(rotation), {t[0][i], t[1][i], t[2][i]}});
     }
     return poses;
@@ -95,8 +92,7 @@ std::vector<Lidar> read_lidars(const fs::path& calibration_file) {
     for (const char* name : kLidarNames) {
         const auto row = std::find(names.begin(), names.end(), name);
         if (row == names.end())
-            throw DataError(
-                fmt::format("{}, column 'sensor_name': the sensor {} is missing", table.name(), name));
+            fail("{}, column 'sensor_name': the sensor {} is missing", table.name(), name);
         const Pose& mounted = poses[std::size_t(row - names.begin())];
         // Seen from above, both LiDARs rotate clockwise. The lower LiDAR is mounted
         // upside down, so it rotates counterclockwise in its own frame.
@@ -119,19 +115,18 @@ PoseTrack read_poses_at_sweeps(const fs::path& pose_file, const std::vector<Swee
     PoseTrack trajectory{{}, read_pose_from_each_row(table)};
     for (std::size_t i = 0; i < times_ns.size(); ++i) {
         if (i > 0 && times_ns[i] <= times_ns[i - 1])
-            throw DataError(
-                fmt::format("{}, column 'timestamp_ns': row {} is {} after {}, expected increasing times",
-                            table.name(), i, times_ns[i], times_ns[i - 1]));
+            fail("{}, column 'timestamp_ns': row {} is {} after {}, expected increasing times", table.name(),
+                 i, times_ns[i], times_ns[i - 1]);
         trajectory.time_s.push_back(to_seconds_since(times_ns[i], origin_ns));
     }
     PoseTrack at_sweeps;
     for (const SweepFile& sweep : sweeps) {
         const double time_s = to_seconds_since(sweep.time_ns, origin_ns);
         if (!trajectory.contains_time(time_s))
-            throw DataError(
-                fmt::format("{}, column 'timestamp_ns': found no pose at {}, which is the time of a sweep; "
-                            "expected poses for all sweeps",
-                            table.name(), sweep.time_ns));
+            fail(
+                "{}, column 'timestamp_ns': found no pose at {}, which is the time of a sweep; expected "
+                "poses for all sweeps",
+                table.name(), sweep.time_ns);
         at_sweeps.time_s.push_back(time_s);
         at_sweeps.pose.push_back(trajectory.interpolate_pose(time_s));
     }
@@ -151,16 +146,14 @@ RawSweep read_sweep(const fs::path& file) {
     for (std::size_t i = 0; i < x.size(); ++i) {
         sweep.point_m.emplace_back(x[i], y[i], z[i]);
         if (!(glm::length(sweep.point_m[i]) < kFarthestHit_m))
-            throw DataError(
-                fmt::format("{}: point {} is ({}, {}, {}), expected coordinates in metres of at most {}",
-                            table.name(), i, x[i], y[i], z[i], kFarthestHit_m));
+            fail("{}: point {} is ({}, {}, {}), expected coordinates in metres of at most {}", table.name(),
+                 i, x[i], y[i], z[i], kFarthestHit_m);
         if (sweep.laser[i] < 0 || sweep.laser[i] >= 2 * kLasers)
-            throw DataError(fmt::format("{}, column 'laser_number': row {} is {}, expected 0 to {}",
-                                        table.name(), i, sweep.laser[i], 2 * kLasers - 1));
+            fail("{}, column 'laser_number': row {} is {}, expected 0 to {}", table.name(), i, sweep.laser[i],
+                 2 * kLasers - 1);
         if (std::abs(sweep.offset_ns[i]) > kLongestOffset_ns)
-            throw DataError(
-                fmt::format("{}, column 'offset_ns': row {} is {}, expected at most {} nanoseconds",
-                            table.name(), i, sweep.offset_ns[i], kLongestOffset_ns));
+            fail("{}, column 'offset_ns': row {} is {}, expected at most {} nanoseconds", table.name(), i,
+                 sweep.offset_ns[i], kLongestOffset_ns);
     }
     return sweep;
 }
@@ -214,8 +207,7 @@ void append_sweeps_as_frames(LidarSequence& sequence, const std::vector<SweepFil
     }
     for (Lidar& lidar : sequence.lidars) {
         if (lidar.sensor.columns == 0)
-            throw DataError(fmt::format("{} has no points of the LiDAR {}, expected at least one",
-                                        sequence.source, lidar.name));
+            fail("{} has no points of the LiDAR {}, expected at least one", sequence.source, lidar.name);
         lidar.sensor.first_azimuth_rad = kPi - kPi / lidar.sensor.columns;
     }
     if (missing > 0)
@@ -249,9 +241,8 @@ std::vector<BoxTrack> read_box_tracks_at_sweeps(const fs::path& annotation_file,
     for (std::size_t i = 0; i < table.get_row_count(); ++i) {
         const glm::dvec3 size_m(length[i], width[i], height[i]);
         if (!(std::min({size_m.x, size_m.y, size_m.z}) > 0.0))
-            throw DataError(fmt::format(
-                "{}, columns 'length_m' to 'height_m': row {} is {} x {} x {}, expected all above 0",
-                table.name(), i, size_m.x, size_m.y, size_m.z));
+            fail("{}, columns 'length_m' to 'height_m': row {} is {} x {} x {}, expected all above 0",
+                 table.name(), i, size_m.x, size_m.y, size_m.z);
         const auto sweep = sweep_at.find(times_ns[i]);
         if (sweep == sweep_at.end()) continue;
         const std::size_t at = sweep->second;
@@ -274,8 +265,8 @@ LidarSequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& 
     const int n_sweeps = int(all.size()), first_sweep = std::min(range.begin, n_sweeps),
               end_sweep = range.end < 0 ? n_sweeps : std::min(range.end, n_sweeps);
     if (first_sweep >= end_sweep)
-        throw UsageError(fmt::format("frames {}:{} select no sweep of this log, expected numbers in [0, {}]",
-                                     range.begin, range.end, n_sweeps - 1));
+        fail<UsageError>("frames {}:{} select no sweep of this log, expected numbers in [0, {}]", range.begin,
+                         range.end, n_sweeps - 1);
     const std::vector<SweepFile> sweeps(all.begin() + first_sweep, all.begin() + end_sweep);
     const PoseTrack vehicle_track =
         read_poses_at_sweeps(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
@@ -284,8 +275,8 @@ LidarSequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& 
     sequence.source = log_folder.string();
     sequence.conventions =
         "Vehicle frame: x forward, y left, z up, in metres, with the origin at the rear axle. Times are "
-        "seconds after the first sweep, from the file names. The world frame is that of the city. The "
-        "motion compensation of the points is removed. Boxes are labelled in all directions. " +
+        "seconds after the first sweep, from the file names. The world frame is that of the city. The motion "
+        "compensation of the points is removed. Boxes are labelled in all directions. " +
         format_log_start(all[0].time_ns, "on the clock of the file names");
     sequence.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;

@@ -116,10 +116,9 @@ public:
             return !is_new && std::exchange(known->second, label.time_s) == label.time_s;
         });
         if (n_repeated > 0)
-            result.notes.push_back(
-                fmt::format("{} boxes are skipped, because another box has the same track id and the same "
-                            "time",
-                            n_repeated));
+            result.notes.push_back(fmt::format(
+                "{} boxes are skipped, because another box has the same track id and the same time",
+                n_repeated));
         unify_category_and_size_by_id(labels_);
         result.tracks = build_tracks(labels_);
         return result;

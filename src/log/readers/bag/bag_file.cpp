@@ -12,6 +12,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/codecs/unpack.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/unpacked_file.hpp"
 
@@ -70,8 +71,7 @@ std::optional<std::string> unpack_message(const BagTopic& topic, std::string_vie
     const bool is_complete = stream_zstd(
         [&] { return std::exchange(bytes, {}); },
         [&, most = std::max(kMostMessageBytes, kMostGrowth * bytes.size())](std::string_view block) {
-            if (unpacked.append(block).size() > most)
-                throw DataError(fmt::format("found more than {} unpacked bytes", most));
+            if (unpacked.append(block).size() > most) fail("found more than {} unpacked bytes", most);
         });
     if (!is_complete) throw DataError("the zstd data of the message are truncated");
     return unpacked;
@@ -114,8 +114,7 @@ BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
                                  [](const fs::path& file) { return file.filename().string().size(); });
     }
     if (paths_.empty())
-        throw DataError(fmt::format(
-            "{}: found no file of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string()));
+        fail("{}: found no file of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string());
     for (const fs::path& file : paths_) {
         const std::string ending = remove_zstd_extension(file).extension().string();
         if (is_pcap_file(file)) {
@@ -162,10 +161,10 @@ void BagRecording::for_each_message(const TopicFilter& filter, const MessageCall
             std::optional<std::string> unpacked;
             if (filter(topic)) {
                 if (!is_possible && std::exchange(noted_topics[message.topic], true) == false)
-                    add_note_once(fmt::format(
-                        "topic {}: a message has the recording time {} ns, expected 0 to {} ns; the time of "
-                        "the previous message is used",
-                        shorten_for_error_message(topic.name), log_ns, kLatest_ns));
+                    add_note_once(
+                        fmt::format("topic {}: a message has the recording time {} ns, expected 0 to {} ns; "
+                                    "the time of the previous message is used",
+                                    shorten_for_error_message(topic.name), log_ns, kLatest_ns));
                 try {
                     unpacked = unpack_message(topic, message.bytes);
                 } catch (const DataError&) {
@@ -188,7 +187,7 @@ SharedBytes BagRecording::read_message_bytes(const BagTopic& topic,
         std::optional<std::string> unpacked = unpack_message(topic, bytes.bytes);
         return unpacked ? make_shared_bytes(std::move(*unpacked)) : bytes;
     } catch (const DataError& error) {
-        throw DataError(fmt::format("{}: {}", paths_.at(message_position.file).string(), error.what()));
+        fail("{}: {}", paths_.at(message_position.file).string(), error.what());
     }
 }
 

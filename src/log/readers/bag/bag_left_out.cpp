@@ -5,15 +5,16 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "log/readers/bag/load_ros_bag.hpp"
 
 namespace relidar {
 
 LidarSequence load_ros_bag(const std::filesystem::path& path, const DatasetOptions&) {
-    throw UsageError(
-        fmt::format("{}: found a ROS bag, but this relidar was built without the reader of bags; install "
-                    "libsqlite3-dev and libbz2-dev, and build relidar again with RELIDAR_BAGS=ON",
-                    path.string()));
+    fail<UsageError>(
+        "{}: found a ROS bag, but this relidar was built without the reader of bags; install libsqlite3-dev "
+        "and libbz2-dev, and build relidar again with RELIDAR_BAGS=ON",
+        path.string());
 }
 
 }  // namespace relidar

@@ -8,6 +8,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "log/clouds/point_times.hpp"
 #include "log/readers/bag/packets/packet_messages.hpp"
 
@@ -48,9 +49,8 @@ LidarPoints BagScanProvider::read_points_of_frame(std::size_t frame_index) const
             frame_index, cloud,
             at.cloud_s + 1e-9 * double(cloud.get_time_ns(clock_) - at.entry.get_time_ns(clock_)));
         if (points.time_offset_s.empty())
-            throw DataError(
-                fmt::format("{}: the points have no usable times, expected a time for each point, because {}",
-                            get_frame_name(frame_index), lidars_[at.lidar].clouds->parts_about));
+            fail("{}: the points have no usable times, expected a time for each point, because {}",
+                 get_frame_name(frame_index), lidars_[at.lidar].clouds->parts_about);
         const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
         append(all.position_m, points.position_m);
         append(all.intensity, points.intensity);
@@ -60,10 +60,10 @@ LidarPoints BagScanProvider::read_points_of_frame(std::size_t frame_index) const
     }
     if ((!all.ring.empty() && all.ring.size() != all.size()) ||
         (!all.return_number.empty() && all.return_number.size() != all.size()))
-        throw DataError(
-            fmt::format("{}: only some clouds of the revolution have rings or return numbers, expected the "
-                        "same fields in all clouds",
-                        get_frame_name(frame_index)));
+        fail(
+            "{}: only some clouds of the revolution have rings or return numbers, expected the same fields "
+            "in all clouds",
+            get_frame_name(frame_index));
     return all;
 }
 
@@ -75,7 +75,7 @@ folder::PointTable BagScanProvider::read_or_reuse_point_table(std::size_t frame_
     try {
         return read_cloud_as_point_table(bag_, *lidar.clouds, message_position);
     } catch (const DataError& error) {
-        throw DataError(fmt::format("{}: {}", get_frame_name(frame_index), error.what()));
+        fail("{}: {}", get_frame_name(frame_index), error.what());
     }
 }
 

@@ -10,6 +10,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "log/readers/bag/message_reader.hpp"
 #include "log/readers/bag/messages.hpp"
 
@@ -111,9 +112,8 @@ BoxListMessage read_detections_with_layout(MessageReader reader, const Detection
         add_box_or_count_as_invalid(list, box);
     }
     if (reader.count_remaining_bytes() > (reader.is_ros1() ? 0 : kPadding))
-        throw DataError(
-            fmt::format("found {} bytes after the last of {} boxes, expected no bytes after the boxes",
-                        reader.count_remaining_bytes(), n));
+        fail("found {} bytes after the last of {} boxes, expected no bytes after the boxes",
+             reader.count_remaining_bytes(), n);
     return list;
 }
 
@@ -126,10 +126,10 @@ BoxListMessage read_detections_of_any_version(const MessageReader& reader) {
             if (why.empty()) why = error.what();
         }
     }
-    throw DataError(
-        fmt::format("the message does not match any known version of vision_msgs/Detection3DArray; the error "
-                    "with the newest version is: {}",
-                    why));
+    fail(
+        "the message does not match any known version of vision_msgs/Detection3DArray; the error with the "
+        "newest version is: {}",
+        why);
 }
 
 /// Names of Autoware's ObjectClassification labels, indexed by label number.

@@ -9,6 +9,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/choose.hpp"
 #include "log/readers/bag/packets/packet_messages.hpp"
@@ -71,10 +72,10 @@ std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagI
     for (const BagTopic& topic : bag.topics())
         for (const PacketDriver& packet_driver : kDrivers)
             if (is_requested(topic) && topic.type.starts_with(packet_driver.package))
-                reasons.push_back(fmt::format(
-                    "{}: relidar cannot decode these packets; play the recording with the driver {}, and "
-                    "record its point clouds",
-                    shorten_for_error_message(topic.name), packet_driver.driver));
+                reasons.push_back(
+                    fmt::format("{}: relidar cannot decode these packets; play the recording with the driver "
+                                "{}, and record its point clouds",
+                                shorten_for_error_message(topic.name), packet_driver.driver));
     for (std::size_t t = 0; t < bag_index.facts.size(); ++t) {
         const BagTopic& topic = bag.topics()[t];
         if (!is_requested(topic)) continue;
@@ -136,11 +137,10 @@ bool are_clouds_in_single_sensor_frame(const CloudTopic& cloud_topic) {
 void reject_world_frame_or_note_vehicle_frame(const std::string& topic_name, const CloudTopic& clouds,
                                               SelectedCloudTopics& selected_topics) {
     if (is_cloud_frame_one_of(clouds, kOfWorld))
-        throw DataError(
-            fmt::format("{}: the clouds are in the world-fixed frame '{}', so the positions of the LiDAR are "
-                        "unknown; expected clouds in the frame of the LiDAR (select another topic with "
-                        "dataset.lidars)",
-                        topic_name, clouds.frame));
+        fail(
+            "{}: the clouds are in the world-fixed frame '{}', so the positions of the LiDAR are unknown; "
+            "expected clouds in the frame of the LiDAR (select another topic with dataset.lidars)",
+            topic_name, clouds.frame);
     if (is_cloud_frame_one_of(clouds, kOfVehicle))
         selected_topics.notes.push_back(fmt::format(
             "{}: the clouds are in the vehicle frame '{}', probably because clouds of several LiDARs were "
@@ -167,10 +167,10 @@ std::vector<std::size_t> find_cloud_topic_indices(const BagRecording& bag, const
                 (bag.topics()[clouds.topic].name == name || clouds.make_name(bag) == name))
                 lidars.push_back(c);
         if (lidars.size() == n_before)
-            throw UsageError(fmt::format(
+            fail<UsageError>(
                 "dataset.lidars: found '{}', expected a topic with point clouds{}; the recording contains {}",
                 shorten_for_error_message(name), explain_why_no_clouds_were_found(bag, bag_index, name),
-                format_topics(bag)));
+                format_topics(bag));
     }
     std::ranges::sort(lidars);
     lidars.erase(std::unique(lidars.begin(), lidars.end()), lidars.end());
@@ -218,11 +218,11 @@ std::vector<std::size_t> select_topics_with_raw_data(const BagRecording& bag, co
         if (others.empty()) continue;
         const std::string names = fmt::format("{}", fmt::join(others, ", ")),
                           used = bag.topics()[best.topic].name;
-        notes.push_back(fmt::format(
-            "{} not read, because the clouds have the frame '{}' like {}, so they count as copies; to read "
-            "another LiDAR there, use dataset.lidars={},{}",
-            others.size() == 1 ? "topic " + names + " is" : "topics " + names + " are",
-            shorten_for_error_message(frame), used, used, fmt::join(others, ",")));
+        notes.push_back(
+            fmt::format("{} not read, because the clouds have the frame '{}' like {}, so they count as "
+                        "copies; to read another LiDAR there, use dataset.lidars={},{}",
+                        others.size() == 1 ? "topic " + names + " is" : "topics " + names + " are",
+                        shorten_for_error_message(frame), used, used, fmt::join(others, ",")));
     }
     std::ranges::sort(lidars);
     return lidars;
@@ -246,11 +246,11 @@ SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex&
     choice.lidars = requested_topics.empty() ? select_topics_with_raw_data(bag, bag_index, choice.notes)
                                              : find_cloud_topic_indices(bag, bag_index, requested_topics);
     if (choice.lidars.empty())
-        throw DataError(
-            fmt::format("{}: the recording has no point clouds{}, expected a topic of "
-                        "sensor_msgs/PointCloud2 or livox_ros_driver2/CustomMsg; it contains {}",
-                        bag.get_file_paths().front().string(),
-                        explain_why_no_clouds_were_found(bag, bag_index), format_topics(bag)));
+        fail(
+            "{}: the recording has no point clouds{}, expected a topic of sensor_msgs/PointCloud2 or "
+            "livox_ros_driver2/CustomMsg; it contains {}",
+            bag.get_file_paths().front().string(), explain_why_no_clouds_were_found(bag, bag_index),
+            format_topics(bag));
     choice.main = choose_main_lidar_index(bag_index, choice.lidars);
     const CloudTopic& main = bag_index.clouds[choice.lidars[choice.main]];
     std::vector<std::size_t> accepted_lidars;
@@ -273,10 +273,10 @@ SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex&
             choice.notes.push_back(fmt::format(
                 "topic {} is ignored: {}; use dataset.lidars={} to read only this topic", name, why, name));
         } else {
-            throw DataError(
-                fmt::format("topic {} cannot be read together with the other selected topics: {}; select "
-                            "other topics with dataset.lidars",
-                            name, why));
+            fail(
+                "topic {} cannot be read together with the other selected topics: {}; select other topics "
+                "with dataset.lidars",
+                name, why);
         }
     }
     choice.main =

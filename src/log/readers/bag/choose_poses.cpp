@@ -6,6 +6,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/choose.hpp"
 
@@ -90,12 +91,11 @@ std::optional<PoseSourceCandidate> find_requested_pose_source(
                                                notes);
         available_sources.push_back(bag.topics()[topic.topic].name);
     }
-    throw UsageError(
-        fmt::format("dataset.poses_from: found '{}', expected a parent frame of '{}' or a topic of poses: "
-                    "{}",
-                    shorten_for_error_message(requested_frame_or_topic), frame_path_to_root.front(),
-                    available_sources.empty() ? "the recording has no poses"
-                                              : fmt::format("{}", fmt::join(available_sources, ", "))));
+    fail<UsageError>(
+        "dataset.poses_from: found '{}', expected a parent frame of '{}' or a topic of poses: {}",
+        shorten_for_error_message(requested_frame_or_topic), frame_path_to_root.front(),
+        available_sources.empty() ? "the recording has no poses"
+                                  : fmt::format("{}", fmt::join(available_sources, ", ")));
 }
 
 std::optional<PoseSourceCandidate> select_default_pose_source(
@@ -167,9 +167,9 @@ void set_poses_and_correct_clock(SelectedPoseSource& choice, const BagIndex& bag
         choice.path = std::move(corrected);
         choice.poses_zero_ns = zero_ns;
     } else {
-        choice.clock_note = text +
-                            "; either the clocks differ or messages are late; nothing is corrected, so "
-                            "check the poses";
+        choice.clock_note =
+            text +
+            "; either the clocks differ or messages are late; nothing is corrected, so check the poses";
     }
 }
 
@@ -219,8 +219,8 @@ SelectedPoseSource choose_vehicle_pose_source(const BagRecording& bag, const Bag
         count_clouds_with_pose(main_lidar_clouds, recorded, LogClock::recorder, zero_ns);
     if (n_recorded <= n) return choice;
     choice.notes.push_back(
-        fmt::format("the stamps of clouds and poses come from different clocks (only {} of {} clouds have "
-                    "a pose at their stamp), so the recording times of messages are used",
+        fmt::format("the stamps of clouds and poses come from different clocks (only {} of {} clouds have a "
+                    "pose at their stamp), so the recording times of messages are used",
                     n, main_lidar_clouds.clouds.size()));
     choice.clock = LogClock::recorder;
     choice.zero_ns = choice.poses_zero_ns = zero_ns;

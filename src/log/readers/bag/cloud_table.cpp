@@ -7,6 +7,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/messages.hpp"
 
@@ -25,10 +26,10 @@ std::vector<folder::PointField> make_point_layout(
     };
     for (const CloudMessage::CloudField& field : sorted_fields) {
         if (field.offset < at)
-            throw DataError(fmt::format(
-                "the field '{}' starts at byte {} of a point and overlaps another field, expected byte {} "
-                "or more",
-                shorten_for_error_message(field.name), field.offset, at));
+            fail(
+                "the field '{}' starts at byte {} of a point and overlaps another field, expected byte {} or "
+                "more",
+                shorten_for_error_message(field.name), field.offset, at);
         skip_to(field.offset);
         layout.push_back({field.name, field.kind, field.size, field.count});
         at += field.size * field.count;

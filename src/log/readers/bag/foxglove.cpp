@@ -9,6 +9,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/messages.hpp"
 
@@ -43,7 +44,7 @@ std::int64_t read_timestamp_ns(pbf_reader reader) {
     }
     constexpr std::int64_t kLatest_s = 4294967295;  // limit of ROS times
     if (seconds < 0 || seconds > kLatest_s)
-        throw DataError(fmt::format("found the message time {} s, expected 0 to {} s", seconds, kLatest_s));
+        fail("found the message time {} s, expected 0 to {} s", seconds, kLatest_s);
     return seconds * 1000000000 + nanoseconds;
 }
 
@@ -70,10 +71,10 @@ CloudMessage::CloudField read_foxglove_point_field(pbf_reader reader) {
         else reader.skip();
     }
     if (type < 1 || type > 8)
-        throw DataError(
-            fmt::format("the field '{}' of the cloud has the data type {}, expected a number from 1 to 8 as "
-                        "defined in foxglove.PackedElementField",
-                        shorten_for_error_message(field.name), type));
+        fail(
+            "the field '{}' of the cloud has the data type {}, expected a number from 1 to 8 as defined in "
+            "foxglove.PackedElementField",
+            shorten_for_error_message(field.name), type);
     field.kind = kTypes[type - 1].kind;
     field.size = kTypes[type - 1].size;
     return field;
@@ -90,9 +91,8 @@ void require_identity_pose(pbf_reader reader) {
         const bool turns = reader.tag() == 2;
         const glm::dvec4 v = read_xyzw(reader.get_message());
         if (!(glm::length(glm::dvec3(v)) <= 1e-9))
-            throw DataError(fmt::format(
-                "the cloud has a pose with a {}, expected a pose without translation and rotation",
-                turns ? "rotation" : "translation"));
+            fail("the cloud has a pose with a {}, expected a pose without translation and rotation",
+                 turns ? "rotation" : "translation");
     }
 }
 
@@ -250,8 +250,7 @@ BoxListMessage read_foxglove_boxes(std::string_view message_bytes) {
             add_box_from_scene_entity(list, reader.get_message());
         return list;
     } catch (const protozero::exception& error) {
-        throw DataError(fmt::format("the message is not a valid foxglove.SceneUpdate in protobuf format: {}",
-                                    error.what()));
+        fail("the message is not a valid foxglove.SceneUpdate in protobuf format: {}", error.what());
     }
 }
 
@@ -259,8 +258,7 @@ CloudMessage read_foxglove_cloud(std::string_view message_bytes) {
     try {
         return parse_foxglove_cloud_message(message_bytes);
     } catch (const protozero::exception& error) {
-        throw DataError(fmt::format("the message is not a valid foxglove.PointCloud in protobuf format: {}",
-                                    error.what()));
+        fail("the message is not a valid foxglove.PointCloud in protobuf format: {}", error.what());
     }
 }
 
@@ -272,8 +270,7 @@ TransformListMessage read_foxglove_transforms(std::string_view message_bytes) {
             add_frame_transform(list, reader.get_message());
         return list;
     } catch (const protozero::exception& error) {
-        throw DataError(fmt::format(
-            "the message is not a valid foxglove.FrameTransforms in protobuf format: {}", error.what()));
+        fail("the message is not a valid foxglove.FrameTransforms in protobuf format: {}", error.what());
     }
 }
 

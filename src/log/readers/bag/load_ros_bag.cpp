@@ -13,6 +13,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/log/log_time.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/clouds/log_files.hpp"
 #include "log/clouds/match_sweeps.hpp"
@@ -136,10 +137,9 @@ private:
         if (has_poses_)
             add_note_if_not_empty(poses_.about + "; use dataset.poses_from to select another frame or topic");
         for (const std::string& frame : survey_.frames.list_frames_with_several_parents())
-            add_note_if_not_empty(
-                fmt::format("the frame '{}' has several parents in /tf; the parent with the most "
-                            "transforms is used",
-                            frame));
+            add_note_if_not_empty(fmt::format(
+                "the frame '{}' has several parents in /tf; the parent with the most transforms is used",
+                frame));
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
             CloudTopic& other = survey_.clouds[clouds_.lidars[l]];
             if (l == clouds_.main) continue;
@@ -227,16 +227,16 @@ private:
             else frames_.push_back(cloud);
         }
         if (frames_.empty() && n_unplaced > 0)
-            throw DataError(
-                fmt::format("{}: {}; none of the {} clouds has a pose at its time; use dataset.poses_from "
-                            "or dataset.poses=FILE to select other poses, or dataset.poses=none to "
-                            "estimate the poses from the scans",
-                            sequence_.source, poses_.about, n_unplaced));
+            fail(
+                "{}: {}; none of the {} clouds has a pose at its time; use dataset.poses_from or "
+                "dataset.poses=FILE to select other poses, or dataset.poses=none to estimate the poses from "
+                "the scans",
+                sequence_.source, poses_.about, n_unplaced);
         if (frames_.empty())
-            throw UsageError(fmt::format("frames {}:{} select no cloud of {}; frames are numbered from 0",
-                                         options_.frames.begin,
-                                         options_.frames.end < 0 ? "" : std::to_string(options_.frames.end),
-                                         get_topic_name(get_main_cloud_topic())));
+            fail<UsageError>("frames {}:{} select no cloud of {}; frames are numbered from 0",
+                             options_.frames.begin,
+                             options_.frames.end < 0 ? "" : std::to_string(options_.frames.end),
+                             get_topic_name(get_main_cloud_topic()));
         if (n_unplaced > 0)
             add_note_if_not_empty(
                 fmt::format("{} clouds are skipped, because there are no poses at their times", n_unplaced));
@@ -319,8 +319,7 @@ private:
                 frames.push_back({frame.number, frame.time_s + zero_s, 0, {}});
             const auto poses = folder::read_frame_poses(options_.poses_file, frames, nullptr, notes);
             if (!poses)
-                throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)",
-                                            options_.poses_file.string()));
+                fail("{}: no such file, expected poses (dataset.poses)", options_.poses_file.string());
             return *poses;
         };
         const ClockOffset offset = compare_with_other_clock();

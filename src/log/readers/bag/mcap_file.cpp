@@ -11,6 +11,7 @@
 #include <zlib.h>
 
 #include "base/codecs/byte_reader.hpp"
+#include "base/fail.hpp"
 #include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/part_file.hpp"
 
@@ -74,7 +75,7 @@ class McapFile : public BagFile {
 public:
     McapFile(const std::filesystem::path& path, bool skip_broken) : file_(path), skip_broken_(skip_broken) {
         if (file_.size() < kMcapMagic.size() || file_.read_bytes_at(0, kMcapMagic.size()).bytes != kMcapMagic)
-            throw DataError(fmt::format("{}: the file does not begin like an MCAP file", file_.name()));
+            fail("{}: the file does not begin like an MCAP file", file_.name());
     }
 
     void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
@@ -182,10 +183,8 @@ private:
             const McapMessage message = parse_message(record.body);
             const auto channel = channels_.find(message.channel);
             if (channel == channels_.end())
-                throw DataError(
-                    fmt::format("a message belongs to channel {}, but no earlier record "
-                                "describes this channel",
-                                message.channel));
+                fail("a message belongs to channel {}, but no earlier record describes this channel",
+                     message.channel);
             const bool is_requested = callbacks.topic_filter(topics.topics()[channel->second]);
             callbacks.message_callback({channel->second, message.log_ns,
                                         is_requested ? message.bytes : std::string_view(), message_position});

@@ -14,6 +14,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
+
 namespace relidar::bag {
 
 class MessageReader {
@@ -24,19 +26,19 @@ public:
         if (is_ros1) return;
         constexpr std::size_t kHead = 4;
         if (bytes.size() < kHead)
-            throw DataError(fmt::format(
-                "the message has only {} bytes, expected at least the {} bytes of the header of a "
-                "ROS 2 message (CDR format)",
-                bytes.size(), kHead));
+            fail(
+                "the message has only {} bytes, expected at least the {} bytes of the header of a ROS 2 "
+                "message (CDR format)",
+                bytes.size(), kHead);
         // The second byte is the encoding: XCDR version 1 (0 and 1) or version 2 (6 and
         // 7). Odd numbers mean little-endian.
         const auto kind = static_cast<unsigned char>(bytes[1]);
         if (bytes[0] != 0 || (kind != 0 && kind != 1 && kind != 6 && kind != 7))
-            throw DataError(
-                fmt::format("the message begins with {:02x} {:02x}, expected a CDR header: 00 00, 00 01, 00 "
-                            "06 or 00 07{}",
-                            static_cast<unsigned char>(bytes[0]), kind,
-                            bytes.starts_with("\x28\xb5\x2f\xfd") ? " (damaged zstd data)" : ""));
+            fail(
+                "the message begins with {:02x} {:02x}, expected a CDR header: 00 00, 00 01, 00 06 or 00 "
+                "07{}",
+                static_cast<unsigned char>(bytes[0]), kind,
+                bytes.starts_with("\x28\xb5\x2f\xfd") ? " (damaged zstd data)" : "");
         swapped_ = kind % 2 == 0;
         widest_ = kind >= 6 ? 4 : 8;
         bytes_ = bytes.substr(kHead);
@@ -67,16 +69,16 @@ public:
     std::size_t read_list_length(std::size_t min_entry_bytes) {
         const auto n = read_number<std::uint32_t>();
         if (n > (bytes_.size() - at_) / min_entry_bytes)
-            throw DataError(fmt::format(
-                "the message has a list of {} entries, but only {} bytes are left in the message, "
-                "which can hold at most {} entries",
-                n, bytes_.size() - at_, (bytes_.size() - at_) / min_entry_bytes));
+            fail(
+                "the message has a list of {} entries, but only {} bytes are left in the message, which can "
+                "hold at most {} entries",
+                n, bytes_.size() - at_, (bytes_.size() - at_) / min_entry_bytes);
         return n;
     }
     std::string_view read_bytes(std::size_t n_bytes) {
         if (n_bytes > bytes_.size() - at_)
-            throw DataError(fmt::format("the message is truncated: {} bytes are left, expected {} bytes",
-                                        bytes_.size() - at_, n_bytes));
+            fail("the message is truncated: {} bytes are left, expected {} bytes", bytes_.size() - at_,
+                 n_bytes);
         at_ += n_bytes;
         return bytes_.substr(at_ - n_bytes, n_bytes);
     }

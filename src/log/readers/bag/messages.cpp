@@ -10,6 +10,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/message_reader.hpp"
 #include "log/readers/bag/packets/packet_messages.hpp"
@@ -63,10 +64,10 @@ CloudMessage::CloudField read_ros_point_field(MessageReader& reader) {
     const auto count = reader.read_number<std::uint32_t>();
     field.count = std::max<std::size_t>(count, 1);  // some drivers write 0
     if (type < 1 || type > std::size(kTypes))
-        throw DataError(
-            fmt::format("the field '{}' of the cloud has the data type {}, expected a number from 1 to {} as "
-                        "defined in sensor_msgs/PointField",
-                        shorten_for_error_message(field.name), type, std::size(kTypes)));
+        fail(
+            "the field '{}' of the cloud has the data type {}, expected a number from 1 to {} as defined in "
+            "sensor_msgs/PointField",
+            shorten_for_error_message(field.name), type, std::size(kTypes));
     field.kind = kTypes[type - 1].kind;
     field.size = kTypes[type - 1].size;
     return field;
@@ -75,27 +76,26 @@ CloudMessage::CloudField read_ros_point_field(MessageReader& reader) {
 void require_valid_cloud_layout(const CloudMessage& cloud) {
     for (const CloudMessage::CloudField& field : cloud.fields)
         if (field.offset > cloud.point_step || field.size * field.count > cloud.point_step - field.offset)
-            throw DataError(
-                fmt::format("the field '{}' starts at byte {} and has {} bytes, expected a field inside "
-                            "the point of {} bytes",
-                            shorten_for_error_message(field.name), field.offset, field.size * field.count,
-                            cloud.point_step));
+            fail(
+                "the field '{}' starts at byte {} and has {} bytes, expected a field inside the point of {} "
+                "bytes",
+                shorten_for_error_message(field.name), field.offset, field.size * field.count,
+                cloud.point_step);
     if (cloud.size() == 0) return;
     if (cloud.point_step == 0 || cloud.point_step > kMostPointStep)
-        throw DataError(
-            fmt::format("a point has {} bytes, expected 1 to {}", cloud.point_step, kMostPointStep));
+        fail("a point has {} bytes, expected 1 to {}", cloud.point_step, kMostPointStep);
     const std::size_t row = cloud.width * cloud.point_step;
     if (cloud.row_step < row && cloud.height > 1)
-        throw DataError(
-            fmt::format("each row of the cloud has {} bytes (row_step), expected at least {} bytes for {} "
-                        "points of {} bytes each",
-                        cloud.row_step, row, cloud.width, cloud.point_step));
+        fail(
+            "each row of the cloud has {} bytes (row_step), expected at least {} bytes for {} points of {} "
+            "bytes each",
+            cloud.row_step, row, cloud.width, cloud.point_step);
     if (cloud.data.size() < row ||
         (cloud.height > 1 && (cloud.data.size() - row) / cloud.row_step < cloud.height - 1))
-        throw DataError(
-            fmt::format("the data of the cloud have only {} bytes, expected enough for {} rows of {} points "
-                        "with {} bytes each",
-                        cloud.data.size(), cloud.height, cloud.width, cloud.point_step));
+        fail(
+            "the data of the cloud have only {} bytes, expected enough for {} rows of {} points with {} "
+            "bytes each",
+            cloud.data.size(), cloud.height, cloud.width, cloud.point_step);
 }
 
 /// Reads a CustomMsg of the Livox drivers. A point has the fields offset_time (uint32,
@@ -151,10 +151,10 @@ Pose make_pose(const PoseComponents& position_and_quaternion) {
     const double length = glm::length(q);
     if (!(std::abs(length - 1.0) <= kUnitLength) ||
         !std::isfinite(position_and_quaternion[0] + position_and_quaternion[1] + position_and_quaternion[2]))
-        throw DataError(fmt::format(
-            "found a pose at ({}, {}, {}) with a quaternion of length {}, expected finite "
-            "coordinates in metres and length 1",
-            position_and_quaternion[0], position_and_quaternion[1], position_and_quaternion[2], length));
+        fail(
+            "found a pose at ({}, {}, {}) with a quaternion of length {}, expected finite coordinates in "
+            "metres and length 1",
+            position_and_quaternion[0], position_and_quaternion[1], position_and_quaternion[2], length);
     return {glm::normalize(q),
             {position_and_quaternion[0], position_and_quaternion[1], position_and_quaternion[2]}};
 }

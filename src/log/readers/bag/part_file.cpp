@@ -16,6 +16,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/codecs/unpack.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar::bag {
@@ -33,8 +34,7 @@ void unpack_bz2(std::string_view source, std::span<char> target) {
                          : BZ2_bzBuffToBuffDecompress(target.data(), &n, const_cast<char*>(source.data()),
                                                       unsigned(source.size()), 0, 0);
     if (code != BZ_OK || n != target.size())
-        throw DataError(
-            fmt::format("the bz2 data is damaged, expected {} bytes after unpacking", target.size()));
+        fail("the bz2 data is damaged, expected {} bytes after unpacking", target.size());
 }
 
 using ChunkUnpacker = void (*)(std::string_view, std::span<char>);
@@ -45,12 +45,11 @@ std::string get_system_error_text() { return std::error_code(errno, std::generic
 
 RandomAccessFile::RandomAccessFile(const std::filesystem::path& path) : name_(path.string()) {
     handle_ = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
-    if (handle_ < 0)
-        throw DataError(fmt::format("{}: the file cannot be opened: {}", name_, get_system_error_text()));
+    if (handle_ < 0) fail("{}: the file cannot be opened: {}", name_, get_system_error_text());
     struct stat status {};
     if (::fstat(handle_, &status) != 0 || !S_ISREG(status.st_mode)) {
         ::close(handle_);
-        throw DataError(fmt::format("{}: this path is not a regular file", name_));
+        fail("{}: this path is not a regular file", name_);
     }
     size_ = std::uint64_t(status.st_size);
 }
@@ -59,18 +58,15 @@ RandomAccessFile::~RandomAccessFile() { ::close(handle_); }
 
 SharedBytes RandomAccessFile::read_bytes_at(std::uint64_t offset, std::uint64_t n_bytes) const {
     if (offset > size_ || n_bytes > size_ - offset)
-        throw DataError(
-            fmt::format("the file is truncated: it has {} bytes after byte {}, expected {} "
-                        "bytes",
-                        size_ - std::min(offset, size_), offset, n_bytes));
+        fail("the file is truncated: it has {} bytes after byte {}, expected {} bytes",
+             size_ - std::min(offset, size_), offset, n_bytes);
     return allocate_shared_bytes(std::size_t(n_bytes), [&](std::span<char> bytes) {
         for (std::size_t got = 0; got < bytes.size();) {
             const ssize_t k = ::pread(handle_, bytes.data() + got, bytes.size() - got, off_t(offset + got));
             if (k < 0 && errno == EINTR) continue;
             if (k <= 0)
-                throw DataError(fmt::format(
-                    "cannot read {} bytes that start at byte {}: {}", n_bytes, offset,
-                    k < 0 ? get_system_error_text() : "the file has become shorter since it was opened"));
+                fail("cannot read {} bytes that start at byte {}: {}", n_bytes, offset,
+                     k < 0 ? get_system_error_text() : "the file has become shorter since it was opened");
             got += std::size_t(k);
         }
     });
@@ -99,8 +95,7 @@ SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& compre
     const std::string_view bytes = compressed_chunk.bytes;
     if (compression.empty() || compression == "none") {
         if (unpacked_size != bytes.size())
-            throw DataError(
-                fmt::format("found {} bytes of uncompressed data, expected {}", bytes.size(), unpacked_size));
+            fail("found {} bytes of uncompressed data, expected {}", bytes.size(), unpacked_size);
         return compressed_chunk;
     }
     ChunkUnpacker unpack = nullptr;
@@ -108,14 +103,13 @@ SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& compre
     else if (compression == "zstd") unpack = decompress_zstd;
     else if (compression == "bz2") unpack = unpack_bz2;
     else
-        throw DataError(fmt::format("found the compression '{}', expected none, lz4, zstd or bz2",
-                                    shorten_for_error_message(compression)));
+        fail("found the compression '{}', expected none, lz4, zstd or bz2",
+             shorten_for_error_message(compression));
     if (unpacked_size > UINT_MAX ||
         (unpacked_size > kAlwaysUnpacked && unpacked_size / kMostUnpacked > bytes.size()))
-        throw DataError(fmt::format(
-            "found {} compressed bytes that unpack to {} bytes, expected at most {} unpacked bytes",
-            bytes.size(), unpacked_size,
-            std::min(std::uint64_t(UINT_MAX), std::max(kAlwaysUnpacked, kMostUnpacked * bytes.size()))));
+        fail("found {} compressed bytes that unpack to {} bytes, expected at most {} unpacked bytes",
+             bytes.size(), unpacked_size,
+             std::min(std::uint64_t(UINT_MAX), std::max(kAlwaysUnpacked, kMostUnpacked * bytes.size())));
     return allocate_shared_bytes(std::size_t(unpacked_size), [&](std::span<char> target) {
         if (unpacked_size > 0 || !bytes.empty()) unpack(bytes, target);
     });

@@ -20,6 +20,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/bytes.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
@@ -195,17 +196,14 @@ public:
             problem_ = fmt::format("{}: {}; the packets after the damaged part are missing", path.string(),
                                    unpacked.problem);
         if (!pcap_)
-            throw DataError(
-                fmt::format("{}: cannot read the capture ({}), expected packets in the format "
-                            "pcap or pcapng",
-                            path.string(), shorten_for_error_message(why)));
+            fail("{}: cannot read the capture ({}), expected packets in the format pcap or pcapng",
+                 path.string(), shorten_for_error_message(why));
         link_ = pcap_datalink(pcap_.get());
         const std::vector<int> supported_link_types = {DLT_EN10MB, DLT_LINUX_SLL, DLT_LINUX_SLL2, DLT_NULL,
                                                        DLT_LOOP,   DLT_RAW,       DLT_IPV4};
         if (std::ranges::find(supported_link_types, link_) == supported_link_types.end())
-            throw DataError(
-                fmt::format("{}: found packets of link type {}, expected Ethernet, Linux cooked or raw IP",
-                            path.string(), link_));
+            fail("{}: found packets of link type {}, expected Ethernet, Linux cooked or raw IP",
+                 path.string(), link_);
         begin_ = get_file_position();
     }
 
@@ -319,8 +317,7 @@ private:
     }
     void seek_to_byte(std::uint64_t file_offset) const {
         if (fseeko(pcap_file(pcap_.get()), off_t(file_offset), SEEK_SET) != 0)
-            throw DataError(
-                fmt::format("{}: cannot read the file from byte {}", path_.string(), file_offset));
+            fail("{}: cannot read the file from byte {}", path_.string(), file_offset);
     }
 
     /// Reads the next UDP datagram of the file, with its UDP header.
@@ -389,8 +386,8 @@ private:
             std::string& first = senders[stream.ouster.get()];
             if (!first.empty())
                 callbacks.note(
-                    fmt::format("{}: packets of {} and of {} use the same sensor metadata, {}, expected "
-                                "one metadata file for each sensor",
+                    fmt::format("{}: packets of {} and of {} use the same sensor metadata, {}, expected one "
+                                "metadata file for each sensor",
                                 path_.string(), first, std::get<0>(key), stream.ouster->where));
             first = std::get<0>(key);
         }

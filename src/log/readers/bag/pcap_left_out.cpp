@@ -4,15 +4,16 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "log/readers/bag/bag_file.hpp"
 
 namespace relidar::bag {
 
 std::unique_ptr<BagFile> open_pcap_file(const std::filesystem::path& file) {
-    throw UsageError(
-        fmt::format("{}: found a capture of packets, but this relidar was built without the reader of "
-                    "captures; install libpcap-dev, and build relidar again with RELIDAR_PCAP=ON",
-                    file.string()));
+    fail<UsageError>(
+        "{}: found a capture of packets, but this relidar was built without the reader of captures; install "
+        "libpcap-dev, and build relidar again with RELIDAR_PCAP=ON",
+        file.string());
 }
 
 }  // namespace relidar::bag

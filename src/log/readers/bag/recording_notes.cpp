@@ -114,8 +114,7 @@ std::string describe_clouds_with_differing_frame_id(const CloudTopic& cloud_topi
     if (cloud_topic.n_other_frame == 0) return "";
     return fmt::format(
         "{} clouds have another frame than the first cloud, for example '{}'; relidar assumes that all "
-        "clouds "
-        "are in the frame '{}'",
+        "clouds are in the frame '{}'",
         cloud_topic.n_other_frame, shorten_for_error_message(cloud_topic.other_frame),
         shorten_for_error_message(cloud_topic.frame));
 }

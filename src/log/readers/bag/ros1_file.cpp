@@ -8,6 +8,7 @@
 #include <fmt/format.h>
 
 #include "base/codecs/byte_reader.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/part_file.hpp"
@@ -28,14 +29,13 @@ public:
             const std::string_view field = reader.read_length_prefixed_string();
             const std::size_t equals = field.find('=');
             if (equals == std::string_view::npos)
-                throw DataError(fmt::format("found the header field '{}', expected name=value",
-                                            shorten_for_error_message(field)));
+                fail("found the header field '{}', expected name=value", shorten_for_error_message(field));
             values_[field.substr(0, equals)] = field.substr(equals + 1);
         }
     }
     std::string_view get_text_field(std::string_view field_name) const {
         const auto at = values_.find(field_name);
-        if (at == values_.end()) throw DataError(fmt::format("the header has no field '{}'", field_name));
+        if (at == values_.end()) fail("the header has no field '{}'", field_name);
         return at->second;
     }
     template <class T>
@@ -60,8 +60,7 @@ class Ros1File : public BagFile {
 public:
     Ros1File(const std::filesystem::path& path, bool skip_broken) : file_(path), skip_broken_(skip_broken) {
         if (file_.size() < kRos1Magic.size() || file_.read_bytes_at(0, kRos1Magic.size()).bytes != kRos1Magic)
-            throw DataError(
-                fmt::format("{}: the file does not begin like a ROS 1 bag of format 2.0", file_.name()));
+            fail("{}: the file does not begin like a ROS 1 bag of format 2.0", file_.name());
     }
 
     void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
@@ -71,8 +70,7 @@ public:
             const std::optional<Ros1RecordExtent> record = read_header_and_locate_record_data(at);
             if (!record) {
                 callbacks.note(
-                    fmt::format("{}: the file is truncated at byte {} of {}; later messages are "
-                                "missing",
+                    fmt::format("{}: the file is truncated at byte {} of {}; later messages are missing",
                                 file_.name(), at, file_.size()));
                 return;
             }
@@ -92,9 +90,7 @@ public:
     SharedBytes read_message_bytes(const MessagePosition& place) const override {
         if (place.in_chunk == MessagePosition::kNoChunk) {
             const std::optional<Ros1RecordExtent> record = read_header_and_locate_record_data(place.at);
-            if (!record)
-                throw DataError(
-                    fmt::format("{}: the message at byte {} is truncated", file_.name(), place.at));
+            if (!record) fail("{}: the message at byte {} is truncated", file_.name(), place.at);
             return file_.read_bytes_at(record->data_at, record->data_bytes);
         }
         const SharedBytes records = chunks_.get_or_unpack_chunk(
@@ -128,9 +124,8 @@ private:
         const auto header_bytes = length_at(record_offset);
         if (!header_bytes) return std::nullopt;
         if (*header_bytes > kLongestHeader)
-            throw DataError(
-                fmt::format("{}: the record at byte {} has a header of {} bytes, expected at most {}",
-                            file_.name(), record_offset, *header_bytes, kLongestHeader));
+            fail("{}: the record at byte {} has a header of {} bytes, expected at most {}", file_.name(),
+                 record_offset, *header_bytes, kLongestHeader);
         const std::uint64_t data = record_offset + 4 + *header_bytes;
         const auto data_bytes = length_at(data);
         if (!data_bytes) return std::nullopt;
@@ -179,10 +174,7 @@ private:
         }
         const auto connection = connections_.find(id);
         if (connection == connections_.end())
-            throw DataError(
-                fmt::format("a message belongs to connection {}, but no earlier record describes this "
-                            "connection",
-                            id));
+            fail("a message belongs to connection {}, but no earlier record describes this connection", id);
         ByteReader time(record_header.get_text_field("time"));
         const auto seconds = time.read_little_endian_number<std::uint32_t>(),
                    nanoseconds = time.read_little_endian_number<std::uint32_t>();

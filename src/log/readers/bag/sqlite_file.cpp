@@ -11,6 +11,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/part_file.hpp"
@@ -83,10 +84,7 @@ public:
             const std::int64_t row = sqlite3_column_int64(rows.get(), 0);
             const auto topic = topic_of.find(sqlite3_column_int64(rows.get(), 1));
             if (topic == topic_of.end())
-                throw DataError(
-                    fmt::format("{}: the message in row {} belongs to a topic that the file "
-                                "does not list",
-                                name_, row));
+                fail("{}: the message in row {} belongs to a topic that the file does not list", name_, row);
             callbacks.done(last > 0 ? double(row) / double(last) : 0.0);
             BagMessage message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
             // Reads bytes only for topics that the caller requested.
@@ -102,10 +100,10 @@ public:
         sqlite3_reset(one_.get());
         sqlite3_bind_int64(one_.get(), 1, std::int64_t(place.at));
         if (!step_to_next_row(one_.get()))
-            throw DataError(fmt::format(
-                "{}: row {} of the table 'messages' has disappeared since the file was opened; do "
-                "not change the recording while relidar uses it",
-                name_, place.at));
+            fail(
+                "{}: row {} of the table 'messages' has disappeared since the file was opened; do not change "
+                "the recording while relidar uses it",
+                name_, place.at);
         return make_shared_bytes(std::string(get_bytes_column(one_.get(), 0)));
     }
 
@@ -117,9 +115,8 @@ private:
     mutable Statement one_;
 
     [[noreturn]] void throw_database_error(const char* action) const {
-        throw DataError(fmt::format(
-            "{}: {} failed: {}; expected messages of rosbag2 in SQLite", name_, action,
-            shorten_for_error_message(database_ ? sqlite3_errmsg(database_.get()) : "not enough memory")));
+        fail("{}: {} failed: {}; expected messages of rosbag2 in SQLite", name_, action,
+             shorten_for_error_message(database_ ? sqlite3_errmsg(database_.get()) : "not enough memory"));
     }
 
     Statement prepare_statement(const std::string& sql_text) const {
@@ -157,13 +154,12 @@ private:
     /// Checks that a name belongs to a real table. An untrusted file could instead define
     /// a view with this name, whose query never ends.
     void require_ordinary_table(const char* table_name) const {
-        const Statement row = prepare_statement(fmt::format(
-            "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = '{}' AND sql NOT LIKE '%generated%' "
-            "AND sql NOT LIKE '% as%(%)%' AND sql NOT LIKE 'create virtual%'",
-            table_name));
+        const Statement row = prepare_statement(
+            fmt::format("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = '{}' AND sql NOT LIKE "
+                        "'%generated%' AND sql NOT LIKE '% as%(%)%' AND sql NOT LIKE 'create virtual%'",
+                        table_name));
         if (!step_to_next_row(row.get()))
-            throw DataError(fmt::format("{}: the table '{}' is missing, expected a database of rosbag2",
-                                        name_, table_name));
+            fail("{}: the table '{}' is missing, expected a database of rosbag2", name_, table_name);
     }
 };
 

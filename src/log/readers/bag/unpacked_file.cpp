@@ -18,6 +18,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/codecs/unpack.hpp"
+#include "base/fail.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -42,8 +43,8 @@ File open_temporary_file() {
 void write_block_or_flush(const File& unpacked, std::string_view bytes, const std::filesystem::path& packed) {
     if (std::fwrite(bytes.data(), 1, bytes.size(), unpacked.get()) != bytes.size() ||
         (bytes.empty() && std::fflush(unpacked.get()) != 0))
-        throw DataError(fmt::format("cannot unpack {}: no space is left in {}", packed.string(),
-                                    std::filesystem::temp_directory_path().string()));
+        fail("cannot unpack {}: no space is left in {}", packed.string(),
+             std::filesystem::temp_directory_path().string());
 }
 
 /// Throws if an unpacked file is much larger than the file, because the file is then
@@ -51,9 +52,8 @@ void write_block_or_flush(const File& unpacked, std::string_view bytes, const st
 void check_unpacked_size(const std::filesystem::path& packed, std::uint64_t n_unpacked) {
     constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
     if (n_unpacked > kSmall && n_unpacked / kMostGrowth > std::filesystem::file_size(packed))
-        throw DataError(fmt::format(
-            "cannot unpack {}: found more than {} bytes, expected at most {} times the size of the file",
-            packed.string(), n_unpacked, kMostGrowth));
+        fail("cannot unpack {}: found more than {} bytes, expected at most {} times the size of the file",
+             packed.string(), n_unpacked, kMostGrowth);
 }
 
 }  // namespace
@@ -79,7 +79,7 @@ UnpackedZstdFile::UnpackedZstdFile(const std::filesystem::path& file) : path_(fi
     path_ = temporary_folder_ / remove_zstd_extension(file).filename();
     try {
         const File unpacked(std::fopen(path_.c_str(), "wb"));
-        if (!unpacked) throw DataError(fmt::format("cannot write {}", path_.string()));
+        if (!unpacked) fail("cannot write {}", path_.string());
         std::uint64_t n_unpacked = 0;
         is_truncated_ = !stream_zstd(read_block, [&](std::string_view bytes) {
             check_unpacked_size(file, n_unpacked += bytes.size());
@@ -89,7 +89,7 @@ UnpackedZstdFile::UnpackedZstdFile(const std::filesystem::path& file) : path_(fi
     } catch (const DataError& error) {
         std::error_code ignored;
         std::filesystem::remove_all(temporary_folder_, ignored);
-        throw DataError(fmt::format("{}: {}", file.string(), error.what()));
+        fail("{}: {}", file.string(), error.what());
     }
 }
 
@@ -104,12 +104,12 @@ std::filesystem::path remove_gz_extension(const std::filesystem::path& file) {
 
 DecompressedFile open_file_and_unpack_gzip(const std::filesystem::path& path) {
     File packed(std::fopen(path.c_str(), "rb"));
-    if (!packed) throw DataError(fmt::format("cannot read {}", path.string()));
+    if (!packed) fail("cannot read {}", path.string());
     const int first = std::fgetc(packed.get()), second = std::fgetc(packed.get());
     std::rewind(packed.get());
     if (first != 0x1f || second != 0x8b) return {packed.release(), ""};
     const std::unique_ptr<gzFile_s, int (*)(gzFile)> reader(gzopen(path.c_str(), "rb"), gzclose);
-    if (!reader) throw DataError(fmt::format("cannot read {}", path.string()));
+    if (!reader) fail("cannot read {}", path.string());
     File unpacked = open_temporary_file();
     const auto write = [&](const char* bytes, std::size_t n_bytes) {
         write_block_or_flush(unpacked, {bytes, n_bytes}, path);

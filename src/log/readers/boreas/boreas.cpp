@@ -13,6 +13,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/clouds/stamped_log.hpp"
 
@@ -55,9 +56,8 @@ ForwardDirection read_forward_direction(const fs::path& calibration_file) {
     if (!does_path_exist(calibration_file)) return {};
     const auto m = parse_numbers(read_text_file(calibration_file));
     if (!m || m->size() != 16)
-        throw DataError(
-            fmt::format("{}: found {}, expected 4 lines of 4 numbers", calibration_file.string(),
-                        m ? fmt::format("{} numbers", m->size()) : "a word that is not a number"));
+        fail("{}: found {}, expected 4 lines of 4 numbers", calibration_file.string(),
+             m ? fmt::format("{} numbers", m->size()) : "a word that is not a number");
     const auto& at = *m;
     const glm::dmat3 rotation(at[0], at[4], at[8], at[1], at[5], at[9], at[2], at[6], at[10]);
     const Pose applanix_from_lidar =

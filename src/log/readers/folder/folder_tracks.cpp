@@ -10,6 +10,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/csv.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
 #include "log/clouds/folder_head.hpp"
@@ -69,8 +70,7 @@ std::vector<int> find_pose_columns(const std::string& header_line, const std::st
     }
     const std::vector<int> at = find_column_indices(words, kPoseNames, error_location);
     for (std::size_t c = 0; c < at.size(); ++c)
-        if (at[c] < 0)
-            throw DataError(fmt::format("{}: the column '{}' is missing", error_location, kPoseNames[c]));
+        if (at[c] < 0) fail("{}: the column '{}' is missing", error_location, kPoseNames[c]);
     return at;
 }
 
@@ -88,12 +88,12 @@ std::vector<double> parse_pose_row(const std::string& line, std::size_t expected
     const auto v = parse_numbers(strip_comment(line));
     if (!v ||
         (expected_count_or_zero > 0 ? v->size() != expected_count_or_zero : v->size() != 7 && v->size() != 8))
-        throw DataError(fmt::format("{}: found '{}', expected 8 numbers: time_s x y z qw qx qy qz",
-                                    error_location, shorten_for_error_message(line)));
+        fail("{}: found '{}', expected 8 numbers: time_s x y z qw qx qy qz", error_location,
+             shorten_for_error_message(line));
     if (!std::all_of(v->begin(), v->end(), [](double value) { return std::abs(value) <= kLargestOfTrack; }))
-        throw DataError(fmt::format("{}: found '{}', expected finite numbers of at most {}{}", error_location,
-                                    shorten_for_error_message(line), kLargestOfTrack,
-                                    v->front() > kLargestOfTrack ? ", and a time in seconds" : ""));
+        fail("{}: found '{}', expected finite numbers of at most {}{}", error_location,
+             shorten_for_error_message(line), kLargestOfTrack,
+             v->front() > kLargestOfTrack ? ", and a time in seconds" : "");
     return *v;
 }
 
@@ -105,10 +105,10 @@ void throw_if_pose_rows_lack_times(const PoseRows& pose_rows, const std::string&
                std::abs(glm::length(glm::dquat(row[3], row[4], row[5], row[6])) - 1.0) <= kUnit;
     };
     if (!pose_rows.rows.empty() && std::ranges::all_of(pose_rows.rows, ends_with_quaternion))
-        throw DataError(fmt::format(
+        fail(
             "{}: the poses have no times, because each line has seven numbers and the last four are a "
             "quaternion; expected 8 numbers: time_s x y z qw qx qy qz",
-            file_name));
+            file_name);
 }
 
 PoseRows parse_pose_rows(const std::vector<std::string>& lines, const std::string& file_name) {
@@ -128,13 +128,12 @@ PoseRows parse_pose_rows(const std::vector<std::string>& lines, const std::strin
         if (const std::vector<double> read = row; !at.empty())
             for (std::size_t c = 0; c < row.size(); ++c) row[c] = read[static_cast<std::size_t>(at[c])];
         if (!rows.rows.empty() && !(row[0] > rows.rows.back()[0]))
-            throw DataError(fmt::format("{}: found the time {} s after {} s, expected increasing times",
-                                        where, row[0], rows.rows.back()[0]));
+            fail("{}: found the time {} s after {} s, expected increasing times", where, row[0],
+                 rows.rows.back()[0]);
         if (row.size() == 8) {
             const double length = glm::length(glm::dquat(row[4], row[5], row[6], row[7]));
             if (!(std::abs(length - 1.0) <= kUnit))
-                throw DataError(
-                    fmt::format("{}: found a quaternion of length {}, expected length 1", where, length));
+                fail("{}: found a quaternion of length {}, expected length 1", where, length);
         }
         rows.rows.push_back(std::move(row));
     }
@@ -242,10 +241,9 @@ std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,
     for (const SequenceHeaderFrame& frame : frames) {
         if (frame.time_s < track.time_s.front() - kMostBeyond_s ||
             frame.time_s > track.time_s.back() + kMostBeyond_s)
-            throw DataError(fmt::format(
-                "{}: found poses from {} to {} s, but frame {} is at {} s, expected poses for all frames{}",
-                file_name, track.time_s.front(), track.time_s.back(), frame.number, frame.time_s,
-                describe_clock_difference(track, frames, is_plain_folder)));
+            fail("{}: found poses from {} to {} s, but frame {} is at {} s, expected poses for all frames{}",
+                 file_name, track.time_s.front(), track.time_s.back(), frame.number, frame.time_s,
+                 describe_clock_difference(track, frames, is_plain_folder));
         poses.push_back(track.interpolate_pose(frame.time_s));
     }
     return poses;
@@ -262,10 +260,10 @@ void add_note_if_poses_are_sparse(const PoseTrack& track, const std::vector<Sequ
     const double pose_step_s = compute_median_interval_s(track.time_s),
                  frame_step_s = compute_median_interval_s(frame_times_s);
     if (pose_step_s > kMostScansPerPose * frame_step_s)
-        notes.push_back(fmt::format(
-            "{}: poses are {:.3g} s apart, but scans are {:.3g} s apart, and poses in between are "
-            "interpolated; check the unit of the times",
-            file_name, pose_step_s, frame_step_s));
+        notes.push_back(
+            fmt::format("{}: poses are {:.3g} s apart, but scans are {:.3g} s apart, and poses in between "
+                        "are interpolated; check the unit of the times",
+                        file_name, pose_step_s, frame_step_s));
 }
 
 double find_label_time_s(const JsonField& label, const std::vector<SequenceHeaderFrame>& all_frames) {
@@ -317,13 +315,11 @@ std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
     const auto first = std::find_if(lines.begin(), lines.end(),
                                     [](const std::string& line) { return !strip_comment(line).empty(); });
     if (first == lines.end())
-        throw DataError(
-            fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers", pose_file.string()));
+        fail("{}: the file has no pose, expected lines of 12 or 8 numbers", pose_file.string());
     if (split_at_spaces(strip_comment(*first)).size() != 12) {
         const PoseRows rows = parse_pose_rows(lines, pose_file.string());
         if (rows.rows.empty())
-            throw DataError(fmt::format("{}: the file has no pose, expected lines of 12 or 8 numbers",
-                                        pose_file.string()));
+            fail("{}: the file has no pose, expected lines of 12 or 8 numbers", pose_file.string());
         const std::vector<PoseInterpretation> readings = list_possible_pose_conventions(rows);
         // Only relidar writes these column names. The meaning of the numbers is therefore
         // certain.

@@ -7,6 +7,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/clouds/folder_head.hpp"
 #include "log/clouds/folder_points.hpp"
@@ -33,16 +34,15 @@ std::vector<SequenceHeaderFrame> select_requested_frames(const folder::SequenceH
             continue;
         const bool there = does_path_exist(frame.scan);
         if (!there && !options.allow_missing_scans)
-            throw DataError(fmt::format("{}: no such file, expected the scan of frame {}",
-                                        frame.scan.string(), frame.number));
+            fail("{}: no such file, expected the scan of frame {}", frame.scan.string(), frame.number);
         n_missing += !there;
         if (there) frames.push_back(frame);
     }
     if (frames.empty())
-        throw UsageError(fmt::format("frames {}:{} select no existing scan of {}; {} scans are missing",
-                                     options.frames.begin,
-                                     options.frames.end < 0 ? "" : std::to_string(options.frames.end),
-                                     sequence_header.name, n_missing));
+        fail<UsageError>("frames {}:{} select no existing scan of {}; {} scans are missing",
+                         options.frames.begin,
+                         options.frames.end < 0 ? "" : std::to_string(options.frames.end),
+                         sequence_header.name, n_missing);
     if (n_missing > 0)
         notes.push_back(fmt::format("{} scans of the list in sequence.json are missing", n_missing));
     return frames;
@@ -120,10 +120,10 @@ std::vector<Pose> read_vehicle_poses_or_identities(const fs::path& folder,
                 fmt::format("{}; boxes in world coordinates may be at wrong places", error.what()));
     }
     if (!options.poses_file.empty()) return std::vector<Pose>(frames.size());
-    throw DataError(
-        fmt::format("{}: no such file; expected poses of the vehicle; use dataset.poses=FILE to name "
-                    "another file, or dataset.poses=none to estimate the poses from the scans",
-                    file.string()));
+    fail(
+        "{}: no such file; expected poses of the vehicle; use dataset.poses=FILE to name another file, or "
+        "dataset.poses=none to estimate the poses from the scans",
+        file.string());
 }
 
 /// Replaces the vehicle poses of the log by poses from a file. The boxes move with the
@@ -141,9 +141,7 @@ void replace_vehicle_poses(LidarSequence& sequence, const folder::SequenceHeader
         const auto pairs = [&] { return read_consecutive_scan_pairs(sequence_header, frames); };
         const std::optional<std::vector<Pose>> poses =
             folder::read_frame_poses(pose_file, frames, pairs, sequence.notes);
-        if (!poses)
-            throw DataError(
-                fmt::format("{}: no such file, expected poses (dataset.poses)", pose_file.string()));
+        if (!poses) fail("{}: no such file, expected poses (dataset.poses)", pose_file.string());
         for (std::size_t i = 0; i < frames.size(); ++i)
             if (i == 0 || frames[i].time_s != frames[i - 1].time_s) track.pose.push_back((*poses)[i]);
     }

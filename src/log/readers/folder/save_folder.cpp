@@ -12,6 +12,7 @@
 #include <relidar/base/files.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/number_text.hpp"
 #include "base/progress_blocks.hpp"
@@ -113,21 +114,19 @@ bool is_entry_of_saved_log(const fs::path& entry) {
 void require_writable_target_folder(const fs::path& folder, bool overwrite) {
     if (!does_path_exist(folder) || (fs::is_directory(folder) && list_folder_entries(folder).empty())) return;
     if (!fs::is_directory(folder) || !does_path_exist(folder / folder::kHeadFile))
-        throw UsageError(
-            fmt::format("{}: this path exists and does not contain a log with {}, expected a new name or an "
-                        "empty folder",
-                        folder.string(), folder::kHeadFile));
+        fail<UsageError>(
+            "{}: this path exists and does not contain a log with {}, expected a new name or an empty folder",
+            folder.string(), folder::kHeadFile);
     if (!overwrite)
-        throw UsageError(
-            fmt::format("{}: this folder exists and contains a log, expected a new name; use --force to "
-                        "replace the log",
-                        folder.string()));
+        fail<UsageError>(
+            "{}: this folder exists and contains a log, expected a new name; use --force to replace the log",
+            folder.string());
     for (const fs::path& entry : list_folder_entries(folder))
         if (!is_entry_of_saved_log(entry))
-            throw UsageError(fmt::format(
-                "cannot replace the log in {}: {} is not a file that relidar writes, and would be "
-                "deleted; expected another folder",
-                folder.string(), entry.filename().string()));
+            fail<UsageError>(
+                "cannot replace the log in {}: {} is not a file that relidar writes, and would be deleted; "
+                "expected another folder",
+                folder.string(), entry.filename().string());
 }
 
 }  // namespace

@@ -13,6 +13,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
+#include "base/fail.hpp"
 #include "base/median.hpp"
 
 namespace relidar::kitti {
@@ -193,10 +194,10 @@ BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
         }
     }
     if (samples[0].empty()) {
-        throw DataError(
-            fmt::format("{}: found {} rings in the order of the file, expected 64 rings of an "
-                        "HDL-64E, stored one after another",
-                        error_location, most));
+        fail(
+            "{}: found {} rings in the order of the file, expected 64 rings of an HDL-64E, stored one after "
+            "another",
+            error_location, most);
     }
     BeamCones cones;
     for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_beam_cone_robustly(samples[k]);

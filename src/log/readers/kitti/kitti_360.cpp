@@ -15,6 +15,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/list_text.hpp"
 #include "log/clouds/lidar_rt_benchmark.hpp"
@@ -40,8 +41,7 @@ std::vector<std::string> list_drives(const fs::path& folder) {
     for (const fs::path& drive : list_folder_entries(folder))
         if (does_path_exist(drive / "velodyne_points")) names.push_back(drive.filename().string());
     if (names.empty())
-        throw DataError(fmt::format("{}: found no drive, expected folders *_drive_*_sync/velodyne_points",
-                                    folder.string()));
+        fail("{}: found no drive, expected folders *_drive_*_sync/velodyne_points", folder.string());
     return names;
 }
 
@@ -58,11 +58,11 @@ RequestedDrive choose_drive(const fs::path& folder, const DatasetOptions& option
     for (const std::string& drive : drives)
         if (drive == part.drive || drive.find("_drive_" + part.drive + "_") != std::string::npos)
             return {drive, part.frames, part.test_frames};
-    throw UsageError(fmt::format(
+    fail<UsageError>(
         "dataset.sequence: found '{}', expected the name or number of a drive in {} ({}), or ks1 to ks4 or "
         "kd1 to kd6, which are the static and dynamic parts of drive 0000 in the LiDAR-RT paper",
         shorten_for_error_message(options.sequence), folder.string(),
-        shorten_for_error_message(fmt::format("{}", fmt::join(drives, ", ")))));
+        shorten_for_error_message(fmt::format("{}", fmt::join(drives, ", "))));
 }
 
 /// Returns the LiDAR poses in the world frame, by frame number. Some frames have no pose.
@@ -107,10 +107,9 @@ void add_frames_with_pose(LidarSequence& sequence, const std::vector<int>& frame
         if (pose) add_frame(sequence, frame_numbers[i], frame_times_s[i], *pose);
     }
     if (sequence.frames.empty())
-        throw DataError(
-            fmt::format("{}: none of the frames {} to {} has a pose, expected frames between {} and {}",
-                        sequence.name, frame_numbers.front(), frame_numbers.back(),
-                        poses_by_frame.begin()->first, poses_by_frame.rbegin()->first));
+        fail("{}: none of the frames {} to {} has a pose, expected frames between {} and {}", sequence.name,
+             frame_numbers.front(), frame_numbers.back(), poses_by_frame.begin()->first,
+             poses_by_frame.rbegin()->first);
     if (!between.empty())
         sequence.notes.push_back(fmt::format(
             "poses of these frames are interpolated, because data_poses does not contain them: {}",
@@ -137,9 +136,7 @@ void add_frames_and_boxes(LidarSequence& sequence, const fs::path& dataset_folde
             if (labels.empty() && does_path_exist(file)) labels = file;
         }
         if (labels.empty())
-            sequence.notes.push_back(
-                "data_3d_bboxes is missing, so this drive has no "
-                "labels");
+            sequence.notes.push_back("data_3d_bboxes is missing, so this drive has no labels");
         else sequence.boxes = read_kitti_360_boxes(labels, sequence.frames);
     } else {
         for (std::size_t i = 0; i < frame_numbers.size(); ++i)

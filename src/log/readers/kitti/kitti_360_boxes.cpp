@@ -3,6 +3,7 @@
 // child of the root element. A moving object has one child per frame. The 4x4 transform
 // maps the unit cube around the origin to the box in the world. Its upper 3x3 block is
 // rotation * diag(length, width, height).
+#include "base/fail.hpp"
 #include "log/readers/kitti/kitti_360.hpp"
 
 #include <algorithm>
@@ -45,8 +46,8 @@ int read_integer_field(const pugi::xml_node& object, const char* field_name, std
     if (text.empty() && default_value) return *default_value;
     const auto value = parse_number(trim_blanks_at_both_ends(text));
     if (!value || !(std::abs(*value) < kLargest) || *value != std::floor(*value))
-        throw DataError(fmt::format("{}: {} is '{}', expected a whole number", error_location, field_name,
-                                    shorten_for_error_message(text)));
+        fail("{}: {} is '{}', expected a whole number", error_location, field_name,
+             shorten_for_error_message(text));
     return static_cast<int>(*value);
 }
 
@@ -70,20 +71,18 @@ glm::dmat4 read_box_transform(const pugi::xml_node& object, const std::string& e
               cols = read_integer_field(matrix, "cols", {}, error_location + ": transform");
     const auto numbers = parse_numbers(matrix.child_value("data"));
     if (rows != 4 || cols != 4 || !numbers || numbers->size() != 16)
-        throw DataError(fmt::format(
+        fail(
             "{}: transform has {} rows and {} columns and contains {}, expected a matrix with 4 rows, 4 "
             "columns and 16 numbers",
             error_location, rows, cols,
-            numbers ? fmt::format("{} numbers", numbers->size()) : "words that are not numbers"));
+            numbers ? fmt::format("{} numbers", numbers->size()) : "words that are not numbers");
     constexpr double kLargest = 1e8;
     glm::dmat4 m;
     for (int i = 0; i < 16; ++i) {
         const double value = (*numbers)[std::size_t(i)];
         if (!(std::abs(value) <= kLargest))
-            throw DataError(
-                fmt::format("{}: number {} of the matrix transform is {}, expected a number from {:.0e} to "
-                            "{:.0e}",
-                            error_location, i + 1, value, -kLargest, kLargest));
+            fail("{}: number {} of the matrix transform is {}, expected a number from {:.0e} to {:.0e}",
+                 error_location, i + 1, value, -kLargest, kLargest);
         m[i % 4][i / 4] = value;
     }
     return m;
@@ -98,10 +97,10 @@ void set_box_size_and_pose_from_transform(BoxLabel& label, const glm::dmat4& wor
     label.size_m = {glm::length(axes[0]), glm::length(axes[1]), glm::length(axes[2])};
     constexpr double kSmallest_m = 1e-3;
     if (!(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) >= kSmallest_m))
-        throw DataError(
-            fmt::format("{}: the matrix transform makes the box {} x {} x {} m large, expected each length "
-                        "to be at least {} m",
-                        error_location, label.size_m.x, label.size_m.y, label.size_m.z, kSmallest_m));
+        fail(
+            "{}: the matrix transform makes the box {} x {} x {} m large, expected each length to be at "
+            "least {} m",
+            error_location, label.size_m.x, label.size_m.y, label.size_m.z, kSmallest_m);
     for (int c = 0; c < 3; ++c) axes[c] /= label.size_m[c];
     if (glm::determinant(axes) < 0.0) axes[1] = -axes[1];
     label.world_from_box = check_rotation_and_make_pose(axes, glm::dvec3(world_from_unit_box[3]),
@@ -142,10 +141,10 @@ void add_labels_of_object(const pugi::xml_node& object, const std::vector<LidarF
     for (; frame != frames.end() && frame->index <= last; ++frame) {
         LabelsByFrame& track = labels_by_track_id[label.id];
         if (!track.empty() && track.begin()->second.category != label.category)
-            throw DataError(
-                fmt::format("{}: found class {} for track {}, which has class {} in another frame, "
-                            "expected one class per track",
-                            error_location, label.category, label.id, track.begin()->second.category));
+            fail(
+                "{}: found class {} for track {}, which has class {} in another frame, expected one class "
+                "per track",
+                error_location, label.category, label.id, track.begin()->second.category);
         label.time_s = frame->time_s;
         track.emplace(frame->index, label);
     }
@@ -159,13 +158,11 @@ std::vector<BoxTrack> read_kitti_360_boxes(const std::filesystem::path& label_fi
     const std::string text = read_text_file(label_file);
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());
     if (!parsed)
-        throw DataError(fmt::format("{}: malformed XML at byte {}: {}", label_file.string(), parsed.offset,
-                                    parsed.description()));
+        fail("{}: malformed XML at byte {}: {}", label_file.string(), parsed.offset, parsed.description());
     const pugi::xml_node root = document.child("opencv_storage");
     if (!root)
-        throw DataError(
-            fmt::format("{}: the element opencv_storage is missing, expected the boxes of KITTI-360",
-                        label_file.string()));
+        fail("{}: the element opencv_storage is missing, expected the boxes of KITTI-360",
+             label_file.string());
     std::map<std::string, LabelsByFrame> tracks;
     for (const pugi::xml_node& object : root.children())
         add_labels_of_object(

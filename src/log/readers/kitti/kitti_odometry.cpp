@@ -9,6 +9,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/clouds/log_files.hpp"
 #include "log/readers/kitti/kitti_sweeps.hpp"
@@ -25,12 +26,12 @@ std::vector<double> read_frame_times_s(const fs::path& file, const std::vector<i
     for (const int frame : frame_numbers) {
         const std::size_t line = static_cast<std::size_t>(frame);
         if (line >= lines.size())
-            throw DataError(fmt::format("{}: found {} lines, but frame {} needs line {}", file.string(),
-                                        lines.size(), frame, line + 1));
+            fail("{}: found {} lines, but frame {} needs line {}", file.string(), lines.size(), frame,
+                 line + 1);
         const auto seconds = parse_number(trim_blanks_at_both_ends(lines[line]));
         if (!seconds)
-            throw DataError(fmt::format("{} line {}: found '{}', expected a time in seconds", file.string(),
-                                        line + 1, shorten_for_error_message(lines[line])));
+            fail("{} line {}: found '{}', expected a time in seconds", file.string(), line + 1,
+                 shorten_for_error_message(lines[line]));
         time_s.push_back(*seconds);
     }
     return time_s;
@@ -44,10 +45,10 @@ fs::path find_odometry_pose_file(const fs::path& sequence_folder) {
                             (sequence_folder.filename().string() + ".txt");
     if (does_path_exist(here)) return here;
     if (does_path_exist(beside)) return beside;
-    throw DataError(
-        fmt::format("neither {} nor {} exists, expected the poses of the camera; use dataset.poses=FILE "
-                    "for poses of the LiDAR, or dataset.poses=none to estimate the poses from the scans",
-                    here.string(), beside.string()));
+    fail(
+        "neither {} nor {} exists, expected the poses of the camera; use dataset.poses=FILE for poses of the "
+        "LiDAR, or dataset.poses=none to estimate the poses from the scans",
+        here.string(), beside.string());
 }
 
 /// Reads the LiDAR poses in the world frame for some frames.
@@ -82,8 +83,8 @@ LidarSequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptio
         "Sensor frame: x forward, y left, z up, in metres. Times are the seconds in times.txt. The world "
         "frame is the LiDAR frame of frame 0. Scans are motion-compensated. The dataset has no boxes.";
     sequence.notes = {"this log has no labels",
-                      "the scans are motion-compensated, so all rays start at the position of the sensor "
-                      "at the time of the frame"};
+                      "the scans are motion-compensated, so all rays start at the position of the sensor at "
+                      "the time of the frame"};
     sequence.notes.insert(sequence.notes.end(), pose_notes.begin(), pose_notes.end());
     if (options.poses_file == kNoPoses) sequence.notes.push_back(kitti::kNoPosesNote);
     sequence.rolling_shutter = false;

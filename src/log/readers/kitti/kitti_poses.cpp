@@ -3,6 +3,7 @@
 // with 12 numbers per line, or are computed from GPS/IMU data (OXTS):
 //   x = s R lon, y = s R ln tan(pi/4 + lat/2), z = alt,  s = cos(first latitude),
 //   R = 6378137 m,  rotation R_z(yaw) R_y(pitch) R_x(roll)
+#include "base/fail.hpp"
 #include "log/clouds/folder_head.hpp"
 #include "log/clouds/log_files.hpp"
 
@@ -35,14 +36,11 @@ void require_plausible_pose_positions(const std::vector<Pose>& poses, const std:
     for (std::size_t i = 0; i < poses.size(); ++i) {
         const glm::dvec3 t = poses[i].translation, step = t - poses[0].translation;
         if (std::max({std::abs(t.x), std::abs(t.y), std::abs(t.z)}) > kLargestCoordinate_m)
-            throw DataError(
-                fmt::format("{}: the pose of frame {} is at ({}, {}, {}), expected coordinates of at most "
-                            "{} m",
-                            error_location, frame_numbers[i], t.x, t.y, t.z, kLargestCoordinate_m));
+            fail("{}: the pose of frame {} is at ({}, {}, {}), expected coordinates of at most {} m",
+                 error_location, frame_numbers[i], t.x, t.y, t.z, kLargestCoordinate_m);
         if (glm::length(step) > kLongestLog_m)
-            throw DataError(fmt::format(
-                "{}: the poses of frames {} and {} are {:.6g} m apart, expected at most {} m within a drive",
-                error_location, frame_numbers[0], frame_numbers[i], glm::length(step), kLongestLog_m));
+            fail("{}: the poses of frames {} and {} are {:.6g} m apart, expected at most {} m within a drive",
+                 error_location, frame_numbers[0], frame_numbers[i], glm::length(step), kLongestLog_m);
     }
 }
 
@@ -50,15 +48,12 @@ std::vector<double> parse_finite_numbers(const std::string& line, std::size_t ex
                                          const std::string& error_location) {
     const auto numbers = parse_numbers(line);
     if (!numbers)
-        throw DataError(fmt::format("{}: found a word that is not a number, expected {} numbers",
-                                    error_location, expected_count));
+        fail("{}: found a word that is not a number, expected {} numbers", error_location, expected_count);
     if (numbers->size() != expected_count)
-        throw DataError(fmt::format("{}: found {} numbers, expected {}", error_location, numbers->size(),
-                                    expected_count));
+        fail("{}: found {} numbers, expected {}", error_location, numbers->size(), expected_count);
     for (std::size_t i = 0; i < expected_count; ++i) {
         if (!std::isfinite((*numbers)[i])) {
-            throw DataError(fmt::format("{}: number {} is {}, expected a finite value", error_location, i + 1,
-                                        (*numbers)[i]));
+            fail("{}: number {} is {}, expected a finite value", error_location, i + 1, (*numbers)[i]);
         }
     }
     return *numbers;
@@ -81,9 +76,8 @@ Pose read_imu_pose_from_oxts(const fs::path& oxts_file, std::optional<double>& m
     const std::vector<std::string> lines = split_lines(read_text_file(oxts_file));
     const std::vector<double> v = parse_finite_numbers(lines.empty() ? "" : lines[0], 30, oxts_file.string());
     if (std::abs(v[0]) > 89.0 || std::abs(v[1]) > 360.0) {
-        throw DataError(
-            fmt::format("{}: found the latitude {} and the longitude {}, expected angles in degrees",
-                        oxts_file.string(), v[0], v[1]));
+        fail("{}: found the latitude {} and the longitude {}, expected angles in degrees", oxts_file.string(),
+             v[0], v[1]);
     }
     constexpr double kEarthRadius_m = 6378137.0;
     const double lat = v[0] * kPi / 180.0, lon = v[1] * kPi / 180.0;
@@ -104,11 +98,10 @@ int find_first_oxts_frame(const fs::path& drive_folder) {
             if (file.extension() == ".txt" && number) return *number;
         }
     }
-    throw DataError(
-        fmt::format("{}: the OXTS files (0000000000.txt) are missing, so the drive has no poses; use "
-                    "dataset.poses=FILE, or dataset.poses=none to estimate the poses "
-                    "from the scans",
-                    folder.string()));
+    fail(
+        "{}: the OXTS files (0000000000.txt) are missing, so the drive has no poses; use dataset.poses=FILE, "
+        "or dataset.poses=none to estimate the poses from the scans",
+        folder.string());
 }
 
 /// Returns the path of calib_imu_to_velo.txt for a drive (a recording of KITTI). Searches
@@ -124,11 +117,11 @@ fs::path find_imu_calibration_file(const fs::path& drive_folder) {
             if (does_path_exist(base / inner / name)) return base / inner / name;
         }
     }
-    throw DataError(
-        fmt::format("{}: no such file, and it was not found in the folder of the drive or in a folder calib, "
-                    "calibration or {}_calib either; copy KITTI's calibration file of that day to this path, "
-                    "or use dataset.poses=FILE",
-                    (drive_folder.parent_path() / name).string(), date));
+    fail(
+        "{}: no such file, and it was not found in the folder of the drive or in a folder calib, calibration "
+        "or {}_calib either; copy KITTI's calibration file of that day to this path, or use "
+        "dataset.poses=FILE",
+        (drive_folder.parent_path() / name).string(), date);
 }
 
 }  // namespace
@@ -141,10 +134,10 @@ Pose read_calibration_transform(const fs::path& file) {
         if (line.rfind("T:", 0) == 0) t = parse_finite_numbers(line.substr(2), 3, where + " key T");
     }
     if (r.empty() || t.empty()) {
-        throw DataError(
-            fmt::format("{}: the line that begins with '{}:' is missing, expected a line 'R:' with 9 numbers "
-                        "and a line 'T:' with 3 numbers",
-                        file.string(), r.empty() ? "R" : "T"));
+        fail(
+            "{}: the line that begins with '{}:' is missing, expected a line 'R:' with 9 numbers and a line "
+            "'T:' with 3 numbers",
+            file.string(), r.empty() ? "R" : "T");
     }
     return check_rotation_and_make_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]),
                                         {t[0], t[1], t[2]}, file.string());
@@ -155,8 +148,7 @@ Pose read_transform_of_key(const fs::path& file, const std::string& key) {
         if (line.rfind(key + ":", 0) == 0)
             return parse_pose_matrix(line.substr(key.size() + 1),
                                      fmt::format("{} key {}", file.string(), key));
-    throw DataError(
-        fmt::format("{}: the line '{}:' is missing, expected this key with 12 numbers", file.string(), key));
+    fail("{}: the line '{}:' is missing, expected this key with 12 numbers", file.string(), key);
 }
 
 std::vector<Pose> compute_lidar_poses_from_oxts_files(const fs::path& drive_folder,
@@ -182,10 +174,10 @@ std::vector<Pose> read_pose_matrices(const fs::path& pose_file, const std::vecto
     for (const int frame : frame_numbers) {
         const std::size_t line = static_cast<std::size_t>(frame);
         if (line >= lines.size()) {
-            throw DataError(
-                fmt::format("{}: found {} lines, but frame {} needs line {}; expected one line with a pose "
-                            "for each frame, starting with frame 0",
-                            pose_file.string(), lines.size(), frame, line + 1));
+            fail(
+                "{}: found {} lines, but frame {} needs line {}; expected one line with a pose for each "
+                "frame, starting with frame 0",
+                pose_file.string(), lines.size(), frame, line + 1);
         }
         const std::string where = fmt::format("{} line {}", pose_file.string(), line + 1);
         poses.push_back(parse_pose_matrix(lines[line], where));
@@ -201,8 +193,7 @@ std::vector<Pose> read_user_pose_file(const fs::path& pose_file, const std::vect
     for (std::size_t i = 0; i < frame_numbers.size(); ++i)
         heads.push_back({frame_numbers[i], frame_times_s[i], 0, {}});
     const auto poses = folder::read_frame_poses(pose_file, heads, nullptr, notes);
-    if (!poses)
-        throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)", pose_file.string()));
+    if (!poses) fail("{}: no such file, expected poses (dataset.poses)", pose_file.string());
     return *poses;
 }
 
@@ -231,15 +222,14 @@ std::map<int, Pose> read_poses_by_frame_number(const fs::path& file) {
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
         const std::optional<int> frame = parse_file_stem_as_number(std::string(line.substr(0, end)));
         if (!frame || (!frames.empty() && *frame <= frames.back()))
-            throw DataError(fmt::format("{}: found the frame '{}'{}, expected increasing frame numbers",
-                                        where, shorten_for_error_message(line.substr(0, end)),
-                                        frames.empty() ? "" : fmt::format(" after {}", frames.back())));
+            fail("{}: found the frame '{}'{}, expected increasing frame numbers", where,
+                 shorten_for_error_message(line.substr(0, end)),
+                 frames.empty() ? "" : fmt::format(" after {}", frames.back()));
         frames.push_back(*frame);
         poses.push_back(parse_pose_matrix(std::string(line.substr(end)), where));
     }
     if (poses.empty())
-        throw DataError(fmt::format("{}: the file is empty, expected a frame number and 12 numbers per line",
-                                    file.string()));
+        fail("{}: the file is empty, expected a frame number and 12 numbers per line", file.string());
     require_plausible_pose_positions(poses, frames, file.string());
     std::map<int, Pose> by_frame;
     for (std::size_t i = 0; i < frames.size(); ++i)

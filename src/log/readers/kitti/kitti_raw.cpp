@@ -7,6 +7,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/clouds/log_files.hpp"
 #include "log/readers/kitti/kitti_sweeps.hpp"
@@ -50,14 +51,12 @@ LidarSequence load_kitti_raw(const fs::path& folder, const DatasetOptions& optio
     require_existing_folder(folder, "a KITTI raw drive (velodyne_points/)");
     if (!does_path_exist(folder / "velodyne_points")) {
         const std::string stranger = describe_mistaken_kitti_folder(folder, "velodyne_points");
-        if (!stranger.empty())
-            throw DataError(fmt::format("{} is not a KITTI raw drive: {}", folder.string(), stranger));
+        if (!stranger.empty()) fail("{} is not a KITTI raw drive: {}", folder.string(), stranger);
     }
     const fs::path drive = fs::canonical(folder);
     if (drive.parent_path().filename() == "data_3d_raw")
-        throw DataError(fmt::format("{} is a drive of KITTI-360; use {} with dataset.sequence={}",
-                                    folder.string(), drive.parent_path().parent_path().string(),
-                                    drive.filename().string()));
+        fail("{} is a drive of KITTI-360; use {} with dataset.sequence={}", folder.string(),
+             drive.parent_path().parent_path().string(), drive.filename().string());
     const std::vector<int> frames =
         list_scan_numbers(drive / "velodyne_points/data", options.frames.begin, options.frames.end);
 

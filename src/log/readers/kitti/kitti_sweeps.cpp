@@ -13,6 +13,7 @@
 #include <relidar/base/math.hpp>
 #include <relidar/log/clouds.hpp>
 
+#include "base/fail.hpp"
 #include "base/parallel.hpp"
 #include "base/progress_blocks.hpp"
 #include "log/clouds/broken_scans.hpp"
@@ -100,14 +101,14 @@ public:
         if (const int usual = compute_median_of_neighbours(n_rings_, scan_index);
             n_rings_[scan_index] + kMissingRings <= usual)
             return fmt::format(
-                "{}: the points of the scan end in ring {}, but those of the neighbouring scans end in "
-                "ring {}",
+                "{}: the points of the scan end in ring {}, but those of the neighbouring scans end in ring "
+                "{}",
                 file_name, n_rings_[scan_index], usual);
         if (const double usual_deg = compute_median_of_neighbours(end_deg_, scan_index);
             end_deg_[scan_index] + kEarly_deg <= usual_deg)
             return fmt::format(
-                "{}: the last ring of the scan ends at azimuth {:.0f} degrees, but that of the "
-                "neighbouring scans ends at {:.0f} degrees",
+                "{}: the last ring of the scan ends at azimuth {:.0f} degrees, but that of the neighbouring "
+                "scans ends at {:.0f} degrees",
                 file_name, end_deg_[scan_index], usual_deg);
         return "";
     }
@@ -152,9 +153,8 @@ std::string scale_byte_intensities_and_get_note(std::vector<ScanWithRings>& raw_
         }
     if (lowest >= 0.0f && highest <= 1.0f) return "";
     if (lowest < 0.0f || highest > kBytes || (!are_integers && highest <= kPercent))
-        throw DataError(
-            fmt::format("{}: found intensities from {} to {}, expected 0 to 1, or whole numbers up to 255",
-                        folder_name, lowest, highest));
+        fail("{}: found intensities from {} to {}, expected 0 to 1, or whole numbers up to 255", folder_name,
+             lowest, highest);
     for (ScanWithRings& scan : raw_scans)
         for (glm::vec4& p : scan.points) p.w /= kBytes;
     return fmt::format("intensities are {} up to {}, so they are divided by 255",
@@ -168,19 +168,19 @@ void require_plausible_ray_counts(const std::vector<ScanWithRings>& raw_scans,
     constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
     if (firing_grid.head.n_ticks > kMostFirings)
-        throw DataError(fmt::format(
+        fail(
             "{}: the azimuths of neighbouring points differ by only {:.2g} degrees, which means {} firings "
             "per turn, expected at most {} firings per turn of an HDL-64E",
-            error_location, 360.0 / firing_grid.head.n_ticks, firing_grid.head.n_ticks, kMostFirings));
+            error_location, 360.0 / firing_grid.head.n_ticks, firing_grid.head.n_ticks, kMostFirings);
     std::size_t n_points = 0;
     for (const ScanWithRings& scan : raw_scans) n_points += scan.points.size();
     const std::size_t n_rays =
         raw_scans.size() * kRings * std::size_t(firing_grid.every_tick ? firing_grid.head.n_ticks : 1);
     if (n_rays > kMostRaysAPoint * n_points)
-        throw DataError(fmt::format(
-            "{}: found only {} points in {} sweeps with {} rays each, expected complete sweeps "
-            "with at least one point per {} rays",
-            error_location, n_points, raw_scans.size(), n_rays / raw_scans.size(), kMostRaysAPoint));
+        fail(
+            "{}: found only {} points in {} sweeps with {} rays each, expected complete sweeps with at least "
+            "one point per {} rays",
+            error_location, n_points, raw_scans.size(), n_rays / raw_scans.size(), kMostRaysAPoint);
 }
 
 }  // namespace
@@ -218,17 +218,17 @@ void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& sca
     require_plausible_ray_counts(raw, lattice, scan_folder.string());
 
     std::vector<std::vector<int>> firings(raw.size());
-    parallel_for_with_progress(
-        raw.size(), progress, "computing the firings of each sweep", [&](std::size_t at) {
-            broken.call_and_record_scan_errors(at, [&] {
-                firings[at] = find_fired_encoder_ticks(raw[at], lattice);
-                if (firings[at].empty())
-                    throw DataError(
-                        fmt::format("{}: found {} points that cannot be assigned to firings of the sensor, "
-                                    "expected a sweep of an HDL-64E",
-                                    file_of(at).string(), raw[at].points.size()));
-            });
-        });
+    parallel_for_with_progress(raw.size(), progress, "computing the firings of each sweep",
+                               [&](std::size_t at) {
+                                   broken.call_and_record_scan_errors(at, [&] {
+                                       firings[at] = find_fired_encoder_ticks(raw[at], lattice);
+                                       if (firings[at].empty())
+                                           fail(
+                                               "{}: found {} points that cannot be assigned to firings of "
+                                               "the sensor, expected a sweep of an HDL-64E",
+                                               file_of(at).string(), raw[at].points.size());
+                                   });
+                               });
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.beams = lattice.make_beams_with_fitted_elevations(cones);
     for (const auto& sweep : firings)

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads the timestamp files of a KITTI raw drive. Line i contains the time of scan i. It
 // is empty if the scan is missing.
+#include "base/fail.hpp"
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -47,10 +48,8 @@ std::int64_t parse_date_time_ns(const std::string& line, const std::string& erro
                       month >= 1 && month <= 12 && day >= 1 && day <= 31 && hour >= 0 && hour < 24 &&
                       minute >= 0 && minute < 60;
     if (!sane)
-        throw DataError(
-            fmt::format("{}: found '{}', expected YYYY-MM-DD HH:MM:SS.nnnnnnnnn between the "
-                        "years 1970 and 2199",
-                        error_location, shorten_for_error_message(line)));
+        fail("{}: found '{}', expected YYYY-MM-DD HH:MM:SS.nnnnnnnnn between the years 1970 and 2199",
+             error_location, shorten_for_error_message(line));
     const std::int64_t minutes = (count_days_since_1970(year, month, day) * 24 + hour) * 60 + minute;
     return minutes * 60'000'000'000ll + std::llround(*second * 1e9);
 }
@@ -59,10 +58,8 @@ std::int64_t parse_date_time_ns(const std::string& line, const std::string& erro
 /// @throws DataError if no line contains a time
 std::vector<std::optional<std::int64_t>> read_timestamps_ns(const fs::path& file) {
     if (!does_path_exist(file))
-        throw DataError(
-            fmt::format("{}: no such file, expected one time per frame; copy the file from the "
-                        "download of the dataset",
-                        file.string()));
+        fail("{}: no such file, expected one time per frame; copy the file from the download of the dataset",
+             file.string());
     const std::vector<std::string> lines = split_lines(read_text_file(file));
     std::vector<std::optional<std::int64_t>> time_ns(lines.size());
     bool any = false;
@@ -71,8 +68,7 @@ std::vector<std::optional<std::int64_t>> read_timestamps_ns(const fs::path& file
         time_ns[l] = parse_date_time_ns(lines[l], fmt::format("{} line {}", file.string(), l + 1));
         any = true;
     }
-    if (!any)
-        throw DataError(fmt::format("{}: the file is empty, expected one time per frame", file.string()));
+    if (!any) fail("{}: the file is empty, expected one time per frame", file.string());
     return time_ns;
 }
 
@@ -84,26 +80,22 @@ std::vector<double> read_relative_frame_times_s(const fs::path& time_file,
     const std::vector<std::optional<std::int64_t>> time_ns = read_timestamps_ns(time_file);
     const std::int64_t first_ns =
         **std::find_if(time_ns.begin(), time_ns.end(), [](const auto& t) { return t.has_value(); });
-    conventions += " " + format_log_start(first_ns,
-                                          "after 1970; the files have no time zone, so their local times are "
-                                          "read as UTC");
+    conventions +=
+        " " + format_log_start(
+                  first_ns, "after 1970; the files have no time zone, so their local times are read as UTC");
     std::vector<double> time_s;
     for (std::size_t i = 0; i < frame_numbers.size(); ++i) {
         const std::size_t line = static_cast<std::size_t>(frame_numbers[i]);
         if (line >= time_ns.size())
-            throw DataError(fmt::format("{}: found {} lines, but frame {} needs line {}", time_file.string(),
-                                        time_ns.size(), frame_numbers[i], line + 1));
+            fail("{}: found {} lines, but frame {} needs line {}", time_file.string(), time_ns.size(),
+                 frame_numbers[i], line + 1);
         if (!time_ns[line])
-            throw DataError(
-                fmt::format("{} line {}: the line is empty, expected the time of frame {}, because its "
-                            "scan exists",
-                            time_file.string(), line + 1, frame_numbers[i]));
+            fail("{} line {}: the line is empty, expected the time of frame {}, because its scan exists",
+                 time_file.string(), line + 1, frame_numbers[i]);
         time_s.push_back(static_cast<double>(*time_ns[line] - first_ns) * 1e-9);
         if (i > 0 && !(time_s[i] > time_s[i - 1]))
-            throw DataError(
-                fmt::format("{} line {}: the time is not later than the time of frame {}, "
-                            "expected increasing times",
-                            time_file.string(), line + 1, frame_numbers[i - 1]));
+            fail("{} line {}: the time is not later than the time of frame {}, expected increasing times",
+                 time_file.string(), line + 1, frame_numbers[i - 1]);
     }
     return time_s;
 }
@@ -115,8 +107,7 @@ namespace {
 double compute_sweep_period_s(std::vector<double> sweep_durations_s, const fs::path& file) {
     const double period_s = compute_median(std::move(sweep_durations_s));
     if (!(period_s > 0.01 && period_s < 1.0)) {
-        throw DataError(fmt::format("{}: a sweep lasts {:.6g} s from start to end, expected 0.01 to 1 s",
-                                    file.string(), period_s));
+        fail("{}: a sweep lasts {:.6g} s from start to end, expected 0.01 to 1 s", file.string(), period_s);
     }
     return period_s;
 }
@@ -132,10 +123,10 @@ double read_median_sweep_duration_s(const fs::path& drive_folder) {
         if (start[i] && end[i]) lasts_s.push_back(static_cast<double>(*end[i] - *start[i]) * 1e-9);
     }
     if (lasts_s.empty())
-        throw DataError(fmt::format(
+        fail(
             "{}: no sweep has a time both in this file and in timestamps_start.txt, expected one line with a "
             "time for each sweep in both files",
-            file.string()));
+            file.string());
     return compute_sweep_period_s(std::move(lasts_s), file);
 }
 
@@ -147,10 +138,10 @@ double read_median_time_step_s(const fs::path& time_file) {
             lasts_s.push_back(static_cast<double>(*time_ns[i] - *time_ns[i - 1]) * 1e-9);
     }
     if (lasts_s.empty())
-        throw DataError(
-            fmt::format("{}: cannot compute the time between sweeps, because no two consecutive lines "
-                        "contain a time; expected one line with a time for each sweep",
-                        time_file.string()));
+        fail(
+            "{}: cannot compute the time between sweeps, because no two consecutive lines contain a time; "
+            "expected one line with a time for each sweep",
+            time_file.string());
     return compute_sweep_period_s(std::move(lasts_s), time_file);
 }
 

@@ -3,6 +3,7 @@
 // frame, beginning at first_frame. A pose is in the sensor frame at the time when the
 // head faces forward. The position in the file is the centre of the box's bottom face, so
 // centre = t + R (0, 0, h/2).
+#include "base/fail.hpp"
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -27,9 +28,8 @@ double read_number_field(const pugi::xml_node& node, const char* field_name,
     const std::string text = node.child_value(field_name);
     const auto value = parse_number(trim_blanks_at_both_ends(text));
     if (!value || !(std::abs(*value) <= kLargestOfLabel)) {
-        throw DataError(fmt::format("{}: {} is '{}', expected a finite number of at most {:.0e}",
-                                    error_location, field_name, shorten_for_error_message(text),
-                                    kLargestOfLabel));
+        fail("{}: {} is '{}', expected a finite number of at most {:.0e}", error_location, field_name,
+             shorten_for_error_message(text), kLargestOfLabel);
     }
     return *value;
 }
@@ -53,9 +53,8 @@ BoxTrack read_world_box_track_of_tracklet(const pugi::xml_node& tracklet_item,
                     read_number_field(tracklet_item, "w", error_location),
                     read_number_field(tracklet_item, "h", error_location)};
     if (!(std::min({track.size_m.x, track.size_m.y, track.size_m.z}) > 0.0)) {
-        throw DataError(
-            fmt::format("{}: the size of a box is l {} w {} h {} m, expected three lengths above 0",
-                        error_location, track.size_m.x, track.size_m.y, track.size_m.z));
+        fail("{}: the size of a box is l {} w {} h {} m, expected three lengths above 0", error_location,
+             track.size_m.x, track.size_m.y, track.size_m.z);
     }
     int frame = static_cast<int>(read_number_field(tracklet_item, "first_frame", error_location));
     for (const pugi::xml_node& pose : tracklet_item.child("poses").children("item")) {
@@ -81,14 +80,11 @@ std::vector<BoxTrack> read_tracklet_boxes(const std::filesystem::path& tracklet_
     pugi::xml_document document;
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());
     if (!parsed)
-        throw DataError(fmt::format("{}: malformed XML at byte {}: {}", tracklet_file.string(), parsed.offset,
-                                    parsed.description()));
+        fail("{}: malformed XML at byte {}: {}", tracklet_file.string(), parsed.offset, parsed.description());
     const pugi::xml_node tracklets = document.child("boost_serialization").child("tracklets");
     if (!tracklets) {
-        throw DataError(
-            fmt::format("{}: the element boost_serialization/tracklets is missing, expected "
-                        "KITTI tracklets",
-                        tracklet_file.string()));
+        fail("{}: the element boost_serialization/tracklets is missing, expected KITTI tracklets",
+             tracklet_file.string());
     }
     std::vector<BoxTrack> tracks;
     int number = 0;

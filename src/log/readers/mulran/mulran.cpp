@@ -11,6 +11,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/clouds/stamped_log.hpp"
 #include "log/clouds/sweep_poses.hpp"
@@ -81,8 +82,8 @@ double compute_beam_elevation_spread_rad(const folder::PointTable& table, Mulran
 
 void require_points_of_all_rays(const folder::PointTable& table, const std::string& error_location) {
     if (table.n != kBeams * kColumns)
-        throw DataError(fmt::format("{} has {} points, expected {} x {}, with zeros for rays without return",
-                                    error_location, table.n, kBeams, kColumns));
+        fail("{} has {} points, expected {} x {}, with zeros for rays without return", error_location,
+             table.n, kBeams, kColumns);
 }
 
 /// Detects the order of the points in the files from the first readable scan.
@@ -98,10 +99,10 @@ MulranPointOrder detect_point_order(const std::vector<fs::path>& scan_files) {
         const double by_column = compute_beam_elevation_spread_rad(table, MulranPointOrder::by_column),
                      by_beam = compute_beam_elevation_spread_rad(table, MulranPointOrder::by_beam);
         if (!(std::min(by_column, by_beam) <= kMostSpread_rad))
-            throw DataError(fmt::format(
-                "{}: the points of a beam differ in elevation by {:.1f} degrees, expected less than "
-                "{:.0f}; the points must be sorted by column or by beam",
-                file.string(), std::min(by_column, by_beam) * 180.0 / kPi, kMostSpread_rad * 180.0 / kPi));
+            fail(
+                "{}: the points of a beam differ in elevation by {:.1f} degrees, expected less than {:.0f}; "
+                "the points must be sorted by column or by beam",
+                file.string(), std::min(by_column, by_beam) * 180.0 / kPi, kMostSpread_rad * 180.0 / kPi);
         return by_column <= by_beam ? MulranPointOrder::by_column : MulranPointOrder::by_beam;
     }
     return MulranPointOrder::by_column;
@@ -181,15 +182,15 @@ LidarSequence load_mulran_dataset(const fs::path& log_folder, const DatasetOptio
     sequence.notes = {"this log has no labels"};
     sequence.conventions =
         "Frames of vehicle and LiDAR: x forward, y left, z up, in metres (in MulRan's files, the LiDAR's x "
-        "axis points backward). Times are seconds after the first scan. The time of a frame is the middle "
-        "of its sweep. Points are not motion-compensated. The world frame is that of global_pose.csv.";
+        "axis points backward). Times are seconds after the first scan. The time of a frame is the middle of "
+        "its sweep. Points are not motion-compensated. The world frame is that of global_pose.csv.";
     fs::path scans_folder = folder / "Ouster";
     if (!does_path_exist(scans_folder)) scans_folder = folder / "sensor_data/Ouster";
     if (!does_path_exist(scans_folder))
-        throw DataError(
-            fmt::format("{} contains neither Ouster/ nor sensor_data/Ouster/, expected the scans of the "
-                        "LiDAR in one of them",
-                        folder.string()));
+        fail(
+            "{} contains neither Ouster/ nor sensor_data/Ouster/, expected the scans of the LiDAR in one of "
+            "them",
+            folder.string());
     stamped::StampedLog log{kNanosecond, stamped::list_timestamped_scan_files(scans_folder),
                             {},          folder / "global_pose.csv",
                             kMostGap_s,  0.5 * kRevolution_s};

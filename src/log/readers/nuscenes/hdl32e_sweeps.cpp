@@ -9,6 +9,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/progress_blocks.hpp"
 #include "log/clouds/arrange_firings.hpp"
@@ -60,10 +61,10 @@ void remove_points_without_return(LidarPoints& points, std::vector<int>& column_
 std::string read_point_categories(const fs::path& file, std::size_t n_points) {
     std::string categories = read_file(file);
     if (categories.size() != n_points)
-        throw DataError(
-            fmt::format("{} has {} bytes, expected one byte for each of the {} points of the sweep, with the "
-                        "category of the point",
-                        file.string(), categories.size(), n_points));
+        fail(
+            "{} has {} bytes, expected one byte for each of the {} points of the sweep, with the category of "
+            "the point",
+            file.string(), categories.size(), n_points);
     return categories;
 }
 
@@ -75,10 +76,10 @@ SweepWithColumns read_hdl32e_sweep(const SweepFiles& sweep_files,
     const std::string bytes = read_file(file);
     if (bytes.empty() || bytes.size() % (kBeams * kPointBytes) != 0 ||
         bytes.size() / (kBeams * kPointBytes) > kMostColumnsOfSweep)
-        throw DataError(fmt::format(
-            "{} has {} bytes, expected a multiple of {} bytes (a column of {} points with {} "
-            "bytes each), and 1 to {} columns",
-            file.string(), bytes.size(), kBeams * kPointBytes, kBeams, kPointBytes, kMostColumnsOfSweep));
+        fail(
+            "{} has {} bytes, expected a multiple of {} bytes (a column of {} points with {} bytes each), "
+            "and 1 to {} columns",
+            file.string(), bytes.size(), kBeams * kPointBytes, kBeams, kPointBytes, kMostColumnsOfSweep);
     const std::size_t n = bytes.size() / kPointBytes, columns = n / kBeams;
     const std::string categories =
         sweep_files.categories.empty() ? "" : read_point_categories(sweep_files.categories, n);
@@ -89,13 +90,12 @@ SweepWithColumns read_hdl32e_sweep(const SweepFiles& sweep_files,
         std::memcpy(v, bytes.data() + i * kPointBytes, kPointBytes);
         const double range_m = std::hypot(double(v[0]), double(v[1]), double(v[2]));
         if (!(range_m < kFarthestOfSweep_m) || !std::isfinite(v[3]))
-            throw DataError(fmt::format(
-                "{}: point {} is ({}, {}, {}) with intensity {}, expected coordinates in metres of at "
-                "most {}",
-                file.string(), i, v[0], v[1], v[2], v[3], kFarthestOfSweep_m));
+            fail(
+                "{}: point {} is ({}, {}, {}) with intensity {}, expected coordinates in metres of at most "
+                "{}",
+                file.string(), i, v[0], v[1], v[2], v[3], kFarthestOfSweep_m);
         if (!(v[4] >= 0.0f && v[4] < float(kBeams)) || v[4] != std::floor(v[4]))
-            throw DataError(fmt::format("{}: point {} has ring {}, expected 0 to {}", file.string(), i, v[4],
-                                        kBeams - 1));
+            fail("{}: point {} has ring {}, expected 0 to {}", file.string(), i, v[4], kBeams - 1);
         if (range_m == 0.0) continue;
         const std::size_t column = i / kBeams;
         read.points.position_m.emplace_back(v[1], -v[0], v[2]);
@@ -109,10 +109,10 @@ SweepWithColumns read_hdl32e_sweep(const SweepFiles& sweep_files,
     undo_motion_compensation(read.points, world_from_sensor, sweep_time_s);
     remove_points_without_return(read.points, numbers);
     if (read.points.size() == 0)
-        throw DataError(fmt::format(
-            "{} has no points at a distance of {} m or more, expected at least one; nearer points "
-            "are read as rays without a return",
-            file.string(), kNoReturn_m));
+        fail(
+            "{} has no points at a distance of {} m or more, expected at least one; nearer points are read "
+            "as rays without a return",
+            file.string(), kNoReturn_m);
     read.sweep =
         estimate_sweep_and_assign_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));
     return read;

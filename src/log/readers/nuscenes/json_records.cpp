@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar {
@@ -41,8 +42,7 @@ public:
             }
             object_text += c;
             if (object_text.size() > kLongestRecord)
-                throw DataError(fmt::format("{}: a JSON object is too large, expected at most {} bytes",
-                                            name_, kLongestRecord));
+                fail("{}: a JSON object is too large, expected at most {} bytes", name_, kLongestRecord);
             if (quoted) {
                 if (!escaped && c == '"') quoted = false;
                 escaped = !escaped && c == '\\';
@@ -50,8 +50,7 @@ public:
             else if (c == '{' || c == '[') ++depth;
             else if ((c == '}' || c == ']') && --depth == 0) return true;
         }
-        if (depth > 0 || !closed_)
-            throw DataError(fmt::format("{} is truncated, expected an array of objects", name_));
+        if (depth > 0 || !closed_) fail("{} is truncated, expected an array of objects", name_);
         return false;
     }
 
@@ -81,10 +80,10 @@ private:
         if (character == '[' && !opened_) opened_ = true;
         else if (character == ']' && opened_ && !closed_) closed_ = true;
         else if (!blank && !(character == ',' && opened_ && !closed_))
-            throw DataError(
-                fmt::format("{}: found the character '{}' outside of an object, expected a JSON array of "
-                            "objects: [{{...}}, {{...}}]",
-                            name_, shorten_for_error_message({&character, 1})));
+            fail(
+                "{}: found the character '{}' outside of an object, expected a JSON array of objects: "
+                "[{{...}}, {{...}}]",
+                name_, shorten_for_error_message({&character, 1}));
         return false;
     }
 };
@@ -92,7 +91,7 @@ private:
 }  // namespace
 
 void JsonRecord::throw_wrong_value(std::string_view key, const char* expected_description) const {
-    throw DataError(fmt::format("{}, key '{}': expected {}", where_, key, expected_description));
+    fail("{}, key '{}': expected {}", where_, key, expected_description);
 }
 
 template <class T>
@@ -146,7 +145,7 @@ void for_each_json_record(const std::filesystem::path& file,
         const std::string where = fmt::format("{}, record {}", file.string(), n);
         simdjson::dom::object object;
         if (const auto failed = parser.parse(record).get(object); failed != simdjson::SUCCESS)
-            throw DataError(fmt::format("{}: {}", where, simdjson::error_message(failed)));
+            fail("{}: {}", where, simdjson::error_message(failed));
         callback(JsonRecord(where, object));
     }
 }

@@ -12,6 +12,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
 #include <relidar/log/log_time.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/clouds/folder_head.hpp"
 #include "log/clouds/log_files.hpp"
@@ -53,8 +54,8 @@ struct NuscenesVariant {
 };
 constexpr NuscenesVariant kFormats[] = {
     {".pcd.bin", "nuScenes",
-     "LiDAR frame: x forward, y left, z up (in nuScenes' files, x points right and y forward). The time of "
-     "a frame is the end of its sweep. The world frame is that of the map. The motion compensation of the "
+     "LiDAR frame: x forward, y left, z up (in nuScenes' files, x points right and y forward). The time of a "
+     "frame is the end of its sweep. The world frame is that of the map. The motion compensation of the "
      "points is removed.",
      true, false},
     {".pcd", "TruckScenes",
@@ -69,11 +70,10 @@ constexpr NuscenesVariant kFormats[] = {
 
 /// Format of T4 datasets, which use the tables of nuScenes. Points are in the vehicle
 /// frame. A file may contain the merged points of several LiDARs.
-constexpr NuscenesVariant kT4 = {
-    ".pcd.bin", "T4",
-    "Points are motion-compensated and in the frame of the vehicle. The time of a frame is the stamp of "
-    "its sweep. The world frame is that of the map.",
-    false, false};
+constexpr NuscenesVariant kT4 = {".pcd.bin", "T4",
+                                 "Points are motion-compensated and in the frame of the vehicle. The time of "
+                                 "a frame is the stamp of its sweep. The world frame is that of the map.",
+                                 false, false};
 constexpr const char* kTablesOfT4 = "annotation";  // name of the folder that contains the tables
 
 /// Name of a scene, and the folder of its JSON tables.
@@ -88,8 +88,7 @@ std::vector<SceneTablesLocation> list_scenes_of_dataset(const fs::path& dataset_
         for (const std::string& name : list_scene_names(tables)) scenes.push_back({name, tables});
     }
     if (scenes.empty())
-        throw DataError(fmt::format("{} contains no scene, expected at least one in */scene.json",
-                                    dataset_folder.string()));
+        fail("{} contains no scene, expected at least one in */scene.json", dataset_folder.string());
     return scenes;
 }
 
@@ -109,12 +108,12 @@ SceneTablesLocation choose_scene(const std::vector<SceneTablesLocation>& scenes,
         if (names.size() < 400) names += (names.empty() ? "" : ", ") + shorten_for_error_message(scene.name);
     }
     if (begin_so.size() == 1) return *begin_so[0];
-    throw UsageError(fmt::format(
-        "dataset.sequence '{}' {}, expected the name or the number of one of the {} scenes: {}",
-        shorten_for_error_message(requested_name),
-        begin_so.empty() ? "is not a scene of this dataset"
+    fail<UsageError>("dataset.sequence '{}' {}, expected the name or the number of one of the {} scenes: {}",
+                     shorten_for_error_message(requested_name),
+                     begin_so.empty()
+                         ? "is not a scene of this dataset"
                          : fmt::format("is the beginning of the names of {} scenes", begin_so.size()),
-        scenes.size(), names));
+                     scenes.size(), names);
 }
 
 /// Returns the boxes at the times of the frames, interpolated between labelled keyframes.
@@ -209,10 +208,8 @@ private:
             if (lidar_file.ends_with(format.ending)) return format;
             endings.emplace_back(format.ending);
         }
-        throw DataError(fmt::format(
-            "sample_data.json, key 'filename': found the LiDAR file '{}', expected a name that ends "
-            "in {}",
-            shorten_for_error_message(lidar_file), fmt::join(endings, ", ")));
+        fail("sample_data.json, key 'filename': found the LiDAR file '{}', expected a name that ends in {}",
+             shorten_for_error_message(lidar_file), fmt::join(endings, ", "));
     }
 
     void add_note(std::string text) { sequence_.notes.push_back(std::move(text)); }
@@ -232,9 +229,9 @@ private:
         for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
         for (const std::string& name : options_.lidars)
             if (std::ranges::find(channels, name) == channels.end())
-                throw UsageError(fmt::format(
+                fail<UsageError>(
                     "dataset.lidars: the scene {1} has no LiDAR '{0}', expected one or more of: {2}",
-                    shorten_for_error_message(name), scene_.name, fmt::join(channels, ", ")));
+                    shorten_for_error_message(name), scene_.name, fmt::join(channels, ", "));
         sequence_.lidars.clear();
         for (std::size_t l = 0; l < channels.size(); ++l) {
             if (!options_.lidars.empty() &&
@@ -253,10 +250,10 @@ private:
             lidars_.push_back(l);
         }
         if (format_.is_compensated && lidars_.size() > 1)
-            throw DataError(fmt::format(
-                "{} has {} LiDARs with {} files, but only one LiDAR of this format can be read; select "
-                "it with dataset.lidars",
-                scene_.name, lidars_.size(), format_.ending));
+            fail(
+                "{} has {} LiDARs with {} files, but only one LiDAR of this format can be read; select it "
+                "with dataset.lidars",
+                scene_.name, lidars_.size(), format_.ending);
         if (!left_out.empty())
             add_note(fmt::format("these LiDARs of the log are not read: {}", fmt::join(left_out, ", ")));
     }
@@ -308,9 +305,9 @@ private:
                 !(keyframes_alone && is_between(sweep)))
                 frames_.push_back(sweep);
         if (frames_.empty())
-            throw UsageError(fmt::format("frames {}:{} select no {} of {}, expected numbers in [0, {}]",
-                                         range.begin, range.end, keyframes_alone ? "keyframe" : "sweep",
-                                         scene_.name, main_s_.size() - 1));
+            fail<UsageError>("frames {}:{} select no {} of {}, expected numbers in [0, {}]", range.begin,
+                             range.end, keyframes_alone ? "keyframe" : "sweep", scene_.name,
+                             main_s_.size() - 1);
         if (keyframes_alone)
             add_note("the files between keyframes are missing, so only the keyframes of the scene are read");
     }

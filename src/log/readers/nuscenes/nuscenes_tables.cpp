@@ -14,6 +14,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "log/classes/dataset_classes.hpp"
 #include "log/readers/nuscenes/json_records.hpp"
@@ -55,9 +56,8 @@ TokenMap<LidarMount> read_lidars_by_calibration_token(const fs::path& table_fold
         if (channel.starts_with(kLidar)) channels[record.get_text("token")] = channel;
     });
     if (channels.empty())
-        throw DataError(fmt::format(
-            "{}, key 'channel': found no channel that begins with {}, expected at least one LiDAR",
-            (table_folder / "sensor.json").string(), kLidar));
+        fail("{}, key 'channel': found no channel that begins with {}, expected at least one LiDAR",
+             (table_folder / "sensor.json").string(), kLidar);
     TokenMap<LidarMount> mounted;
     for_each_json_record(table_folder / "calibrated_sensor.json", [&](const JsonRecord& record) {
         const auto channel = channels.find(record.get_text("sensor_token"));
@@ -104,13 +104,13 @@ std::vector<SweepRecord> list_sweeps_from_first_keyframe(const fs::path& table_f
     for (std::string token = first ? first->token : ""; !token.empty(); token = sweeps.back().next) {
         const auto file = files_by_token.find(token);
         if (file == files_by_token.end() || sweeps.size() == files_by_token.size())
-            throw DataError(
-                fmt::format("{}, key 'next': found '{}' after {} files of a LiDAR, expected the token of the "
-                            "LiDAR's next file in the scene, or an empty text after the last file",
-                            where, shorten_for_error_message(token), sweeps.size()));
+            fail(
+                "{}, key 'next': found '{}' after {} files of a LiDAR, expected the token of the LiDAR's "
+                "next file in the scene, or an empty text after the last file",
+                where, shorten_for_error_message(token), sweeps.size());
         if (!sweeps.empty() && file->second.time_us <= sweeps.back().time_us)
-            throw DataError(fmt::format("{}, key 'timestamp': found {} after {}, expected increasing times",
-                                        where, file->second.time_us, sweeps.back().time_us));
+            fail("{}, key 'timestamp': found {} after {}, expected increasing times", where,
+                 file->second.time_us, sweeps.back().time_us);
         sweeps.push_back(file->second);
     }
     return sweeps;
@@ -127,19 +127,17 @@ std::vector<SceneLidar> read_lidars_of_scene(const fs::path& table_folder,
         lidar.ego_from_lidar = mounted.at(lidar.sweeps[0].calibration).ego_from_lidar;
         for (const SweepRecord& sweep : lidar.sweeps)
             if (sweep.calibration != lidar.sweeps[0].calibration)
-                throw DataError(fmt::format(
+                fail(
                     "{}, key 'calibrated_sensor_token': the file {} and the first file of the LiDAR {} in "
                     "the scene have different values, expected the same value, because the LiDAR must keep "
                     "its position on the vehicle",
                     (table_folder / "sample_data.json").string(), shorten_for_error_message(sweep.file),
-                    channel));
+                    channel);
         lidars.push_back(std::move(lidar));
     }
     if (lidars.empty())
-        throw DataError(
-            fmt::format("{}: found no LiDAR file of the scene with \"is_key_frame\": true, expected at "
-                        "least one",
-                        (table_folder / "sample_data.json").string()));
+        fail("{}: found no LiDAR file of the scene with \"is_key_frame\": true, expected at least one",
+             (table_folder / "sample_data.json").string());
     std::stable_partition(lidars.begin(), lidars.end(),
                           [](const SceneLidar& lidar) { return lidar.channel == kFirstChannel; });
     return lidars;
@@ -166,17 +164,16 @@ std::vector<Pose> read_ego_poses_of_sweeps(const fs::path& table_folder,
     std::map<std::int64_t, Pose> by_time;
     for (const SweepRecord& sweep : sweeps) {
         if (missing.contains(sweep.ego_pose))
-            throw DataError(fmt::format(
-                "{}, key 'token': the pose '{}' is missing, but the file {} refers to it", file.string(),
-                shorten_for_error_message(sweep.ego_pose), shorten_for_error_message(sweep.file)));
+            fail("{}, key 'token': the pose '{}' is missing, but the file {} refers to it", file.string(),
+                 shorten_for_error_message(sweep.ego_pose), shorten_for_error_message(sweep.file));
         const TimedPose& pose = poses[sweep.ego_pose];
         if (const double apart_s = double(pose.time_us - sweep.time_us) * 1e-6;
             !(std::abs(apart_s) <= kFarthestPose_s))
-            throw DataError(
-                fmt::format("{}, key 'timestamp': the times of the pose '{}' and of its file {} differ by {} "
-                            "s, expected at most {} s",
-                            file.string(), shorten_for_error_message(sweep.ego_pose),
-                            shorten_for_error_message(sweep.file), std::abs(apart_s), kFarthestPose_s));
+            fail(
+                "{}, key 'timestamp': the times of the pose '{}' and of its file {} differ by {} s, expected "
+                "at most {} s",
+                file.string(), shorten_for_error_message(sweep.ego_pose),
+                shorten_for_error_message(sweep.file), std::abs(apart_s), kFarthestPose_s);
         by_time[pose.time_us] = pose.pose;
     }
     const auto seconds = [&](std::int64_t time_us) { return double(time_us - sweeps[0].time_us) * 1e-6; };
@@ -217,8 +214,8 @@ std::vector<BoxLabel> read_box_labels_of_scene(const fs::path& table_folder, con
         if (sample == keyframe_times_us.end()) return;
         const glm::dvec3 size = record.get_vec3("size");  // width, length, height
         if (!(std::min({size.x, size.y, size.z}) > 0.0))
-            throw DataError(fmt::format("{}, key 'size': found {} x {} x {}, expected all above 0",
-                                        file.string(), size.x, size.y, size.z));
+            fail("{}, key 'size': found {} x {} x {}, expected all above 0", file.string(), size.x, size.y,
+                 size.z);
         labels.push_back({record.get_text("instance_token"),
                           "",
                           {size.y, size.x, size.z},
@@ -234,9 +231,8 @@ std::vector<BoxLabel> read_box_labels_of_scene(const fs::path& table_folder, con
         const auto category = category_of.find(label.id);
         const auto name = category == category_of.end() ? names.end() : names.find(category->second);
         if (name == names.end())
-            throw DataError(
-                fmt::format("{}: the instance '{}' has no category, expected one in category.json",
-                            (table_folder / "instance.json").string(), shorten_for_error_message(label.id)));
+            fail("{}: the instance '{}' has no category, expected one in category.json",
+                 (table_folder / "instance.json").string(), shorten_for_error_message(label.id));
         label.category = name->second;
     }
     std::stable_sort(labels.begin(), labels.end(), [](const BoxLabel& first, const BoxLabel& second) {
@@ -265,9 +261,8 @@ void read_lidarseg_files_and_classes(const fs::path& table_folder, SceneTables& 
     for_each_json_record(categories, [&](const JsonRecord& record) {
         const std::int64_t index = record.get_rounded_integer("index");
         if (index < 0 || index >= std::int64_t(scene.classes.size()))
-            throw DataError(fmt::format(
-                "{}, key 'index': found {} for the category '{}', expected 0 to {}", categories.string(),
-                index, shorten_for_error_message(record.get_text("name")), scene.classes.size() - 1));
+            fail("{}, key 'index': found {} for the category '{}', expected 0 to {}", categories.string(),
+                 index, shorten_for_error_message(record.get_text("name")), scene.classes.size() - 1);
         scene.classes[std::size_t(index)] = convert_nuscenes_class(record.get_text("name"));
     });
 }

@@ -13,6 +13,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
 #include "log/clouds/stamped_log.hpp"
@@ -88,9 +89,8 @@ OnceFile read_once_sequence_json(const fs::path& json_file, const fs::path& scan
     content.n_missing = std::erase_if(
         content.scans, [](const stamped::StampedScanFile& scan) { return !does_path_exist(scan.file); });
     if (content.scans.empty())
-        throw DataError(fmt::format(
-            "{} lists {} frames, but none of their scans is in {}, expected files MILLISECONDS.bin", where,
-            frames.size(), scan_folder.string()));
+        fail("{} lists {} frames, but none of their scans is in {}, expected files MILLISECONDS.bin", where,
+             frames.size(), scan_folder.string());
     return content;
 }
 
@@ -120,8 +120,8 @@ PoseTrack make_lidar_track_with_x_forward(const OnceFile& dataset_content, const
     if (best != 0.0) stamped::add_note_unless_driving_forward(notes, best);
     if (is_w_first)
         notes.push_back(
-            "the quaternions of poses are read with w first, unlike in the code of ONCE, because "
-            "only then the vehicle drives forward");
+            "the quaternions of poses are read with w first, unlike in the code of ONCE, because only then "
+            "the vehicle drives forward");
     return compute_mounted_track(is_w_first ? w_first : w_last, {make_rotation(-kTurned_rad, 0.0, 0.0), {}});
 }
 
@@ -145,8 +145,8 @@ LidarSequence load_once_dataset(const fs::path& log_folder, const DatasetOptions
             : fmt::format("{} boxes in {} labelled frames are ignored, because they have no track ids",
                           content.n_boxes, content.n_labelled)};
     if (content.n_missing > 0 && !options.allow_missing_scans)
-        throw DataError(fmt::format("{}: {} frames have no scan in lidar_roof, expected one scan per frame",
-                                    json.string(), content.n_missing));
+        fail("{}: {} frames have no scan in lidar_roof, expected one scan per frame", json.string(),
+             content.n_missing);
     if (content.n_missing > 0)
         sequence.notes.push_back(fmt::format("{} frames have no scan and are skipped", content.n_missing));
     stamped::StampedLog log{kMillisecond, content.scans, {}, json, 0.0};

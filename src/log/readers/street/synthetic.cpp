@@ -16,6 +16,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
 #include <relidar/log/sensor_files.hpp>
+#include "base/fail.hpp"
 #include "base/parallel.hpp"
 #include "base/random.hpp"
 #include "log/readers/street/cone_echoes.hpp"
@@ -33,8 +34,7 @@ constexpr double kMostRays = 2e8;
 void require_valid_synthetic_options(const SyntheticOptions& options) {
     const auto in_range = [](const char* name, double value, double low, double high) {
         if (value >= low && value <= high) return;
-        throw UsageError(
-            fmt::format("synthetic street: {} is {}, expected {} to {}", name, value, low, high));
+        fail<UsageError>("synthetic street: {} is {}, expected {} to {}", name, value, low, high);
     };
     in_range("n_frames", options.n_frames, 1, 10000);
     in_range("rows", options.rows, 2, 256);
@@ -144,8 +144,8 @@ Scan cast_noise_free_scan_with_two_returns(const street::SyntheticStreet& street
                                            const PoseTrack& sensor_track, double scan_time_s) {
     if (!(rays.find_max_divergence_rad() > 0.0))
         throw UsageError(
-            "synthetic street: several returns need beams with a divergence, because an ideal ray "
-            "has only one return");
+            "synthetic street: several returns need beams with a divergence, because an ideal ray has only "
+            "one return");
     return street::combine_cone_returns(
         rays, cast_noise_free_scan_with_one_return(street, world_origin_in_street_m,
                                                    street::split_rays_into_cone_rays(rays), sensor_track,
@@ -223,9 +223,8 @@ std::vector<MountedSensor> read_rig_or_default_sensor(const SyntheticOptions& op
     }
     std::optional<std::vector<MountedSensor>> rig = read_sensor_rig(options.rig);
     if (!rig)
-        throw UsageError(
-            fmt::format("synthetic street: rig: {} contains no rig, expected JSON with the key \"sensors\"",
-                        options.rig));
+        fail<UsageError>("synthetic street: rig: {} contains no rig, expected JSON with the key \"sensors\"",
+                         options.rig);
     return std::move(*rig);
 }
 
@@ -239,17 +238,17 @@ LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_f
     for (const MountedSensor& mounted : rig)
         n_rays += double(rays.emplace_back(make_rays(mounted.sensor)).size());
     if (double(end_frame - begin_frame) * n_rays > kMostRays)
-        throw UsageError(fmt::format(
-            "synthetic street: {} frames with {} rays have {:.3g} rays in total, expected at most "
-            "{:.3g}; use fewer frames",
-            end_frame - begin_frame, n_rays, double(end_frame - begin_frame) * n_rays, kMostRays));
+        fail<UsageError>(
+            "synthetic street: {} frames with {} rays have {:.3g} rays in total, expected at most {:.3g}; "
+            "use fewer frames",
+            end_frame - begin_frame, n_rays, double(end_frame - begin_frame) * n_rays, kMostRays);
     const street::SyntheticStreet street = street::make_street(options);
     LidarSequence sequence;
     sequence.name = fmt::format("synthetic street {}", options.seed);
     sequence.source = "synthetic";
     sequence.conventions =
-        "Sensor frame: x forward, y left, z up, in metres. Times are seconds after frame 0. At the time of "
-        "a frame, the head faces forward. Poses are exact, and each ray is cast at its firing time.";
+        "Sensor frame: x forward, y left, z up, in metres. Times are seconds after frame 0. At the time of a "
+        "frame, the head faces forward. Poses are exact, and each ray is cast at its firing time.";
     sequence.lidars.clear();
     for (const MountedSensor& mounted : rig) {
         Lidar lidar{mounted.name, {}, mounted.rig_from_sensor};
@@ -289,11 +288,11 @@ void replace_moving_cars(street::SyntheticStreet& street, const std::vector<Synt
     street.cars.clear();
     for (const SyntheticCar& car : edited_cars) {
         if (car.shapes_of >= original_cars.size())
-            throw DataError(fmt::format(
+            fail(
                 "cannot cast rays into the edited street: track {} refers to car {} of the street, but the "
                 "street has only {} cars, which are numbered from 0; expected the street that the run was "
                 "trained with",
-                car.track.id, car.shapes_of, original_cars.size()));
+                car.track.id, car.shapes_of, original_cars.size());
         if (!car.track.is_observed_at_time(time_s)) continue;
         street::MovingStreetActor& moved = street.cars.emplace_back(original_cars[car.shapes_of]);
         moved.track = car.track.world_from_box;

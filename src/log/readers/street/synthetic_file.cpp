@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads and writes street.toml. This file has one key for each option of a synthetic log.
 // If a key is missing, the option has its default value. An unknown key is an error.
+#include "base/fail.hpp"
 #include "log/readers/street/synthetic.hpp"
 
 #include <algorithm>
@@ -37,8 +38,8 @@ void read_toml_value_if_present(const toml::table& table, const char* key, const
     const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
     const auto parsed_value = is_cut ? std::nullopt : node->value<T>();
     if (!parsed_value)
-        throw DataError(fmt::format("{} line {}: {} has the wrong type or size, expected {}", file_name,
-                                    node->source().begin.line, key, expected_type_text));
+        fail("{} line {}: {} has the wrong type or size, expected {}", file_name, node->source().begin.line,
+             key, expected_type_text);
     value = *parsed_value;
 }
 
@@ -69,15 +70,15 @@ SyntheticOptions read_street_toml(const fs::path& toml_file) {
     try {
         table = toml::parse(text, file);
     } catch (const toml::parse_error& error) {
-        throw DataError(fmt::format("{} line {}: malformed TOML: {}", file, error.source().begin.line,
-                                    shorten_for_error_message(error.description())));
+        fail("{} line {}: malformed TOML: {}", file, error.source().begin.line,
+             shorten_for_error_message(error.description()));
     }
     for (const auto& [key, value] : table) {
         const std::string name(key.str());
         if (std::find(kKeys.begin(), kKeys.end(), name) != kKeys.end()) continue;
-        throw DataError(fmt::format("{} line {}: unknown key '{}'{} (known: {})", file,
-                                    value.source().begin.line, shorten_for_error_message(name),
-                                    format_name_suggestion(name, kKeys, "'"), fmt::join(kKeys, ", ")));
+        fail("{} line {}: unknown key '{}'{} (known: {})", file, value.source().begin.line,
+             shorten_for_error_message(name), format_name_suggestion(name, kKeys, "'"),
+             fmt::join(kKeys, ", "));
     }
     SyntheticOptions options;
     std::int64_t seed = static_cast<std::int64_t>(options.seed);
@@ -104,10 +105,10 @@ LidarSequence load_synthetic_dataset(const fs::path& folder, const DatasetOption
     const SyntheticOptions street = read_synthetic_options(folder);
     const int end = options.frames.end < 0 ? street.n_frames : std::min(options.frames.end, street.n_frames);
     if (street.n_frames > 0 && options.frames.begin >= end) {
-        throw UsageError(fmt::format("frames {}:{} select no frame of {}, expected numbers in [0, {}]",
-                                     options.frames.begin,
-                                     options.frames.end < 0 ? "" : std::to_string(options.frames.end),
-                                     folder.string(), street.n_frames - 1));
+        fail<UsageError>("frames {}:{} select no frame of {}, expected numbers in [0, {}]",
+                         options.frames.begin,
+                         options.frames.end < 0 ? "" : std::to_string(options.frames.end), folder.string(),
+                         street.n_frames - 1);
     }
     LidarSequence sequence;
     try {
@@ -115,7 +116,7 @@ LidarSequence load_synthetic_dataset(const fs::path& folder, const DatasetOption
         // The wrong value is in a file and not on the command line. The error is
         // therefore thrown as a DataError.
     } catch (const UsageError& error) {
-        throw DataError(fmt::format("{}: {}", file.string(), error.what()));
+        fail("{}: {}", file.string(), error.what());
     }
     sequence.source = folder.string();
     if (!options.poses_file.empty()) replace_poses_from_file(sequence, options.poses_file);
@@ -138,7 +139,7 @@ void save_synthetic_options(const SyntheticOptions& options, const fs::path& fol
         format_number_text(options.range_noise_m), format_number_text(options.speed_mps), options.moving_cars,
         options.people, options.gait);
     if (!options.rig.empty()) out << "rig = " << toml::value(fs::absolute(options.rig).string()) << "\n";
-    if (!out.flush()) throw DataError(fmt::format("cannot write {}", file.string()));
+    if (!out.flush()) fail("cannot write {}", file.string());
 }
 
 }  // namespace relidar

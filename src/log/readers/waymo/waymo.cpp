@@ -25,6 +25,7 @@
 #include <relidar/log/clouds.hpp>
 #include <relidar/log/log_time.hpp>
 #include "base/codecs/tfrecord.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/median.hpp"
 #include "base/progress_blocks.hpp"
@@ -57,9 +58,7 @@ std::vector<fs::path> list_segment_files(const fs::path& file_or_folder) {
     if (!fs::is_directory(file_or_folder, failed)) return {file_or_folder};
     for (const fs::path& file : list_folder_entries(file_or_folder))
         if (file.extension() == ".tfrecord") files.push_back(file);
-    if (files.empty())
-        throw DataError(
-            fmt::format("{} contains no segment, expected files *.tfrecord", file_or_folder.string()));
+    if (files.empty()) fail("{} contains no segment, expected files *.tfrecord", file_or_folder.string());
     return files;
 }
 
@@ -78,11 +77,11 @@ RequestedSegment choose_segment(const fs::path& file_or_folder, const DatasetOpt
         if (name.starts_with(part.drive) || name.starts_with("segment-" + part.drive))
             return {file, part.frames, part.is_benchmark, part.test_frames};
     }
-    throw UsageError(
-        fmt::format("dataset.sequence: found '{}', which selects none of the {} segments in {}; expected the "
-                    "beginning of a segment's name; ws1 to ws4 and wd1 to wd4 (parts of the LiDAR-RT paper) "
-                    "need the segments that the paper uses",
-                    shorten_for_error_message(options.sequence), files.size(), file_or_folder.string()));
+    fail<UsageError>(
+        "dataset.sequence: found '{}', which selects none of the {} segments in {}; expected the beginning "
+        "of a segment's name; ws1 to ws4 and wd1 to wd4 (parts of the LiDAR-RT paper) need the segments that "
+        "the paper uses",
+        shorten_for_error_message(options.sequence), files.size(), file_or_folder.string());
 }
 
 /// Returns the records [begin, end) that contain the requested frames.
@@ -91,10 +90,10 @@ std::pair<int, int> get_requested_record_range(const TfRecordReader& records,
     const int n = static_cast<int>(std::min<std::size_t>(records.size(), 1 << 30));
     const int end = requested_frames.end < 0 ? n : std::min(requested_frames.end, n);
     if (requested_frames.begin >= end)
-        throw UsageError(fmt::format(
-            "the frame range {}:{} selects no frame of {}, expected frame numbers from 0 to {}",
-            requested_frames.begin, requested_frames.end < 0 ? "" : std::to_string(requested_frames.end),
-            records.get_file_path().string(), n - 1));
+        fail<UsageError>("the frame range {}:{} selects no frame of {}, expected frame numbers from 0 to {}",
+                         requested_frames.begin,
+                         requested_frames.end < 0 ? "" : std::to_string(requested_frames.end),
+                         records.get_file_path().string(), n - 1);
     return {requested_frames.begin, end};
 }
 
@@ -108,8 +107,8 @@ Pose read_vehicle_pose_of_pixel(const DecompressedImage& pose_image, std::size_t
                                 const std::string& error_location) {
     const float* v = pose_image.get_pixel_values(pixel_index);
     if (!std::all_of(v, v + 6, [](float value) { return std::abs(value) <= 1e8f; }))
-        throw DataError(fmt::format("{}: the pose of pixel {} is ({}), expected finite numbers",
-                                    error_location, pixel_index, fmt::join(v, v + 6, ", ")));
+        fail("{}: the pose of pixel {} is ({}), expected finite numbers", error_location, pixel_index,
+             fmt::join(v, v + 6, ", "));
     return {make_rotation(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
 }
 
@@ -126,9 +125,8 @@ std::optional<DecompressedImage> read_pose_image(const CompressedLidarImages& la
     DecompressedImage poses =
         inflate_image(laser_images.pixel_pose, kPoseChannels, error_location + ", pixel poses");
     if (poses.rows != range_image.rows || poses.columns != range_image.columns)
-        throw DataError(fmt::format(
-            "{}: found {} x {} pixel poses for an image of {} x {} pixels, expected the same size",
-            error_location, poses.rows, poses.columns, range_image.rows, range_image.columns));
+        fail("{}: found {} x {} pixel poses for an image of {} x {} pixels, expected the same size",
+             error_location, poses.rows, poses.columns, range_image.rows, range_image.columns);
     return poses;
 }
 
@@ -136,8 +134,8 @@ const CompressedLidarImages& find_range_images_of_laser(const WaymoFrameRecord& 
                                                         const std::string& error_location) {
     for (const CompressedLidarImages& images : frame_record.images)
         if (images.laser == laser_id && !images.first.empty()) return images;
-    throw DataError(fmt::format("{}: the range image of the LiDAR {} is missing, but the first frame has one",
-                                error_location, kLaserNames[laser_id]));
+    fail("{}: the range image of the LiDAR {} is missing, but the first frame has one", error_location,
+         kLaserNames[laser_id]);
 }
 
 /// Waymo stores a vehicle pose for each pixel of the roof LiDAR (TOP). Returns the pose
@@ -189,23 +187,21 @@ double compute_frame_period_s(const std::vector<WaymoFrameHeader>& frame_headers
     if (steps_s.empty()) return 0.1;
     const double period_s = compute_median(std::move(steps_s));
     if (!(period_s > 0.01 && period_s < 1.0))
-        throw DataError(
-            fmt::format("{}: timestamp_micros increase by {:.6g} s per record, expected 0.01 to 1 s",
-                        error_location, period_s));
+        fail("{}: timestamp_micros increase by {:.6g} s per record, expected 0.01 to 1 s", error_location,
+             period_s);
     return period_s;
 }
 
 Lidar make_waymo_lidar(const WaymoFrameRecord& frame_record, const CompressedLidarImages& laser_images,
                        double period_s, const std::string& error_location) {
     if (laser_images.laser < 1 || laser_images.laser >= int(std::size(kLaserNames)))
-        throw DataError(fmt::format("{}: found the laser number {}, expected 1 to {}", error_location,
-                                    laser_images.laser, std::size(kLaserNames) - 1));
+        fail("{}: found the laser number {}, expected 1 to {}", error_location, laser_images.laser,
+             std::size(kLaserNames) - 1);
     const auto calibration = std::find_if(frame_record.lasers.begin(), frame_record.lasers.end(),
                                           [&](const auto& c) { return c.laser == laser_images.laser; });
     if (calibration == frame_record.lasers.end())
-        throw DataError(fmt::format(
-            "{}: laser_calibrations has no entry for the LiDAR {}, although its range image exists",
-            error_location, kLaserNames[laser_images.laser]));
+        fail("{}: laser_calibrations has no entry for the LiDAR {}, although its range image exists",
+             error_location, kLaserNames[laser_images.laser]);
     const DecompressedImage image =
         inflate_image(laser_images.first, kImageChannels,
                       fmt::format("{}: {}", error_location, kLaserNames[laser_images.laser]));
@@ -284,9 +280,8 @@ private:
                                                  PixelType pixel_type = PixelType::real) const {
         DecompressedImage image = inflate_image(compressed_image, n_channels, where_, pixel_type);
         if (image.rows == scan.rays.rows && image.columns == scan.rays.columns) return image;
-        throw DataError(
-            fmt::format("{}: the range image has {} x {} pixels, expected {} x {} like in the first frame",
-                        where_, image.rows, image.columns, scan.rays.rows, scan.rays.columns));
+        fail("{}: the range image has {} x {} pixels, expected {} x {} like in the first frame", where_,
+             image.rows, image.columns, scan.rays.rows, scan.rays.columns);
     }
 
     /// Converts the stored intensity of a return to the range 0 to 1.
@@ -302,9 +297,8 @@ private:
             const float range = range_image.get_pixel_values(ray)[0],
                         brightness = range_image.get_pixel_values(ray)[1];
             if (!(range <= kFarthest_m) || !std::isfinite(brightness))
-                throw DataError(fmt::format(
-                    "{}: pixel {} has range {} m and intensity {}, expected finite values and at most {} m",
-                    where_, ray, range, brightness, kFarthest_m));
+                fail("{}: pixel {} has range {} m and intensity {}, expected finite values and at most {} m",
+                     where_, ray, range, brightness, kFarthest_m);
             range_m[ray] = std::max(range, 0.0f);
             intensity[ray] = range > 0.0f ? normalise_intensity(brightness) : 0.0f;
         }
@@ -337,8 +331,8 @@ void add_lidars_frames_and_boxes(LidarSequence& sequence, const TfRecordReader& 
         if (!images.first.empty() && (!only_top_lidar || images.laser == kTop))
             sequence.lidars.push_back(make_waymo_lidar(frame, images, period_s, where));
     if (sequence.lidars.empty())
-        throw DataError(fmt::format("{}: found no range image{} in the record, expected at least one", where,
-                                    only_top_lidar ? " of the LiDAR TOP" : ""));
+        fail("{}: found no range image{} in the record, expected at least one", where,
+             only_top_lidar ? " of the LiDAR TOP" : "");
     const std::int64_t start_us =
         parse_frame_record(records.read_record_data(0), format_record_location(records, 0)).timestamp_us;
     sequence.conventions += " " + format_log_start(1000 * start_us, "on the clock of the dataset");
@@ -408,8 +402,8 @@ LidarSequence load_waymo(const fs::path& path, const DatasetOptions& options) {
     sequence.name = segment.file.stem().string();
     sequence.source = path.string();
     sequence.conventions =
-        "Vehicle frame: x forward, y left, z up, in metres. Times are seconds after the first firing. At "
-        "the time of a frame, the head of TOP faces forward. The intensity is " +
+        "Vehicle frame: x forward, y left, z up, in metres. Times are seconds after the first firing. At the "
+        "time of a frame, the head of TOP faces forward. The intensity is " +
         std::string(options.waymo.clamp_intensity ? "Waymo's value clamped at 1"
                                                   : "the tanh of Waymo's value") +
         ". Rays of TOP have individual firing times. All rays of another LiDAR have the same time.";

@@ -13,6 +13,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/clouds.hpp>
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar::waymo {
@@ -47,8 +48,8 @@ std::string_view read_bytes_field(pbf_reader& reader) {
 double require_finite_and_return_number(double value, const char* field_name,
                                         const std::string& error_location) {
     if (!(std::abs(value) <= kLargestOfFrame))
-        throw DataError(fmt::format("{}: {} is {}, expected a finite number of at most {:.0e}",
-                                    error_location, field_name, value, kLargestOfFrame));
+        fail("{}: {} is {}, expected a finite number of at most {:.0e}", error_location, field_name, value,
+             kLargestOfFrame);
     return value;
 }
 
@@ -72,8 +73,7 @@ Pose parse_transform(pbf_reader reader, const std::string& error_location) {
         }
     }
     if (m.size() != 16)
-        throw DataError(fmt::format("{}: found a transform of {} numbers, expected 16 numbers",
-                                    error_location, m.size()));
+        fail("{}: found a transform of {} numbers, expected 16 numbers", error_location, m.size());
     for (const double value : m)
         require_finite_and_return_number(value, "a number of the transform", error_location);
     return check_rotation_and_make_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]},
@@ -211,11 +211,11 @@ void parse_label_into_frame(pbf_reader reader, WaymoFrameRecord& frame_record,
     else if (type == kCyclist) label.category = "cyclist";
     else return;  // a sign, which belongs to the background because it cannot move
     if (label.id.empty() || !(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) > 0.0))
-        throw DataError(fmt::format(
+        fail(
             "{}: found an object of the class {} with the id '{}' and the size {} x {} x {} m; expected an "
             "id that is not empty, and a length, width and height above 0",
             error_location, label.category, shorten_for_error_message(label.id), label.size_m.x,
-            label.size_m.y, label.size_m.z));
+            label.size_m.y, label.size_m.z);
     frame_record.labels.push_back(std::move(label));
 }
 
@@ -269,11 +269,10 @@ std::string inflate_zlib_stream(std::string_view compressed_bytes, const std::st
     }
     inflateEnd(&stream);
     if (bytes.size() > kMostInflated)
-        throw DataError(fmt::format("{}: a zlib stream unpacks to more than {} bytes, expected a range image",
-                                    error_location, kMostInflated));
+        fail("{}: a zlib stream unpacks to more than {} bytes, expected a range image", error_location,
+             kMostInflated);
     if (status != Z_STREAM_END)
-        throw DataError(
-            fmt::format("{}: a zlib stream of {} bytes is damaged", error_location, bytes.size()));
+        fail("{}: a zlib stream of {} bytes is damaged", error_location, bytes.size());
     return bytes;
 }
 
@@ -284,7 +283,7 @@ auto call_and_convert_protobuf_errors(const std::string& error_location, const P
     try {
         return parse_function();
     } catch (const protozero::exception& failure) {
-        throw DataError(fmt::format("{}: malformed protobuf: {}", error_location, failure.what()));
+        fail("{}: malformed protobuf: {}", error_location, failure.what());
     }
 }
 
@@ -318,10 +317,10 @@ WaymoFrameRecord parse_frame_record(std::string_view record_bytes, const std::st
         }
     });
     if (!has_pose)
-        throw DataError(fmt::format(
-            "{}: the pose of the vehicle is missing, expected a frame of the Waymo Open Dataset, which "
-            "has one",
-            error_location));
+        fail(
+            "{}: the pose of the vehicle is missing, expected a frame of the Waymo Open Dataset, which has "
+            "one",
+            error_location);
     const auto by_laser = [](const auto& first, const auto& second) { return first.laser < second.laser; };
     std::stable_sort(frame.lasers.begin(), frame.lasers.end(), by_laser);
     std::stable_sort(frame.images.begin(), frame.images.end(), by_laser);
@@ -342,12 +341,12 @@ DecompressedImage inflate_image(std::string_view compressed_image, int n_channel
         dims[2] == n_channels &&
         image.values.size() == std::size_t(dims[0]) * std::size_t(dims[1]) * std::size_t(n_channels);
     if (!fits)
-        throw DataError(
-            fmt::format("{}: found an image with {} values and {} dimensions{}; expected rows x columns x {} "
-                        "values, with at most {} rows and {} columns",
-                        error_location, image.values.size(), dims.size(),
-                        dims.size() == 3 ? fmt::format(" ({} x {} x {})", dims[0], dims[1], dims[2]) : "",
-                        n_channels, kMostRows, kMostColumns));
+        fail(
+            "{}: found an image with {} values and {} dimensions{}; expected rows x columns x {} values, "
+            "with at most {} rows and {} columns",
+            error_location, image.values.size(), dims.size(),
+            dims.size() == 3 ? fmt::format(" ({} x {} x {})", dims[0], dims[1], dims[2]) : "", n_channels,
+            kMostRows, kMostColumns);
     image.rows = dims[0];
     image.columns = dims[1];
     image.channels = n_channels;
@@ -361,14 +360,12 @@ std::vector<double> compute_row_elevations_rad(const WaymoLidarCalibration& cali
     if (elevations.empty())
         for (int k = 0; k < n_rows; ++k) elevations.push_back(low + (k + 0.5) / n_rows * (high - low));
     if (elevations.size() != std::size_t(n_rows))
-        throw DataError(
-            fmt::format("{}: found {} beam_inclinations for laser {} with {} rows, expected one per row",
-                        error_location, elevations.size(), calibration.laser, n_rows));
+        fail("{}: found {} beam_inclinations for laser {} with {} rows, expected one per row", error_location,
+             elevations.size(), calibration.laser, n_rows);
     for (const double elevation : elevations)
         if (!(std::abs(elevation) <= kPi / 2))
-            throw DataError(fmt::format(
-                "{}: a beam inclination is {} for laser {}, expected radians between -pi/2 and pi/2",
-                error_location, elevation, calibration.laser));
+            fail("{}: a beam inclination is {} for laser {}, expected radians between -pi/2 and pi/2",
+                 error_location, elevation, calibration.laser);
     std::reverse(elevations.begin(), elevations.end());
     return elevations;
 }

@@ -7,6 +7,7 @@
 
 #include <relidar/base/error.hpp>
 
+#include "base/fail.hpp"
 #include "log/sensor/pattern_kinds.hpp"
 
 namespace relidar {
@@ -18,8 +19,7 @@ RayTable make_rays(const WindowScanSensor& window) {
         window.left_rad + window.right_rad + window.top_rad + window.bottom_rad + window.divergence_rad,
         window.period_s);
     if (window.rows > 65535)
-        throw UsageError(
-            fmt::format("sensor '{}': found {} rows, expected at most 65535", window.name, window.rows));
+        fail<UsageError>("sensor '{}': found {} rows, expected at most 65535", window.name, window.rows);
     RayTable rays;
     rays.rows = window.rows;
     rays.columns = window.columns;

@@ -75,9 +75,8 @@ std::vector<RealSweep> read_real(const fs::path& scratch) {
         if (!fs::exists(source)) return {};
         fs::create_directories(scratch);
         const std::string script =
-            "import sys, numpy as np; z = np.load(sys.argv[1]); "
-            "np.savez(sys.argv[2], **{k: z[k].astype('S') if z[k].dtype.kind == 'U' else z[k] for k in "
-            "z.files})";
+            "import sys, numpy as np; z = np.load(sys.argv[1]); np.savez(sys.argv[2], **{k: z[k].astype('S') "
+            "if z[k].dtype.kind == 'U' else z[k] for k in z.files})";
         const auto run = [&](const char* python) {
             return std::system(fmt::format("{} -c \"{}\" '{}' '{}' 2>/dev/null", python, script,
                                            source.string(), bytes.string())

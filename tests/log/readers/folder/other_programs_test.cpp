@@ -52,8 +52,7 @@ TEST(OtherPrograms, NpyWithNamedFields) {
         std::string header = fmt::format(
             "{{'descr': [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('intensity', '|u1'), ('', '|V1'), "
             "('ring', '<u2'), ('normal', '<f4', (3,)), ('t', '<f8')], 'fortran_order': False, 'shape': "
-            "({},), "
-            "}}",
+            "({},), }}",
             points.size());
         header.resize(310, ' ');
         std::string bytes = std::string("\x93NUMPY\x01\x00", 8) + char(310 % 256) + char(310 / 256) + header;

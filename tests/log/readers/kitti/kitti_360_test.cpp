@@ -210,8 +210,7 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     const auto fields = [](const std::string& label, int index, int timestamp) {
         return fmt::format(
             "<index>{}</index><label>{}</label><timestamp>{}</timestamp><dynamic>{}</dynamic><dynamicSeq>4</"
-            "dynamicSeq>"
-            "<start_frame>2351</start_frame><end_frame>2351</end_frame>",
+            "dynamicSeq><start_frame>2351</start_frame><end_frame>2351</end_frame>",
             index, label, timestamp, timestamp < 0 ? 0 : 1);
     };
     fs::remove(kitti.boxes());

@@ -110,8 +110,7 @@ std::string make_tracklets() {
     };
     return "<?xml "
            "version=\"1.0\"?><boost_serialization><tracklets><count>1</count><item_version>1</"
-           "item_version><item>"
-           "<objectType>Van</objectType><h>2</h><w>1.8</w><l>4.4</l><first_frame>1</"
+           "item_version><item><objectType>Van</objectType><h>2</h><w>1.8</w><l>4.4</l><first_frame>1</"
            "first_frame><poses><count>2</count>" +
            pose(10) + pose(11) + "</poses><finished>1</finished></item></tracklets></boost_serialization>";
 }

@@ -40,8 +40,7 @@ struct Odometry {
         test::write_text(folder / "times.txt", "0.000000e+00\n1.037e-01\n2.074e-01\n");
         test::write_text(poses(),
                          "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 1.5\n0.995004165278 0 "
-                         "0.099833416647 0 0 1 0 0 -0.099833416647 0 "
-                         "0.995004165278 3\n");
+                         "0.099833416647 0 0 1 0 0 -0.099833416647 0 0.995004165278 3\n");
     }
     fs::path poses() const { return folder.parent_path().parent_path() / "poses/04.txt"; }
 };

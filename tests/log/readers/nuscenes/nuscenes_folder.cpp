@@ -109,11 +109,11 @@ NuscenesFolder::NuscenesFolder(const std::string& name, int n_columns)
     const auto add_file = [&](const std::string& token, const std::string& sample,
                               const std::string& calibration, int at, bool key, const std::string& next,
                               const std::string& file) {
-        files.push_back(fmt::format(
-            "\"token\": \"{}\", \"sample_token\": \"{}\", \"ego_pose_token\": \"e{}\", "
-            "\"calibrated_sensor_token\": "
-            "\"{}\", \"filename\": \"{}\", \"timestamp\": {}, \"is_key_frame\": {}, \"next\": \"{}\"",
-            token, sample, at, calibration, file, time_us(at), key, next));
+        files.push_back(
+            fmt::format("\"token\": \"{}\", \"sample_token\": \"{}\", \"ego_pose_token\": \"e{}\", "
+                        "\"calibrated_sensor_token\": \"{}\", \"filename\": \"{}\", \"timestamp\": {}, "
+                        "\"is_key_frame\": {}, \"next\": \"{}\"",
+                        token, sample, at, calibration, file, time_us(at), key, next));
     };
     for (int i = kSweeps - 1; i >= 0; --i) {  // not ordered by time
         const std::string next = i + 1 < kSweeps ? fmt::format("d{}", i + 1) : "";

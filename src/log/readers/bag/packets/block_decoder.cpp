@@ -33,6 +33,7 @@
 #include <relidar/log/sensor_pattern.hpp>
 
 #include "base/codecs/byte_reader.hpp"
+#include "base/fail.hpp"
 #include "log/readers/bag/packets/block_layouts.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
 
@@ -159,8 +160,8 @@ private:
         std::string files, reasons;  // reasons: why other files are not used
         for (const AngleCorrection& correction : corrections) {
             if (correction.lasers.size() != n && correction.is_named)
-                throw DataError(fmt::format("{}: found the angles of {} lasers, expected {} for a {}",
-                                            correction.where, correction.lasers.size(), n, layout_.name));
+                fail("{}: found the angles of {} lasers, expected {} for a {}", correction.where,
+                     correction.lasers.size(), n, layout_.name);
             if (correction.lasers.size() != n) {
                 reasons += reasons.empty() ? ", because " : "; ";
                 reasons += correction.problem.empty()
@@ -216,13 +217,11 @@ private:
     double read_block_azimuth_deg(bag::ByteReader& reader, std::size_t block_in_firing) const {
         const unsigned flag = 0xEEFF - 0x1100 * unsigned(block_in_firing);
         if (layout_.flagged && reader.read_little_endian_number<std::uint16_t>() != flag)
-            throw DataError(
-                fmt::format("a block of a packet does not begin with FF {:X}, expected a packet of a {}",
-                            flag >> 8, layout_.name));
+            fail("a block of a packet does not begin with FF {:X}, expected a packet of a {}", flag >> 8,
+                 layout_.name);
         const double azimuth_deg = 0.01 * read_uint16_in_packet_byte_order(reader);
         if (azimuth_deg > 360.0)
-            throw DataError(
-                fmt::format("a packet has an azimuth of {} degrees, expected less than 360", azimuth_deg));
+            fail("a packet has an azimuth of {} degrees, expected less than 360", azimuth_deg);
         return std::fmod(azimuth_deg - layout_.forward_deg + 360.0, 360.0);
     }
 

@@ -13,6 +13,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/csv.hpp"
+#include "base/fail.hpp"
 #include "base/files.hpp"
 
 namespace relidar::packets {
@@ -71,20 +72,16 @@ AngleCorrection parse_angle_correction(const std::string& csv_text, const std::s
         const auto elevation = parse_number(cells[1]), azimuth = parse_number(cells[2]);
         if (!(*laser >= 1.0 && *laser <= kMostCorrectedLasers) || !elevation || !azimuth ||
             !(std::abs(*elevation) <= 90.0) || !(std::abs(*azimuth) <= 180.0))
-            throw DataError(
-                fmt::format("{}: found the line '{}', expected the number of a laser, its elevation and "
-                            "its azimuth",
-                            error_location, shorten_for_error_message(line)));
+            fail("{}: found the line '{}', expected the number of a laser, its elevation and its azimuth",
+                 error_location, shorten_for_error_message(line));
         angles[std::size_t(*laser)] = {*elevation, *azimuth};
     }
     AngleCorrection correction{error_location, false, {}};
     for (const auto& [laser, laser_angles] : angles) {
         correction.lasers.push_back(laser_angles);
         if (laser != correction.lasers.size())
-            throw DataError(
-                fmt::format("{}: the angles of laser {} are missing, expected the angles of "
-                            "all lasers up to {}",
-                            error_location, correction.lasers.size(), angles.rbegin()->first));
+            fail("{}: the angles of laser {} are missing, expected the angles of all lasers up to {}",
+                 error_location, correction.lasers.size(), angles.rbegin()->first);
     }
     return correction;
 }

@@ -16,6 +16,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/codecs/byte_reader.hpp"
+#include "base/fail.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
 
@@ -66,10 +67,7 @@ public:
             if (const auto kind =
                     ByteReader(reader.read_bytes(kHeadBytes)).read_little_endian_number<std::uint8_t>();
                 kind != kLidarData)
-                throw DataError(
-                    fmt::format("found a packet of type {}, expected {} (LiDAR data of an "
-                                "Ouster)",
-                                kind, kLidarData));
+                fail("found a packet of type {}, expected {} (LiDAR data of an Ouster)", kind, kLidarData);
         DecodedPacket packet;
         packet.n_slots = format_->columns_per_packet;
         std::vector<std::int64_t> times_ns;
@@ -113,19 +111,18 @@ private:
                                       int slot_in_packet) const {
         const int columns = format_->sensor.columns;
         if (column.number >= columns)
-            throw DataError(
-                fmt::format("a packet has column {}, expected a number below {} (lidar_mode in {})",
-                            column.number, columns, format_->where));
+            fail("a packet has column {}, expected a number below {} (lidar_mode in {})", column.number,
+                 columns, format_->where);
         const double azimuth_deg = std::fmod(180.0 + 360.0 * column.number / columns, 360.0),
                      step_deg = 360.0 / columns;
         if (!previous_firings.empty() &&
             std::abs(std::remainder(azimuth_deg - previous_firings.back().azimuth_deg -
                                         step_deg * (slot_in_packet - previous_firings.back().slot),
                                     360.0)) > 0.1 * step_deg)
-            throw DataError(fmt::format(
-                "column {} at position {} of a packet does not follow the previous column, expected "
-                "columns in order",
-                column.number, slot_in_packet));
+            fail(
+                "column {} at position {} of a packet does not follow the previous column, expected columns "
+                "in order",
+                column.number, slot_in_packet);
         return azimuth_deg;
     }
 

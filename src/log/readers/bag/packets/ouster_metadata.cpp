@@ -14,6 +14,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
 
+#include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
@@ -76,8 +77,8 @@ const OusterProfile& find_ouster_profile_of_metadata(const Json& json, const std
     if (matching_profile != std::end(kProfiles)) return *matching_profile;
     std::string names;
     for (const OusterProfile& row : kProfiles) names += (names.empty() ? "" : ", ") + std::string(row.name);
-    throw DataError(fmt::format("{}: the packet profile is {}, expected one of {}", error_location,
-                                shorten_for_error_message(name), names));
+    fail("{}: the packet profile is {}, expected one of {}", error_location, shorten_for_error_message(name),
+         names);
 }
 
 /// Returns the ring of each pixel in a column: the rank of its beam by elevation, highest
@@ -120,22 +121,18 @@ void require_valid_layout_and_set_size(OusterMetadata& metadata, const Json& jso
     const int columns = metadata.sensor.columns, beams = int(metadata.sensor.beams.size());
     if (const int n = read_optional_integer(json, metadata.where, "columns_per_frame", columns, 65536);
         n != columns)
-        throw DataError(fmt::format("{}: columns_per_frame is {}, expected {} like in lidar_mode",
-                                    metadata.where, n, columns));
+        fail("{}: columns_per_frame is {}, expected {} like in lidar_mode", metadata.where, n, columns);
     if (const int n = read_optional_integer(json, metadata.where, "pixels_per_column", beams, 65536);
         n != beams)
-        throw DataError(
-            fmt::format("{}: pixels_per_column is {}, expected {}, the number of beam_altitude_angles",
-                        metadata.where, n, beams));
+        fail("{}: pixels_per_column is {}, expected {}, the number of beam_altitude_angles", metadata.where,
+             n, beams);
     if (metadata.columns_per_packet < 1 || columns % metadata.columns_per_packet != 0)
-        throw DataError(
-            fmt::format("{}: columns_per_packet is {}, expected a divisor of the {} columns of a revolution",
-                        metadata.where, metadata.columns_per_packet, columns));
+        fail("{}: columns_per_packet is {}, expected a divisor of the {} columns of a revolution",
+             metadata.where, metadata.columns_per_packet, columns);
     metadata.packet_bytes = compute_packet_bytes(*metadata.profile, beams, metadata.columns_per_packet);
     if (metadata.packet_bytes > kMostDatagram)
-        throw DataError(fmt::format(
-            "{}: found {}, expected packets of at most {} bytes, the maximum size of a UDP packet",
-            metadata.where, metadata.describe_packets(), kMostDatagram));
+        fail("{}: found {}, expected packets of at most {} bytes, the maximum size of a UDP packet",
+             metadata.where, metadata.describe_packets(), kMostDatagram);
 }
 
 /// Returns the UDP port in the topic name of a network capture. For "192.168.1.201:7502",
@@ -192,10 +189,10 @@ std::shared_ptr<const OusterMetadata> parse_ouster_metadata(const std::string& j
     const SensorModel model = parse_sensor_json_text(json_text, format->product, error_location);
     const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
     if (!spinning)
-        throw DataError(
-            fmt::format("{}: found the description of a sensor that does not spin, expected the metadata of "
-                        "an Ouster sensor, which spins",
-                        error_location));
+        fail(
+            "{}: found the description of a sensor that does not spin, expected the metadata of an Ouster "
+            "sensor, which spins",
+            error_location);
     format->sensor = *spinning;
     format->profile = &find_ouster_profile_of_metadata(json, error_location);
     format->columns_per_packet =
@@ -293,8 +290,8 @@ std::string format_ouster_packet_error(const OusterMetadataList& metadata_list,
                                       : fmt::format(" of {}", shorten_for_error_message(topic_name));
     if (metadata_list.empty())
         return fmt::format(
-            "found packets of {} bytes{}, probably from an Ouster; expected the metadata of the sensor "
-            "{}{} (from `ouster-cli source SENSOR metadata`, or from http://SENSOR/api/v1/sensor/metadata)",
+            "found packets of {} bytes{}, probably from an Ouster; expected the metadata of the sensor {}{} "
+            "(from `ouster-cli source SENSOR metadata`, or from http://SENSOR/api/v1/sensor/metadata)",
             packet_size, from, port > 0 ? "in the file " : "on a topic .../metadata, or in the file ",
             fs::path(recording_path).replace_extension(".json").filename().string());
     std::string listed_formats;
@@ -312,8 +309,8 @@ std::string format_ouster_packet_error(const OusterMetadataList& metadata_list,
             port > 0 ? fmt::format("in a file with \"udp_port_lidar\": {}", port)
                      : "on the metadata topic in the namespace of the packet topic");
     return fmt::format(
-        "found packets of {} bytes{}, but the metadata describes {}; use the metadata of the same sensor "
-        "and configuration",
+        "found packets of {} bytes{}, but the metadata describes {}; use the metadata of the same sensor and "
+        "configuration",
         packet_size, from, listed_formats);
 }
 

@@ -12,6 +12,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
 
+#include "base/fail.hpp"
 #include "log/clouds/arrange_firings.hpp"
 #include "log/readers/bag/packets/fired_points.hpp"
 #include "log/sensor/beam_geometry.hpp"
@@ -49,8 +50,7 @@ void PacketIndex::add_packets_of_message(const std::vector<ReceivedPacket>& pack
     DecoderCalibration of_first = calibration;
     of_first.has_two_returns = !product_ && has_two_returns_per_firing(packets);
     if (packets.size() > kMostInMessage)
-        throw DataError(
-            fmt::format("a message has {} packets, expected at most {}", packets.size(), kMostInMessage));
+        fail("a message has {} packets, expected at most {}", packets.size(), kMostInMessage);
     for (std::size_t i = 0; i < packets.size(); ++i) {
         set_or_check_lidar_model(packets[i], of_first);
         decode_and_index_packet(packets[i], std::uint16_t(i));
@@ -62,10 +62,10 @@ void PacketIndex::set_or_check_lidar_model(const ReceivedPacket& packet,
     if (product_ && product_ == find_product_of_packet(packet.bytes, calibration_)) return;
     const LidarProduct* product = find_product_of_packet(packet.bytes, calibration);
     if (product_)
-        throw DataError(fmt::format(
-            "found a packet of {} bytes from {}, but the previous packets are from a {}, expected packets "
-            "of one LiDAR model",
-            packet.bytes.size(), product ? product->name : "an unknown product", product_->name));
+        fail(
+            "found a packet of {} bytes from {}, but the previous packets are from a {}, expected packets of "
+            "one LiDAR model",
+            packet.bytes.size(), product ? product->name : "an unknown product", product_->name);
     if (!product || !product->make) throw DataError(format_unsupported_packet_error(product, packet.bytes));
     decoder_ = product->make(product->name, calibration);
     product_ = product;
@@ -305,10 +305,9 @@ std::string PacketIndex::describe_problems() const {
         "revolutions are skipped, because the clock of the sensor jumps during them, or because packets of "
         "two sensors are mixed");
     if (skipped_.width_deg > 0.0)
-        texts.push_back(
-            fmt::format("the sensor fires in {:.0f} degrees of a revolution, so the other {:.0f} "
-                        "degrees have no rays",
-                        360.0 - skipped_.width_deg, skipped_.width_deg));
+        texts.push_back(fmt::format(
+            "the sensor fires in {:.0f} degrees of a revolution, so the other {:.0f} degrees have no rays",
+            360.0 - skipped_.width_deg, skipped_.width_deg));
     return fmt::format("{}", fmt::join(texts, "; "));
 }
 

@@ -9,6 +9,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/codecs/byte_reader.hpp"
+#include "base/fail.hpp"
 #include "log/readers/bag/message_reader.hpp"
 
 namespace relidar::packets {
@@ -55,8 +56,7 @@ std::string_view read_packet_bytes(MessageReader& reader, const PacketMessageTyp
     const std::size_t size = message_type.form == PacketMessageLayout::padded
                                  ? reader.read_number<std::uint32_t>()
                                  : message_type.n;
-    if (size > message_type.n)
-        throw DataError(fmt::format("found a packet of {} bytes, expected at most {}", size, message_type.n));
+    if (size > message_type.n) fail("found a packet of {} bytes, expected at most {}", size, message_type.n);
     return bytes.substr(0, size);
 }
 
