@@ -116,6 +116,7 @@ relidar_dependency(tbb APT libtbb-dev PACKAGE TBB COMPONENTS tbb TARGETS TBB::tb
 relidar_dependency(png APT libpng-dev PACKAGE PNG TARGETS PNG::PNG)
 relidar_dependency(openexr APT libopenexr-dev PACKAGE OpenEXR TARGETS OpenEXR::OpenEXR)
 relidar_dependency(zlib APT zlib1g-dev PACKAGE ZLIB TARGETS ZLIB::ZLIB)
+relidar_dependency(zip APT libzip-dev HEADER zip.h LIBRARY zip)   # Debian 12's CMake package also needs the program zipcmp
 # of dataset readers
 relidar_dependency(protozero APT libprotozero-dev BUILD_ONLY HEADER protozero/pbf_reader.hpp
     FETCH https://github.com/mapbox/protozero.git v1.7.1 include)

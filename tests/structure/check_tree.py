@@ -24,7 +24,7 @@ ROOMS = ["base", "gpu", "log", "scene", "diff", "run", "simulate", "score", "tra
 OPEN_FOLDERS = ("src/base/", "src/gpu/", "src/diff/traversal/")
 # Headers of libraries, and the folders of src/ that may include them.
 LIBRARIES = {
-    "volk": "gpu", "vulkan/": "gpu", "Imf": "base/codecs", "png.h": "base/codecs",
+    "volk": "gpu", "vulkan/": "gpu", "Imf": "base/codecs", "png.h": "base/codecs", "zip.h": "base/codecs",
     "lz4frame.h": "base/codecs", "flatbuffers/": "base/codecs", "sqlite3.h": "log/readers/bag",
     "bzlib.h": "log/readers/bag", "pcap/": "log/readers/bag", "simdjson.h": "log/readers",
     "protozero/": "log/readers simulate/scan_files", "pugixml.hpp": "log run", "toml++/": "log run",
