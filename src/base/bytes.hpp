@@ -7,7 +7,6 @@
 
 namespace relidar {
 
-/// Appends the bytes of a trivially copyable value.
 template <class T>
 void append_binary_value(std::string& bytes, T value) {
     bytes.append(reinterpret_cast<const char*>(&value), sizeof value);

@@ -9,10 +9,8 @@
 
 namespace relidar {
 
-/// Returns the key of the cubic grid cell that contains a point. A key has 21 bits per
-/// axis, so only the keys of cells within 2^20 cells of the origin are unique.
-/// @param point_m [3] metres
-/// @param cell_size_m edge length of the cells, metres
+/// Key of the cubic grid cell of a point. A key has 21 bits per axis, so only the keys of
+/// cells within 2^20 cells of the origin are unique.
 inline std::uint64_t compute_grid_cell_key(const glm::dvec3& point_m, double cell_size_m) {
     std::uint64_t key = 0;
     for (int axis = 0; axis < 3; ++axis)

@@ -15,7 +15,6 @@ namespace relidar {
 namespace {
 
 constexpr std::size_t kParts = 32;
-// Number of items that one parallel task processes.
 constexpr std::size_t kItemsPerBlock = 1 << 16;
 
 /// Indices of the items of one block, divided into kParts lists by the hash of their

@@ -18,11 +18,7 @@ struct ItemCellIndices {
     std::size_t n_cells = 0;
 };
 /// Numbers the grid cells that contain items: 0, 1, 2, ...
-/// @param cell_key_per_item [items] key of the grid cell that contains each item
 ItemCellIndices number_cells_and_assign_items(std::span<const std::uint64_t> cell_key_per_item);
-/// Numbers the grid cells that contain items: 0, 1, 2, ...
-/// @param n_items number of items
-/// @param get_cell_key function that returns the key of an item's grid cell
 template <class KeyOf>
 ItemCellIndices number_cells_and_assign_items(std::size_t n_items, const KeyOf& get_cell_key) {
     std::vector<std::uint64_t> keys(n_items);
@@ -30,7 +26,6 @@ ItemCellIndices number_cells_and_assign_items(std::size_t n_items, const KeyOf& 
     return number_cells_and_assign_items(keys);
 }
 
-/// Lists the items of each cell in ascending order.
 class CellItemLists {
 public:
     explicit CellItemLists(const ItemCellIndices& numbers);

@@ -25,8 +25,6 @@ DataError make_unreadable_error(const fs::path& path, const std::error_code& sys
     return DataError(fmt::format("cannot read {}: {}", path.string(), system_error.message()));
 }
 
-/// Returns the file status of a path. Returns file_type::not_found if nothing exists at
-/// the path.
 fs::file_status get_file_status_or_throw(const fs::path& path) {
     std::error_code failed;
     const fs::file_status status = fs::status(path, failed);

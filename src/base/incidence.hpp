@@ -10,7 +10,6 @@
 
 namespace relidar {
 
-/// Rays and ranges of a range image, row by row.
 struct RangeImageRays {
     int rows, columns;
     /// Origins and unit directions of the rays, [rows*columns].
@@ -24,17 +23,14 @@ struct RangeImageRays {
     }
 };
 
-/// compute_incidence_cosine() compares a pixel with two pixels in the same row, which are
-/// this many columns to the left and to the right.
+/// Distance in columns of the pixels that incidence compares.
 inline constexpr std::size_t kIncidenceColumns = 4;
 
-/// Returns the cosine of the angle of incidence at pixel `pixel_index`. Uses the points
-/// one row above and below, and four columns left and right. A distance of four columns
+/// Uses the points one row above and below, and kIncidenceColumns left and right, which
 /// reduces the effect of range noise. Returns a negative value if one of these points is
 /// missing or on another surface.
 inline double compute_incidence_cosine(const RangeImageRays& image, std::size_t pixel_index) {
     constexpr std::size_t kColumns = kIncidenceColumns;
-    // Maximum relative difference between the ranges of two pixels on the same surface.
     constexpr double kSameSurface = 0.2;
     const auto columns = std::size_t(image.columns), row = pixel_index / columns,
                column = pixel_index % columns;

@@ -7,8 +7,7 @@
 
 namespace relidar {
 
-/// Concatenates lists into one list. Frees each list after it has been copied, to save
-/// memory.
+/// Frees each list after it has been copied, to save memory.
 template <class T>
 std::vector<T> concatenate_vectors(std::vector<std::vector<T>> vectors) {
     std::size_t n = 0;

@@ -24,9 +24,7 @@ std::string describe_json_value_for_error(const nlohmann::json& value) {
     return "found " + (text.size() <= 60 ? text : text.substr(0, 57) + "...");
 }
 
-/// Appends all numbers of nested lists to `numbers`.
-/// @return the first invalid value: neither a number nor a list, or nested too deeply.
-/// Null if all values are valid
+/// @return the first invalid value: neither a number nor a list, or nested too deeply
 const nlohmann::json* collect_numbers_and_find_invalid(const nlohmann::json& value, int max_depth,
                                                        std::vector<double>& numbers) {
     if (value.is_number()) {

@@ -15,35 +15,28 @@ namespace relidar {
 
 class JsonField {
 public:
-    /// Creates a reader for a JSON value.
     /// @param value must outlive this object
-    /// @param field_name name of the field in error messages, empty for the root value
+    /// @param field_name empty for the root value
     JsonField(const nlohmann::json& value, const std::string& file_name, std::string field_name)
         : value_(&value), file_(&file_name), name_(std::move(field_name)) {}
 
     JsonField at(const std::string& key) const;  ///< Returns a member of an object.
-    /// Returns true if the JSON value is an object with the member `member_name`.
     bool has_member(const std::string& member_name) const;
     JsonField at(std::size_t index) const;  ///< Returns an entry of an array.
     std::size_t size() const;               ///< Returns the number of entries of an array.
     bool is_string() const;
     bool is_array() const;
-    /// Checks that a JSON object has only known members.
-    /// @throws DataError if the object has another member
     void require_only_known_members(const std::vector<std::string>& known_names) const;
     double get_number() const;  ///< Returns a finite number.
     double get_number_in_range(double min_value, double max_value) const;
     std::int64_t get_integer_in_range(std::int64_t min_value, std::int64_t max_value) const;
     bool get_boolean() const;
     std::string get_string() const;
-    /// Returns the value as a text. Throws an error if the text has more than `max_bytes`
-    /// bytes or contains line breaks.
+    /// @throws DataError if the text has more than `max_bytes` bytes or contains line
+    /// breaks
     std::string get_short_single_line_string(std::size_t max_bytes) const;
     std::vector<double> get_numbers() const;
-    /// Returns all numbers of nested lists as one list.
-    /// @param max_depth maximum nesting depth
     std::vector<double> get_flattened_numbers(int max_depth) const;
-    /// Returns the numbers of a list. The list must contain exactly n numbers.
     template <std::size_t n>
     std::array<double, n> get_numbers() const {
         const std::vector<double> all = get_numbers();
@@ -55,8 +48,7 @@ public:
         return result;
     }
     std::string get_location_for_errors() const;  ///< Returns "file: field" for error messages.
-    /// Throws a DataError with a message like "file: field: found null, expected a
-    /// number".
+    /// Message: "file: field: found null, expected a number".
     [[noreturn]] void throw_field_error(const std::string& found_value, const std::string& expected) const;
 
 private:
@@ -65,7 +57,6 @@ private:
     std::string name_;
 };
 
-/// Parses a JSON text.
 /// @throws DataError with the file and the position of the syntax error
 nlohmann::json parse_json(const std::string& text, const std::string& file_name);
 

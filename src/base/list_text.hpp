@@ -11,8 +11,7 @@
 
 namespace relidar {
 
-/// Formats numbers as "3, 4, 7". If the list has more than `max_count` numbers, shortens
-/// it: "3, 4, 7, ... 91 (78 in all)".
+/// "3, 4, 7", or shortened "3, 4, 7, ... 91 (78 in all)".
 inline std::string format_number_list(const std::vector<int>& numbers, std::size_t max_count = 6) {
     if (numbers.size() <= max_count) return fmt::format("{}", fmt::join(numbers, ", "));
     return fmt::format("{}, ... {} ({} in total)",
@@ -20,7 +19,7 @@ inline std::string format_number_list(const std::vector<int>& numbers, std::size
                        numbers.back(), numbers.size());
 }
 
-/// Splits a list such as "a, b,c" at its commas. Returns the words without blanks.
+/// Splits "a, b,c" at its commas and removes blanks.
 inline std::vector<std::string> split_comma_separated_list(const std::string& comma_separated_list) {
     std::vector<std::string> words{""};
     for (const char c : comma_separated_list) {

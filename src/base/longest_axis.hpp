@@ -4,8 +4,7 @@
 
 namespace relidar {
 
-/// Returns the axis (0, 1 or 2) with the largest component of a GLM vector. If two
-/// components are equal, returns the first of their axes.
+/// Axis (0, 1 or 2) of the largest component. The first one if two are equal.
 template <class Vector>
 int find_longest_axis(const Vector& size) {
     if (size.x >= size.y && size.x >= size.z) return 0;

@@ -8,8 +8,7 @@
 
 namespace relidar {
 
-/// Returns the median of values, which must not be empty. For an even number of values,
-/// returns the larger of the two middle values.
+/// For an even number of values, the larger of the two middle values.
 template <class Value>
 Value compute_median(std::vector<Value> values) {
     const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);

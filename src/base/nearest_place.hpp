@@ -12,21 +12,19 @@
 
 namespace relidar {
 
-/// k-d tree that finds the nearest of its points. Thread-safe.
+/// k-d tree. Thread-safe.
 /// @tparam Scalar type of coordinates and distances
 template <class Scalar>
 class NearestPointFinder {
 public:
     using Point = glm::vec<3, Scalar>;
 
-    /// Builds the tree from at least one point.
     explicit NearestPointFinder(std::vector<Point> points)
         : points_{std::move(points)}, tree_(3, points_, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
     NearestPointFinder(const NearestPointFinder&) =
         delete;  // Not copyable, because the tree refers to `points_`.
     NearestPointFinder& operator=(const NearestPointFinder&) = delete;
 
-    /// Returns the index of the nearest point, and the squared distance to it.
     std::pair<std::size_t, Scalar> find_nearest_with_squared_distance(const Point& query_point) const {
         std::pair<std::size_t, Scalar> index_and_squared_distance{0, Scalar(0)};
         tree_.knnSearch(&query_point.x, 1, &index_and_squared_distance.first,
@@ -41,7 +39,6 @@ public:
     }
 
 private:
-    /// Container of points with the member functions that nanoflann requires.
     struct KdTreePoints {
         std::vector<Point> all;
         std::size_t kdtree_get_point_count() const { return all.size(); }

@@ -7,13 +7,11 @@
 
 namespace relidar {
 
-/// Returns the shortest decimal text that converts back to the same number. The text has
-/// a point or an exponent, so that TOML and JSON read it as a real number: "8.0",
-/// "1e-09", "-0.0". Values that are not finite become "nan", "inf" or "-inf", which TOML
-/// accepts but JSON does not.
+/// Shortest decimal text that converts back to the same number. It has a point or an
+/// exponent, so that TOML and JSON read it as a real number: "8.0", "1e-09", "-0.0".
+/// Other values become "nan", "inf" or "-inf", which TOML accepts but JSON does not.
 std::string format_number_text(double value);
-/// Returns the shortest decimal text that converts back to the same float. A float needs
-/// fewer digits than a double.
+/// A float needs fewer digits than a double.
 std::string format_number_text(float value);
 
 }  // namespace relidar

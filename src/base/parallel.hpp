@@ -12,8 +12,7 @@
 
 namespace relidar {
 
-/// Returns the number of threads that would run a parallel loop of the calling thread.
-/// The number is at least 1.
+/// Number of threads that would run a loop of the calling thread, at least 1.
 std::size_t get_max_parallel_threads();
 
 /// Runs task(i) for every i in [0, n_tasks), on the calling thread and on idle threads of
@@ -25,16 +24,13 @@ std::size_t get_max_parallel_threads();
 /// on timing.
 void parallel_for(int n_tasks, const std::function<void(int)>& task);
 
-/// Returns the number of items in a block, which one thread processes at a time. Blocks
-/// are large enough that the cost of starting them is small. Each thread gets several
-/// blocks.
+/// Blocks are large enough that starting them costs little. Each thread gets several.
 inline std::size_t choose_items_per_parallel_block(std::size_t n_items) {
     constexpr std::size_t kSmallest = 128, kLargest = 4096, kBlocksPerThread = 8;
     return std::clamp(n_items / (kBlocksPerThread * get_max_parallel_threads()), kSmallest, kLargest);
 }
 
-/// Divides [0, n_items) into ranges of `range_size` items, and runs task(begin, end) for
-/// each range in parallel. The last range may be shorter.
+/// Runs task(begin, end) in parallel for ranges of `range_size` items.
 template <class Task>
 void parallel_for_ranges(std::size_t n_items, std::size_t range_size, const Task& task) {
     parallel_for(static_cast<int>((n_items + range_size - 1) / range_size), [&](int index) {
@@ -42,8 +38,7 @@ void parallel_for_ranges(std::size_t n_items, std::size_t range_size, const Task
     });
 }
 
-/// Runs task(i) for every i in [0, n_items) in parallel. Each thread processes blocks of
-/// consecutive items.
+/// Each thread processes blocks of consecutive items.
 template <class Task>
 void parallel_for_in_blocks(std::size_t n_items, const Task& task) {
     parallel_for_ranges(n_items, choose_items_per_parallel_block(n_items),
@@ -52,10 +47,9 @@ void parallel_for_in_blocks(std::size_t n_items, const Task& task) {
                         });
 }
 
-/// Computes a sum over [0, n_items) in parallel. Each range of `range_size` items has a
-/// partial sum. Partial sums are added in the order of the ranges, so that the result
-/// does not depend on the number of threads.
-/// @param compute_range_sum function (begin, end) -> Sum. Sums are added with operator+=
+/// Partial sums of `range_size` items are added in the order of the ranges, so that the
+/// result does not depend on the number of threads.
+/// @param compute_range_sum function (begin, end) -> Sum
 template <class Part>
 auto parallel_sum_over_ranges(std::size_t n_items, std::size_t range_size, const Part& compute_range_sum) {
     using Sum = decltype(compute_range_sum(std::size_t{}, std::size_t{}));

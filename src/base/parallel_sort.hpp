@@ -10,8 +10,8 @@
 
 namespace relidar {
 
-/// Sorts a vector in parallel with oneTBB. The sort is not stable. If no two elements
-/// compare as equivalent, the result does not depend on the number of threads.
+/// Not stable. If no two elements are equivalent, the result does not depend on the
+/// number of threads.
 template <class T, class Less>
 void parallel_sort(std::vector<T>& values, const Less& less) {
     tbb::this_task_arena::isolate([&] { tbb::parallel_sort(values.begin(), values.end(), less); });

@@ -22,9 +22,8 @@ struct PointMomentSums {
     /// Sums over all points: coordinates, their squares, and products y z, x z and x y.
     glm::dvec3 sum{0.0}, squares{0.0}, products{0.0};
 
-    /// Adds a point to the sums.
-    /// @param point_relative_to_origin point minus an origin near all points. Without
-    /// this subtraction, the squares of large coordinates would lose precision
+    /// @param point_relative_to_origin point minus an origin near all points, because
+    /// squares of large coordinates would lose precision
     void add_point(const glm::dvec3& point_relative_to_origin) {
         n += 1.0;
         sum += point_relative_to_origin;
@@ -34,8 +33,7 @@ struct PointMomentSums {
                                point_relative_to_origin.x * point_relative_to_origin.y);
     }
 
-    /// Returns the least-squares plane of the added points. The plane is relative to the
-    /// origin that the caller subtracted from the points. Requires at least one point.
+    /// The plane is relative to the same origin. Requires at least one point.
     PlaneFit fit_plane() const {
         const glm::dvec3 mean = sum / n, s = squares / n - mean * mean,
                          p = products / n - glm::dvec3(mean.y * mean.z, mean.x * mean.z, mean.x * mean.y);

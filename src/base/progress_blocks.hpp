@@ -13,9 +13,8 @@
 
 namespace relidar {
 
-/// Runs task(i) for every i in [0, n_tasks) in parallel. Only the calling thread reports
-/// progress: the finished fraction before each of its tasks, and 1 at the end. The loop
-/// stops if `progress` throws.
+/// Only the calling thread reports progress: the finished fraction before each of its
+/// tasks, and 1 at the end. The loop stops if `progress` throws.
 template <class Task>
 void parallel_for_with_progress(std::size_t n_tasks, const ProgressReporter& progress,
                                 std::string_view description, const Task& task) {
@@ -37,8 +36,7 @@ void parallel_for_with_progress(std::size_t n_tasks, const ProgressReporter& pro
     if (progress) progress(description, 1.0);
 }
 
-/// Runs task(i) for every i in [0, n_items) in parallel, and reports progress. Each
-/// thread processes blocks of consecutive items.
+/// Same, with blocks of consecutive items.
 template <class Task>
 void parallel_for_blocks_with_progress(std::size_t n_items, const ProgressReporter& progress,
                                        std::string_view description, const Task& task) {

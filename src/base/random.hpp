@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-/// Returns a 64-bit hash of a number, computed with the output function of SplitMix64.
+/// Output function of SplitMix64.
 inline std::uint64_t hash_integer(std::uint64_t value) {
     value += 0x9E3779B97F4A7C15ull;
     value = (value ^ (value >> 30)) * 0xBF58476D1CE4E5B9ull;
@@ -17,7 +17,7 @@ inline std::uint64_t hash_integer(std::uint64_t value) {
     return value ^ (value >> 31);
 }
 
-/// Returns a hash of two numbers. Exchanging the numbers changes the hash.
+/// Exchanging the numbers changes the hash.
 inline std::uint64_t hash_integer_pair(std::uint64_t first, std::uint64_t second) {
     return hash_integer(hash_integer(first) ^ (second * 0xD6E8FEB86659FD93ull));
 }
@@ -28,14 +28,11 @@ public:
 
     std::uint64_t sample_random_uint64() { return hash_integer(state_ += 0x9E3779B97F4A7C15ull); }
 
-    /// Returns a reference to the generator's state, so that callers can save and restore
-    /// it.
+    /// For saving and restoring.
     std::uint64_t& get_mutable_generator_state() { return state_; }
 
-    /// Returns a uniformly distributed number in [0, 1) with 53 random bits.
     double sample_uniform_number() { return static_cast<double>(sample_random_uint64() >> 11) * 0x1.0p-53; }
 
-    /// Returns a uniformly distributed number in [low, high).
     double sample_uniform_number(double min_value, double max_value) {
         return min_value + (max_value - min_value) * sample_uniform_number();
     }

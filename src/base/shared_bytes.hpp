@@ -16,8 +16,7 @@ struct SharedBytes {
     std::shared_ptr<const void> memory;
     std::string_view bytes;
 
-    /// Returns a view of a part of the bytes. The bytes stay in memory as long as the
-    /// view exists.
+    /// Shares the memory.
     SharedBytes make_shared_subview(std::string_view subview) const { return {memory, subview}; }
 };
 
@@ -26,8 +25,7 @@ inline SharedBytes make_shared_bytes(std::string bytes) {
     return {memory, *memory};
 }
 
-/// Allocates `n_bytes` bytes and calls write_bytes(std::span<char>) to write them. The
-/// bytes are uninitialised before this call.
+/// Calls write_bytes(std::span<char>) to write the uninitialised bytes.
 template <class Fill>
 SharedBytes allocate_shared_bytes(std::size_t n_bytes, const Fill& write_bytes) {
     const std::shared_ptr<char[]> memory(new char[n_bytes]);

@@ -16,8 +16,7 @@ namespace {
 
 constexpr int kMostParts = 8, kDeepest = 8;
 
-/// Returns the position after a quoted text. If the closing quote is missing, returns the
-/// end of the line.
+/// The end of the line if the closing quote is missing.
 std::size_t find_end_of_quoted_text(std::string_view text, std::size_t quote_position) {
     const char quote = text[quote_position++];
     for (; quote_position < text.size() && text[quote_position] != quote && text[quote_position] != '\n';

@@ -21,9 +21,6 @@ namespace {
 
 double bytes_to_mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
 
-/// Throws an error that a buffer could not be allocated. The message contains the size of
-/// the buffer, the free memory and the cause.
-/// @param cause for example the error code of the driver
 [[noreturn]] void throw_allocation_error(const Device::Impl& device, std::size_t size,
                                          const std::string& description, const std::string& cause,
                                          const gpu::MemoryBudget& budget) {

@@ -17,20 +17,16 @@ struct Buffer::Impl {
     gpu::BufferPurpose use;
     std::uint64_t address = 0;
     std::size_t n_bytes = 0;
-    /// Host address of the mapped memory. Null if the memory is not mapped.
     std::byte* mapped = nullptr;
 
-    /// Allocates a buffer.
-    /// @throws OutOfDeviceMemory if memory is exhausted or the device does not allow such
-    /// a large buffer
+    /// @throws OutOfDeviceMemory if memory is exhausted or the buffer is too large
     Impl(Device::Impl& device, std::size_t n_bytes, gpu::BufferPurpose use, const std::string& description);
     ~Impl();
     Impl(const Impl&) = delete;
     Impl& operator=(const Impl&) = delete;
 
 private:
-    /// These two functions allocate the memory of the buffer: the first as one piece, the
-    /// second (sparse binding) as pieces of at most `max_piece_bytes`.
+    /// As one piece, or (sparse binding) as pieces of at most `max_piece_bytes`.
     VkResult allocate_and_bind_memory(const VkMemoryRequirements& requirements);
     VkResult allocate_and_bind_sparse_memory(const VkMemoryRequirements& requirements,
                                              std::uint64_t max_piece_bytes);

@@ -178,7 +178,6 @@ int choose_device_index(const std::vector<DeviceInfo>& device_infos, const Devic
     if (options.index >= 0) return options.index;
     int best = 0, best_score = -1;
     for (const DeviceInfo& d : device_infos) {
-        // For `automatic`, the device must support at least one traversal method.
         bool runs = choose_best_ray_tracing_backend(d) != RayTracingBackend::automatic;
         if (options.traversal == RayTracingBackend::ray_query) runs = d.ray_query;
         if (options.traversal == RayTracingBackend::software) runs = d.software;
@@ -235,7 +234,6 @@ RayTracingBackend parse_ray_tracing_backend(const std::string& name) {
 }
 
 RayTracingBackend choose_best_ray_tracing_backend(const DeviceInfo& info) {
-    // Chooses the faster method. docs/performance.md has the measurements.
     if (info.software && (info.type == "CPU" || !info.ray_query)) return RayTracingBackend::software;
     return info.ray_query ? RayTracingBackend::ray_query : RayTracingBackend::automatic;
 }
@@ -440,7 +438,6 @@ Device::Impl::~Impl() {
         if (made.wait_for(std::chrono::seconds(0)) == std::future_status::deferred) continue;
         try {
             vkDestroyPipeline(device, made.get().pipeline, nullptr);
-            // The launch of the kernel has already reported this error.
         } catch (const Error&) {}
     }
     pipeline_cache.reset();

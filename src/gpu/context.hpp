@@ -26,16 +26,11 @@ namespace relidar::gpu {
 class PipelineCache;
 class BufferTransfers;
 
-/// Throws a DeviceError if the result of a Vulkan call is not VK_SUCCESS. The message
-/// contains `call_name` and the name of the result.
 void throw_unless_vulkan_success(VkResult result, const char* call_name);
-/// Throws an error for a failed Vulkan call.
-/// @throws DeviceLost if the driver has lost the device
-/// @throws DeviceError for all other results
+/// @throws DeviceLost if the driver has lost the device, otherwise DeviceError
 [[noreturn]] void throw_vulkan_error(VkResult result, const std::string& message);
 std::string get_vulkan_result_name(VkResult result);
 
-/// Vulkan instance and its debug messenger, which exists only if validation is enabled.
 struct VulkanInstance {
     VkInstance handle = VK_NULL_HANDLE;
     VkDebugUtilsMessengerEXT messenger = VK_NULL_HANDLE;
@@ -68,7 +63,6 @@ void set_vulkan_object_name(VkDevice device, VkObjectType object_type, Handle ha
 
 bool supports_device_extension(VkPhysicalDevice physical_device, const char* extension_name);
 
-/// Collects the names of features that a device lacks, for an error message.
 struct Missing {
     std::string text;
     void add_name_if_feature_missing(bool is_present, const char* feature_name) {
@@ -76,8 +70,8 @@ struct Missing {
     }
 };
 
-/// Optional device features that guarantee how subgroups behave. Kernels rely on this
-/// behaviour. They also run on devices that behave in this way without a guarantee.
+/// Optional guarantees about subgroups. Kernels also run on devices that behave in this
+/// way without a guarantee.
 struct OptionalFeatures {
     /// True if a kernel can request subgroups of exactly DeviceInfo::subgroup_size lanes.
     bool subgroup_size = false;
@@ -89,20 +83,14 @@ struct OptionalFeatures {
 };
 OptionalFeatures query_optional_features(VkPhysicalDevice physical_device);
 
-/// Returns true if kernels can request full subgroups of exactly
-/// DeviceInfo::subgroup_size lanes.
 bool can_request_full_subgroups_of_one_size(
     const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
     const OptionalFeatures& optional_features);
-/// Returns the names of the features that the software traversal needs and the device
-/// lacks. Empty if no feature is missing.
 std::string list_missing_software_traversal_features(
     const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
     const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
     const OptionalFeatures& optional_features);
 
-/// Returns the names of the features that neural networks need and the device lacks.
-/// Empty if no feature is missing.
 std::string list_missing_neural_network_features(
     const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
     const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
@@ -128,8 +116,6 @@ struct ComputePipelines {
                                         std::ptrdiff_t(get_max_parallel_threads())};
 };
 
-/// Describes a physical device. The description includes the names of all missing
-/// features.
 DeviceInfo make_device_info(VkPhysicalDevice physical_device, int device_index);
 
 }  // namespace relidar::gpu
@@ -152,7 +138,6 @@ struct Device::Impl {
     std::uint32_t scratch_alignment = 256;
     /// True if a buffer may consist of several allocations (Vulkan's sparse binding).
     bool binds_sparse = false;
-    /// A limit of the driver: its value in bytes, and its name in Vulkan.
     struct DriverMemoryLimit {
         std::uint64_t n_bytes;
         const char* name;
@@ -192,7 +177,6 @@ struct Device::Impl {
     std::vector<PipelineStatistics> compiled;
     std::atomic<std::uint64_t> allocated{0};  ///< Total size of all allocated arrays, in bytes.
     std::atomic<std::uint64_t> peak{0};
-    /// Number of streams with commands that are recorded but not submitted yet.
     std::atomic<int> n_recording{0};
     /// Buffer that was kept because an exception destroyed its owner while a stream had
     /// recorded commands. These commands may use the buffer, so it is freed later.
@@ -203,33 +187,26 @@ struct Device::Impl {
     };
     std::vector<OrphanedBuffer> orphans;
     std::mutex orphans_mutex;
-    /// Number of buffers created, and number of times that the host waited for all
-    /// submissions.
+    /// Number of times that the host waited for all submissions.
     std::atomic<std::uint64_t> n_buffers{0}, n_full_waits{0};
 
     Impl();
     ~Impl();
-    /// Opens the Vulkan device.
-    /// @param pipeline_cache_folder folder of the pipeline cache. If empty, pipelines are
-    /// not cached in a file
+    /// @param pipeline_cache_folder if empty, pipelines are not cached in a file
     void open_device_with_pipeline_cache(const std::filesystem::path& pipeline_cache_folder);
     void select_compute_queue_family();
     void create_logical_device();
     void query_and_store_device_limits();
     void create_pipeline_layout();
-    /// Submits work to the compute queue. Vulkan allows only one thread at a time to use
-    /// a queue, so this function locks a mutex.
+    /// Locks a mutex, because only one thread at a time may use a queue.
     void submit_to_queue(const VkSubmitInfo& submit_info, VkFence fence = VK_NULL_HANDLE);
-    /// Waits until the device has finished all submitted work. Ignores errors, because
-    /// destructors call this function. A lost device does no more work.
+    /// Ignores errors, because destructors call this function.
     void wait_until_device_idle() noexcept;
-    /// Binds pieces of memory to a sparse buffer, one after another. Waits until the
-    /// queue has bound all pieces.
+    /// Waits until the queue has bound all pieces.
     VkResult bind_memory_to_sparse_buffer(VkBuffer buffer,
                                           const std::vector<gpu::MemorySuballocation>& memory_pieces);
     void destroy_orphaned_buffer(const OrphanedBuffer& buffer) noexcept;
-    /// Frees the buffers that were kept after exceptions (OrphanedBuffer). Does nothing
-    /// if a stream still has recorded commands.
+    /// Does nothing if a stream still has recorded commands.
     void free_orphaned_buffers();
 };
 

@@ -64,7 +64,6 @@ std::optional<double> measure_copy_bandwidth_bytes_per_s(Device& device) {
         try {
             return 2.0 * static_cast<double>(n_bytes) /
                    measure_fastest_copy_s(device, n_bytes / sizeof(glm::vec4));
-            // The array does not fit into memory, so the loop tries a smaller array.
         } catch (const OutOfDeviceMemory&) {}
     }
     return std::nullopt;

@@ -8,9 +8,8 @@ namespace relidar {
 
 class Device;
 
-/// Measures the memory bandwidth of a device in bytes per second, counting bytes read and
-/// bytes written. Uses the fastest of several copies of 256 MiB, which is larger than any
-/// cache. Copies less if memory is short.
+/// Bytes read plus bytes written per second. Uses the fastest of several copies of 256
+/// MiB, which is larger than any cache, or less if memory is short.
 /// @return nullopt if less than 1 MiB is free
 std::optional<double> measure_copy_bandwidth_bytes_per_s(Device& device);
 

@@ -163,8 +163,6 @@ bool supports_device_extension(VkPhysicalDevice physical_device, const char* ext
 
 namespace {
 
-/// Returns the names of the features that every kernel needs and the device lacks. Empty
-/// if no feature is missing.
 std::string list_missing_kernel_features(const VkPhysicalDeviceProperties& properties,
                                          const VkPhysicalDeviceDriverProperties& driver_properties,
                                          const VkPhysicalDeviceVulkan12Features& vulkan_1_2_features,
@@ -195,8 +193,6 @@ std::string list_missing_kernel_features(const VkPhysicalDeviceProperties& prope
     return base.text;
 }
 
-/// Returns the names of the features that ray queries need and the device lacks. Empty if
-/// no feature is missing.
 std::string list_missing_ray_query_features(
     const std::vector<VkExtensionProperties>& extensions,
     const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel_features,

@@ -15,18 +15,14 @@ std::size_t get_validation_message_count(const Device& device);
 
 /// Behaviour of a device that a test can select instead of the default of the device.
 struct ForcedBehaviour {
-    /// If true, each ray tests every surfel instead of searching an acceleration
-    /// structure.
     bool brute_force = false;
     /// True: neighbouring threads access neighbouring floats (coalesced). False: each
     /// thread accesses consecutive floats. Default: false on a CPU, else true.
     std::optional<bool> coalesces = std::nullopt;
-    /// Number of scans that a ScanRenderer renders concurrently.
     std::optional<int> side_by_side = std::nullopt;
 };
 
-/// Used by tests. While an object of this class exists, new objects on the device use
-/// `forced_behaviour` instead of the device's defaults.
+/// While an object of this class exists, new objects on the device behave as forced.
 class ForcedBehaviourScope {
 public:
     ForcedBehaviourScope(Device& device, const ForcedBehaviour& forced_behaviour);

@@ -47,7 +47,6 @@ bool skips_loads_in_untaken_branches(const std::string& driver_name) {
     return major < 25 || (major == 25 && minor == 0);
 }
 
-/// Returns the SPIR-V code of a kernel, after the edits that this device needs.
 std::vector<std::uint32_t> make_kernel_spirv_for_device(
     const Device::Impl& device, std::string_view kernel_name_with_variant, std::string_view kernel_base_name,
     const std::vector<SpecialisationConstant>& constants) {
@@ -69,8 +68,6 @@ std::vector<std::uint32_t> make_kernel_spirv_for_device(
     return words;
 }
 
-/// Creates the Vulkan pipeline of a kernel.
-/// @param debug_name name of the kernel with its constants, for debuggers
 gpu::ComputePipelines::CompiledPipeline create_compute_pipeline(
     Device::Impl& device, std::span<const std::uint32_t> spirv_words, const std::string& debug_name,
     const std::vector<SpecialisationConstant>& constants, SubgroupRequirement subgroup_requirement) {
@@ -118,8 +115,7 @@ gpu::ComputePipelines::CompiledPipeline create_compute_pipeline(
     return made;
 }
 
-/// Limits the number of pipelines that are compiled at the same time. Each object of this
-/// class occupies one slot. The constructor waits until a slot is free.
+/// Occupies one of the limited slots for compiling a pipeline.
 class CompilerSlot {
 public:
     explicit CompilerSlot(std::counting_semaphore<>& free_compiler_slots) : compilers_(free_compiler_slots) {
@@ -148,10 +144,9 @@ std::string format_constants_of_kernel(std::span<const std::uint32_t> spirv_word
     return text;
 }
 
-/// Returns the pipeline of a kernel. Creates it if no kernel with the same name and
-/// constants exists.
-/// @param launch_mode create the pipeline at its first use (deferred), or immediately in
-/// another thread (async)
+/// Creates the pipeline if no kernel with the same name and constants exists.
+/// @param launch_mode at its first use (deferred), or immediately in another thread
+/// (async)
 std::shared_future<gpu::ComputePipelines::CompiledPipeline> find_or_start_pipeline_build(
     Device::Impl& device, const KernelBase::Impl& kernel, std::launch launch_mode) {
     const std::scoped_lock lock(device.pipelines.mutex);

@@ -16,13 +16,11 @@
 
 namespace relidar {
 
-/// SPIR-V module of a kernel that is embedded in the library.
 struct EmbeddedKernel {
     std::string_view name;  ///< Name of the kernel, either "stage/stem" or "stage/stem@variant".
     std::span<const std::uint32_t> words;
 };
 
-/// Returns all SPIR-V modules that are embedded in the library.
 std::span<const EmbeddedKernel> embedded_kernels();
 
 /// Ids of specialisation constants. The shaders use the same names.
@@ -43,15 +41,13 @@ struct SpecialisationConstant {
 /// subgroups, because some compilers choose smaller subgroups.
 enum class SubgroupRequirement { any, full };
 
-/// Returns the name of the parameter struct of a kernel. Returns an empty text if the
-/// kernel is unknown.
+/// Returns an empty text if the kernel is unknown.
 constexpr std::string_view find_parameter_struct_name(std::string_view kernel_name) {
     for (const auto& [kernel, params] : kKernelParams)
         if (kernel == kernel_name) return params;
     return {};
 }
 
-/// Returns the name of a struct without its namespaces.
 template <class Struct>
 consteval std::string_view get_unqualified_struct_name() {
     // The compiler's text for this function contains the name, for example "... [with
@@ -83,8 +79,6 @@ public:
 private:
     std::unique_ptr<Impl> impl_;
 
-    /// Compiles the pipeline without running it, and stores the statistics of the
-    /// driver's compiler.
     void compile_pipeline_and_store_statistics();
 };
 
@@ -112,8 +106,6 @@ struct KernelVariant {
     explicit KernelVariant(std::string variant_suffix) : suffix(std::move(variant_suffix)) {}
 };
 
-/// Compute kernel with the type of its parameter struct. `Params` must be the struct that
-/// the shader declares.
 template <class Params>
 class Kernel : public KernelBase {
 public:
@@ -126,25 +118,17 @@ public:
         : KernelBase(device, std::string(name.get_kernel_name()) + variant.suffix, constants, subgroups) {}
 };
 
-/// Returns true if neighbouring threads should read neighbouring addresses. On a GPU this
-/// is faster, because a subgroup then loads complete cache lines. On a CPU device it is
-/// faster if each thread reads consecutive addresses.
+/// GPUs load complete cache lines if neighbouring threads read neighbouring addresses. On
+/// a CPU device it is faster if each thread reads consecutive addresses.
 bool should_coalesce_memory_access(const Device& device);
-/// Returns true if a test has disabled the acceleration structure, so that rays must test
-/// every surfel.
 bool is_brute_force_tracing_forced(const Device& device);
 
-/// Returns true if the lanes of a subgroup reconverge after a branch or loop. Vulkan
-/// guarantees this only with an extension.
+/// Vulkan guarantees this only with an extension.
 bool is_lane_reconvergence_guaranteed(const Device& device);
 
-/// Returns the names of the features that neural networks need and the device lacks.
-/// Empty if no feature is missing.
 std::string list_missing_neural_network_features(const Device& device);
 
-/// Returns the variant of a kernel that adds floats with atomics: float atomics if the
-/// device has them, otherwise compare-and-swap.
-/// @param base_variant other part of the variant name, for example "@ray_query"
+/// Float atomics if the device has them, otherwise compare-and-swap.
 KernelVariant choose_atomic_float_add_kernel_variant(const Device& device,
                                                      const KernelVariant& base_variant = KernelVariant("@"));
 

@@ -20,14 +20,10 @@ public:
     /// Number of workgroups per dispatch for a kernel whose speed is unknown.
     static constexpr std::uint32_t kUnknownGroups = 4096;
 
-    /// Returns the number of workgroups for a dispatch of a given duration.
-    /// @param target_dispatch_s target duration of a dispatch in seconds
     std::uint32_t choose_workgroups_per_dispatch(double target_dispatch_s) const;
-    /// Returns the expected duration of a dispatch with `n_workgroups` workgroups in
-    /// seconds, or 0 if the speed is unknown.
+    /// Returns 0 if the speed is unknown.
     double estimate_dispatch_duration_s(std::uint32_t n_workgroups) const;
-    /// Returns true if the next dispatch should be measured. The first 8 dispatches of a
-    /// kernel are measured, and then every 64th.
+    /// The first 8 dispatches of a kernel are measured, and then every 64th.
     bool should_measure_next_dispatch(double target_dispatch_s, std::uint32_t n_workgroups);
     void update_speed_from_dispatch(std::uint32_t n_workgroups, double duration_s);
 
@@ -36,7 +32,6 @@ private:
     std::atomic<std::uint64_t> n_dispatches_{0};
 };
 
-/// Measured speeds of all kernels of a device.
 class LaunchTimeLimit {
 public:
     /// Target duration of a dispatch and of a submission, in seconds. It is half of the
@@ -44,8 +39,7 @@ public:
     double piece_s = 0.0;
 
     bool has_dispatch_time_limit() const { return piece_s > 0.0; }
-    /// Returns the speed of a kernel. The reference stays valid. Several threads may call
-    /// this function.
+    /// The reference stays valid. Thread-safe.
     KernelSpeed& get_kernel_speed(const std::string& kernel_name);
 
 private:
@@ -53,9 +47,7 @@ private:
     std::map<std::string, KernelSpeed> speeds_;
 };
 
-/// Returns true if launches of this kernel may be split into several dispatches. Kernels
-/// that read the total number of workgroups must not be split, because each dispatch
-/// would report a smaller number.
+/// False for kernels that read the total number of workgroups.
 bool can_split_kernel_launch(const std::string& kernel_name);
 
 }  // namespace relidar::gpu

@@ -18,7 +18,6 @@ namespace {
 // other buffers need less.
 constexpr std::uint64_t kAlignment = 256;
 
-/// Returns the memory properties to request, best first.
 std::vector<VkMemoryPropertyFlags> list_memory_flags_best_first(BufferPurpose purpose) {
     constexpr VkMemoryPropertyFlags kHost =
         VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
@@ -96,9 +95,7 @@ DeviceMemoryAllocator::~DeviceMemoryAllocator() {
     for (std::uint32_t type = 0; type < VK_MAX_MEMORY_TYPES; ++type) release_empty_blocks(type, 0);
 }
 
-/// Returns the size of a memory block that several buffers share. It is smaller for a
-/// small heap. For example, a heap has 256 MiB if the host can access only a part of the
-/// device memory.
+/// Smaller for a small heap, for example the 256 MiB that a host can access.
 std::uint64_t DeviceMemoryAllocator::compute_new_block_size_bytes(std::uint32_t memory_type_index) const {
     const std::uint64_t heap_bytes =
         properties_.memoryHeaps[properties_.memoryTypes[memory_type_index].heapIndex].size;
@@ -125,8 +122,6 @@ std::vector<std::uint32_t> DeviceMemoryAllocator::list_suitable_memory_types(
     return suitable_types;
 }
 
-/// Allocates memory from an existing block of this type. Returns nothing if no block has
-/// enough space.
 std::optional<MemorySuballocation> DeviceMemoryAllocator::suballocate_from_existing_block(
     const VkMemoryRequirements& requirements, std::uint32_t memory_type_index) {
     for (const std::unique_ptr<MemoryBlock>& block : blocks_[memory_type_index])
@@ -158,8 +153,7 @@ VkResult DeviceMemoryAllocator::suballocate_from_new_block(
     std::optional<MemorySuballocation>& suballocation) {
     const std::uint64_t shared = compute_new_block_size_bytes(memory_type_index);
     VkResult result = VK_SUCCESS;
-    // Tries to allocate a block that several buffers can share. If this fails, tries to
-    // allocate only the required size.
+    // First tries a block that several buffers can share.
     for (const std::uint64_t n_bytes :
          {requirements.size > shared / 2 ? requirements.size : shared, requirements.size}) {
         result = allocate_memory_block(memory_type_index, n_bytes);
@@ -204,7 +198,6 @@ void DeviceMemoryAllocator::release_suballocation(const MemorySuballocation& sub
     if (suballocation.block->free.is_whole_block_free()) release_empty_blocks(suballocation.block->type, 1);
 }
 
-/// Frees the empty memory blocks of a memory type.
 /// @param n_blocks_to_keep number of empty blocks of normal size that are kept
 void DeviceMemoryAllocator::release_empty_blocks(std::uint32_t memory_type_index,
                                                  std::size_t n_blocks_to_keep) {

@@ -31,24 +31,21 @@ enum class BufferPurpose {
     readback,
 };
 
-/// Device memory that this process may use.
 struct MemoryBudget {
     std::uint64_t n_bytes = 0;  ///< Budget of the largest device-local heap, in bytes.
     std::uint64_t n_used = 0;   ///< Memory of this heap that this process uses, in bytes.
 
     std::uint64_t get_free_device_memory_bytes() const { return n_bytes > n_used ? n_bytes - n_used : 0; }
 };
-/// Returns the current memory budget. With VK_EXT_memory_budget, memory of other programs
-/// is subtracted. Otherwise the budget is the size of the heap, and n_used is 0.
+/// With VK_EXT_memory_budget, memory of other programs is subtracted. Otherwise n_used is
+/// 0.
 MemoryBudget query_memory_budget(VkPhysicalDevice physical_device);
 
-/// Free ranges of a memory block.
 class FreeRanges {
 public:
     explicit FreeRanges(std::uint64_t n_bytes) : n_bytes_(n_bytes), ranges_{{0, n_bytes}} {}
-    /// Allocates space in the first free range that is large enough.
-    /// @param alignment_bytes alignment of the offset in bytes, a power of two
-    /// @return offset of the allocated range, or nullopt if no free range is large enough
+    /// First fit.
+    /// @param alignment_bytes a power of two
     std::optional<std::uint64_t> allocate_range(std::uint64_t n_bytes, std::uint64_t alignment_bytes);
     void release_range(std::uint64_t offset, std::uint64_t n_bytes);
     bool is_whole_block_free() const { return ranges_.size() == 1 && ranges_.begin()->second == n_bytes_; }
@@ -59,7 +56,6 @@ private:
     std::map<std::uint64_t, std::uint64_t> ranges_;
 };
 
-/// One allocation of device memory from the driver.
 struct MemoryBlock {
     VkDeviceMemory memory = VK_NULL_HANDLE;
     std::uint32_t type = 0;
@@ -68,7 +64,6 @@ struct MemoryBlock {
     FreeRanges free;
 };
 
-/// Part of a memory block that one buffer uses.
 struct MemorySuballocation {
     MemoryBlock* block = nullptr;
     std::uint64_t offset = 0;
@@ -85,8 +80,6 @@ public:
     DeviceMemoryAllocator(const DeviceMemoryAllocator&) = delete;
     DeviceMemoryAllocator& operator=(const DeviceMemoryAllocator&) = delete;
 
-    /// Allocates memory for a buffer.
-    /// @param suballocation receives the memory if the result is VK_SUCCESS
     /// @return result of the driver for the last memory type that was tried
     VkResult suballocate_memory(const VkMemoryRequirements& requirements, BufferPurpose purpose,
                                 MemorySuballocation& suballocation);

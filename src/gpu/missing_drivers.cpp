@@ -24,8 +24,7 @@ constexpr GpuMaker kMakers[] = {
     {0x1002, "AMD", "kfd", "install Mesa's Vulkan driver (RADV)"},
     {0x8086, "Intel", "", "install Mesa's Vulkan driver (ANV)"}};
 
-/// Returns the device file of a GPU: /dev/nvidia0, /dev/kfd, or the render node of its
-/// PCI vendor such as /dev/dri/renderD128. Returns an empty path if there is none.
+/// /dev/nvidia0, /dev/kfd, or the render node of the PCI vendor. Empty if there is none.
 fs::path find_device_file(const fs::path& root, std::uint32_t vendor_id, const std::string& device_file) {
     std::error_code failed;
     for (const auto& entry : fs::directory_iterator(root / "dev", failed)) {

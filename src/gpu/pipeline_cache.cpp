@@ -37,8 +37,7 @@ PipelineCacheHeader make_pipeline_cache_header(std::string_view cache_data) {
     return header;
 }
 
-/// Returns the driver's data from a cache file. Empty if the file is missing, truncated,
-/// damaged, or written by another driver.
+/// Empty if the file is missing, truncated, damaged, or from another driver.
 std::string read_cache_data_if_valid(const std::filesystem::path& path,
                                      const VkPhysicalDeviceProperties& device_properties) {
     std::ifstream file(path, std::ios::binary);

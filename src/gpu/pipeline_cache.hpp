@@ -17,26 +17,20 @@ namespace relidar::gpu {
 /// Ignores failures, because a missing cache file only makes the next start slower.
 void try_replace_file_atomically(const std::filesystem::path& path, std::string_view bytes);
 
-/// Returns a file name that is unique for the device and its driver version.
+/// Unique for the device and its driver version.
 std::string make_cache_file_name(const VkPhysicalDeviceProperties& device_properties);
 
 class PipelineCache {
 public:
-    /// Reads the cache file of the device, if there is one.
-    /// @param cache_folder folder of the cache file. If empty, no file is read or written
+    /// @param cache_folder if empty, no file is read or written
     PipelineCache(VkPhysicalDevice physical_device, VkDevice device,
                   const std::filesystem::path& cache_folder);
-    /// Writes the cache to its file if it has grown since the file was read.
     ~PipelineCache();
     PipelineCache(const PipelineCache&) = delete;
     PipelineCache& operator=(const PipelineCache&) = delete;
 
     VkPipelineCache handle() const { return handle_; }
-    /// Returns the path of the cache file. Returns an empty path if the cache has no
-    /// file.
     const std::filesystem::path& path() const { return path_; }
-    /// Returns the number of bytes that were read from the cache file. Returns 0 if the
-    /// file was missing.
     std::size_t get_loaded_cache_size_bytes() const { return read_bytes_; }
 
 private:

@@ -9,8 +9,7 @@
 
 namespace relidar::gpu {
 
-/// Writes the compiler statistics and the subgroup size into `statistics`. The pipeline
-/// must have been created with VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR.
+/// Needs a pipeline with VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR.
 void query_pipeline_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics);
 
 }  // namespace relidar::gpu

@@ -7,8 +7,7 @@
 
 namespace relidar {
 
-/// Numbers in device memory whose prefix sums are computed. Number i is at index offset +
-/// i * stride.
+/// Number i is at index offset + i * stride.
 struct StridedCounts {
     Address<std::uint32_t, shared::ScanCounts> address;
     std::uint32_t offset = 0;
@@ -18,8 +17,7 @@ struct StridedCounts {
 class PrefixSum {
 public:
     explicit PrefixSum(Device& device);
-    /// Allocates scratch memory for `max_count` numbers. Frees the old memory, so no
-    /// pending submission may use this object.
+    /// Frees the old memory, so no pending submission may use this object.
     void reserve_scratch_memory(Device& device, std::size_t max_count);
     /// Submits kernels that compute prefix sums: prefix[i] is the sum of all counts
     /// before count i. `prefix` may be the same array as the counts. The total must fit
@@ -31,9 +29,8 @@ public:
 
 private:
     Kernel<shared::ScanParams> sums_, write_;
-    /// Sums of tiles, one array per level. A tile is a group of consecutive numbers. On
-    /// level 0, these are the input numbers. On each higher level, they are the sums of
-    /// the level below.
+    /// Sums of tiles, one array per level. Level 0 has tiles of the input numbers, each
+    /// higher level tiles of the level below.
     std::vector<Array<std::uint32_t, shared::ScanTileSums>> levels_;
 
     void record_prefix_sum_of_one_level(Stream& stream, shared::ScanParams level_0_params,

@@ -8,7 +8,6 @@
 
 namespace relidar {
 
-/// Addresses of a set of keys.
 struct SortBuffers {
     /// Keys [n,words_per_key]. The low word of a key is first.
     Address<std::uint32_t, shared::SortKeys> keys;
@@ -17,16 +16,13 @@ struct SortBuffers {
 
 class RadixSort {
 public:
-    /// Allocates scratch memory, about 1/4 byte per key.
-    /// @param max_keys maximum number of keys
-    /// @param words_per_key number of 32-bit words per key
+    /// Scratch memory: about 1/4 byte per key.
     /// @throws DeviceError if subgroups have fewer than 4 or more than 64 lanes, or their
     /// size is not constant
     RadixSort(Device& device, std::uint32_t max_keys, std::uint32_t words_per_key);
     std::uint32_t capacity() const { return capacity_; }
 
-    /// Returns the number of passes that sort keys of `key_bits` bits, 8 bits per pass.
-    /// If the number is odd, the result is in the second set of arrays.
+    /// 8 bits per pass. If the number is odd, the result is in the second set of arrays.
     static std::uint32_t count_radix_passes(std::uint32_t key_bits) {
         return key_bits > 8 ? (key_bits + 7) / 8 : 1;
     }

@@ -10,8 +10,7 @@ namespace relidar {
 
 struct ReadbackBuffer::Impl {
     std::string what;
-    /// Host memory that receives the copy. The stream shares it until the copy is
-    /// complete.
+    /// Shared with the stream until the copy is complete.
     std::shared_ptr<Buffer::Impl> host;
     /// Number of the submission that contains the copy. 0 means that no copy is pending.
     std::uint64_t ticket = 0;

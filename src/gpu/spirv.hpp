@@ -26,14 +26,10 @@ inline constexpr ExecutionMode kSubgroupUniformControlFlow{4421, "SPV_KHR_subgro
 /// Guarantees that lanes reconverge after every branch and loop.
 inline constexpr ExecutionMode kMaximallyReconverges{6023, "SPV_KHR_maximal_reconvergence"};
 
-/// Returns a copy of a SPIR-V module in which each entry point has an additional
-/// execution mode.
-/// @param spirv_words module with at least one entry point
+/// Adds the mode to each entry point.
 std::vector<std::uint32_t> add_execution_mode_to_spirv(std::span<const std::uint32_t> spirv_words,
                                                        const ExecutionMode& execution_mode);
 
-/// Returns a copy of a SPIR-V module in which the parameter block of the kernel
-/// (RELIDAR_PARAMS) is decorated as NonWritable.
 std::vector<std::uint32_t> mark_parameter_block_read_only(std::span<const std::uint32_t> spirv_words);
 
 /// Returns a copy of a SPIR-V module that loads all parameters once, at the start of the
@@ -59,8 +55,6 @@ std::vector<std::uint32_t> remove_constant_branches(
     std::span<const std::uint32_t> spirv_words,
     const std::map<std::uint32_t, std::uint32_t>& constant_value_by_id);
 
-/// Returns where the parameter block of a SPIR-V module contains device addresses, as
-/// byte offsets.
 std::vector<std::uint32_t> list_pointer_offsets_in_parameter_block(
     std::span<const std::uint32_t> spirv_words);
 

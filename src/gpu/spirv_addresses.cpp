@@ -11,7 +11,6 @@ namespace relidar::gpu {
 
 namespace {
 
-/// Types of the members of a parameter block.
 class ParameterTypes {
 public:
     explicit ParameterTypes(std::span<const std::uint32_t> words) {
@@ -22,9 +21,7 @@ public:
 
     std::uint32_t get_parameter_block_type_id() const { return block_; }
 
-    /// Appends the byte offsets of all device addresses in a value to `pointer_offsets`.
-    /// @param type_id SPIR-V id of the value's type, for example of a struct
-    /// @param value_offset_bytes byte offset of the value, which is added to each offset
+    /// Byte offsets of all device addresses in a value at `value_offset_bytes`.
     void append_pointer_member_offsets(std::uint32_t type_id, std::uint32_t value_offset_bytes,
                                        std::vector<std::uint32_t>& pointer_offsets) const {
         const auto type_entry = types_.find(type_id);

@@ -34,7 +34,6 @@ public:
         return match == value_by_id_.end() ? std::nullopt : std::optional(match->second);
     }
 
-    /// Reads the instructions of a module in their order.
     void evaluate_instruction_if_constant(std::uint32_t opcode, SpirvInstruction instruction) {
         switch (opcode) {
             case kOpTypeBool:
@@ -114,7 +113,6 @@ private:
     }
 };
 
-/// Control flow graph of the blocks of a module.
 class ControlFlowGraph {
 public:
     explicit ControlFlowGraph(std::span<const std::uint32_t> words) {

@@ -40,7 +40,6 @@ public:
 
 private:
     enum SpirvEnumerant : std::uint32_t {
-        // The first values are SPIR-V opcodes.
         entry_point = 15,
         type_int = 21,
         type_pointer = 32,

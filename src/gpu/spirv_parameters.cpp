@@ -50,11 +50,9 @@ SpirvWords make_spirv_instruction(SpirvOp opcode, std::initializer_list<std::uin
     return words;
 }
 
-/// Types, constants and parameters of a module.
 struct SpirvModule {
     std::uint32_t bound = 0, block = 0, block_pointer = 0, int_type = 0;
-    /// Instruction that computes a pointer to the push constant with the address of the
-    /// parameter block.
+    /// Pointer to the push constant with the address of the parameter block.
     SpirvWords push_chain;
     std::uint32_t entry = 0;
     std::map<std::uint32_t, SpirvWords> types;         ///< Types by id.
@@ -111,8 +109,7 @@ class ParameterLoadHoister {
 public:
     explicit ParameterLoadHoister(const SpirvModule& module) : module_(module), next_(module.bound) {}
 
-    /// Returns true if a parameter of this type can be copied to a Private SPIR-V
-    /// variable: a number, a vector, an address or a struct of these.
+    /// A number, a vector, an address or a struct of these.
     bool is_type_allowed_in_private_variable(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
         if ((t[0] & 0xffffu) != kTypeStruct) return get_nonstruct_alignment_bytes(type_id).has_value();
@@ -121,10 +118,7 @@ public:
         return true;
     }
 
-    /// Appends SPIR-V instructions that load one parameter from its private variable.
-    /// @param instructions receives the instructions
-    /// @param member_path member indices of the parameter
-    /// @param result_id id of the loaded value
+    /// Appends the load of a parameter from its private variable.
     void append_load_from_private_variable(SpirvWords& instructions, std::uint32_t type_id,
                                            const MemberPath& member_path, std::uint32_t result_id) {
         const SpirvWords& t = module_.types.at(type_id);
@@ -145,8 +139,8 @@ public:
         append_spirv_instruction(instructions, construct);
     }
 
-    /// Returns the module with two additions: private variables, and instructions at the
-    /// start of the entry point that copy the kernel parameters to these variables.
+    /// Adds the private variables, and at the start of the entry point the copies to
+    /// them.
     /// @param function_code all functions; they must load parameters from these variables
     SpirvWords make_module_with_hoisted_loads(std::span<const std::uint32_t> spirv_words,
                                               const SpirvWords& function_code) {
@@ -181,8 +175,7 @@ private:
     std::map<std::uint32_t, std::uint32_t> private_pointer_, storage_pointer_, index_;
     SpirvWords globals_, decorations_;
 
-    /// Returns the alignment of a number, vector or address in bytes. Returns nullopt for
-    /// any other type.
+    /// Returns nullopt for structs.
     std::optional<std::uint32_t> get_nonstruct_alignment_bytes(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
         switch (t[0] & 0xffffu) {
@@ -227,7 +220,6 @@ private:
         variables_[member_path] = {id, type_id};
         return id;
     }
-    /// Returns the SPIR-V instructions that copy the parameters to the private variables.
     SpirvWords make_parameter_copy_instructions() {
         SpirvWords code, chain = module_.push_chain;
         const std::uint32_t block = next_ + 1;
@@ -254,8 +246,7 @@ private:
         }
         return code;
     }
-    /// Appends all functions to the SPIR-V module. In the entry point, inserts the
-    /// instructions `prologue_instructions` after the variable declarations.
+    /// Inserts `prologue_instructions` into the entry point after its variables.
     void append_functions_with_prologue(SpirvWords& module_words, const SpirvWords& function_code,
                                         const SpirvWords& prologue_instructions) const {
         bool in_entry = false, filled = false;

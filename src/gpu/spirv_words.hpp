@@ -15,8 +15,6 @@ inline constexpr std::uint32_t kOpName = 5, kOpDecorate = 71, kSpecId = 1;
 
 using SpirvInstruction = std::span<const std::uint32_t>;
 
-/// Calls function(opcode, instruction) for each instruction of a SPIR-V module, in the
-/// order of the module.
 template <class F>
 void for_each_spirv_instruction(std::span<const std::uint32_t> spirv_words, const F& function) {
     for (std::size_t at = kHeaderWords; at < spirv_words.size(); at += spirv_words[at] >> 16)

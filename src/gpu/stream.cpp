@@ -241,9 +241,8 @@ std::uint64_t Stream::Impl::stage_kernel_parameters(const KernelBase& kernel, co
     return stage_host_bytes_for_kernels(params.data(), n_bytes).address;
 }
 
-/// Launch of a kernel. Its workgroups form rows and columns, because Vulkan limits the
-/// number of workgroups in one dimension. A launch that would take too long is split into
-/// dispatches of consecutive rows.
+/// Rows and columns of workgroups, because Vulkan limits the number in one dimension. A
+/// launch that would take too long is split into dispatches of consecutive rows.
 struct Stream::Impl::Dispatch {
     VkPipeline pipeline;
     std::array<std::uint64_t, 2> pushed;
@@ -273,8 +272,7 @@ Stream::Impl::Dispatch split_launch_into_dispatches(VkPipeline pipeline,
     // Gives all rows the same number of workgroups, so that the launch has few
     // superfluous workgroups.
     const std::uint32_t rows = (n_workgroups - 1) / columns + 1, even_columns = (n_workgroups - 1) / rows + 1;
-    // A launch that is short enough, or that must not be split, is recorded as a single
-    // dispatch with all rows.
+    // A launch that is short enough, or must not be split, is one dispatch.
     const std::uint32_t rows_per_piece = max_workgroups_per_dispatch >= n_workgroups
                                              ? rows
                                              : std::max(1u, max_workgroups_per_dispatch / even_columns);

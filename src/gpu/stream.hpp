@@ -31,9 +31,8 @@ struct KernelBase::Impl {
     /// Byte offsets at which the parameter struct contains device addresses.
     std::vector<std::uint32_t> addresses = {};
 
-    /// Returns the compute pipeline, which belongs to the device. Waits until it is
-    /// compiled.
-    /// @throws DeviceError if the driver rejects the kernel
+    /// Waits until the pipeline is compiled.
+    /// @throws DeviceError if the driver rejects it
     VkPipeline wait_for_compiled_pipeline();
 
 private:
@@ -44,26 +43,21 @@ private:
 
 struct Stream::Impl {
     static constexpr std::size_t kSlots = 3;  ///< Maximum number of pending submissions.
-    /// Minimum size in bytes of a memory block for values that the host sends to kernels.
     static constexpr std::size_t kBlockBytes = 1 << 16;
     /// Maximum number of timed launches per submission.
     static constexpr std::uint32_t kMaxLaunches = 256;
 
     struct SubmissionSlot {
         VkCommandPool pool = VK_NULL_HANDLE;
-        /// Command buffer that commands are currently recorded to.
         VkCommandBuffer commands = VK_NULL_HANDLE;
-        /// Command buffers of the submission. A long submission has several command
-        /// buffers, which are submitted one after another. Later submissions reuse them.
+        /// A long submission has several command buffers. Later submissions reuse them.
         std::vector<VkCommandBuffer> buffers;
         std::size_t n_buffers = 0;  ///< Number of command buffers of the current recording.
         VkQueryPool queries = VK_NULL_HANDLE;
-        /// Commands whose duration is measured with a pair of timestamps. The list has
-        /// the order of the timestamps.
+        /// Commands between a pair of timestamps, in the order of the timestamps.
         struct TimedCommands {
             std::string name;
-            /// Speed of the measured kernel, which is updated with this measurement. May
-            /// be null.
+            /// Updated with this measurement. May be null.
             gpu::KernelSpeed* speed;
             std::uint32_t n_groups;  ///< Number of workgroups.
             /// True if a launch was split, and these commands continue the launch of the
@@ -76,7 +70,6 @@ struct Stream::Impl {
         std::vector<std::unique_ptr<Buffer::Impl>> blocks;
         /// Where the host writes its next value: index in `blocks`, offset in bytes.
         std::size_t block = 0, block_bytes = 0;
-        /// Buffers that stay allocated until the submission is complete.
         std::vector<std::shared_ptr<const Buffer::Impl>> retained_buffers;
         std::uint64_t ticket = 0;  ///< Number of the submission. 0 if nothing was submitted.
     };
@@ -101,7 +94,6 @@ struct Stream::Impl {
     /// True if commands were recorded in the open ConcurrentLaunchScope, so that a
     /// barrier must follow at the end of the scope.
     bool owes_barrier = false;
-    /// Concurrent command sequences (lanes) of the current ConcurrentSequenceScope scope.
     std::vector<CommandSequence> lanes = {};
     std::size_t lane = 0;  ///< Index of the lane that receives new commands.
     bool timed = false;    ///< True if timestamps measure the launch that is currently recorded.
@@ -117,13 +109,10 @@ struct Stream::Impl {
     Impl(Device& device, bool timing);
     ~Impl();
 
-    /// Returns the command buffer that commands are recorded to. Starts a new recording
-    /// if there is none.
+    /// Starts a new recording if there is none.
     VkCommandBuffer get_recording_command_buffer();
     /// Records a command with timestamps, and a barrier after it. In a
-    /// ConcurrentSequenceScope, only stores the command, and
-    /// record_commands_of_concurrent_sequences() records it later.
-    /// @param command_name name of the command in the measured times
+    /// ConcurrentSequenceScope, only stores the command for later.
     template <class Recorded>
     void record_command(const std::string& command_name, Recorded command) {
         if (!lanes.empty()) return add_command_to_current_sequence(command_name, std::move(command));
@@ -135,10 +124,8 @@ struct Stream::Impl {
         record_or_defer_barrier();
     }
     void end_concurrent_launch_scope();
-    /// Moves the stored commands of all lanes (concurrent sequences) to the command
-    /// buffer. Step n of a lane may run concurrently with step n of the other lanes.
+    /// Step n of a lane may run concurrently with step n of the other lanes.
     void record_commands_of_concurrent_sequences();
-    /// Where a value from the host is stored until the submission is complete.
     struct StagedValue {
         VkBuffer buffer;
         std::size_t offset;
@@ -146,16 +133,13 @@ struct Stream::Impl {
     };
     /// Stores a value from the host where the kernels of this submission can read it.
     StagedValue stage_host_bytes_for_kernels(const void* host_bytes, std::size_t n_bytes);
-    /// Stores an array from the host where the kernels of this submission can read it.
-    /// Returns its device address.
+    /// Returns the device address of the values.
     template <class T>
     Address<T> stage_host_values_for_kernels(const std::vector<T>& host_values) {
         return Address<T>(
             stage_host_bytes_for_kernels(host_values.data(), host_values.size() * sizeof(T)).address);
     }
     void record_buffer_write(const Buffer& buffer, const void* host_bytes, std::size_t n_bytes);
-    /// Records a copy from a device buffer to host-readable memory, which stays alive
-    /// until the submission is complete.
     void record_copy_to_host(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
                              const VkBufferCopy& copied_region);
     void record_kernel_launch(const KernelBase& kernel, std::uint32_t n_threads, const void* parameter_struct,
@@ -165,19 +149,14 @@ struct Stream::Impl {
     struct Dispatch;
 
 private:
-    /// Stores the parameter struct of a launch. Each address 0 in it becomes the address
-    /// of a buffer with zeros.
+    /// Each address 0 in the struct becomes the address of a buffer with zeros.
     /// @return device address of the stored struct
     std::uint64_t stage_kernel_parameters(const KernelBase& kernel, const void* parameter_struct,
                                           std::size_t n_bytes);
     void add_command_to_current_sequence(const std::string& command_name, VulkanCommandRecorder command);
-    /// Records a barrier, so that later commands see earlier device writes. In a
-    /// ConcurrentLaunchScope, only the end of the scope records a barrier.
+    /// In a ConcurrentLaunchScope, only the end of the scope records a barrier.
     void record_or_defer_barrier();
     void record_memory_barrier();
-    /// Writes the timestamp before a command.
-    /// @param kernel_speed speed of the launched kernel, or null
-    /// @param n_workgroups number of workgroups of the command
     /// @param continues_launch true if the command continues a launch that was split
     void begin_command_timing(const std::string& command_name, gpu::KernelSpeed* kernel_speed = nullptr,
                               std::uint32_t n_workgroups = 0, bool continues_launch = false);
@@ -187,13 +166,10 @@ private:
     void end_debug_label();
     void record_and_submit_dispatch_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch);
     void begin_command_buffer_of_submission(SubmissionSlot& slot);
-    /// Sends the commands recorded so far to the device. The submission continues in a
-    /// new command buffer.
+    /// The submission continues in a new command buffer.
     void submit_recorded_commands();
 };
 
-/// Records a kernel launch with n_threads threads. The kernel sees the results of all
-/// earlier commands.
 template <class Params>
 void run(Stream& stream, const Kernel<Params>& kernel, std::size_t n_threads, const Params& params) {
     if (n_threads)

@@ -10,7 +10,6 @@ namespace relidar::gpu {
 
 namespace {
 
-// Minimum and maximum size of the staging memory in bytes.
 constexpr std::size_t kSmallest = std::size_t(64) << 10, kLargest = std::size_t(32) << 20;
 
 }  // namespace

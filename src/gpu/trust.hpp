@@ -12,17 +12,14 @@
 
 namespace relidar::gpu {
 
-/// Returns the results of the device check. Reads the results from the cache folder if a
-/// valid file exists. Runs the check if the file is missing, damaged, or from another
-/// version of the driver or of relidar. If the results cannot be stored in a file, they
-/// are kept in memory until the process ends. If the program has set no check, every
-/// method counts as correct.
+/// Reads the results of the device check from the cache folder, or runs the check if the
+/// file is missing, damaged, or from another version of the driver or of relidar. If the
+/// program has set no check, every method counts as correct.
 DeviceTestResults read_or_run_device_test(const Device::Impl& device, const DeviceOptions& options);
 
 /// Prints a line about devices, unless this thread has fixed test results.
 void report_device_note(const std::string& text);
-/// Replaces the methods that failed the device test by other methods, and prints one line
-/// for each. Call this function before the device is opened.
+/// Prints one line for each method. Call it before the device is opened.
 void disable_methods_that_failed_test(Device::Impl& device, const DeviceTestResults& test_results);
 
 /// Makes parts of the device test fail, for tests. The names are separated by commas:

@@ -72,8 +72,8 @@ public:
             throw_malformed_arrow_error("name");
         return text->str();
     }
-    /// Reads a field that contains an array of structs (a FlatBuffers vector). It is
-    /// stored as its length (4 bytes), followed by the structs, which may be unaligned.
+    /// A vector of structs: its length (4 bytes), then the structs, which may be
+    /// unaligned.
     template <class Struct>
     std::vector<Struct> read_struct_vector_field(int field_number) const {
         const std::uint8_t* vector = get_verified_vector_field(field_number, sizeof(Struct));
@@ -156,7 +156,6 @@ ArrowField parse_column_field(const FlatbufferTable& field_table) {
     return field;
 }
 
-/// Returns the compression codec of the buffers of a record batch.
 ArrowCompression parse_compression_codec(const FlatbufferTable& batch_table) {
     const std::optional<FlatbufferTable> compression = batch_table.read_table_field(3);
     if (!compression) return ArrowCompression::none;

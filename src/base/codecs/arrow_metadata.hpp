@@ -32,31 +32,24 @@ struct ArrowField {
     };
     std::optional<Dictionary> dictionary;
 
-    /// Returns the number of buffers that a record batch stores for this column. Numbers
-    /// have two buffers: validity and values. Text has three buffers: validity, offsets
-    /// and characters.
+    /// Numbers: validity and values. Text: validity, offsets and characters.
     std::size_t get_buffers_per_record_batch() const {
         return type.kind == ArrowValueKind::text && !dictionary ? 3 : 2;
     }
 };
 
-/// Position of a record batch in the file. A record batch consists of a message and a
-/// body.
 struct ArrowFileBlock {
     std::int64_t offset;
-    /// Size of the message in bytes, with its prefix of 8 bytes.
     std::int32_t metadata_bytes;
     std::int32_t padding;
     std::int64_t body_bytes;
 };
 
-/// Number of rows and of missing values of one column in a record batch.
 struct ArrowFieldNode {
     std::int64_t length;
     std::int64_t null_count;
 };
 
-/// Position of a buffer in the body of a record batch.
 struct ArrowBufferRange {
     std::int64_t offset;
     std::int64_t length;
@@ -77,12 +70,8 @@ struct RecordBatch {
     ArrowCompression codec = ArrowCompression::none;
 };
 
-/// Parses the footer of an Arrow file.
-/// @param footer_bytes flatbuffer of the footer
 /// @throws DataError with the reason, without the file name
 Footer parse_arrow_footer(std::string_view footer_bytes);
-/// Parses the message of a record batch.
-/// @param message_bytes flatbuffer of the message
 /// @throws DataError with the reason, without the file name
 RecordBatch parse_record_batch_message(std::string_view message_bytes);
 

@@ -32,8 +32,7 @@ using report_detail::get_system_error_message;
     fail("cannot write '{}': {}", path.string(), why);
 }
 
-/// Removes the temporary file when the scope ends, if it was not renamed to its final
-/// name before.
+/// Removes the temporary file at the end of the scope, if it was not renamed.
 struct TemporaryFile {
     fs::path path;
     bool renamed = false;
@@ -43,8 +42,7 @@ struct TemporaryFile {
     }
 };
 
-/// Returns the path of the file to write. Follows a symbolic link, so that writing does
-/// not replace the link. Rejects devices and other targets that are not regular files.
+/// Follows a symbolic link, so that writing does not replace the link.
 fs::path follow_link_and_require_regular_file(const fs::path& path) {
     if (!path.has_filename()) throw_write_error(path, "the path has no file name");
     std::error_code error;
@@ -92,9 +90,8 @@ void flush_file_to_disk(const fs::path& path_for_errors, const fs::path& tempora
                           "cannot flush the file to disk: " + get_system_error_message(error));
 }
 
-/// Flushes the folder, so that the new file name survives a power failure. Ignores
-/// failures, because some folders cannot be opened and some file systems cannot flush
-/// folders.
+/// The new file name then survives a power failure. Ignores failures, because some file
+/// systems cannot flush folders.
 void flush_parent_folder_to_disk(const fs::path& file_path) {
     const int folder = ::open(file_path.parent_path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (folder < 0) return;
@@ -125,7 +122,6 @@ void write_file_atomically(const fs::path& path, const std::function<void(const 
 }
 
 void remove_temporary_files(const fs::path& folder) {
-    // Pattern that matches the names from make_unique_temporary_path().
     static const std::regex kTemporary(R"(\..+\.tmp-[0-9]+-[0-9]+)");
     std::error_code failed;
     std::vector<fs::path> temporary_paths;

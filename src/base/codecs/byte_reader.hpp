@@ -39,7 +39,6 @@ public:
         at_ += std::size_t(n_bytes);
         return part;
     }
-    /// Returns a byte string that is stored with a 4-byte length before it.
     std::string_view read_length_prefixed_string() {
         return read_bytes(read_little_endian_number<std::uint32_t>());
     }

@@ -23,7 +23,6 @@
 namespace relidar {
 namespace {
 
-/// Memory buffer to which OpenEXR writes an image.
 class ExrMemoryWriter : public OPENEXR_IMF_NAMESPACE::OStream {
 public:
     ExrMemoryWriter() : OStream("memory") {}

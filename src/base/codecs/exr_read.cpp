@@ -37,7 +37,6 @@ constexpr std::size_t kAlwaysFits = 16 << 20;
 // Number of rows in a compressed block, indexed by compression method.
 constexpr std::int64_t kRowsAtOnce[] = {1, 1, 1, 16, 32, 16, 32, 32, 32, 256};
 
-/// Reads the header of an OpenEXR file value by value, from start to end.
 class ExrHeaderReader {
 public:
     explicit ExrHeaderReader(const std::string& file_bytes) : file_(file_bytes) {}
@@ -130,8 +129,7 @@ void parse_channel_list(std::string_view attribute_bytes, ImageHeader& image_hea
             "the list of channels is shorter than the size that is stored for it, so the file is damaged");
 }
 
-/// Checks that the size of an attribute matches its type. OpenEXR ignores the stored
-/// size, so a wrong size would make it read unchecked data.
+/// OpenEXR ignores the stored size, so a wrong size would make it read unchecked data.
 void require_attribute_size_of_type(const std::string& attribute_name, const std::string& attribute_type,
                                     std::string_view attribute_bytes) {
     static const std::map<std::string_view, std::size_t> kSizes = {{"box2i", 16},
@@ -226,7 +224,6 @@ ImageHeader parse_exr_header(const std::string& exr_file_bytes) {
     return image_header;
 }
 
-/// Checks that the file is large enough for the image size that its header states.
 void require_file_large_enough_for_image(const ImageHeader& image_header, std::size_t file_size_bytes) {
     const std::int64_t rows = image_header.rows, columns = image_header.columns;
     if (rows <= 0 || columns <= 0 || image_header.channels.empty())
@@ -244,7 +241,6 @@ void require_file_large_enough_for_image(const ImageHeader& image_header, std::s
             rows, columns, image_header.channels.size(), file_size_bytes);
 }
 
-/// Memory buffer from which OpenEXR reads an image.
 class ExrMemoryReader : public imf::IStream {
 public:
     explicit ExrMemoryReader(const std::string& bytes) : IStream("memory"), bytes_(bytes) {}

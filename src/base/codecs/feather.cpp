@@ -37,8 +37,6 @@ T read_little_endian(std::string_view bytes, std::size_t byte_offset) {
     return value;
 }
 
-/// Returns the `n_bytes` bytes that start at an offset. Throws an error if they are not
-/// inside `bytes`.
 std::string_view get_byte_range_or_throw(std::string_view bytes, std::int64_t offset, std::int64_t n_bytes,
                                          const char* name_for_errors) {
     if (offset < 0 || n_bytes < 0 || std::uint64_t(offset) > bytes.size() ||
@@ -78,8 +76,7 @@ Batch read_record_batch(std::string_view file_bytes, const arrow::ArrowFileBlock
                                     "a record batch")};
 }
 
-/// Decompresses a buffer of a record batch. Throws an error if the result has fewer than
-/// n_expected_bytes bytes, or more than n_expected_bytes plus padding.
+/// The result may have padding behind n_expected_bytes.
 std::string decompress_buffer_of_batch(const Batch& batch, std::size_t buffer_index,
                                        std::size_t n_expected_bytes) {
     const arrow::ArrowBufferRange& buffer_range = batch.layout.buffers.at(buffer_index);
@@ -107,8 +104,6 @@ std::string decompress_buffer_of_batch(const Batch& batch, std::size_t buffer_in
     return bytes;
 }
 
-/// Returns the number of rows of a column in a record batch. Throws an error if the
-/// column has missing values.
 std::size_t require_no_nulls_and_get_row_count(const Batch& batch, std::size_t node_index,
                                                std::size_t last_buffer_index) {
     if (node_index >= batch.layout.nodes.size() || last_buffer_index >= batch.layout.buffers.size())
@@ -134,7 +129,6 @@ void append_values_of_column_converted(std::vector<T>& values, const Batch& batc
         values.push_back(convert_stored_value(read_little_endian<Stored>(bytes, i * sizeof(Stored))));
 }
 
-/// Appends the integers of a column to `values`. The integers may have any width.
 template <class T>
 void append_integer_column(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
                            const ArrowField::Type& integer_type) {
@@ -174,9 +168,7 @@ void append_float_column(std::vector<double>& values, const Batch& batch, const 
             values, batch, column, [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
 }
 
-/// Appends the texts of a column to `values`. Text i is stored between the offsets i and
-/// i + 1.
-/// @param max_text_bytes maximum number of text bytes
+/// Text i is stored between the offsets i and i + 1.
 void append_text_column(std::vector<std::string>& values, const Batch& batch, std::size_t node_index,
                         std::size_t first_buffer_index, std::size_t max_text_bytes) {
     const std::size_t n = require_no_nulls_and_get_row_count(batch, node_index, first_buffer_index + 2);
@@ -200,8 +192,6 @@ void append_text_column(std::vector<std::string>& values, const Batch& batch, st
         values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
 }
 
-/// Returns the total number of rows of all record batches.
-/// @throws DataError if the number exceeds `max_allowed_rows`
 std::size_t count_rows_of_batches(const std::vector<Batch>& batches, std::size_t max_allowed_rows) {
     std::size_t rows = 0;
     for (const Batch& batch : batches) {

@@ -19,10 +19,8 @@ namespace relidar {
 /// size in bytes) bytes.
 class Feather {
 public:
-    /// Reads a Feather file into memory.
     /// @throws DataError with the file name if the file is missing, truncated or damaged
     explicit Feather(const std::filesystem::path& file);
-    /// Parses the bytes of a Feather file.
     /// @param name_for_errors name of the data in error messages
     Feather(std::string name_for_errors, std::string file_bytes);
     Feather(const Feather&) = delete;  // Not copyable, because batches refer to the bytes.
@@ -31,17 +29,13 @@ public:
     const std::string& name() const { return name_; }
     std::size_t get_row_count() const { return rows_; }
 
-    /// Returns the values of a numeric column. All returned values are finite.
-    /// @throws DataError with file and column if the column is missing, damaged or not
-    /// numeric
+    /// All returned values are finite.
+    /// @throws DataError with file and column if the column is missing, damaged or has
+    /// another type (also the functions below)
     std::vector<double> read_number_column(const std::string& column_name) const;
-    /// Returns the values of an integer column.
-    /// @throws DataError with file and column if the column is missing, damaged or has
-    /// another type
+    /// The integers may have any width.
     std::vector<std::int64_t> read_integer_column(const std::string& column_name) const;
-    /// Returns the values of a text column, which may be dictionary-encoded.
-    /// @throws DataError with file and column if the column is missing, damaged or has
-    /// another type
+    /// The column may be dictionary-encoded.
     std::vector<std::string> read_text_column(const std::string& column_name) const;
 
     struct Batch {
@@ -62,8 +56,7 @@ private:
     std::size_t rows_ = 0;
 
     const Column& find_column(const std::string& column_name) const;
-    /// Runs a task that reads a column. If the task throws a DataError, adds the names of
-    /// file and column to its message.
+    /// Adds the names of file and column to a DataError of the task.
     template <class Task>
     auto run_column_task_with_error_location(const std::string& column_name, const Task& task) const;
 };

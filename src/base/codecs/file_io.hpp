@@ -37,17 +37,16 @@ private:
     std::FILE* file_ = nullptr;
 };
 
-/// Writes a complete file atomically with write_file_atomically().
 void write_file(const std::filesystem::path& path, std::string_view bytes);
 
 /// Reads a complete file.
 /// @throws DataError with the path
 std::vector<std::byte> read_file(const std::filesystem::path& path);
 
-/// Returns a metadata entry (key and value) as one line for a file header.
+/// One line for a file header.
 std::string format_metadata_line(const std::pair<std::string, std::string>& key_and_value);
 
-/// Returns the text for a system error number (errno), like strerror.
+/// Like strerror.
 std::string get_system_error_message(int error_number);
 
 }  // namespace relidar::report_detail

@@ -192,7 +192,6 @@ std::string McapWriter::encode_statistics_record() const {
     append_binary_value(body, n_messages);
     append_binary_value(body, n_schemas_);
     append_binary_value(body, std::uint32_t(n_messages_.size()));
-    // The number of attachments is 0.
     append_binary_value(body, std::uint32_t(0));
     append_binary_value(body, n_metadata_);
     append_binary_value(body, n_chunks_);
@@ -202,8 +201,7 @@ std::string McapWriter::encode_statistics_record() const {
     return encode_mcap_record(kStatistics, body);
 }
 
-/// Returns the bytes of the summary section at the end of the file. Records with the same
-/// code form a group.
+/// The section at the end of the file. Records with the same code form a group.
 /// @param record_groups receives the position of each group
 std::string McapWriter::encode_summary_and_list_groups(std::vector<SummaryRecordGroup>& record_groups) const {
     std::string bytes;

@@ -18,9 +18,6 @@ class McapWriter {
 public:
     using McapMetadataMap = std::map<std::string, std::string>;  ///< Maps names to values.
 
-    /// Creates an MCAP file.
-    /// @param profile "ros2" for messages of ROS 2, otherwise empty
-    /// @throws DataError if the file cannot be written, as do all functions of this class
     McapWriter(std::filesystem::path path, std::string_view profile);
 
     /// Writes a schema (add_schema) or a channel (add_channel) to the file. All schemas
@@ -32,11 +29,9 @@ public:
                               const McapMetadataMap& metadata = {});
     void add_metadata(std::string_view metadata_name, const McapMetadataMap& metadata_values);
     void add_message(std::uint16_t channel_id, std::uint64_t time_ns, std::string_view message);
-    /// Writes all messages since the last call as one chunk. Readers load one chunk at a
-    /// time.
+    /// Writes all messages since the last call as one chunk, which readers load at once.
     void write_pending_chunk();
-    /// Writes the summary and the footer, which readers read first. Call this function
-    /// last.
+    /// Writes the summary and the footer, which readers read first.
     void write_summary_and_close();
 
 private:

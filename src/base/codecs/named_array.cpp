@@ -30,7 +30,6 @@ NamedArray make_typed_array(std::string name, std::vector<std::size_t> shape, co
     return array;
 }
 
-/// IEEE 754 half-precision number.
 struct Half {
     std::uint16_t bits;
 
@@ -93,8 +92,7 @@ std::vector<Out> require_numeric_and_convert_elements(const NamedArray& array) {
     return function(array);
 }
 
-/// Returns the number of bytes after the first byte of a UTF-8 sequence, or 4 if the
-/// byte cannot begin a sequence.
+/// Returns 4 if the byte cannot begin a sequence.
 std::size_t count_utf8_continuation_bytes(unsigned char first) {
     if (first < 0x80) return 0;
     if (first >> 5 == 6) return 1;
@@ -102,7 +100,7 @@ std::size_t count_utf8_continuation_bytes(unsigned char first) {
     return first >> 3 == 30 ? 3 : 4;
 }
 
-/// Converts UTF-8 to Unicode code points. Replaces each invalid byte with U+FFFD.
+/// Replaces each invalid byte with U+FFFD.
 std::u32string decode_utf8_code_points(std::string_view utf8) {
     // Smallest code point for each length of a UTF-8 sequence. A longer sequence for a
     // smaller code point is invalid (overlong encoding).

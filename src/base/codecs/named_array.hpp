@@ -11,16 +11,13 @@
 
 namespace relidar::report_detail {
 
-/// Returns the number of bytes per element of a type. Returns 0 if NamedArray does not
-/// support the type.
+/// Returns 0 if NamedArray does not support the type.
 std::size_t get_element_size_bytes(std::string_view numpy_type);
 
-/// Returns the size in bytes of an array with this shape. Returns nullopt if the size
-/// does not fit into std::size_t.
+/// Returns nullopt if the size does not fit into std::size_t.
 std::optional<std::size_t> compute_array_size_bytes(const std::vector<std::size_t>& shape,
                                                     std::size_t element_size_bytes);
 
-/// Checks the name, the type and the size of an array.
 /// @throws DataError if the array has no name, an unknown type, or a number of bytes that
 /// does not match its shape
 void require_valid_array_type_and_size(const NamedArray& array);

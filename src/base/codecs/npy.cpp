@@ -125,8 +125,7 @@ std::string parse_little_endian_numpy_type(const std::string& numpy_type_with_by
     return std::string(type);
 }
 
-/// Reorders the values of an array in Fortran order, in which the first index varies
-/// fastest.
+/// In Fortran order, the first index varies fastest.
 void convert_to_row_major_order(NamedArray& array) {
     const std::size_t size = get_element_size_bytes(array.dtype), n_dimensions = array.shape.size();
     const std::vector<std::byte> column_major = array.bytes;

@@ -12,12 +12,11 @@
 
 namespace relidar::report_detail {
 
-/// Returns the .npy header (version 1.0) of an array, padded to a multiple of 64 bytes.
+/// Version 1.0, padded to a multiple of 64 bytes.
 std::string make_npy_header(const NamedArray& array);
 
-/// Parses the bytes of a .npy file. Supports versions 1 to 3, little-endian numbers and
-/// row-major order.
-/// @throws DataError with the reason if the file uses any other version, type or order
+/// Supports versions 1 to 3.
+/// @throws DataError with the reason for any other version, type or order
 NamedArray parse_npy(const std::string& array_name, const std::vector<std::byte>& bytes);
 
 }  // namespace relidar::report_detail

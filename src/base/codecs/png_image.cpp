@@ -24,11 +24,10 @@ void append_big_endian_uint32(std::string& bytes, std::uint32_t value) {
     for (int shift = 24; shift >= 0; shift -= 8) bytes += static_cast<char>(value >> shift);
 }
 
-/// Returns a PNG text chunk (iTXt) with a name and an uncompressed UTF-8 text. We write
-/// this chunk ourselves, because the simplified interface of libpng cannot write text.
+/// An uncompressed iTXt chunk, because the simplified interface of libpng writes no text.
 std::string make_png_text_chunk(const std::string& keyword, const std::string& text) {
-    // Five zero bytes follow the name. They mean: end of the name, not compressed,
-    // compression method 0, empty language, and empty translated name.
+    // The zero bytes: end of the name, not compressed, method 0, no language, no
+    // translation.
     const std::string body = "iTXt" + keyword + std::string(5, '\0') + text;
     std::string chunk;
     append_big_endian_uint32(chunk, static_cast<std::uint32_t>(body.size() - 4));
@@ -39,8 +38,7 @@ std::string make_png_text_chunk(const std::string& keyword, const std::string& t
     return chunk;
 }
 
-// Number of bytes before the first chunk after the header: the PNG signature (8) and the
-// IHDR chunk (25).
+// Size of the PNG signature (8) and the IHDR chunk (25).
 constexpr std::ptrdiff_t kAfterHeader = 8 + 25;
 
 }  // namespace
@@ -55,7 +53,6 @@ std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& met
     description.width = png_uint_32(image.columns);
     description.height = png_uint_32(image.rows);
     description.format = PNG_FORMAT_RGB;
-    // Upper bound of the PNG size. The next call replaces it by the exact size.
     png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(description);
     std::vector<std::uint8_t> bytes(size);
     const int done =

@@ -49,7 +49,6 @@ constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypes{{
     {"F64", "f8"},
 }};
 
-/// Returns the safetensors name of a numpy type.
 /// @throws DataError if safetensors has no such type, for example text
 std::string convert_numpy_to_safetensors_type(const std::string& numpy_type) {
     const auto it = std::find_if(kTypes.begin(), kTypes.end(),
@@ -68,8 +67,6 @@ std::string convert_safetensors_to_numpy_type(const std::string& array_name_for_
     return std::string(it->second);
 }
 
-/// Returns the JSON header of a file. The header lists the arrays in the order of
-/// `arrays`.
 std::string make_safetensors_header(const std::vector<NamedArray>& arrays,
                                     const std::map<std::string, std::string>& metadata) {
     nlohmann::ordered_json header = nlohmann::ordered_json::object();
@@ -93,9 +90,8 @@ std::string make_safetensors_header(const std::vector<NamedArray>& arrays,
     return text;
 }
 
-/// Parsed header of a file. `names` contains the array names in the order of the header.
-/// Sorting by data position could not restore this order, because empty arrays have the
-/// same position as their successor.
+/// `names` has the order of the header. Sorting by data position could not restore it,
+/// because empty arrays have the same position as their successor.
 struct SafetensorsHeader {
     Json json;
     std::vector<std::string> names;
@@ -135,7 +131,6 @@ SafetensorsHeader parse_safetensors_header(const std::vector<std::byte>& file_by
     return header;
 }
 
-/// Returns a list of non-negative integers from a field of the header.
 std::vector<std::size_t> parse_integer_list(const std::string& array_name_for_errors, const Json& array_json,
                                             const char* member_name) {
     if (!array_json.is_object() || !array_json.contains(member_name) || !array_json[member_name].is_array())
@@ -160,8 +155,6 @@ struct DataByteRange {
     std::size_t begin = 0, end = 0;
 };
 
-/// Parses the header entry of an array. Returns its name, type and shape, and the byte
-/// range of its data.
 std::pair<NamedArray, DataByteRange> parse_array_description(const std::string& array_name,
                                                              const Json& array_json,
                                                              std::size_t n_data_bytes) {

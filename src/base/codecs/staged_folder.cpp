@@ -28,10 +28,9 @@ namespace fs = std::filesystem;
 constexpr const char* kMarker = ".relidar_staged";
 constexpr std::string_view kTemporary = ".tmp-";
 
-/// Returns true if a path is a temporary folder of a process that no longer exists. The
-/// name of a temporary folder is .NAME.tmp-PID. A process on another machine may have the
-/// same folder, so its lock counts, too.
-/// @param own_prefix  ".NAME.tmp-", for which folders without a marker are abandoned, too
+/// True for a temporary folder (.NAME.tmp-PID) whose process no longer exists. A process
+/// on another machine may have the same folder, so its lock counts, too.
+/// @param own_prefix ".NAME.tmp-"; such folders are abandoned even without a marker
 bool is_abandoned_folder(const fs::path& path, const std::string& own_prefix) {
     const std::string name = path.filename().string();
     const std::size_t at = name.rfind(kTemporary);

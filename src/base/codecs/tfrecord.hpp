@@ -12,21 +12,19 @@
 
 namespace relidar {
 
-/// Returns the CRC-32C (Castagnoli) of bytes in the masked form of TFRecord: rotated
-/// right by 15 bits, plus 0xa282ead8.
+/// CRC-32C (Castagnoli) rotated right by 15 bits, plus 0xa282ead8.
 std::uint32_t compute_masked_crc32c(std::string_view bytes);
 
 /// Reads records of a TFRecord file. The data of a record is read from the file only when
 /// it is requested.
 class TfRecordReader {
 public:
-    /// Finds the positions of all records in the file.
     /// @throws DataError with the number of the record whose length or end is wrong
     explicit TfRecordReader(std::filesystem::path file);
 
     std::size_t size() const { return records_.size(); }
     const std::filesystem::path& get_file_path() const { return file_; }
-    /// Reads the data of a record from the file. Thread-safe.
+    /// Thread-safe.
     /// @throws DataError if the record cannot be read or its CRC is wrong
     std::string read_record_data(std::size_t record_index) const;
 

@@ -8,13 +8,10 @@
 
 namespace relidar {
 
-/// Decompresses lz4 frames into `uncompressed_bytes`. `uncompressed_bytes` must have
-/// exactly the uncompressed size.
+/// `uncompressed_bytes` must have exactly the uncompressed size.
 /// @throws DataError if the data are damaged or have a different uncompressed size
 void decompress_lz4(std::string_view compressed_bytes, std::span<char> uncompressed_bytes);
-/// Decompresses zstd frames into `uncompressed_bytes`. `uncompressed_bytes` must have
-/// exactly the uncompressed size.
-/// @throws DataError if the data are damaged or have a different uncompressed size
+/// Same for zstd.
 void decompress_zstd(std::string_view compressed_bytes, std::span<char> uncompressed_bytes);
 
 constexpr std::string_view kZstdMagic("\x28\xb5\x2f\xfd", 4);  ///< first bytes of a zstd frame
